@@ -1,0 +1,95 @@
+"""Times every side in turn with ours, round after round, so that a change of the machine's pace meets both."""
+
+import gc
+import time
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Side(NamedTuple):
+    """One method at one setting.
+
+    prepare makes, from (n, 3) states, a call without arguments that does the work and waits for its end; read turns
+    what that call returns into (ends, sides), sides None where there are none. states: how many it is given.
+    """
+
+    method: str
+    setting: str
+    states: int
+    prepare: Callable[[np.ndarray], Callable[[], Any]]
+    read: Callable[[Any], tuple[np.ndarray, np.ndarray | None]]
+
+
+class Timing(NamedTuple):
+    """Nanoseconds per map of each round, and of ours timed just before it; first: seconds of the first call of all.
+
+    ends and sides are the answer of the last round.
+    """
+
+    own: np.ndarray
+    ours: np.ndarray
+    first: float
+    ends: np.ndarray
+    sides: np.ndarray | None
+
+    @property
+    def cost(self):
+        """Nanoseconds per map: median and quartiles."""
+        return spread(self.own)
+
+    @property
+    def ratio(self):
+        """Its time over ours: median and quartiles of the rounds."""
+        return spread(self.own / self.ours)
+
+
+def clock(call):
+    """Seconds of processor time that a call takes, and its answer.
+
+    On one core that is the time on the wall, less what other programs took of the core meanwhile.
+    """
+    start = time.process_time()
+    answer = call()
+    return time.process_time() - start, answer
+
+
+def measure(ours, rivals, states, rounds, tell=print):
+    """Time each rival Side in turn with ours; returns {Side: Timing}, ours among them."""
+    calls, firsts = {}, {}
+    for side in (ours, *rivals):
+        calls[side] = side.prepare(states[: side.states])
+        firsts[side], _ = clock(calls[side])
+        tell(f"  first call of {side.method} {side.setting}: {firsts[side]:.2f} s")
+    paces, answers = {side: [] for side in rivals}, {}
+    gc.collect()
+    gc.disable()
+    for turn in range(rounds):
+        for side in rivals:
+            base, answers[ours] = clock(calls[ours])
+            spent, answers[side] = clock(calls[side])
+            paces[side].append((1e9 * spent / side.states, 1e9 * base / ours.states))
+        tell(f"  round {turn + 1} of {rounds}")
+    gc.enable()
+    base = np.array([pace[1] for side in rivals for pace in paces[side]])
+    timings = {ours: Timing(base, base, firsts[ours], *ours.read(answers[ours]))}
+    for side in rivals:
+        own, beside = np.array(paces[side]).T
+        timings[side] = Timing(own, beside, firsts[side], *side.read(answers[side]))
+    return timings
+
+
+def spread(values):
+    """Median and quartiles."""
+    return tuple(float(q) for q in np.quantile(values, [0.5, 0.25, 0.75]))
+
+
+def latency(call, repeats):
+    """Microseconds on the wall of a warm call: median and quartiles."""
+    marks = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        call()
+        marks.append(1e6 * (time.perf_counter() - start))
+    return spread(marks)

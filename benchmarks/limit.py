@@ -1,0 +1,62 @@
+"""The yardstick: a kernel outside this project, DIR/limit.py with load() -> strobe(states (n, 3)) -> ends (n, 2).
+
+It is tried in a process of its own first: built for other processors it may not compile, or die by a signal.
+Run as a script on DIR it makes that trial.
+"""
+
+import importlib.util
+import pathlib
+import shutil
+import signal
+import subprocess
+import sys
+
+import numpy as np
+
+COMPILERS = ("clang++", "clang++-19", "clang++-16", "clang++-15", "clang++-14")
+UNSET = "skipped: no LIMIT=DIR was given"
+
+
+def load(directory):
+    """The yardstick's strobe, and the first line of what its file says of itself."""
+    path = pathlib.Path(directory) / "limit.py"
+    spec = importlib.util.spec_from_file_location("yardstick", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.load(), (module.__doc__ or "no description").strip().splitlines()[0]
+
+
+def refusal(directory):
+    """Why the yardstick cannot be measured here, in one line; None where it can."""
+    if not directory:
+        return UNSET
+    if not (pathlib.Path(directory) / "limit.py").is_file():
+        return "skipped: the folder that LIMIT names holds no limit.py"
+    trial = subprocess.run([sys.executable, "-m", "benchmarks.limit", directory], capture_output=True, text=True)
+    if trial.returncode == 0:
+        return None
+    return f"skipped: {reason(trial)}"
+
+
+def reason(trial):
+    """A failed trial's reason: what this machine lacks, else how the trial ended."""
+    if not any(map(shutil.which, COMPILERS)):
+        return "it needs clang, and none is on the path"
+    lacks = "" if "avx512dq" in flags() else "; this processor lacks AVX-512, which it may need"
+    if trial.returncode < 0:
+        return f"its trial was stopped by {signal.Signals(-trial.returncode).name}{lacks}"
+    lines = (trial.stderr.strip() or "no message").splitlines()
+    cause = next((line.split("error:")[1].strip() for line in lines if "error:" in line), lines[-1])
+    return f"it does not build or run here ({cause[:90]}){lacks}"
+
+
+def flags():
+    """The processor's features, as Linux names them."""
+    info = pathlib.Path("/proc/cpuinfo")
+    lines = info.read_text().splitlines() if info.exists() else []
+    return next((line.split(":")[1].split() for line in lines if line.startswith("flags")), [])
+
+
+if __name__ == "__main__":
+    ends = load(sys.argv[1])[0](np.array([[0.9, -1.1, 2.0]] * 100))
+    sys.exit(0 if np.isfinite(ends).all() else "it returned no finite numbers")

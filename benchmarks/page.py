@@ -1,0 +1,75 @@
+"""The page of results: only the part between two marks is written anew, the rest is kept as people wrote it."""
+
+import os
+import pathlib
+
+BEGIN = "<!-- measured: begin (written by `make bench`, do not edit) -->"
+END = "<!-- measured: end -->"
+EMPTY = f"""# Benchmarks
+
+{BEGIN}
+{END}
+
+## Gains: predicted, measured
+
+Nothing noted yet.
+"""
+TABLE = (
+    "| method | setting | ns per map (quartiles) | over ours (quartiles) | wrong itineraries "
+    "| error: median | 99 % | worst | first call, s | states |\n" + "| --- " * 10 + "|"
+)
+
+
+def short(value):
+    """A number to three digits, with thousands apart."""
+    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def spread(values):
+    """Median and quartiles as text."""
+    median, low, high = map(short, values)
+    return f"{median} ({low} to {high})"
+
+
+def row(side, timing, verdict):
+    """One line of the table; wrong itineraries in bold."""
+    wrong = f"**{verdict.wrong}** of {verdict.judged}" if verdict.wrong else f"0 of {verdict.judged}"
+    errors = " | ".join(f"{error:.1e}" for error in (verdict.median, verdict.high, verdict.worst))
+    return (
+        f"| {side.method} | {side.setting} | {spread(timing.cost)} | {spread(timing.ratio)} | {wrong} | {errors} "
+        f"| {timing.first:.2f} | {side.states:,} |"
+    )
+
+
+def asked_table(asked):
+    """Lines (what, asked, measured) as a table."""
+    head = "| what | asked | measured (quartiles) |\n| --- | --- | --- |"
+    return "\n".join([head, *(f"| {what} | {bound} | {measured} |" for what, bound, measured in asked)])
+
+
+def body(rows, asked, notes, machine, picture):
+    """The measured part of the page, in Markdown."""
+    parts = (
+        f"![Error against time per map, for each method]({picture})",
+        "\n".join(f"- {line}" for line in machine),
+        asked_table(asked),
+        "\n".join([TABLE, *(row(*entry) for entry in rows)]),
+        "\n".join(f"- {line}" for line in notes),
+    )
+    return "\n\n".join(parts)
+
+
+def write(path, text):
+    """Put text between the marks of the page at path, or of a new page; written beside, then renamed.
+
+    Raises ValueError where the page is there and has lost its marks: nothing is overwritten then.
+    """
+    path = pathlib.Path(path)
+    page = path.read_text(encoding="utf-8") if path.exists() else EMPTY
+    if page.count(BEGIN) != 1 or page.count(END) != 1:
+        raise ValueError(f"{path}: the marks {BEGIN!r} and {END!r} must each be there once")
+    head, rest = page.split(BEGIN)
+    tail = rest.split(END)[1]
+    beside = path.with_suffix(".part.md")
+    beside.write_text(f"{head}{BEGIN}\n\n{text}\n\n{END}{tail}", encoding="utf-8")
+    os.replace(beside, path)

@@ -1,0 +1,62 @@
+"""The true ends and itineraries in ball arithmetic, and how a side's answers compare with them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.work import GAMMA, OMEGA, RESTITUTION, blank
+from tests.reference.orbit import Discard, strobe
+from tests.reference.scene import Scene, Wall
+
+# Without an itinerary to compare (the yardstick returns none) an end this far off counts as a wrong itinerary.
+FAR = 1e-6
+
+
+class Truth(NamedTuple):
+    """True ends (n, 2) and sides (n, CAP); judged (n,) is False for a lane that nobody is judged on."""
+
+    ends: np.ndarray
+    sides: np.ndarray
+    judged: np.ndarray
+
+
+class Verdict(NamedTuple):
+    """Lanes judged and wrong; errors of x and x' at the end (largest of both) over lanes with the right itinerary."""
+
+    judged: int
+    wrong: int
+    median: float
+    high: float
+    worst: float
+
+
+def find(states):
+    """Truth for (n, 3) states x, x', A.
+
+    Not judged: an impact slower than 1e-2 (so all chatter), a turning point within 1e-8 of a wall, an impact within
+    1e-9 of the period's end.
+    """
+    ends, sides, _ = blank(states)
+    judged = np.ones(len(states), dtype=bool)
+    left, right = Wall(-1.0, RESTITUTION), Wall(1.0, RESTITUTION)
+    for lane, (x, v, amplitude) in enumerate(states):
+        try:
+            record = strobe(Scene(GAMMA, OMEGA, amplitude, left, right), x, v)
+        except Discard:
+            judged[lane] = False
+            continue
+        ends[lane] = float(record.x), float(record.v)
+        sides[lane, : record.count] = record.sides
+    return Truth(ends, sides, judged)
+
+
+def judge(ends, sides, truth):
+    """Verdict on a side's ends (n, 2) and sides (n, CAP), or None for no itinerary, of the first n lanes of truth."""
+    count = min(len(ends), len(truth.ends))
+    judged = truth.judged[:count]
+    error = np.abs(ends[:count] - truth.ends[:count]).max(axis=1)
+    astray = ~(error <= FAR) if sides is None else (sides[:count] != truth.sides[:count]).any(axis=1)
+    wrong = judged & astray
+    error = error[judged & ~wrong]
+    median, high, worst = np.quantile(error, [0.5, 0.99, 1.0])
+    return Verdict(int(judged.sum()), int(wrong.sum()), float(median), float(high), float(worst))

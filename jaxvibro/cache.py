@@ -1,0 +1,61 @@
+"""What the command line asks of jax before it is loaded: double precision, and compiled code kept between runs.
+
+Compiled code fits one kind of processor and is trusted like the program itself, so it lies in a folder of the user's
+own, one for each kind. Where there is no such folder the command runs without.
+"""
+
+import hashlib
+import os
+import platform
+import sys
+import warnings
+from pathlib import Path
+
+NAMES = ("vendor_id", "model name", "flags", "Features", "CPU implementer", "CPU part")  # of /proc/cpuinfo
+
+
+def prepare():
+    """Set jax up through its environment variables; those that the user has set stay. No jax is loaded here.
+
+    Where jax is loaded already, as in a test, its settings are those of whoever loaded it.
+    """
+    if "jax" in sys.modules:
+        return
+    asked = {"JAX_ENABLE_X64": "1", "JAX_PLATFORMS": "cpu", "TF_CPP_MIN_LOG_LEVEL": "3"}
+    if place := folder():
+        asked |= {
+            "JAX_COMPILATION_CACHE_DIR": str(place),
+            "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+            "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
+        }
+        warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
+    os.environ.update({name: value for name, value in asked.items() if name not in os.environ})
+
+
+def folder():
+    """The folder for this user and this kind of processor, made where it is missing; None where it cannot be.
+
+    It lies in XDG_CACHE_HOME or ~/.cache, and none but the user can enter it.
+    """
+    try:
+        home = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        top = (home if home.is_absolute() else Path.home() / ".cache") / "jaxvibro"
+        place = top / processor()
+        for one in (top, place):
+            one.mkdir(mode=0o700, parents=True, exist_ok=True)
+            if one.stat().st_uid != os.geteuid():
+                return None
+            one.chmod(0o700)
+    except (OSError, RuntimeError):
+        return None
+    return place if os.access(place, os.W_OK | os.X_OK) else None
+
+
+def processor():
+    """A name for the kind of processor: equal where compiled code may be shared."""
+    try:
+        text = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace")
+    except OSError:
+        text = ""
+    first = [line for line in text.split("\n\n")[0].splitlines() if line.split(":")[0].strip() in NAMES]
+    return hashlib.sha256("\n".join([platform.machine(), *first]).encode()).hexdigest()[:16]

@@ -1,0 +1,60 @@
+"""How a given state begins its path: the rules for a start on a wall, and the starts that are refused."""
+
+import jax.numpy as jnp
+from jax import lax
+
+from . import event, impact
+from .flight import Path
+from .frame import is_valid
+from .lanes import choose, positive
+from .wall import chosen, course, less
+
+
+def enter(frame, state):
+    """(path, valid, finite): a path with no time to go yet.
+
+    A start on a wall that moves into it stays free, so that its first event is that impact. One that moves away has
+    landed; one without speed is decided by the press, then by its change (`impact.settle`).
+    """
+    cosine, sine = jnp.cos(state.phase), jnp.sin(state.phase)
+    valid, finite = is_valid(frame)
+    for number in (state.x, state.v, cosine, state.contact):
+        finite &= jnp.isfinite(number)
+    none = jnp.zeros_like(cosine)
+    path = Path(state.x + none, none, state.v + none, none, cosine, sine, none, none, none)
+    kind = abs(state.contact) + none
+    valid &= (kind == 0) | (kind == impact.LANDED) | (kind == impact.STUCK)
+    known = kind == 0
+    for wall in frame.walls:
+        place = course(wall, frame.frequency, cosine, sine, 1)
+        path, fits = _at_wall(frame, wall, place, path, state.contact * wall.sign)
+        valid &= fits
+        known |= state.contact * wall.sign > 0
+    return path, valid & known, finite
+
+
+def _at_wall(frame, wall, place, path, given):
+    """The path as this wall finds it, and whether the start is allowed; given: the contact times the wall's sign."""
+    where, speed = place
+    gap = wall.sign * ((where - path.x) + path.x_low)
+    closing = wall.sign * less(path.v, speed)
+    eps = 2.0 * event.rounding(gap.dtype)
+    near = jnp.zeros_like(gap) if wall.swing is None else 4.0 * eps * abs(wall.swing)
+    loose = eps**0.5
+    touching = given > 0
+    met = ~touching & (abs(gap) <= near)
+    fits = choose(touching, abs(gap) <= loose * frame.size, gap >= -near)
+    pace = abs(path.v) + frame.size * (1.0 + frame.frequency)
+    off = choose(given == impact.STUCK, abs(closing), closing)
+    fits &= ~touching | (off <= loose * pace)
+    push = [wall.sign * each for each in impact.surface(frame, path.x * 0.0 + wall.sign, path.cosine, path.sine)[2:]]
+    leaving = choose(given == impact.STUCK, 0.0, positive(-closing))
+    kind = wall.sign * impact.settle(frame, leaving, *push)
+    on = touching | (met & (closing <= 0))
+    rests = on & ((abs(kind) == impact.STUCK) | (leaving == 0))
+    still = jnp.zeros_like(gap) if speed is None else speed
+    return path._replace(
+        x=choose(on | met, where, path.x),
+        v=choose(rests, still, path.v),
+        contact=choose(on, kind, path.contact),
+    ), fits

@@ -1,0 +1,103 @@
+"""What a flight needs of a scene, broadcast over the lanes and worked out once."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from . import flow
+from .wall import Lane, extent, lane, tail
+
+SIDES = (-1, 1)
+TURN_LOW = 2.4492935982947064e-16  # 2 pi less its double
+
+
+class Frame(NamedTuple):
+    """One number a lane each: the oscillator, its drive, its walls, and bounds for the longest step.
+
+    force A, frequency omega, damping gamma; walls: those that exist, left first; period 2 pi / omega and its low part;
+    reach: longest step (t); size: a length that no rounding error of which matters (walls and forced motion); curb, slope: abs x^(8) is at
+    most curb + slope (abs x^(6) + abs x^(7)) over a step; tails, swings: see `wall.tail`, for each wall.
+    """
+
+    force: jax.Array
+    frequency: jax.Array
+    damping: jax.Array
+    walls: tuple[Lane, ...]
+    period: jax.Array
+    period_low: jax.Array
+    reach: jax.Array
+    size: jax.Array
+    curb: jax.Array
+    slope: jax.Array
+    tails: tuple[jax.Array, ...]
+    swings: tuple[jax.Array, ...]
+
+
+def frame(scene, shape):
+    """The `Frame` of a scene over lanes of this shape."""
+    dtype = scene.dtype
+
+    def spread(value):
+        return jnp.broadcast_to(jnp.asarray(value, dtype), shape)
+
+    force, frequency, damping = map(spread, (scene.amplitude, scene.frequency, scene.damping))
+    given = zip(SIDES, (scene.left, scene.right), strict=True)
+    walls = tuple(lane(wall, scene.restitution, side, shape, dtype) for side, wall in given if wall is not None)
+    rate = flow.rate(frequency, damping)
+    for wall in walls:
+        rate = jnp.maximum(rate, frequency * (wall.harmonic if wall.swing is not None else 1.0))
+    reach = flow.STEP / rate
+    # energy of x^(6): abs x^(6), abs x^(7) <= abs x^(6)(0) + abs x^(7)(0) + A omega^6 t, damping only helps
+    forcing, slope = abs(force) * frequency**6, jnp.sqrt(1.0 + 4.0 * damping * damping)
+    period = 2.0 * jnp.pi / frequency
+    bounds = [tail(wall, force, frequency, damping) for wall in walls]
+    return Frame(
+        force=force,
+        frequency=frequency,
+        damping=damping,
+        walls=walls,
+        period=period,
+        period_low=_remainder(frequency, period) / frequency,
+        reach=reach,
+        size=sum((extent(wall) for wall in walls), abs(force)),
+        curb=forcing * (1.0 + slope * reach),
+        slope=slope,
+        tails=tuple(press for press, _ in bounds),
+        swings=tuple(swing for _, swing in bounds),
+    )
+
+
+def _remainder(frequency, period):
+    """2 pi - frequency period, the product taken exactly (Dekker) and 2 pi beyond its double."""
+    high, low = _split(frequency)
+    top, bottom = _split(period)
+    product = frequency * period
+    error = ((high * top - product) + high * bottom + low * top) + low * bottom
+    turn = jnp.asarray(2.0 * jnp.pi, period.dtype)
+    beyond = TURN_LOW if period.dtype == jnp.float64 else 2.0 * math.pi - float(np.float32(2.0 * math.pi))
+    return (turn - product) - error + beyond
+
+
+def _split(a):
+    """a as the sum of two numbers of half its digits (Veltkamp)."""
+    scaled = a * (2.0 ** ((jnp.finfo(a.dtype).nmant + 2) // 2) + 1.0)
+    high = scaled - (scaled - a)
+    return high, a - high
+
+
+def is_valid(frame):
+    """Whether the scene of each lane keeps the rules that `make_scene` checks: (valid, finite)."""
+    numbers = jax.tree.leaves((frame.force, frame.frequency, frame.damping, frame.walls))
+    finite = jnp.isfinite(frame.force)
+    for number in numbers:
+        finite &= jnp.isfinite(number)
+    valid = (frame.frequency > 0) & (frame.damping >= 0)
+    for wall in frame.walls:
+        valid &= (wall.restitution >= 0) & (wall.restitution <= 1)
+    if len(frame.walls) == 2:
+        left, right = frame.walls
+        valid &= left.position < right.position
+    return valid, finite

@@ -1,0 +1,70 @@
+"""Itineraries: the walls hit, in order, a word of "L" and "R" for each drive period; labels P n p q; the mirror image.
+
+An itinerary is a tuple of words, one a period: ("LR",) or ("LRL", "R"). Orbits are compared cyclically: where along
+the orbit one starts to read does not matter.
+"""
+
+import numpy as np
+
+LETTERS = {-1: "L", 1: "R"}
+_MIRROR = str.maketrans("LR", "RL")
+
+
+def words(sides):
+    """The itinerary of impacts recorded period by period: sides -1, +1 or 0 (empty slot), shape (periods, slots)."""
+    return tuple("".join(LETTERS[side] for side in row if side) for row in np.asarray(sides).tolist())
+
+
+def split(time, side, periods, length):
+    """The itinerary of impacts that one strobe over a number of periods recorded: time and side of its slots.
+
+    length: of a drive period, in t. An impact at a period's end belongs to the period that ends, one at time 0 to the
+    first.
+    """
+    time, side = np.asarray(time), np.asarray(side)
+    hit = side != 0
+    slack = 8.0 * np.finfo(time.dtype).eps * periods  # so much may rounding put an impact beyond the end
+    place = np.clip(np.ceil(time[hit] / length - slack).astype(int) - 1, 0, periods - 1)
+    return tuple("".join(LETTERS[int(one)] for one in side[hit][place == k]) for k in range(periods))
+
+
+def label(itinerary):
+    """P n p q: n drive periods, p impacts on the left wall, q on the right; P8-8-16 once a number has two digits."""
+    flat = "".join(itinerary)
+    numbers = [str(number) for number in (len(itinerary), flat.count("L"), flat.count("R"))]
+    return "P" + ("" if all(len(number) == 1 for number in numbers) else "-").join(numbers)
+
+
+def least_period(sequence):
+    """The smallest number of entries after which a periodic sequence, given once round or more, begins anew.
+
+    It divides the length: ("LR", "LR") has 1, ("LR", "R", "LR") has 3.
+    """
+    sequence, size = tuple(sequence), len(sequence)
+    return next((n for n in range(1, size + 1) if size % n == 0 and sequence == sequence[:n] * (size // n)), size)
+
+
+def least_turn(sequence):
+    """How many entries to turn a cyclic sequence on by, so that it comes first among its rotations."""
+    sequence = tuple(sequence)
+    return min(range(len(sequence)), key=lambda k: sequence[k:] + sequence[:k], default=0)
+
+
+def canonical(itinerary):
+    """The rotation, period by period, that comes first: equal for all starts along one orbit at one section."""
+    turn = least_turn(itinerary)
+    return tuple(itinerary[turn:]) + tuple(itinerary[:turn])
+
+
+def same(one, other):
+    """Whether two itineraries agree cyclically: as many periods, and the same walls hit in the same cyclic order.
+
+    Which period an impact belongs to is not compared: that changes where an impact crosses phase 0, along one branch.
+    """
+    flat, text = "".join(one), "".join(other)
+    return len(one) == len(other) and len(flat) == len(text) and text in flat + flat
+
+
+def mirrored(itinerary):
+    """The itinerary of the mirror image, left and right exchanged; its section lies half a period on."""
+    return tuple(word.translate(_MIRROR) for word in itinerary)

@@ -1,0 +1,101 @@
+"""How the compiler is asked to treat a block of lanes: hints that cost speed, never correctness, where it ignores them.
+
+Arithmetic here works on lanes of equal shape, scalars included. `jnp.where` and its kin are jitted functions of their
+own and would each become a loop of their own below an un-inlined call, so the lanes use `choose` and lax alone.
+"""
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.experimental.xla_metadata import set_xla_metadata
+
+WIDTH = 64  # lanes of a block: its arrays stay in the first-level cache, and few lanes wait for the slowest
+OPTIONS = {"xla_cpu_prefer_vector_width": 512}
+
+
+def choose(condition, yes, no):
+    """lax.select that takes Python numbers: yes where the condition holds, no elsewhere."""
+    like = yes if isinstance(yes, jax.Array) else no if isinstance(no, jax.Array) else None
+    dtype = jnp.result_type(float) if like is None else like.dtype
+    return lax.select(condition, _spread(yes, condition, dtype), _spread(no, condition, dtype))
+
+
+def _spread(value, condition, dtype):
+    if isinstance(value, jax.Array) and value.shape == condition.shape:
+        return value
+    return lax.broadcast(lax.convert_element_type(value, dtype), condition.shape)
+
+
+def positive(a):
+    """a where it is positive, else 0."""
+    return choose(a > 0, a, 0.0)
+
+
+def negative(a):
+    """a where it is negative, else 0."""
+    return choose(a < 0, a, 0.0)
+
+
+def least(a, b):
+    """The smaller of two; one instruction, as it promises nothing for nan."""
+    return choose(a < b, a, b)
+
+
+def most(a, b):
+    """The larger of two."""
+    return choose(a > b, a, b)
+
+
+def two_sum(a, b):
+    """The rounded sum and its error (Knuth): a path's rounding errors then grow with its length, not its steps."""
+    total = a + b
+    part = total - a
+    return total, (a - (total - part)) + (b - part)
+
+
+def stage(function, *lanes):
+    """function(*lanes) as an un-inlined call, whose results are stored: XLA would compute them anew for each use.
+
+    XLA computes each result of a call in a loop of its own, and in each all that it depends on. So real results travel in
+    pairs, as complex numbers, and neighbours among them should have most in common. Only operands that the results depend
+    on are handed over; the emitter of a whole loop as one kernel needs that.
+    """
+    flat, tree = jax.tree.flatten(lanes)
+    closed, shape = jax.make_jaxpr(lambda *a: function(*jax.tree.unflatten(tree, a)), return_shape=True)(*flat)
+    live = _operands(closed.jaxpr)
+    kept = [variable in live for variable in closed.jaxpr.invars]
+
+    def call(*given):
+        given = iter(given)
+        full = [next(given) if keep else jnp.zeros_like(lane) for keep, lane in zip(kept, flat, strict=True)]
+        found = jax.core.eval_jaxpr(closed.jaxpr, closed.consts, *full)
+        return [lax.complex(*pair) if len(pair) == 2 else pair[0] for pair in batched(found)]
+
+    with set_xla_metadata(inlineable="false"):
+        pairs = jax.jit(call)(*[lane for lane, keep in zip(flat, kept, strict=True) if keep])
+    parts = [part for pair in pairs for part in ((lax.real(pair), lax.imag(pair)) if jnp.iscomplexobj(pair) else (pair,))]
+    return jax.tree.unflatten(jax.tree.structure(shape), parts)
+
+
+def batched(found):
+    """The list in pairs, the last one alone where their number is odd."""
+    return [found[k : k + 2] for k in range(0, len(found), 2)]
+
+
+def _operands(jaxpr):
+    live = {v for v in jaxpr.outvars if not hasattr(v, "val")}
+    for equation in reversed(jaxpr.eqns):
+        if not live.isdisjoint(equation.outvars):
+            live.update(v for v in equation.invars if not hasattr(v, "val"))
+    return live
+
+
+def one_kernel(function, *lanes):
+    """function(*lanes), its loops compiled as one kernel in place of one launch for each operation."""
+
+    def plain(*lanes):
+        with set_xla_metadata(inlineable=None, xla_cpu_small_call=None):
+            return function(*lanes)
+
+    with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
+        return jax.jit(plain)(*lanes)

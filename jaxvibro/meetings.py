@@ -1,0 +1,91 @@
+"""Orbits seen at the walls: each impact is a point (wall, phase, speed). Mirror images and equal sets are told there.
+
+The mirror image of an orbit exchanges the walls and comes half a drive period later, with the same speeds.
+"""
+
+import numpy as np
+
+APART = 10.0  # between the two walls' points: more than any two of one wall
+QUERIES = 200  # impacts of one set that are looked for in another
+
+
+def meetings(frequency, time, side, speed, pace):
+    """The impacts as points (side APART, cos phase, sin phase, speed / pace), shape (impacts, 4), in order.
+
+    time, side, speed: of the impacts in periods that start at phase `time` 0, as in `Impacts`, slots last.
+    pace: a speed that is large for the scene.
+    """
+    hit = side != 0
+    phase = frequency * time[hit]
+    return np.stack([side[hit] * APART, np.cos(phase), np.sin(phase), speed[hit] / pace], -1)
+
+
+def mirrored(points):
+    """The points of the mirror image: the other wall, half a drive period later."""
+    return points * np.array([-1.0, -1.0, -1.0, 1.0])
+
+
+def is_symmetric(scene):
+    """Whether the mirror image of every motion of a single scene is a motion of it.
+
+    So it is where the walls lie opposite, have equal restitution and move oppositely half a period apart; and without
+    walls.
+    """
+    left, right = scene.left, scene.right
+    if left is None and right is None:
+        return True
+    if left is None or right is None:
+        return False
+    if left.position != -right.position or scene.parameter("left.restitution") != scene.parameter("right.restitution"):
+        return False
+    (m, swing), (k, opposite) = (_swing(wall.motion) for wall in (left, right))
+    if swing == 0 or opposite == 0:
+        return bool(swing == opposite)
+    near = 8.0 * np.finfo(scene.dtype).eps * abs(swing)
+    return m == k and bool(abs(swing + opposite * (-1) ** k) <= near)
+
+
+def _swing(motion):
+    if motion is None:
+        return 1, 0.0
+    return motion.harmonic, complex(motion.amplitude * np.exp(1j * float(motion.phase)))
+
+
+def is_same_orbit(points, others):
+    """Whether two periodic orbits have the same impacts: as many, each near one of the other's.
+
+    Near is eps^(1/4): the phase of a slow impact is worse known than the orbit itself.
+    """
+    if len(points) != len(others):
+        return False
+    near = np.finfo(points.dtype).eps ** 0.25
+    return all(abs(others - point).max(axis=1).min() <= near for point in points)
+
+
+def is_same_set(points, others):
+    """Whether two long samples, in order of time, fill the same set.
+
+    They do where the median distance from one to the other is at most three times that between the halves of a
+    sample; one direction is enough, for an orbit that still roams part of a set.
+    """
+    return bool(_median(points, others) <= 3.0 * _spread(others) or _median(others, points) <= 3.0 * _spread(points))
+
+
+def _spread(points):
+    half = len(points) // 2
+    return _median(points[half:], points[:half])
+
+
+def _median(points, others):
+    """The median distance from points, a sample of them, to the others; infinite where there are none."""
+    found = _nearest(points[:: max(1, len(points) // QUERIES)], others)
+    return np.median(found) if len(found) else np.inf
+
+
+def _nearest(points, others):
+    """The distance of each point to the nearest of the others, good to the root of the rounding."""
+    if not len(others):
+        return np.full(len(points), np.inf)
+    square = np.einsum("ik,jk->ij", -2.0 * points, others)  # ten times as fast here as a threaded matrix product
+    square += (others**2).sum(-1)
+    return np.sqrt(np.maximum(square.min(axis=1) + (points**2).sum(-1), 0.0))

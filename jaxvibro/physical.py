@@ -1,0 +1,62 @@
+"""A scene from dimensional quantities: M X'' + C X' + K X = F cos(Omega T) between walls (paper, section 1)."""
+
+import numpy as np
+from jax import numpy as jnp
+
+from . import check
+from .scene import SIDES, Motion, Wall, make_scene
+
+
+def scene_from_physical(mass, damping, stiffness, force, frequency, restitution, walls, length=None, dtype=None):
+    """The nondimensional scene of a mass on a spring, in any consistent set of units.
+
+    mass M > 0, damping C >= 0, stiffness K > 0, force F, frequency Omega > 0 in radians per unit of time, restitution
+    R: numbers or arrays that broadcast. walls: (left, right) as in `make_scene`, positions and motions in the unit of
+    length of M, C, K and F.
+
+    length d is what the scene measures lengths in; None takes the right wall's position, which must then be above 0:
+    the scene's right wall stands at 1. With w0 = sqrt(K / M) the scene has amplitude F / (K d), frequency Omega / w0,
+    damping C / (2 M w0); its time is w0 T, its x is X / d, its velocity (dX/dT) / (w0 d). The damping follows from the
+    equation of motion; our copy of the paper reads C / (M w0), which does not fit it.
+
+    Raises SceneError for a quantity that breaks its rule; the scene itself is then checked as in `make_scene`.
+    """
+    kind = check.float_type(dtype)
+    check.is_pair(walls)
+    given = {"mass": mass, "damping": damping, "stiffness": stiffness, "force": force, "frequency": frequency}
+    given["length"] = _length(walls) if length is None else length
+    of = {key: check.number(key, value, kind) for key, value in given.items()}
+    check.shapes_agree(of.items())
+    for key, value in of.items():
+        check.obey(key, value)
+    xp = jnp if check.is_traced(*of.values()) else np
+    natural = xp.sqrt(of["stiffness"] / of["mass"])
+    return make_scene(
+        amplitude=of["force"] / (of["stiffness"] * of["length"]),
+        frequency=of["frequency"] / natural,
+        damping=of["damping"] / (2 * of["mass"] * natural),
+        restitution=restitution,
+        walls=tuple(_scaled(side, wall, of["length"], kind) for side, wall in zip(SIDES, walls, strict=True)),
+        dtype=kind,
+    )
+
+
+def _length(walls):
+    right = walls[1]
+    position = right.position if isinstance(right, Wall) else right
+    if position is None:
+        raise check.SceneError("length", "must be given where there is no right wall", None)
+    return position
+
+
+def _scaled(side, wall, length, kind):
+    """The wall with its lengths divided by the unit of length."""
+    if wall is None:
+        return None
+    if not isinstance(wall, Wall):
+        wall = Wall(wall)
+    position = check.number(f"{side}.position", wall.position, kind) / length
+    if not isinstance(wall.motion, Motion):
+        return Wall(position, wall.restitution, wall.motion)
+    amplitude = check.number(f"{side}.motion.amplitude", wall.motion.amplitude, kind) / length
+    return Wall(position, wall.restitution, Motion(amplitude, wall.motion.phase, wall.motion.harmonic))

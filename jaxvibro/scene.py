@@ -1,0 +1,161 @@
+"""The scene: an oscillator, its drive and its walls, a frozen pytree of nondimensional numbers (paper, section 1)."""
+
+from dataclasses import dataclass, field, replace
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+
+from . import check
+
+SIDES = ("left", "right")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A wall's motion about its mean position: amplitude cos(harmonic omega t + phase), t being the drive's own.
+
+    amplitude: length, any finite real number; phase: radians; harmonic: a whole number, static under transformations.
+    """
+
+    amplitude: jax.Array
+    phase: jax.Array = 0.0
+    harmonic: int = field(default=1, metadata={"static": True})
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """A rigid wall: its mean position, its own restitution (None takes the scene's), its motion (None stands still)."""
+
+    position: jax.Array
+    restitution: jax.Array | None = None
+    motion: Motion | None = None
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """x'' + 2 damping x' + x = amplitude cos(frequency t) between the walls, y+ - v = -restitution (y- - v) at one.
+
+    Every real number is an array; together they broadcast to the batch of scenes. A wall that is None is not there.
+    Make one with `make_scene`, which checks it.
+    """
+
+    amplitude: jax.Array
+    frequency: jax.Array
+    damping: jax.Array
+    restitution: jax.Array
+    left: Wall | None
+    right: Wall | None
+
+    @property
+    def dtype(self):
+        """The floating-point type of the scene's numbers."""
+        return jnp.result_type(self.amplitude)
+
+    @property
+    def shape(self):
+        """The shape of the batch: of all the scene's numbers, broadcast together."""
+        return jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves(self)))
+
+    @property
+    def names(self):
+        """The names of the scene's parameters, those of a wall dotted: "right.motion.phase"."""
+        found = ["amplitude", "frequency", "damping", "restitution"]
+        for side in SIDES:
+            wall = getattr(self, side)
+            if wall is not None:
+                found += [f"{side}.position", f"{side}.restitution"]
+                found += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
+        return tuple(found)
+
+    def parameter(self, name):
+        """The value of a parameter, an array; a wall without a restitution of its own gives the scene's.
+
+        Raises SceneError where the scene has no parameter of this name.
+        """
+        check.is_known(name, self.names, name)
+        value = reduce(getattr, name.split("."), self)
+        return self.restitution if value is None else value
+
+    def replace(self, **changes):
+        """The same scene with other values: `scene.replace(**{"amplitude": 3.0, "right.restitution": 0.5})`.
+
+        Naming a wall's restitution gives that wall its own. The new scene is checked like any other: SceneError.
+        """
+        return _checked(changed(self, changes), self.dtype)
+
+
+def make_scene(amplitude, frequency, damping, restitution, walls, dtype=None):
+    """A checked scene.
+
+    amplitude A, frequency omega > 0, damping gamma >= 0 (1 is critical), restitution 0 <= R <= 1: numbers or arrays
+    that broadcast together as a batch. walls: (left, right), each a position, None (no wall there) or a `Wall`.
+    Units: lengths in the unit of the walls, time in 1/w0, w0 the undamped natural frequency (paper, section 1).
+    dtype: None is float64 and needs jax's jax_enable_x64; jnp.float32 asks for single precision.
+
+    Raises SceneError, which names the argument, the rule and the first offending value. Under tracing only types and
+    shapes are checked.
+    """
+    check.is_pair(walls)
+    left, right = (_wall(side, wall) for side, wall in zip(SIDES, walls, strict=True))
+    return _checked(Scene(amplitude, frequency, damping, restitution, left, right), dtype)
+
+
+def _wall(side, given):
+    if given is None or isinstance(given, Wall):
+        return given
+    if isinstance(given, Motion):
+        raise check.SceneError(side, "must be a position, None or a Wall", given)
+    return Wall(given)
+
+
+def changed(scene, changes):
+    """The scene with other values put in by name, not yet checked beyond the names."""
+    for name, value in changes.items():
+        check.is_known(name, scene.names, value)
+        scene = _put(scene, name.split("."), value)
+    return scene
+
+
+def _put(node, path, value):
+    head, *rest = path
+    return replace(node, **{head: _put(getattr(node, head), rest, value) if rest else value})
+
+
+def _checked(scene, dtype):
+    return jax.tree.map(jnp.asarray, known(scene, check.float_type(dtype)))
+
+
+def known(scene, dtype):
+    """The scene once it breaks no rule, its numbers NumPy arrays of this type (tracers where they are traced)."""
+    return check.check_scene(_numbers(scene, dtype))
+
+
+def _numbers(scene, dtype):
+    """The scene with every number an array of this type, refused where it is no finite real number."""
+
+    def number(key, value):
+        return check.number(key, value, dtype)
+
+    def moving(side, motion):
+        if motion is None:
+            return None
+        if not isinstance(motion, Motion):
+            raise check.SceneError(f"{side}.motion", "must be a Motion or None", motion)
+        return Motion(
+            number(f"{side}.motion.amplitude", motion.amplitude),
+            number(f"{side}.motion.phase", motion.phase),
+            check.harmonic(f"{side}.motion.harmonic", motion.harmonic),
+        )
+
+    def standing(side, wall):
+        if wall is None:
+            return None
+        own = None if wall.restitution is None else number(f"{side}.restitution", wall.restitution)
+        return Wall(number(f"{side}.position", wall.position), own, moving(side, wall.motion))
+
+    plain = {key: number(key, getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
+    return Scene(**plain, left=standing("left", scene.left), right=standing("right", scene.right))

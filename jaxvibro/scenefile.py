@@ -1,0 +1,148 @@
+"""Scene files: TOML in, strictly, and TOML out."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import msgspec
+
+from . import tables
+from .check import SceneError
+from .tables import SceneFile, table_of
+from .whole import whole
+
+_KINDS = {
+    "": tables.SceneFile,
+    "scene": tables.SceneTable,
+    "scene.left": tables.WallTable,
+    "scene.right": tables.WallTable,
+    "scene.left.motion": tables.MotionTable,
+    "scene.right.motion": tables.MotionTable,
+    "sweep": tables.SweepTable,
+    "sweep.legs": tables.LegTable,
+    "sweep.legs.start": tables.StartTable,
+    "attractors": tables.AttractorsTable,
+}
+_WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
+
+
+def load_scene(path, dtype=None):
+    """The scene of a scene file, as `make_scene` would make it (dtype as there).
+
+    Raises SceneError on the first thing in the file that breaks a rule, be it in the scene or in what else the file
+    asks for, and OSError where the file cannot be read.
+    """
+    return read(path).scene.make(dtype)
+
+
+def save_scene(scene, path, force=False):
+    """Write a single scene to a scene file, from which `load_scene` reads the same numbers bit for bit.
+
+    Raises SceneError for a batch, FileExistsError where the file is there already, unless force is given.
+    """
+    dump(SceneFile(scene=table_of(scene)), path, force)
+
+
+def read(path, changes=()):
+    """A scene file's tables, checked, as a `SceneFile`; changes, each "key=value" as in `apply`, go in first.
+
+    Raises SceneError and OSError as `load_scene` does.
+    """
+    name = Path(path).name
+    try:
+        found = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise SceneError(name, "must be a TOML file", str(error)) from None
+    for change in changes:
+        found = apply(found, change)
+    return understood(found)
+
+
+def dump(file, path, force=False):
+    """Write a `SceneFile` to a file, whole or not at all. Raises FileExistsError unless force is given."""
+    text = msgspec.toml.encode(file)
+    with whole(path, force) as part:
+        part.write_bytes(text)
+
+
+def apply(found, change):
+    """The plain tables of a scene file with one change put in, such as "scene.amplitude=3" or "sweep.legs.0.to=1.0".
+
+    Key and value are TOML; a table is merged with the one that stands there, a list's entries go by number from 0.
+    Raises SceneError where the change is no TOML; a key that no scene file has is refused by `understood`.
+    """
+    try:
+        new = tomllib.loads(change)
+    except (ValueError, RecursionError):
+        raise SceneError(change.split("=")[0].strip(), "must be KEY=VALUE, the value as in TOML", change) from None
+    return _merged(found, new)
+
+
+def _merged(old, new):
+    if isinstance(old, list) and isinstance(new, dict) and all(key in map(str, range(len(old))) for key in new):
+        return [_merged(entry, new[str(place)]) if str(place) in new else entry for place, entry in enumerate(old)]
+    if isinstance(old, dict) and isinstance(new, dict):
+        return {**old, **{key: _merged(old.get(key), value) for key, value in new.items()}}
+    return new
+
+
+def understood(found):
+    """Plain tables as a checked `SceneFile`. Raises SceneError naming the key, dotted from the top."""
+    _refuse_unknown("", "", found)
+    try:
+        file = msgspec.convert(found, SceneFile)
+    except msgspec.ValidationError as error:
+        raise _told(found, str(error)) from None
+    return file.check()
+
+
+def _refuse_unknown(kind, place, table):
+    """Refuse the first key that its table may not have; after that msgspec's complaints hold no text of the user's."""
+    names = _KINDS[kind].__struct_encode_fields__
+    for name, value in table.items():
+        if name not in names:
+            raise SceneError(_joined(place, name), f"is not a key here ({', '.join(names)})", value)
+        below, there = _joined(kind, name), _joined(place, name)
+        entries = enumerate(value) if isinstance(value, list) else [(None, value)]
+        for number, entry in entries:
+            if below in _KINDS and isinstance(entry, dict):
+                _refuse_unknown(below, there if number is None else f"{there}[{number}]", entry)
+
+
+def _joined(path, name):
+    return f"{path}.{name}" if path else name
+
+
+def _told(found, message):
+    """msgspec's complaint as a SceneError: it names the place; the value there is looked up."""
+    complaint, place = re.fullmatch(r"(.*?)(?: - at `\$(.*)`)?", message).groups(default="")
+    value, path = _value(found, place), place.lstrip(".").removesuffix("[...]")
+    if missing := re.search(r"missing required field `(.*)`", complaint):
+        return SceneError(_joined(path, missing[1]), "must be given", None)
+    if place.endswith("[...]"):
+        name, value = next(item for item in value.items() if not _is_number(item[1]))
+        path = _joined(path, name)
+    return SceneError(path, _rule(complaint), value)
+
+
+def _value(found, place):
+    """What stands at a place such as ".sweep.legs[0].from"."""
+    for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", place):
+        found = found[name or int(number)]
+    return found
+
+
+def _is_number(value):
+    try:
+        msgspec.convert(value, float)
+    except msgspec.ValidationError:
+        return False
+    return True
+
+
+def _rule(complaint):
+    """ "Expected `int` >= 1" in plain words."""
+    expected = re.match(r"Expected `(\w+)[^`]*`([^,]*)", complaint)
+    if expected is None:
+        return f"must be valid ({complaint})"
+    return f"must be {_WORDS[expected[1]]}{expected[2]}"

@@ -1,0 +1,177 @@
+"""The swept diagram: a parameter goes through its values, and the state at the end of one starts the next."""
+
+import math
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax import lax
+
+from . import check
+from .lanes import OPTIONS
+from .place import fit, places
+from .strobe import CAP, OK, STATUS, State, strobe
+
+CHUNK = 16  # values between two reports of progress
+
+
+def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progress=None):
+    """What a scene settles on as one of its parameters goes through values, in their order: an xarray.Dataset.
+
+    name: of any parameter of the scene, dotted for a wall's. values: shape (count,), or (count, ...) with lanes: the
+    first axis is the way, the others broadcast with the scene's and the state's numbers, as in `strobe`; a lane is a
+    sweep of its own. state: a `State`, where the first value starts. At each value `settle` drive periods are left out
+    and the next `keep` recorded. chunk: values between two calls of `progress`, which is given the number of values
+    done; it changes no bit of the result.
+
+    The Dataset holds x and v on Sigma (the state's phase) with dimensions (name, lane, period) and status with (name,
+    lane); without lanes there is no dimension `lane`, with several axes of them they are lane_0, lane_1, ... Where
+    values have lanes of their own, the first dimension is called "step" and the values are its coordinate (step, lane).
+    The other parameters are attributes, or coordinates where they have lanes.
+
+    A wall that moves over the mass, from one value to the next, carries it along (`place.fit`). A lane whose status is
+    CAP or worse (`Impacts`) has nan for that value, and starts the next one anew from the given state.
+
+    Raises SceneError for an unknown name, values that are not finite or break a rule of the scene, a start beyond a
+    wall, and counts that cannot be, all before any work.
+    """
+    settle, keep = check.whole("settle", settle, 0), check.whole("keep", keep, 1)
+    chunk = check.whole("chunk", chunk, 1)
+    values, state = _checked(scene, name, values, state)
+    shape = np.broadcast_shapes(values.shape[1:], scene.shape, *map(np.shape, jax.tree.leaves(state)))
+    found = _run(*_lanes(shape, scene, values, state), name, settle, keep, chunk, progress)
+    return _dataset(
+        scene, name, values, state, shape, [part.reshape(len(values), *shape, *part.shape[2:]) for part in found]
+    )
+
+
+_places = jax.jit(places)
+
+
+def _checked(scene, name, values, state):
+    """(values, state), arrays of the scene's type, once they break no rule."""
+    check.is_known(name, scene.names, name)
+    values = check.number(name, values, scene.dtype)
+    if values.ndim == 0 or values.shape[0] == 0:
+        raise check.SceneError(name, "must be a sequence of values to sweep through, at least one", values)
+    spare = max(0, len(scene.shape) - (values.ndim - 1))
+    aligned = values.reshape(values.shape[0], *[1] * spare, *values.shape[1:])
+    scene.replace(**{name: aligned})
+    keys = ("x", "v", "phase", "contact")
+    parts = [check.number(f"state.{key}", getattr(state, key), scene.dtype) for key in keys]
+    given = zip((f"state.{key}" for key in keys), parts, strict=True)
+    check.shapes_agree([("scene", np.empty(scene.shape)), (name, values[0]), *given])
+    state = State(*parts)
+    _check_start(scene.replace(**{name: aligned[0]}), state)
+    return values, state
+
+
+def _check_start(first, state):
+    """Refuse a free start beyond a wall; one in contact with a wall is that wall's."""
+    (low, _), (high, _) = jax.tree.map(np.asarray, _places(first, state.phase))
+    size = np.maximum(*(np.where(np.isfinite(place), abs(place), 0.0) for place in (low, high)))
+    slack = 8.0 * np.finfo(first.dtype).eps * size
+    inside = ((state.x >= low - slack) & (state.x <= high + slack)) | (state.contact != 0)
+    check.require("state.x", "must lie between the walls at the first value", state.x, inside)
+
+
+def _lanes(shape, scene, values, state):
+    """Scene, values (count, lanes) and state with their lanes along one axis."""
+    size = math.prod(shape)
+
+    def flat(leaf):
+        return np.broadcast_to(leaf, shape).reshape(size)
+
+    return jax.tree.map(flat, scene), np.stack([flat(value) for value in values]), jax.tree.map(flat, state)
+
+
+def _run(scene, values, start, name, settle, keep, chunk, progress):
+    """x, v of shape (count, lanes, keep) and status (count, lanes)."""
+    state, found = start, []
+    for first in range(0, len(values), chunk):
+        some = values[first : first + chunk]
+        padded = np.pad(some, ((0, chunk - len(some)), (0, 0)), mode="edge")
+        state, parts = _chunk(scene, padded, len(some), start, state, settle, name=name, keep=keep)
+        found.append([np.asarray(part)[: len(some)] for part in parts])
+        if progress is not None:
+            progress(first + len(some))
+    x, v, status = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return np.moveaxis(x, 1, 2), np.moveaxis(v, 1, 2), status
+
+
+@partial(jax.jit, static_argnames=("name", "keep"), compiler_options=OPTIONS)
+def _chunk(scene, values, count, start, state, settle, *, name, keep):
+    """The state after the first `count` of the values, and x, v (values, keep, lanes), status (values, lanes)."""
+    size = values.shape
+    record = jnp.zeros((size[0], keep, size[1]), values.dtype)
+    status = jnp.zeros(size, jnp.int32)
+
+    def one(k, carry):
+        state, *record = carry
+        here = scene.replace(**{name: values[k]})
+        state, x, v, status = _value(here, fit(here, state), settle, keep)
+        bad = status >= CAP
+        state = jax.tree.map(lambda old, new: jnp.where(bad, old, new), start, state)
+        return state, *(old.at[k].set(new) for old, new in zip(record, (x, v, status), strict=True))
+
+    state, *record = lax.fori_loop(0, count, one, (state, record, record, status))
+    return state, record
+
+
+def _value(scene, state, settle, keep):
+    """The state after settle + keep periods, x and v (keep, lanes) at the end of the last `keep`, the worst status."""
+
+    def one(k, carry):
+        state, x, v, status = carry
+        state, impacts = strobe(scene, state, slots=0)
+        place = jnp.maximum(k - settle, 0)
+        worst = jnp.where(status >= CAP, status, jnp.where(impacts.status >= CAP, impacts.status, OK))
+        return state, x.at[place].set(state.x), v.at[place].set(state.v), worst
+
+    record = jnp.zeros((keep, *state.x.shape), state.x.dtype)
+    state, x, v, status = lax.fori_loop(
+        0, settle + keep, one, (state, record, record, jnp.zeros(state.x.shape, jnp.int32))
+    )
+    bad = status >= CAP
+    return state, jnp.where(bad, jnp.nan, x), jnp.where(bad, jnp.nan, v), status
+
+
+def _dataset(scene, name, values, state, shape, parts):
+    """The named result."""
+    lanes = ["lane"] if len(shape) == 1 else [f"lane_{axis}" for axis in range(len(shape))]
+
+    step = name if values.ndim == 1 else "step"
+    whole = values if values.ndim == 1 else np.stack([np.broadcast_to(value, shape) for value in values])
+    coords = {name: ([step, *lanes][: whole.ndim], whole, {"long_name": name})}
+    coords["period"] = ("period", np.arange(parts[0].shape[-1]), {"long_name": "drive periods since those left out"})
+    attrs = {
+        "scene": "x'' + 2 damping x' + x = amplitude cos(frequency t)",
+        "swept": name,
+        "units": "time 1/w0, lengths the walls'",
+    }
+    for key, value in [(key, scene.parameter(key)) for key in scene.names if key != name] + [("phase", state.phase)]:
+        if np.ndim(value):
+            coords[key] = (lanes, np.broadcast_to(value, shape))
+        else:
+            attrs[key] = float(value)
+    attrs |= _static(scene)
+    x, v, status = parts
+    meaning = {"flag_values": list(range(len(STATUS))), "flag_meanings": " ".join(STATUS)}
+    return xr.Dataset(
+        {
+            "x": ([step, *lanes, "period"], x, {"long_name": "position on Sigma", "units": "length"}),
+            "v": ([step, *lanes, "period"], v, {"long_name": "velocity on Sigma", "units": "length w0"}),
+            "status": ([step, *lanes], status, {"long_name": "worst status at this value", **meaning}),
+        },
+        coords,
+        attrs,
+    )
+
+
+def _static(scene):
+    """What of the scene is no parameter: its walls, and the harmonics of those that move."""
+    walls = {side: wall for side, wall in (("left", scene.left), ("right", scene.right)) if wall is not None}
+    moving = {side: wall.motion.harmonic for side, wall in walls.items() if wall.motion is not None}
+    return {"walls": " ".join(walls) or "none"} | {f"{side}.motion.harmonic": m for side, m in moving.items()}

@@ -1,0 +1,178 @@
+"""The tables of a scene file: what may stand in them, and the scene that they describe."""
+
+from contextlib import contextmanager
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta, Struct, field
+
+from . import check
+from .scene import SIDES, Motion, Scene, Wall, changed, known, make_scene
+
+MOST = 1_000_000
+Count = Annotated[int, Meta(ge=1, le=MOST)]
+Settle = Annotated[int, Meta(ge=0, le=MOST)]
+Seed = Annotated[int, Meta(ge=0, lt=2**32)]
+Name = Annotated[str, Meta(min_length=1)]
+
+
+class Table(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
+    """A table in which every key has its meaning and no other key may stand."""
+
+
+class MotionTable(Table):
+    """[scene.left.motion]: a `Motion`."""
+
+    amplitude: float
+    phase: float = 0.0
+    harmonic: int = 1
+
+
+class WallTable(Table):
+    """[scene.left]: a `Wall`; without restitution it has the scene's."""
+
+    position: float
+    restitution: float | None = None
+    motion: MotionTable | None = None
+
+    def wall(self):
+        """The `Wall` described, not yet checked."""
+        motion = self.motion and Motion(self.motion.amplitude, self.motion.phase, self.motion.harmonic)
+        return Wall(self.position, self.restitution, motion)
+
+
+class SceneTable(Table):
+    """[scene]: the arguments of `make_scene`; a wall without a table is not there."""
+
+    amplitude: float
+    frequency: float
+    damping: float
+    restitution: float
+    left: WallTable | None = None
+    right: WallTable | None = None
+
+    def make(self, dtype=None):
+        """The scene described, made by `make_scene`: SceneError where it breaks a rule."""
+        walls = tuple(table and table.wall() for table in (self.left, self.right))
+        return make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype)
+
+
+class StartTable(Table):
+    """Where a leg starts, at phase 0: position x in the walls' unit of length, velocity v."""
+
+    x: float
+    v: float
+
+
+class LegTable(Table):
+    """[[sweep.legs]]: one direction of a sweep, from a first value of the parameter to a last one."""
+
+    name: Name
+    first: float = field(name="from")
+    last: float = field(name="to")
+    start: StartTable
+
+
+class SweepTable(Table, kw_only=True):
+    """[sweep]: count values a leg; at each, settle drive periods are left out and keep are drawn."""
+
+    parameter: Name
+    count: Count
+    settle: Settle = 300
+    keep: Count = 100
+    legs: Annotated[list[LegTable], Meta(min_length=1)]
+
+    def values(self, leg):
+        """The parameter's values along a leg, in the order of the sweep: float64, shape (count,)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.linspace(leg.first, leg.last, self.count)
+
+
+class AttractorsTable(Table):
+    """[attractors]: what the scene, with the values under `at`, settles on from this many random starts."""
+
+    starts: Count = 200
+    seed: Seed = 0
+    at: dict[str, float] = {}
+
+
+class SceneFile(Table):
+    """All that a scene file says: the scene, and the studies that it asks for."""
+
+    scene: SceneTable
+    sweep: SweepTable | None = None
+    attractors: AttractorsTable | None = None
+
+    def check(self):
+        """This file, once scene and studies break no rule. Raises SceneError naming the key, dotted from the top."""
+        scene = _plain(self.scene)
+        if self.sweep is not None:
+            _check_sweep(scene, self.sweep)
+        if self.attractors is not None:
+            with _under("attractors.at."):
+                known(changed(scene, self.attractors.at), np.float64)
+        return self
+
+
+def table_of(scene):
+    """The `SceneTable` that describes one scene. Raises SceneError for a batch."""
+    if scene.shape:
+        raise check.SceneError("scene", "only a single scene can be written, not a batch", f"shape {scene.shape}")
+
+    def table(wall):
+        if wall is None:
+            return None
+        move = wall.motion
+        moving = move and MotionTable(amplitude=float(move.amplitude), phase=float(move.phase), harmonic=move.harmonic)
+        own = None if wall.restitution is None else float(wall.restitution)
+        return WallTable(position=float(wall.position), restitution=own, motion=moving)
+
+    plain = {key: float(getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
+    return SceneTable(**plain, left=table(scene.left), right=table(scene.right))
+
+
+def _plain(table):
+    """The scene of a table in NumPy's float64, checked, whether jax has double precision on or not."""
+    left, right = (wall and wall.wall() for wall in (table.left, table.right))
+    with _under("scene."):
+        return known(Scene(table.amplitude, table.frequency, table.damping, table.restitution, left, right), np.float64)
+
+
+@contextmanager
+def _under(prefix):
+    """Names the keys of a scene's errors as the file does."""
+    try:
+        yield
+    except check.SceneError as error:
+        raise check.SceneError(prefix + error.key, error.rule, error.value, error.index) from None
+
+
+def _check_sweep(scene, sweep):
+    if sweep.parameter not in scene.names:
+        rule = f"must be a parameter of the scene ({', '.join(scene.names)})"
+        raise check.SceneError("sweep.parameter", rule, sweep.parameter)
+    met = set()
+    for place, leg in enumerate(sweep.legs):
+        if leg.name in met:
+            raise check.SceneError(f"sweep.legs[{place}].name", "must differ from the other legs' names", leg.name)
+        met.add(leg.name)
+        _check_leg(f"sweep.legs[{place}]", scene, sweep, leg)
+
+
+def _check_leg(key, scene, sweep, leg):
+    for name, value in (("from", leg.first), ("to", leg.last), ("start.x", leg.start.x), ("start.v", leg.start.v)):
+        check.number(f"{key}.{name}", value, np.float64)
+    with _under(f"{key} from {leg.first} to {leg.last}: "):
+        known(changed(scene, {sweep.parameter: sweep.values(leg)}), np.float64)
+    first = changed(scene, {sweep.parameter: leg.first})
+    low, high = (_place_at_phase_0(side, getattr(first, side)) for side in SIDES)
+    rule = f"must lie between the walls, here at {low} and {high}"
+    check.require(f"{key}.start.x", rule, leg.start.x, low <= leg.start.x <= high)
+
+
+def _place_at_phase_0(side, wall):
+    if wall is None:
+        return -np.inf if side == "left" else np.inf
+    if wall.motion is None:
+        return float(wall.position)
+    return float(wall.position + wall.motion.amplitude * np.cos(wall.motion.phase))

@@ -1,0 +1,108 @@
+"""A wall along a flight: where it is, how it moves, and the jet of the clearance that the mass keeps to it."""
+
+from dataclasses import dataclass, field
+
+import jax
+import jax.numpy as jnp
+
+from .lanes import choose
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """One wall, broadcast over the lanes: x_b = position + swing cos(harmonic omega t + phase).
+
+    sign: -1 for the left wall, +1 for the right; swing: None where it stands still; cosine, sine: of its phase.
+    """
+
+    position: jax.Array
+    restitution: jax.Array
+    swing: jax.Array | None
+    cosine: jax.Array | None
+    sine: jax.Array | None
+    sign: int = field(metadata={"static": True})
+    harmonic: int = field(default=1, metadata={"static": True})
+
+
+def lane(wall, restitution, sign, shape, dtype):
+    """The `Lane` of a scene's wall; restitution: the scene's, for a wall without its own."""
+
+    def spread(value):
+        return jnp.broadcast_to(jnp.asarray(value, dtype), shape)
+
+    own = spread(restitution if wall.restitution is None else wall.restitution)
+    motion = wall.motion
+    if motion is None:
+        return Lane(spread(wall.position), own, None, None, None, sign)
+    phase = spread(motion.phase)
+    swing = spread(motion.amplitude)
+    return Lane(spread(wall.position), own, swing, jnp.cos(phase), jnp.sin(phase), sign, motion.harmonic)
+
+
+def extent(wall):
+    """The largest distance of the wall from the origin, or a little more."""
+    return abs(wall.position) if wall.swing is None else abs(wall.position) + abs(wall.swing)
+
+
+def course(wall, frequency, cosine, sine, order):
+    """The wall's position and its derivatives to an order, where the drive is at this cosine and sine.
+
+    A derivative that is always zero is None.
+    """
+    if wall.swing is None:
+        return [wall.position] + [None] * order
+    c, s = _power(cosine, sine, wall.harmonic)
+    c, s = c * wall.cosine - s * wall.sine, s * wall.cosine + c * wall.sine
+    rate = frequency * float(wall.harmonic)
+    found = [wall.swing * c, -(wall.swing * s) * rate]
+    for k in range(2, order + 1):
+        found.append(found[k - 2] * -(rate * rate))
+    return [wall.position + found[0], *found[1:]]
+
+
+def _power(cosine, sine, harmonic):
+    """Cosine and sine of a whole multiple of the angle, by squaring."""
+    if harmonic == 1:
+        return cosine, sine
+    c, s = _power(cosine, sine, harmonic // 2)
+    c, s = c * c - s * s, 2.0 * c * s
+    return (c * cosine - s * sine, s * cosine + c * sine) if harmonic % 2 else (c, s)
+
+
+def less(a, b):
+    """a - b, b being possibly None for zero."""
+    return a if b is None else a - b
+
+
+def press(wall, force, frequency, damping, cosine, sine, order):
+    """How hard a mass that rests on the wall is driven along x relative to it, x'' - x_b'', and its derivatives.
+
+    Times the wall's sign it is positive while the mass is pressed on.
+    """
+    path = course(wall, frequency, cosine, sine, order + 2)
+    found = [force * cosine, -(force * sine) * frequency]
+    for k in range(2, order + 1):
+        found.append(found[k - 2] * -(frequency * frequency))
+    found = found[: order + 1]
+    for k in range(order + 1):
+        drag = None if path[k + 1] is None else 2.0 * damping * path[k + 1]
+        found[k] = less(less(less(found[k], path[k]), drag), path[k + 2])
+    return found
+
+
+def tail(wall, force, frequency, damping):
+    """A bound on the seventh derivative of `press`, and of the wall's own position: (lanes, lanes)."""
+    bound = abs(force) * frequency**7
+    if wall.swing is None:
+        return bound, jnp.zeros_like(bound)
+    rate = frequency * float(wall.harmonic)
+    own = abs(wall.swing) * rate**7
+    return bound + own * (1.0 + 2.0 * damping * rate + rate * rate), own
+
+
+def chosen(side, walls, values):
+    """The value that belongs to the wall on a side (-1, +1): values in the order of the walls."""
+    if len(walls) == 1:
+        return values[0]
+    return choose(side < 0, values[0], values[1])

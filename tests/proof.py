@@ -1,0 +1,167 @@
+"""The library held against the references, over random scenes: `python -m tests.proof strobe 10000` prints the numbers."""
+
+import sys
+from collections import defaultdict
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxvibro as jv
+from jaxvibro import flow
+from tests.reference import ball, draws, flights, orbit
+from tests.reference.search import Discard
+
+SLOTS = 64
+
+
+def scene_of(scenes):
+    """One batched jaxvibro scene from reference scenes of one structure."""
+
+    def column(values):
+        return np.array(values)
+
+    def wall(side):
+        walls = [getattr(scene, side) for scene in scenes]
+        if walls[0] is None:
+            return None
+        motion = None
+        if walls[0].motion is not None:
+            amplitude, phase, harmonic = zip(*(each.motion for each in walls), strict=True)
+            motion = jv.Motion(column(amplitude), column(phase), harmonic[0])
+        return jv.Wall(column([w.position for w in walls]), column([w.restitution for w in walls]), motion)
+
+    return jv.make_scene(
+        column([s.amplitude for s in scenes]),
+        column([s.omega for s in scenes]),
+        column([s.gamma for s in scenes]),
+        0.5,
+        (wall("left"), wall("right")),
+    )
+
+
+def structure(scene):
+    """What of a scene is static: the walls there are, and the harmonics of those that move."""
+    walls = (scene.left, scene.right)
+    return tuple(None if w is None else (w.motion.harmonic if w.motion else 0) for w in walls)
+
+
+def strobe_errors(count, seed=0):
+    """For draws that keep the table's rules: error over 1e-12 scale (1 + norm), and whether the itinerary is right."""
+    groups, fair, discarded = defaultdict(list), 0, 0
+    while fair < count:
+        draw = draws.draw(seed)
+        seed += 1
+        try:
+            record = orbit.strobe(draw.scene, draw.x, draw.v, draw.phase)
+        except Discard:
+            discarded += 1
+            continue
+        fair += 1
+        groups[structure(draw.scene)].append((draw, record))
+    rows = []
+    for members in groups.values():
+        rows += _compare([draw for draw, _ in members], [record for _, record in members])
+    return np.array(rows), discarded
+
+
+def _compare(drawn, records):
+    scene = scene_of([draw.scene for draw in drawn])
+    start = jv.State(*(jnp.array([getattr(draw, key) for draw in drawn]) for key in ("x", "v", "phase")))
+    end, impacts = jv.strobe(scene, start, slots=SLOTS)
+    x, v, side, time, speed = map(np.asarray, (end.x, end.v, impacts.side, impacts.time, impacts.speed))
+    least, status = np.asarray(impacts.least_clearance), np.asarray(impacts.status)
+    rows = []
+    for k, record in enumerate(records):
+        sides = [int(s) for s in side[k] if s]
+        right = sides == [int(s) for s in record.sides] and status[k] == 0
+        bound = 1e-12 * record.scale * (1 + record.norm)
+        error = max(abs(float(record.x - x[k])), abs(float(record.v - v[k])))
+        times = max((abs(float(t - time[k, i])) for i, t in enumerate(record.times)), default=0.0) if right else np.inf
+        paces = (
+            max((abs(float(s - speed[k, i])) for i, s in enumerate(record.speeds)), default=0.0) if right else np.inf
+        )
+        close = 0.0 if least[k] == record.least_minimum else abs(least[k] - record.least_minimum)
+        rows.append((error / bound, right, times, paces / bound, close / bound, record.count))
+    return rows
+
+
+def first_flights(count, left, right, periods, seed=0):
+    """(flights, contacts missed, invented, wrong wall, largest error of the time over its condition)."""
+    flown = flights.make_flights(seed, count, left, right, periods)
+    lanes = flown.lanes
+
+    def wall(side):
+        for each in lanes.walls:
+            if each.side == side:
+                motion = None
+                if each.harmonic:
+                    motion = jv.Motion(double(each.swing), double(each.phase), int(each.harmonic))
+                return jv.Wall(double(each.position), 0.7, motion)
+        return None
+
+    scene = jv.make_scene(*map(double, (lanes.amplitude, lanes.omega, lanes.gamma)), 0.7, (wall(-1), wall(1)))
+    start = jv.State(*map(double, (lanes.x, lanes.v, lanes.phase)))
+    impacts = jax.jit(lambda scene, start: jv.strobe(scene, start, periods=periods, slots=1)[1])(scene, start)
+    time, side = np.asarray(impacts.time)[:, 0], np.asarray(impacts.side)[:, 0]
+    assert np.all(np.asarray(impacts.status) < 2), np.bincount(np.asarray(impacts.status))
+    hit = side != 0
+    missed, invented = flown.contact & ~hit, ~flown.contact & hit
+    wrong = flown.contact & hit & ((side != flown.side) | (abs(time - double(flown.time)) > 1e-5))
+    return count, int(missed.sum()), int(invented.sum()), int(wrong.sum())
+
+
+def double(values):
+    """The values as float64."""
+    return np.asarray(values, dtype=np.float64)
+
+
+def flow_errors(count, seed=0):
+    """Errors of `flow.fly` over 1e-13 (1 + t)^2 (abs x + abs v + A), against ball arithmetic."""
+    rng = np.random.default_rng(seed)
+    gamma, omega = rng.uniform(0, 5, count), np.exp(rng.uniform(np.log(0.05), np.log(20), count))
+    gamma[::7], gamma[1::7] = (
+        0.0,
+        1.0 + rng.choice([-1, 0, 1], len(gamma[1::7])) * 10.0 ** -rng.integers(1, 16, len(gamma[1::7])),
+    )
+    omega[::5], omega[1::5] = (
+        1.0,
+        1.0 + 10.0 ** -rng.integers(1, 16, len(omega[1::5])) * rng.choice([-1, 1], len(omega[1::5])),
+    )
+    amplitude, time, phase = rng.uniform(0, 10, count), rng.uniform(0, 10, count), rng.uniform(0, 2 * np.pi, count)
+    x, v = rng.normal(0, 2, (2, count))
+    scene = jv.make_scene(amplitude, omega, gamma, 1.0, (None, None))
+    fly = flow.fly
+    at_x, at_v = map(np.asarray, fly(scene, jv.State(x, v, phase), time))
+    rows = []
+    for k in range(count):
+        true = ball.flow(*(float(a[k]) for a in (gamma, omega, amplitude, phase, x, v, time)))
+        error = max(abs(float(true[0] - at_x[k])), abs(float(true[1] - at_v[k])))
+        rows.append(error / (1e-13 * (1 + time[k]) ** 2 * (abs(x[k]) + abs(v[k]) + amplitude[k])))
+    return np.array(rows)
+
+
+STRUCTURES = [(0, 0), (0, None), (None, 0), (1, 0), (0, 2), (3, None), (None, 1), (1, 2)]
+
+
+def main(what, count):
+    """Print one row of the table."""
+    jax.config.update("jax_enable_x64", True)
+    if what == "flow":
+        errors = flow_errors(count)
+        print(f"flow: {count} flights, largest error over its bound {errors.max():.3g}")
+    if what == "strobe":
+        rows, discarded = strobe_errors(count)
+        print(f"strobe: {count} draws ({discarded} discarded), itineraries wrong {int((rows[:, 1] == 0).sum())}")
+        print(
+            "largest over the bound: state %.3g, speeds %.3g, clearance %.3g; times %.3g; impacts %.2f a draw"
+            % (rows[:, 0].max(), rows[:, 3].max(), rows[:, 4].max(), rows[:, 2].max(), rows[:, 5].mean())
+        )
+    if what == "flights":
+        for left, right in STRUCTURES:
+            for periods in (1, 2):
+                print("flights", (left, right), "periods", periods, first_flights(count // 16, left, right, periods))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))

@@ -1,0 +1,76 @@
+"""A second, slow route to the strobe: Taylor steps in mpmath, contacts by a look at a grid. It checks orbit.py only."""
+
+from mpmath import cos, mpf, pi, sin
+
+ORDER, STEP, LOOKS = 30, mpf(1) / 8, 24
+
+
+def taylor(scene, x, v, theta):
+    """Coefficients of x about a time with drive phase theta, lowest first, by the equation of motion."""
+    gamma, omega, factor = mpf(scene.gamma), mpf(scene.omega), mpf(scene.amplitude)
+    series = [x, v]
+    for k in range(ORDER - 2):
+        pull = factor * cos(theta + k * pi / 2) - 2 * gamma * (k + 1) * series[k + 1] - series[k]
+        series.append(pull / ((k + 1) * (k + 2)))
+        factor = factor * omega / (k + 1)
+    return series
+
+
+def value(series, t):
+    """A Taylor polynomial by Horner's rule."""
+    total = mpf(0)
+    for coefficient in reversed(series):
+        total = total * t + coefficient
+    return total
+
+
+def derivative(series, t):
+    """Slope of a Taylor polynomial."""
+    return value([k * series[k] for k in range(1, len(series))], t)
+
+
+def wall_at(wall, omega, theta):
+    """Position and velocity of a wall at drive phase theta."""
+    if wall.motion is None:
+        return mpf(wall.position), mpf(0)
+    b, phase, m = mpf(wall.motion.amplitude), mpf(wall.motion.phase), wall.motion.harmonic
+    psi = m * theta + phase
+    return wall.position + b * cos(psi), -b * m * omega * sin(psi)
+
+
+def contact(scene, series, theta, length):
+    """(time, side, wall) of the first contact seen within a step, or None."""
+    omega = mpf(scene.omega)
+    for k in range(1, LOOKS + 1):
+        hits = []
+        for side, wall in scene.walls():
+
+            def gap(u, side=side, wall=wall):
+                return side * (wall_at(wall, omega, theta + omega * u)[0] - value(series, u))
+
+            low, high = length * (k - 1) / LOOKS, length * k / LOOKS
+            if gap(high) < 0:
+                for _ in range(110):
+                    middle = (low + high) / 2
+                    low, high = (low, middle) if gap(middle) < 0 else (middle, high)
+                hits.append((high, side, wall))
+        if hits:
+            return min(hits)
+    return None
+
+
+def strobe(scene, x, v, phase=0.0, periods=1):
+    """(x, v, [(time, side, speed)]) after whole periods, at mpmath's precision; it loops for ever in a chatter."""
+    omega = mpf(scene.omega)
+    x, v, t, end, impacts = mpf(x), mpf(v), mpf(0), 2 * pi * periods / omega, []
+    while t < end:
+        theta, length = phase + omega * t, min(STEP, end - t)
+        series = taylor(scene, x, v, theta)
+        hit = contact(scene, series, theta, length)
+        u = hit[0] if hit else length
+        x, v, t = value(series, u), derivative(series, u), t + u
+        if hit:
+            x, speed = wall_at(hit[2], omega, phase + omega * t)
+            impacts.append((t, hit[1], abs(v - speed)))
+            v = speed - mpf(hit[2].restitution) * (v - speed)
+    return x, v, impacts

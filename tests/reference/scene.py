@@ -1,0 +1,51 @@
+"""Plain records of a scene, for the references only."""
+
+import math
+from typing import NamedTuple
+
+
+class Motion(NamedTuple):
+    """Wall motion amplitude * cos(harmonic * theta + phase) about the wall's position, theta = omega t."""
+
+    amplitude: float
+    phase: float = 0.0
+    harmonic: int = 1
+
+
+class Wall(NamedTuple):
+    """A rigid wall: position, restitution R in (0, 1], and its motion or None."""
+
+    position: float
+    restitution: float
+    motion: Motion | None = None
+
+
+class Scene(NamedTuple):
+    """x'' + 2 gamma x' + x = A cos(omega t) between up to two walls."""
+
+    gamma: float
+    omega: float
+    amplitude: float
+    left: Wall | None = None
+    right: Wall | None = None
+
+    def walls(self):
+        """The walls there are, as (side, wall): side -1 left, +1 right."""
+        return [(side, wall) for side, wall in ((-1, self.left), (1, self.right)) if wall is not None]
+
+
+def denominator(gamma, omega):
+    """D = (1 - omega^2)^2 + 4 gamma^2 omega^2; the forced amplitude is A / sqrt(D)."""
+    return ((1 - omega) * (1 + omega)) ** 2 + (2 * gamma * omega) ** 2
+
+
+def reach(wall):
+    """Largest distance of a wall from 0."""
+    return abs(wall.position) + (abs(wall.motion.amplitude) if wall.motion else 0.0)
+
+
+def static_scale(scene):
+    """Largest of the walls' distances, A and the forced amplitude A / sqrt(D), left out where D = 0."""
+    d = denominator(scene.gamma, scene.omega)
+    forced = abs(scene.amplitude) / math.sqrt(d) if d > 0 else 0.0
+    return max([forced, abs(scene.amplitude)] + [reach(wall) for _, wall in scene.walls()])

@@ -1,0 +1,51 @@
+"""The house: imports go one way, stand at the top of a file, and files stay short."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROOT / package).rglob("*.py"))
+# A file imports only from files named before it; `plot` stands for all files of that folder.
+ORDER = [
+    *("gap", "check", "scene", "physical", "whole", "tables", "scenefile"),
+    *("lanes", "flow", "wall", "event", "impact", "frame", "flight", "log", "clearance", "entry", "strobe"),
+    *("simulate", "itinerary", "sweep", "attractors", "plot", "run", "command", "__main__"),
+]
+
+
+def home(path):
+    """The name in ORDER of a file or of the dotted parts of an import."""
+    return Path(path).with_suffix("").parts[1]
+
+
+def imported(path):
+    """The jaxvibro files that a file imports, as dotted names below the package."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            above = path.relative_to(ROOT).parts[: -node.level] if node.level else ()
+            base = ".".join([*above, *([node.module] if node.module else [])])
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
+def test_house(path):
+    package, name = path.relative_to(ROOT).parts[0], home(path.relative_to(ROOT))
+    ours = [one.split(".") for one in imported(path) if one.split(".")[0] == "jaxvibro"]
+    if package == "continuation":
+        assert not ours
+    elif name != "__init__":
+        allowed = {*ORDER[: ORDER.index(name)], "__version__"} | ({"plot"} if name == "plot" else set())
+        assert {".".join(parts[1:2]) for parts in ours} <= allowed
+    inside = [
+        one
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef)
+        for one in ast.walk(node)
+        if isinstance(one, ast.Import | ast.ImportFrom)
+    ]
+    assert inside == []
+    assert len(path.read_text().splitlines()) <= 350

@@ -1,0 +1,241 @@
+"""Scenes: what is refused and how it is said, batches, names, tracing, and physical quantities."""
+
+import pickle
+import subprocess
+import sys
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import jaxvibro as jv
+from jaxvibro.gap import least_gap
+
+GOOD = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
+MOVING = jv.Motion(0.5)
+
+
+def right(**changes):
+    return {"walls": (-1.0, jv.Wall(**{"position": 1.0, **changes}))}
+
+
+def two_moving(phase):
+    return jv.Wall(-1.0, motion=jv.Motion(1.2)), jv.Wall(1.0, motion=jv.Motion(1.2, phase, 2))
+
+
+BAD = [
+    ("amplitude", {"amplitude": float("nan")}, "must be finite; got nan"),
+    ("amplitude", {"amplitude": "2"}, "must be a real number; got '2'"),
+    ("amplitude", {"amplitude": 2j}, "must be a real number"),
+    ("amplitude", {"amplitude": None}, "must be a real number"),
+    ("amplitude", {"amplitude": 10**400}, "must be a real number"),
+    ("amplitude", {"amplitude": [1.0, [2.0]]}, "must be a real number"),
+    ("amplitude", {"amplitude": np.array(["a\nb"])}, "must be a real number"),
+    ("frequency", {"frequency": 0.0}, "must be greater than 0; got 0.0"),
+    ("frequency", {"frequency": -2.1}, "must be greater than 0; got -2.1"),
+    ("frequency", {"frequency": float("inf")}, "must be finite; got inf"),
+    ("frequency", {"frequency": True}, "must be a real number; got True"),
+    ("damping", {"damping": -1e-9}, "must not be negative; got -1e-09"),
+    ("damping", {"damping": [0.0, 0.1, -0.2]}, "must not be negative; got -0.2 at index (2,)"),
+    ("damping", {"damping": [[0.0, 0.1], [0.2, np.nan]]}, "must be finite; got nan at index (1, 1)"),
+    ("damping", {"damping": np.zeros(3), "amplitude": np.zeros(2)}, "must broadcast with the shape (2,)"),
+    ("damping", {"damping": np.array([True])}, "must be a real number"),
+    ("restitution", {"restitution": 1.0000001}, "must lie between 0 and 1; got 1.0000001"),
+    ("restitution", {"restitution": -0.1}, "must lie between 0 and 1; got -0.1"),
+    ("walls", {"walls": 1.0}, "must be a pair"),
+    ("walls", {"walls": (-1.0, 0.0, 1.0)}, "must be a pair"),
+    ("walls", {"walls": np.array([-1.0, 1.0])}, "must be a pair"),
+    ("walls", {"walls": None}, "must be a pair"),
+    ("left.position", {"walls": ("-1", 1.0)}, "must be a real number; got '-1'"),
+    ("left.position", {"walls": (float("-inf"), 1.0)}, "must be finite; got -inf"),
+    ("left", {"walls": (MOVING, 1.0)}, "must be a position, None or a Wall"),
+    ("right.position", {"walls": (1.0, -1.0)}, "must lie to the right of left.position; got -1.0"),
+    ("right.position", {"walls": (1.0, 1.0)}, "must lie to the right of left.position; got 1.0"),
+    ("right.position", {"walls": (0.0, [1.0, 2.0, -3.0])}, "got -3.0 at index (2,)"),
+    ("right.position", right(position=None), "must be a real number; got None"),
+    ("right.restitution", right(restitution=1.5), "must lie between 0 and 1; got 1.5"),
+    ("right.restitution", right(restitution="hard"), "must be a real number; got 'hard'"),
+    ("right.motion", right(motion=0.5), "must be a Motion or None; got 0.5"),
+    ("right.motion", right(motion=jv.Motion(2.0)), "the least gap must exceed 0; got 0.0"),
+    ("right.motion", right(motion=jv.Motion([0.1, -2.5])), "may not touch or cross as they move"),
+    ("left.motion", {"walls": (jv.Wall(-1.0, motion=jv.Motion(-2.5)), 1.0)}, "may not touch or cross as they move"),
+    ("right.motion", {"walls": two_moving(phase=3.0)}, "may not touch or cross as they move"),
+    ("right.motion.amplitude", right(motion=jv.Motion(float("nan"))), "must be finite; got nan"),
+    ("right.motion.phase", right(motion=jv.Motion(0.1, phase="0")), "must be a real number; got '0'"),
+    ("right.motion.harmonic", right(motion=jv.Motion(0.1, harmonic=0)), "must be a whole number from 1 to 1000; got 0"),
+    ("right.motion.harmonic", right(motion=jv.Motion(0.1, harmonic=2.0)), "must be a whole number from 1 to 1000"),
+    ("right.motion.harmonic", right(motion=jv.Motion(0.1, harmonic=True)), "must be a whole number from 1 to 1000"),
+    ("right.motion.harmonic", right(motion=jv.Motion(0.1, harmonic=1 << 40_000)), "a whole number too long to show"),
+    ("dtype", {"dtype": jnp.int32}, "must be None, float32 or float64"),
+    ("dtype", {"dtype": "double trouble"}, "must be None, float32 or float64"),
+]
+
+
+@pytest.mark.parametrize(("key", "changes", "said"), BAD)
+def test_bad_scene_is_one_clear_line(key, changes, said):
+    with pytest.raises(jv.SceneError) as caught:
+        jv.make_scene(**{**GOOD, **changes})
+    line = str(caught.value)
+    assert caught.value.key == key
+    assert line.startswith(f"{key}: ")
+    assert said in line
+    assert "\n" not in line
+    assert len(line) < 250
+    assert (
+        str(pickle.loads(pickle.dumps(jv.SceneError(key, "rule", 1.0, (2,))))) == f"{key}: rule; got 1.0 at index (2,)"
+    )
+
+
+def test_an_error_can_be_sent_to_another_process():
+    error = pickle.loads(pickle.dumps(jv.SceneError("damping", "rule", 1.0, (2,))))
+    assert str(error) == "damping: rule; got 1.0 at index (2,)"
+
+
+def test_double_precision_is_asked_for():
+    with jax.enable_x64(False):
+        with pytest.raises(jv.SceneError, match="jax_enable_x64"):
+            jv.make_scene(**GOOD)
+        single = jv.make_scene(**GOOD, dtype=jnp.float32)
+    assert {leaf.dtype for leaf in jax.tree.leaves(single)} == {np.dtype(np.float32)}
+    assert {leaf.dtype for leaf in jax.tree.leaves(jv.make_scene(**GOOD))} == {np.dtype(np.float64)}
+    with pytest.raises(jv.SceneError, match=r"right\.position"):
+        jv.make_scene(**{**GOOD, "walls": (1.0, 1.0 + 1e-9)}, dtype=jnp.float32)
+
+
+def test_import_leaves_jax_alone():
+    code = "import sys, jaxvibro; dir(jaxvibro); assert 'jax' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_file_does_not_hide_its_function():
+    code = "import jaxvibro.strobe, jaxvibro as jv; jv.State; assert callable(jv.strobe)"
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize("walls", [(-1.0, 1.0), (None, 1.0), (-1.0, None), (None, None)])
+def test_walls_are_structure(walls):
+    scene = jv.make_scene(**{**GOOD, "walls": walls})
+    assert [scene.left is None, scene.right is None] == [wall is None for wall in walls]
+    assert len(jax.tree.leaves(scene)) == 4 + sum(wall is not None for wall in walls)
+    assert all(scene.parameter(name).shape == () for name in scene.names)
+
+
+def test_harmonic_is_static_and_numbers_are_leaves():
+    scene = jv.make_scene(**{**GOOD, **right(motion=jv.Motion(0.1, 0.2, np.int64(3)))})
+    leaves, structure = jax.tree.flatten(scene)
+    assert len(leaves) == 8
+    other = jv.make_scene(**{**GOOD, **right(motion=jv.Motion(0.1, 0.2, 4))})
+    assert structure != jax.tree.structure(other)
+    assert type(scene.right.motion.harmonic) is int
+
+
+def test_batches_broadcast():
+    scene = jv.make_scene(**{**GOOD, "amplitude": np.zeros((3, 1)), "walls": (-1.0, np.ones(2))})
+    assert scene.shape == (3, 2)
+    assert jv.make_scene(**{**GOOD, "amplitude": np.zeros((0,))}).shape == (0,)
+
+
+def test_replace_and_parameter():
+    scene = jv.make_scene(**{**GOOD, **right(motion=MOVING)})
+    assert scene.parameter("right.restitution") == 0.7
+    own = scene.replace(**{"right.restitution": 0.5, "amplitude": 3.0, "right.motion.phase": -1.0})
+    assert [float(own.parameter(name)) for name in ("right.restitution", "left.restitution", "amplitude")] == [
+        0.5,
+        0.7,
+        3,
+    ]
+    assert own.right.motion.phase == -1.0
+    assert scene.amplitude == 2.0
+    assert own.replace(**{"right.restitution": None}).parameter("right.restitution") == 0.7
+    with pytest.raises(jv.SceneError, match=r"amplitud: is not a parameter of this scene \(amplitude, frequency"):
+        scene.replace(amplitud=1.0)
+    with pytest.raises(jv.SceneError, match=r"left\.motion\.phase: is not a parameter"):
+        scene.parameter("left.motion.phase")
+    with pytest.raises(jv.SceneError, match="restitution: must lie between 0 and 1; got 2"):
+        scene.replace(restitution=2.0)
+
+
+def test_tracing_checks_types_and_shapes_only():
+    scene = jv.make_scene(**GOOD)
+    assert jax.jit(lambda damping: scene.replace(damping=damping))(-1.0).damping == -1.0
+    assert jax.vmap(lambda x: scene.replace(**{"right.position": x}))(jnp.arange(3.0)).right.position.shape == (3,)
+    assert jax.grad(lambda x: scene.replace(frequency=x).frequency ** 2)(2.0) == 4.0
+    with pytest.raises(jv.SceneError, match="amplitude: must be a real number"):
+        jax.jit(lambda x: scene.replace(amplitude=x))(1j)
+    with pytest.raises(jv.SceneError, match="damping: must not be negative"):
+        jax.jit(lambda x: scene.replace(amplitude=x, damping=-1.0))(1.0)
+    with pytest.raises(jv.SceneError, match="damping: must broadcast"):
+        jax.jit(lambda x: scene.replace(amplitude=x, damping=x[:2]))(jnp.zeros(3))
+
+
+sizes, phases, harmonics = st.floats(-2, 2), st.floats(-7, 7), st.integers(1, 9)
+
+
+@given(low=st.tuples(sizes, phases, harmonics), high=st.tuples(sizes, phases, harmonics), mean=st.floats(1e-3, 4))
+def test_least_gap_has_the_sign_of_a_dense_search(low, high, mean):
+    theta = np.linspace(0.0, 2 * np.pi, 40_001)
+    gap = mean + high[0] * np.cos(high[2] * theta + high[1]) - low[0] * np.cos(low[2] * theta + low[1])
+    found = least_gap(jv.Wall(0.0, None, jv.Motion(*low)), jv.Wall(mean, None, jv.Motion(*high)))
+    # The dense search is this far above the least value at most: (step / 2)^2 max abs f'' / 2.
+    unseen = (np.pi / 40_000) ** 2 * (abs(low[0]) * low[2] ** 2 + abs(high[0]) * high[2] ** 2) / 2 + 1e-14
+    assert found <= 0 if gap.min() <= 0 else found > 0 or gap.min() < unseen
+
+
+def test_walls_that_move_apart_together_are_allowed():
+    scene = jv.make_scene(**{**GOOD, "walls": two_moving(phase=0.0)})
+    assert scene.right.motion.harmonic == 2
+
+
+def test_least_gap_of_a_flat_touch():
+    # f = 3 + 4 cos(x + pi) + cos 2x = 8 sin(x/2)^4 touches with order four.
+    low = jv.Wall(0.0, None, jv.Motion(4.0))
+    for more, opens in ((0.0, False), (-1e-9, False), (1e-9, True)):
+        assert (least_gap(low, jv.Wall(3.0 + more, None, jv.Motion(1.0, 0.0, 2))) > 0) == opens
+
+
+def physical(**changes):
+    given = {"mass": 2.0, "damping": 3.0, "stiffness": 8.0, "force": 5.0, "frequency": 3.0, "restitution": 0.7}
+    return jv.scene_from_physical(**{**given, "walls": (-0.75, 0.5), **changes})
+
+
+def test_physical_solves_the_same_equation():
+    """The forced response of M X'' + C X' + K X = F cos(Omega T) is d times that of the scene."""
+    scene = physical(walls=(jv.Wall(-0.75, 0.6, jv.Motion(0.1, 0.3, 2)), 0.5))
+    a, omega, gamma = (float(scene.parameter(name)) for name in ("amplitude", "frequency", "damping"))
+    response = a / (1 - omega**2 + 2j * gamma * omega)
+    assert np.isclose(0.5 * response, 5.0 / (8.0 - 2.0 * 3.0**2 + 3j * 3.0), rtol=1e-15)
+    assert (scene.left.position, scene.right.position, scene.left.motion.amplitude) == (-1.5, 1.0, 0.2)
+    assert (scene.left.motion.phase, scene.left.motion.harmonic, scene.left.restitution) == (0.3, 2, 0.6)
+    assert physical(length=0.25).right.position == 2.0
+
+
+@pytest.mark.parametrize(
+    ("key", "changes"),
+    [
+        ("mass", {"mass": 0.0}),
+        ("stiffness", {"stiffness": -1.0}),
+        ("damping", {"damping": -0.1}),
+        ("frequency", {"frequency": 0.0}),
+        ("force", {"force": float("nan")}),
+        ("length", {"length": -1.0}),
+        ("length", {"walls": (-1.0, None)}),
+        ("length", {"walls": (-1.0, -0.5)}),
+        ("left.position", {"walls": ("a", 1.0)}),
+        ("left.motion", {"walls": (jv.Wall(-1.0, None, 3), 1.0)}),
+        ("restitution", {"restitution": 7.0}),
+        ("walls", {"walls": 3}),
+        ("stiffness", {"mass": np.ones(2), "stiffness": np.ones(3)}),
+    ],
+)
+def test_bad_physical_quantities(key, changes):
+    with pytest.raises(jv.SceneError) as caught:
+        physical(**changes)
+    assert caught.value.key == key
+    assert "\n" not in str(caught.value)
+
+
+def test_physical_under_tracing():
+    assert jax.grad(lambda force: physical(force=force).amplitude)(5.0) == 1 / (8.0 * 0.5)
