@@ -22,6 +22,7 @@ _HOMES = {
     "simulate": "simulate",
     "sweep": "sweep",
     "find_attractors": "attractors",
+    "run": "run",
 }
 
 __all__ = ["__version__", "plot", *_HOMES]

@@ -38,8 +38,10 @@ def folder():
     It lies in XDG_CACHE_HOME or ~/.cache, and none but the user can enter it.
     """
     try:
-        home = Path(os.environ.get("XDG_CACHE_HOME", ""))
-        top = (home if home.is_absolute() else Path.home() / ".cache") / "jaxvibro"
+        given = Path(os.environ.get("XDG_CACHE_HOME", ""))
+        if not given.is_absolute() and not Path.home().is_dir():
+            return None
+        top = (given if given.is_absolute() else Path.home() / ".cache") / "jaxvibro"
         place = top / processor()
         for one in (top, place):
             one.mkdir(mode=0o700, parents=True, exist_ok=True)

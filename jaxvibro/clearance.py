@@ -1,26 +1,25 @@
 """How close a flight came to a wall without touching it: the clearance at the turning points of x - x_b.
 
-A step that passes a turning point is noted, and measured only when the same lane passes the next: few steps do, and a
-block of lanes would else measure at each.
+A step that passes a turning point is noted, and measured only when its lane passes the next: a block of lanes would
+else measure at nearly every step.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from . import flow, impact
+from . import event, flow, impact
 from .lanes import choose, least, stage
-from .wall import course, less
+from .wall import chosen, course, less
 
-NEWTON = 5  # from the secant's guess, kept between its ends; the clearance is flat there
-ONCE, LATE, EARLY = 1.0, 2.0, 3.0  # x - x_b turns once in the step, or back and away, or away and back
+NEWTON = 5  # steps from the guess; the clearance is flat there
+DOUBT = 0.01  # how far a cubic through the speeds of a step's ends may be off between, over the accelerations' change
 
 
 class Call(NamedTuple):
-    """A noted turning point: the step's start and length, and how it turns: ONCE, LATE or EARLY (0: none is noted)."""
+    """A noted turning point: the step's start, a guess of the time from there, the wall's sign (0: none is noted)."""
 
     x: jax.Array
     x_low: jax.Array
@@ -28,90 +27,85 @@ class Call(NamedTuple):
     cosine: jax.Array
     sine: jax.Array
     time: jax.Array
-    kind: jax.Array
+    sign: jax.Array
 
 
 def nothing(frame):
-    """The calls of a path that begins, one for each wall."""
-    none = jnp.zeros_like(frame.force)
-    return (Call(*[none] * 7),) * len(frame.walls)
+    """No turning point noted."""
+    return Call(*[jnp.zeros_like(frame.force)] * 7)
 
 
-def note(frame, path, step, calls, clearance):
-    """(calls, clearance) with the turning points of one more step."""
-    kinds = stage(_spot, frame, path, step.flown, step.time)
-    kept = []
-    for wall, old, kind in zip(frame.walls, calls, kinds, strict=True):
-        crowded = jnp.any((old.kind != 0) & (kind != 0))
-        measure = partial(_measured, wall=wall)
-        clearance = lax.cond(crowded, measure, lambda frame, old, least: least, frame, old, clearance)
-        rest = lax.select(jnp.broadcast_to(crowded, kind.shape), jnp.zeros_like(kind), old.kind)
-        new = Call(path.x, path.x_low, path.v, path.cosine, path.sine, step.time, kind)
-        fresh = kind != 0
-        kept.append(jax.tree.map(lambda a, b, fresh=fresh: choose(fresh, a, b), new, old._replace(kind=rest)))
-    return tuple(kept), clearance
+def note(frame, path, step, call, clearance):
+    """(call, clearance) with the turning points of one more step."""
+    if not frame.walls:
+        return call, clearance
+    guess, sign = stage(_spot, frame, path, step.flown, step.time)
+    crowded = jnp.any((call.sign != 0) & (sign != 0))
+    clearance = lax.cond(crowded, _measured, lambda frame, call, clearance: clearance, frame, call, clearance)
+    old = lax.select(jnp.broadcast_to(crowded, sign.shape), jnp.zeros_like(sign), call.sign)
+    new = Call(path.x, path.x_low, path.v, path.cosine, path.sine, guess, sign)
+    fresh = sign != 0
+    return jax.tree.map(lambda a, b: choose(fresh, a, b), new, call._replace(sign=old)), clearance
 
 
-def close(frame, calls, clearance):
+def close(frame, call, clearance):
     """The least clearance, once the path has ended."""
-    for wall, call in zip(frame.walls, calls, strict=True):
-        clearance = _measured(frame, call, clearance, wall)
-    return clearance
+    return _measured(frame, call, clearance) if frame.walls else clearance
 
 
 def _spot(frame, path, flown, time):
-    """How a step turned towards each wall, by the speeds at its ends and the accelerations there."""
+    """(guess of the time of a turning point towards a wall, that wall's sign or 0), from the speeds at the step's ends.
+
+    The guess is an end from which Newton's steps come down one slope; the secant's where the speed falls throughout;
+    or, where x - x_b turns twice within the step, a parabola's. Of two walls' the nearer counts.
+    """
     free = lax.abs(path.contact) != impact.STUCK
-    found = []
+    guess, sign, nearest = (lax.full_like(time, value) for value in (0.0, 0.0, jnp.inf))
     for wall in frame.walls:
-        (u, a), (w, b) = _closing(frame, wall, path), _closing(frame, wall, flown)
-        once = (u > 0) & (w <= 0)
-        late = (u <= 0) & (w <= 0) & (a > 0) & (b < 0) & (u + a * time > 0) & (w - b * time > 0)
-        early = (u > 0) & (w > 0) & (a < 0) & (b > 0) & (u + a * time < 0) & (w - b * time < 0)
-        kind = choose(late, LATE, choose(early, EARLY, choose(once, ONCE, lax.full_like(time, 0.0))))
-        found.append(choose(free, kind, 0.0))
-    return tuple(found)
+        (past, u, a), (beyond, w, b) = _closing(frame, wall, path), _closing(frame, wall, flown)
+        once = (u > 0) & (w <= 0) & ((a < 0) | (b < 0))
+        share = a / (a - b)
+        crest = _crest(u, a * time, w, b * time, share)
+        slack = DOUBT * (lax.abs(a) + lax.abs(b)) * time
+        late = (u <= 0) & (w <= 0) & (a > 0) & (b < 0) & (crest > -slack)
+        early = (u > 0) & (w > 0) & (a < 0) & (b > 0) & (crest < slack)
+        single = choose(a < 0, choose(b < 0, u / (u - w), 0.0), 1.0)
+        root = lax.sqrt(lax.abs(crest / (crest - choose(late, w, u))))
+        double = choose(late, share + (1.0 - share) * root, share - share * root)
+        clear = -0.5 * (past + beyond)
+        better = free & (once | late | early) & (clear < nearest)
+        guess = choose(better, time * choose(once, single, double), guess)
+        sign, nearest = choose(better, float(wall.sign), sign), choose(better, clear, nearest)
+    return guess, sign
+
+
+def _crest(u, a, w, b, share):
+    """The cubic with these values and slopes at 0 and 1 where its slope, were it straight, would pass zero."""
+    return u + share * (a + share * (3.0 * (w - u) - 2.0 * a - b + share * (2.0 * (u - w) + a + b)))
 
 
 def _closing(frame, wall, path):
-    """Speed and acceleration towards the wall."""
+    """Minus the clearance, its speed and its acceleration."""
     pull = frame.force * path.cosine - path.x - 2.0 * frame.damping * path.v
-    _, speed, bend = course(wall, frame.frequency, path.cosine, path.sine, 2)
-    return wall.sign * less(path.v, speed), wall.sign * less(pull, bend)
+    where, speed, bend = course(wall, frame.frequency, path.cosine, path.sine, 2)
+    past = (path.x - where) + path.x_low
+    return tuple(wall.sign * each for each in (past, less(path.v, speed), less(pull, bend)))
 
 
-def _measured(frame, call, clearance, wall):
+def _measured(frame, call, clearance):
+    """The least of the clearance and that at the noted turning point, by Newton's steps on the Taylor polynomial."""
     values = (frame.force, frame.frequency, frame.damping)
     jet = flow.jet(*values, call.x, call.v, call.cosine, call.sine, flow.ORDER)
-    way = course(wall, frame.frequency, call.cosine, call.sine, flow.ORDER)
-    gap = [wall.sign * less(a, b) for a, b in zip(jet, way, strict=True)]
-    kind, none = call.kind, lax.full_like(call.time, 0.0)
-    middle = _zero(gap[2:], none, call.time, none)
-    low, high = choose(kind == LATE, middle, none), choose(kind == EARLY, middle, call.time)
-    falls = (gap[1] + flow.shift(gap[1:], low) > 0) & (gap[1] + flow.shift(gap[1:], high) <= 0)
-    time = _zero(gap[1:], low, high, kind)
-    found = -((gap[0] + wall.sign * call.x_low) + flow.shift(gap, time))
-    return choose((kind != 0) & ((kind == ONCE) | falls), least(found, clearance), clearance)
-
-
-def _zero(series, low, high, kind):
-    """Where the function with these derivatives at 0 passes 0 between two times: Newton's steps, else bisection.
-
-    LATE: it is flat at the lower time, EARLY: at the higher one; the first guess is then a parabola's.
-    """
-
-    def value(time):
-        return series[0] + flow.shift(series, time)
-
-    first, last = value(low), value(high)
-    share = first / (first - last)
-    share = choose(kind == LATE, lax.sqrt(lax.abs(share)), share)
-    share = choose(kind == EARLY, 1.0 - lax.sqrt(lax.abs(1.0 - share)), share)
-    time = low + (high - low) * share
+    ways = [course(wall, frame.frequency, call.cosine, call.sine, flow.ORDER) for wall in frame.walls]
+    for k in range(flow.ORDER + 1):
+        if any(way[k] is not None for way in ways):
+            where = [lax.full_like(call.x, 0.0) if way[k] is None else way[k] for way in ways]
+            jet[k] = jet[k] - chosen(call.sign, frame.walls, where)
+    time = call.time
     for _ in range(NEWTON):
-        here = value(time)
-        before = (here > 0) == (first > 0)
-        low, high = choose(before, time, low), choose(before, high, time)
-        time = time - here / (series[1] + flow.shift(series[1:], time))
-        time = choose((time >= low) & (time <= high), time, 0.5 * (low + high))
-    return time
+        time = time - (jet[1] + flow.shift(jet[1:], time)) / (jet[2] + flow.shift(jet[2:], time))
+    found = -call.sign * ((jet[0] + call.x_low) + flow.shift(jet, time))
+    speed, bend = jet[1] + flow.shift(jet[1:], time), call.sign * (jet[2] + flow.shift(jet[2:], time))
+    settled = lax.abs(speed) <= -bend * frame.reach * event.landing(time.dtype)
+    real = (call.sign != 0) & settled & (time >= 0) & (time <= frame.reach)
+    return choose(real, least(found, clearance), clearance)

@@ -1,13 +1,12 @@
 """How a given state begins its path: the rules for a start on a wall, and the starts that are refused."""
 
 import jax.numpy as jnp
-from jax import lax
 
 from . import event, impact
 from .flight import Path
 from .frame import is_valid
 from .lanes import choose, positive
-from .wall import chosen, course, less
+from .wall import course, less
 
 
 def enter(frame, state):

@@ -1,9 +1,9 @@
 """The next event of a flight, certified: a step that cannot pass a wall, or the time at which it is met.
 
-The progress towards a wall, G = minus the clearance, is its Taylor polynomial g0 + g1 t + ... + g6 t^6 and a rest that is at
-most `rest` t^6 over the step. A cubic above G gives a step with no contact; where G provably rises up to the root of the
-polynomial, the root is the first contact. After an impact G has the root t = 0: it is divided out. A mass that rests on a
-wall waits for the push on it to end: then G is minus the push.
+The progress towards a wall, G = minus the clearance, is its Taylor polynomial g0 + g1 t + ... + g6 t^6 and a rest that
+is at most `rest` t^6 over the step. A cubic above G gives a step with no contact; where G provably rises up to the root
+of the polynomial, the root is the first contact. After an impact G has the root t = 0: it is divided out. A mass that
+rests on a wall waits for the press on it to end: then G is minus the press.
 """
 
 import math
@@ -86,7 +86,7 @@ def _value(g, time):
 
 
 def root(g, rest, reach, time, exists):
-    """(time, error bound, certain) of the first contact, from the quadratic's root: a step of Halley's and one of Newton's.
+    """(time, error bound, certain) of the first contact: from the quadratic's root, Halley's step and then Newton's.
 
     Certain: G rises at a fifth of its slope at least up to MARGIN times the root, so that there is no other before.
     """

@@ -42,12 +42,9 @@ def exponents(scene, state, scale):
     return np.where(bad, np.nan, mean), np.where(bad, np.nan, error)
 
 
-_places = jax.jit(places)
-
-
 def _beside(scene, state, step):
     """The lanes, then their companions a step away; to the other side where the step leads through a wall."""
-    (low, _), (high, _) = jax.tree.map(np.asarray, _places(scene, state.phase[0]))
+    (low, _), (high, _) = jax.tree.map(np.asarray, places(scene, state.phase[0]))
     x = state.x + step[0]
     turned = np.where((x < low) | (x > high), -step, step)
     companion = State(state.x + turned[0], state.v + turned[1], state.phase, np.zeros_like(state.contact))

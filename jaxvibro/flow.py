@@ -36,6 +36,13 @@ def jet(force, frequency, damping, x, v, cosine, sine, order):
     return found
 
 
+def extend(frequency, damping, drive, jet):
+    """The next two derivatives of the drive's force and of x from the last two of each: (drive, jet)."""
+    square, drag = -(frequency * frequency), -2.0 * damping
+    third = drive[0] + (drag * jet[1] - jet[0])
+    return (drive[0] * square, drive[1] * square), (third, drive[1] + (drag * third - jet[1]))
+
+
 def shift(series, time):
     """What the function with these derivatives gains over a time: Horner's rule, the constant term left out."""
     total = series[-1]
@@ -93,7 +100,8 @@ def _doubled(frequency, damping, time):
     p01, v01 = _advance(series(none, x=none, v=one, cosine=none, sine=none), none, one, step)
     free = (v01 + 2.0 * damping * p01, p01, v01)
     forced = tuple(
-        _advance(series(one, x=none, v=none, cosine=c, sine=s), none, none, step) for c, s in ((one, none), (none, -one))
+        _advance(series(one, x=none, v=none, cosine=c, sine=s), none, none, step)
+        for c, s in ((one, none), (none, -one))
     )
     angle = frequency * step
     carry = (free, forced, (versine(angle), sinus(angle)))

@@ -88,8 +88,8 @@ def surface(frame, side, cosine, sine):
 def settle(frame, leaving, push, change):
     """LANDED, STUCK or RELEASED: what follows on a wall from the speed of leaving it, the press and its change.
 
-    A hop lower than rounding, leaving^2 / (2 push), is no hop: the mass rests. Without speed the press decides, then its
-    change.
+    A hop lower than rounding, leaving^2 / (2 push), is no hop: the mass rests. Without speed the press decides, then
+    its change.
     """
     none = leaving == 0
     pressed = (push > 0) & (leaving * leaving <= 4.0 * event.rounding(push.dtype) * push * frame.size)

@@ -56,9 +56,9 @@ def two_sum(a, b):
 def stage(function, *lanes):
     """function(*lanes) as an un-inlined call, whose results are stored: XLA would compute them anew for each use.
 
-    XLA computes each result of a call in a loop of its own, and in each all that it depends on. So real results travel in
-    pairs, as complex numbers, and neighbours among them should have most in common. Only operands that the results depend
-    on are handed over; the emitter of a whole loop as one kernel needs that.
+    XLA computes each result of a call in a loop of its own, with all that it depends on within the call: a stage is to
+    be short, or to have few results. Only operands that the results depend on are handed over; the emitter of a whole
+    loop as one kernel aborts on any other.
     """
     flat, tree = jax.tree.flatten(lanes)
     closed, shape = jax.make_jaxpr(lambda *a: function(*jax.tree.unflatten(tree, a)), return_shape=True)(*flat)
@@ -68,18 +68,10 @@ def stage(function, *lanes):
     def call(*given):
         given = iter(given)
         full = [next(given) if keep else jnp.zeros_like(lane) for keep, lane in zip(kept, flat, strict=True)]
-        found = jax.core.eval_jaxpr(closed.jaxpr, closed.consts, *full)
-        return [lax.complex(*pair) if len(pair) == 2 else pair[0] for pair in batched(found)]
+        return jax.tree.unflatten(jax.tree.structure(shape), jax.core.eval_jaxpr(closed.jaxpr, closed.consts, *full))
 
     with set_xla_metadata(inlineable="false"):
-        pairs = jax.jit(call)(*[lane for lane, keep in zip(flat, kept, strict=True) if keep])
-    parts = [part for pair in pairs for part in ((lax.real(pair), lax.imag(pair)) if jnp.iscomplexobj(pair) else (pair,))]
-    return jax.tree.unflatten(jax.tree.structure(shape), parts)
-
-
-def batched(found):
-    """The list in pairs, the last one alone where their number is odd."""
-    return [found[k : k + 2] for k in range(0, len(found), 2)]
+        return jax.jit(call)(*[lane for lane, keep in zip(flat, kept, strict=True) if keep])
 
 
 def _operands(jaxpr):

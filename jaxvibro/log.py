@@ -13,20 +13,20 @@ HEAD = 4  # slots that most lanes do with: the others are touched only where one
 
 class Log(NamedTuple):
     """Slots first, then lanes. times, speeds: of the impacts, the speed with its wall's sign; clearance: the least
-    measured, calls: the turning points still to be (see `clearance`)."""
+    measured, call: the turning points still to be (see `clearance`)."""
 
     times: tuple[jax.Array, ...]
     speeds: tuple[jax.Array, ...]
     count: jax.Array
     least_speed: jax.Array
     clearance: jax.Array
-    calls: tuple
+    call: tuple
     periods: jax.Array
     turns: jax.Array
     steps: jax.Array
 
 
-def empty(lanes, slots, periods, calls):
+def empty(lanes, slots, periods, call):
     """A log of no impacts for lanes like these."""
     parts = [part for part in (min(slots, HEAD), slots - min(slots, HEAD)) if part]
     none, whole = jnp.full_like(lanes, jnp.inf), jnp.zeros_like(lanes, dtype=jnp.int32)
@@ -36,7 +36,7 @@ def empty(lanes, slots, periods, calls):
         whole,
         none,
         none,
-        calls,
+        call,
         whole + periods,
         whole + periods,
         whole,
@@ -69,7 +69,7 @@ def write(log, hit, side, speed, time, seen, going):
         speeds=tuple(speeds),
         count=log.count + hit.astype(jnp.int32),
         least_speed=choose(hit, least(speed, log.least_speed), log.least_speed),
-        calls=seen[0],
+        call=seen[0],
         clearance=seen[1],
         steps=log.steps + going.astype(jnp.int32),
     )

@@ -1,5 +1,6 @@
 """Where the walls are at a phase of the drive, and the state that a moved wall leaves behind."""
 
+import jax
 import jax.numpy as jnp
 
 from .impact import STUCK
@@ -9,6 +10,7 @@ from .strobe import State
 SIGNS = (-1.0, 1.0)
 
 
+@jax.jit
 def places(scene, phase):
     """Position and velocity of the left and of the right wall at a phase: ((x, v), (x, v)).
 

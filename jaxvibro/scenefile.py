@@ -74,7 +74,9 @@ def apply(found, change):
     try:
         new = tomllib.loads(change)
     except (ValueError, RecursionError):
-        raise SceneError(change.split("=")[0].strip(), "must be KEY=VALUE, the value as in TOML", change) from None
+        new = {}
+    if not new:
+        raise SceneError(change.split("=")[0].strip() or "change", "must be KEY=VALUE, the value as in TOML", change)
     return _merged(found, new)
 
 

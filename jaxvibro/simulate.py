@@ -10,8 +10,7 @@ from . import check, clearance, log
 from .entry import enter
 from .frame import frame
 from .lanes import choose
-from .strobe import CAP, STATUS, travel
-from .strobe import close as finish
+from .strobe import CAP, STATUS, finish, travel
 
 SLOTS = 1024
 
@@ -19,21 +18,22 @@ SLOTS = 1024
 def simulate(scene, state, periods=1, samples=200):
     """The trajectory of one state over whole drive periods, as an xarray.Dataset.
 
-    scene, state: scalars, no batch. samples: of a period, evenly spaced; the first is the given state, the last the one
-    at the end. Dataset: x(time), v(time), phase(time) in radians from the start's on, and of each impact, in order,
-    impact_x, impact_side, impact_speed over the coordinate impact_time; time in t since the start.
+    scene, state: one of each, no batch. samples: of a period, evenly spaced; the first is the given state, the last the
+    one at the end. Dataset: x(time), v(time), phase(time) in radians, counted on from the start's; and of the impacts,
+    in order, side, speed and position over the coordinate impact_time. Times in t since the start.
 
-    Raises SceneError for a batch, a start beyond a wall or a number that is not finite, and where an impact cap ends it.
+    Raises SceneError for a batch, for a start beyond a wall or not finite, and where an impact cap ends the trajectory.
     """
     periods, samples = check.whole("periods", periods, 1), check.whole("samples", samples, 1)
     state = jax.tree.map(lambda value: jnp.asarray(value, scene.dtype), state)
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     if shape:
         raise check.SceneError("state", "must be one state in one scene, no batch", f"shape {shape}")
-    (x, v, angle), impacts, status = jax.device_get(_trace(scene, state, periods, samples))
-    if status >= CAP:
-        raise check.SceneError("state", f"cannot be simulated, status {STATUS[status]}", (float(state.x), float(state.v)))
-    return _dataset(scene, (x, v, angle), impacts, periods)
+    x, v, angle, impacts = jax.device_get(_trace(scene, state, periods, samples))
+    if impacts.status >= CAP or impacts.count > SLOTS:
+        told = STATUS[impacts.status] if impacts.status else f"more than {SLOTS} impacts"
+        raise check.SceneError("state", f"must have a trajectory ({told})", f"x {float(x[0])}, v {float(v[0])}")
+    return _dataset(scene, x, v, angle, impacts)
 
 
 def _sampled(scene, state, periods, samples):
@@ -41,21 +41,55 @@ def _sampled(scene, state, periods, samples):
     path, valid, finite = enter(built, state)
     book = log.empty(path.x, SLOTS, 1, clearance.nothing(built))
     angles = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
+    span = choose(valid & finite, built.period / samples, 0.0)
 
-    def sample(carry, angle):
+    def sample(carry, step):
+        angle, past = step
         path, book = carry
-        start = path._replace(
-            cosine=jnp.cos(angle), sine=jnp.sin(angle), rest=choose(valid & finite, built.period / samples, 0.0)
+        path = path._replace(cosine=jnp.cos(angle), sine=jnp.sin(angle), rest=span)
+        at = path.x, path.v
+        # a log's times count from one period before the rest is used up: here from the sample's start
+        path, book = lax.while_loop(
+            lambda c: c[0].rest > 0, lambda c: travel(built, *c, begun=past + span), (path, book)
         )
-        path, book = lax.while_loop(lambda c: c[0].rest > 0, lambda c: travel(built, *c), (start, book))
-        return (path, book._replace(steps=jnp.zeros_like(book.steps))), ((start.x, start.v), book.count)
+        return (path, book._replace(steps=jnp.zeros_like(book.steps))), at
 
-    (path, book), ((x, v), counts) = lax.scan(sample, (path, book), angles[:-1])
-    x, v = jnp.append(x, path.x), jnp.append(v, path.v)
-    cap = jnp.full_like(path.x, jnp.inf)
-    _, impacts = finish(path, book, state, valid, finite, SLOTS, cap)
-    part = jnp.searchsorted(counts, jnp.arange(SLOTS), side="right")
-    return (x, v, angles), impacts, part, impacts.status
+    past = span * jnp.arange(periods * samples)
+    (path, book), (x, v) = lax.scan(sample, (path, book), (angles[:-1], past))
+    book = book._replace(clearance=clearance.close(built, book.call, book.clearance))
+    _, impacts = finish(path, book, state, valid, finite, SLOTS, jnp.full_like(path.x, jnp.inf))
+    return jnp.append(x, path.x), jnp.append(v, path.v), angles, impacts
 
 
 _trace = jax.jit(_sampled, static_argnums=(2, 3))
+
+
+def _dataset(scene, x, v, angle, impacts):
+    time = (angle - angle[0]) / float(scene.frequency)
+    hit = impacts.side != 0
+    length, speed = {"units": "length of the walls"}, {"units": "length per t"}
+    at = {"impact_time": ("impact", impacts.time[hit], {"units": "t"})}
+    place = _places(scene, impacts.time[hit], impacts.side[hit], angle[0])
+    return xr.Dataset(
+        {
+            "x": ("time", x, {"long_name": "displacement", **length}),
+            "v": ("time", v, {"long_name": "velocity", **speed}),
+            "side": ("impact", impacts.side[hit], {"long_name": "wall, -1 left, +1 right"}),
+            "speed": ("impact", impacts.speed[hit], {"long_name": "relative speed before the impact", **speed}),
+            "position": ("impact", place, {"long_name": "displacement at the impact", **length}),
+        },
+        coords={"time": ("time", time, {"units": "t"}), "phase": ("time", angle, {"units": "rad"}), **at},
+        attrs={name: float(scene.parameter(name)) for name in scene.names},
+    )
+
+
+def _places(scene, time, side, phase):
+    """Where the walls were that were hit."""
+    found = np.zeros_like(time)
+    for sign, wall in ((-1, scene.left), (1, scene.right)):
+        if wall is not None:
+            motion = wall.motion
+            angle = 0.0 if motion is None else motion.harmonic * (phase + scene.frequency * time) + motion.phase
+            swing = 0.0 if motion is None else motion.amplitude * np.cos(angle)
+            found = np.where(side == sign, wall.position + swing, found)
+    return found

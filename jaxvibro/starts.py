@@ -6,13 +6,11 @@ import numpy as np
 from .place import places
 from .strobe import State
 
-LEAST_DIVISOR = 1e-3  # of A in the forced amplitude: without damping at resonance no steady motion is there to ask for
-
-_places = jax.jit(places)
+LEAST_DIVISOR = 1e-3  # of A, sqrt(D): at resonance without damping there is no steady motion
 
 
 def forced_amplitude(scene):
-    """A / sqrt(D), the amplitude of the steady motion that meets no wall (paper, (8)); A is divided by 1e-3 at least."""
+    """A / sqrt(D), the amplitude of the steady motion that meets no wall (paper, (8)); sqrt(D) at least 1e-3."""
     a, w, c = (float(getattr(scene, name)) for name in ("amplitude", "frequency", "damping"))
     return abs(a) / max(np.hypot((1.0 - w) * (1.0 + w), 2.0 * c * w), LEAST_DIVISOR)
 
@@ -23,7 +21,7 @@ def box(scene):
     x lies between the walls; where one is missing, at most 2 forced amplitudes, at least 2, from the origin and from
     the other wall. The speed is at most 3 max(1, forced speed).
     """
-    (low, _), (high, _) = jax.tree.map(float, _places(scene, 0.0))
+    (low, _), (high, _) = jax.tree.map(float, places(scene, 0.0))
     far = max(2.0, 2.0 * forced_amplitude(scene))
     left = min(-far, high - far) if np.isinf(low) else low
     right = max(far, low + far) if np.isinf(high) else high

@@ -13,7 +13,7 @@ from jax import lax
 
 from . import check, clearance, log
 from .entry import enter
-from .flight import Path, micro
+from .flight import micro
 from .frame import frame
 from .impact import STUCK
 from .lanes import OPTIONS, WIDTH, choose, one_kernel
@@ -22,6 +22,7 @@ OK, FULL, CAP, INVALID, NONFINITE = range(5)
 STATUS = ("ok", "full", "cap", "invalid", "nonfinite")
 IMPACTS = 1000  # of one lane in one period, the cap
 STEPS = 8  # times the steps that a flight alone would take, the cap on the rest
+
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
@@ -43,9 +44,9 @@ class Impacts:
     """The impacts of a strobe, in order; slots are the last axis.
 
     time: since the strobe's start, in t (inf: empty); side: -1 left, +1 right, 0 empty; speed: abs(y- - v_b), 0 empty;
-    count: of all impacts; least_speed: of them, inf if none; least_clearance: the smallest distance to a wall at a turning
-    point of x - x_b, inf if none; status: 0 OK, 1 FULL (more impacts than slots; the state is right), 2 CAP (the impact
-    cap), 3 INVALID (a bad scene, or a start beyond a wall), 4 NONFINITE; from CAP on the state is nan.
+    count: of all impacts; least_speed: of them, inf if none; least_clearance: the smallest distance to a wall at a
+    turning point of x - x_b towards it, inf if none; status: 0 OK, 1 FULL (more impacts than slots; the state is right),
+    2 CAP (the impact cap), 3 INVALID (a bad scene, or a start beyond a wall), 4 NONFINITE; from CAP on the state is nan.
     """
 
     time: jax.Array
@@ -62,10 +63,10 @@ def strobe(scene, state, periods=1, slots=32):
 
     scene: a `Scene`; state: a `State` at its phase; their numbers broadcast together, and the results have that shape.
     periods: whole number >= 1; slots: impacts to record, >= 0. The state's phase comes back unchanged. An impact at the
-    end belongs to the period that ends: the state is the one after it, and its contact says so. A start on a wall and moving
-    into it rebounds at time 0.
+    end belongs to the period that ends: the state is the one after it, and its contact says so. A start on a wall and
+    moving into it rebounds at time 0.
 
-    Raises ArgumentError for periods, slots or types that cannot be; all else is a status of each lane (`Impacts`).
+    Raises SceneError for periods or slots that cannot be; all else is a status of each lane (`Impacts`).
     """
     periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 0)
     state = jax.tree.map(lambda value: jnp.asarray(value, scene.dtype), state)
@@ -75,8 +76,13 @@ def strobe(scene, state, periods=1, slots=32):
 
 def _strobe(scene, state, periods, slots):
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
+    run = partial(_lanes, periods=periods, slots=slots)
+    if (
+        scene.left is not None or scene.right is not None
+    ):  # XLA's emitter of one kernel refuses a loop as short as a free one
+        run = partial(one_kernel, run)
     if not shape:
-        return _lanes(scene, state, periods, slots)
+        return run(scene, state)
     count = math.prod(shape)
     width = min(WIDTH, 1 << (count - 1).bit_length()) if count else 1
     blocks = -(-count // width)
@@ -89,7 +95,6 @@ def _strobe(scene, state, periods, slots):
         flat = jnp.moveaxis(leaf, 1, -1) if leaf.ndim == 3 else leaf
         return flat.reshape(blocks * width, *leaf.shape[1:-1])[:count].reshape(*shape, *leaf.shape[1:-1])
 
-    run = partial(one_kernel, partial(_lanes, periods=periods, slots=slots))
     out = lax.map(lambda lanes: run(*lanes), jax.tree.map(block, (scene, state)))
     return jax.tree.map(unblock, out)
 
@@ -119,29 +124,30 @@ def _lanes(scene, state, periods, slots):
         return path, book._replace(turns=book.turns - over.astype(jnp.int32))
 
     path, book = lax.while_loop(going, turn, (path, book))
-    book = book._replace(clearance=clearance.close(built, book.calls, book.clearance))
-    return close(path, book, state, valid, finite, slots, cap)
+    book = book._replace(clearance=clearance.close(built, book.call, book.clearance))
+    return finish(path, book, state, valid, finite, slots, cap)
 
 
 def _again(frame, start, path):
-    """The path at the start of its next period, the drive's angle exact: it is short by what rounding left of the last."""
+    """The path at the start of its next period, its drive turned back by what rounding left of the last one."""
     low = path.rest_low + frame.period_low
     angle = -frame.frequency * low
     cosine, sine = start.cosine - angle * start.sine, start.sine + angle * start.cosine
     return path._replace(cosine=cosine, sine=sine, rest=frame.period, rest_low=low)
 
 
-def travel(frame, path, book):
-    """One step of the lanes, written into the log."""
+def travel(frame, path, book, begun=None):
+    """One step of the lanes, written into the log; begun: the time at which the time to go is used up."""
     step = micro(frame, path)
     hit = (step.side != 0) & (abs(path.contact) != STUCK)
-    past = (book.periods - book.turns).astype(path.rest.dtype)
-    time = past * frame.period + (frame.period - step.path.rest)
-    seen = clearance.note(frame, path, step, book.calls, book.clearance)
+    if begun is None:
+        begun = (book.periods - book.turns + 1).astype(path.rest.dtype) * frame.period
+    time = begun - step.path.rest
+    seen = clearance.note(frame, path, step, book.call, book.clearance)
     return step.path, log.write(book, hit, step.side, step.speed, time, seen, path.rest > 0)
 
 
-def close(path, book, state, valid, finite, slots, cap):
+def finish(path, book, state, valid, finite, slots, cap):
     """(State, Impacts) of a path at its end."""
     count = book.count
     capped = (count >= IMPACTS * book.periods) | (book.steps.astype(cap.dtype) > cap * book.periods)
@@ -151,9 +157,10 @@ def close(path, book, state, valid, finite, slots, cap):
     status = choose(finite & (jnp.isfinite(path.x) & jnp.isfinite(path.v) | ~valid), status, NONFINITE)
     good = status < CAP
     contact = jnp.sign(path.contact) * choose(abs(path.contact) == STUCK, STUCK, abs(jnp.sign(path.contact)))
-    end = State(
-        choose(good, path.x, jnp.nan), choose(good, path.v, jnp.nan), state.phase, choose(good, contact, 0.0)
+    end = State(choose(good, path.x, jnp.nan), choose(good, path.v, jnp.nan), state.phase, choose(good, contact, 0.0))
+    times, speeds = (
+        jnp.concatenate(parts) if parts else jnp.zeros((0, *path.x.shape), path.x.dtype)
+        for parts in (book.times, book.speeds)
     )
-    times, speeds = (jnp.concatenate(parts) if parts else jnp.zeros((0, *path.x.shape), path.x.dtype) for parts in (book.times, book.speeds))
     sides = jnp.sign(speeds).astype(jnp.int32)
     return end, Impacts(times, sides, abs(speeds), count, book.least_speed, book.clearance, status)

@@ -12,9 +12,12 @@ from jax import lax
 from . import check
 from .lanes import OPTIONS
 from .place import fit, places
+from .scene import SIDES
 from .strobe import CAP, OK, STATUS, State, strobe
 
 CHUNK = 16  # values between two reports of progress
+EQUATION = "x'' + 2 damping x' + x = amplitude cos(frequency t), y+ - v_b = -restitution (y- - v_b) at a wall"
+UNITS = "lengths in that of the walls, time t in 1/w0"
 
 
 def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progress=None):
@@ -42,12 +45,8 @@ def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progres
     values, state = _checked(scene, name, values, state)
     shape = np.broadcast_shapes(values.shape[1:], scene.shape, *map(np.shape, jax.tree.leaves(state)))
     found = _run(*_lanes(shape, scene, values, state), name, settle, keep, chunk, progress)
-    return _dataset(
-        scene, name, values, state, shape, [part.reshape(len(values), *shape, *part.shape[2:]) for part in found]
-    )
-
-
-_places = jax.jit(places)
+    parts = [part.reshape(len(values), *shape, *part.shape[2:]) for part in found]
+    return _dataset(scene, name, values, state, parts)
 
 
 def _checked(scene, name, values, state):
@@ -70,7 +69,7 @@ def _checked(scene, name, values, state):
 
 def _check_start(first, state):
     """Refuse a free start beyond a wall; one in contact with a wall is that wall's."""
-    (low, _), (high, _) = jax.tree.map(np.asarray, _places(first, state.phase))
+    (low, _), (high, _) = jax.tree.map(np.asarray, places(first, state.phase))
     size = np.maximum(*(np.where(np.isfinite(place), abs(place), 0.0) for place in (low, high)))
     slack = 8.0 * np.finfo(first.dtype).eps * size
     inside = ((state.x >= low - slack) & (state.x <= high + slack)) | (state.contact != 0)
@@ -138,40 +137,42 @@ def _value(scene, state, settle, keep):
     return state, jnp.where(bad, jnp.nan, x), jnp.where(bad, jnp.nan, v), status
 
 
-def _dataset(scene, name, values, state, shape, parts):
-    """The named result."""
-    lanes = ["lane"] if len(shape) == 1 else [f"lane_{axis}" for axis in range(len(shape))]
-
+def _dataset(scene, name, values, state, parts):
+    """The named result of x, v (count, lanes..., keep) and status (count, lanes...)."""
+    x, v, status = parts
+    lanes = ["lane"] if status.ndim == 2 else [f"lane_{axis}" for axis in range(status.ndim - 1)]
     step = name if values.ndim == 1 else "step"
-    whole = values if values.ndim == 1 else np.stack([np.broadcast_to(value, shape) for value in values])
-    coords = {name: ([step, *lanes][: whole.ndim], whole, {"long_name": name})}
-    coords["period"] = ("period", np.arange(parts[0].shape[-1]), {"long_name": "drive periods since those left out"})
-    attrs = {
-        "scene": "x'' + 2 damping x' + x = amplitude cos(frequency t)",
-        "swept": name,
-        "units": "time 1/w0, lengths the walls'",
+    whole = values if values.ndim == 1 else np.stack([np.broadcast_to(value, status.shape[1:]) for value in values])
+    coords = {
+        name: ([step, *lanes][: whole.ndim], whole, {"long_name": name}),
+        "period": ("period", np.arange(x.shape[-1]), {"long_name": "drive periods after those left out"}),
     }
-    for key, value in [(key, scene.parameter(key)) for key in scene.names if key != name] + [("phase", state.phase)]:
+    attrs = {"equation": EQUATION, "units": UNITS, "swept": name, **_static(scene)}
+    for key, value in (_others(scene, name) | {"phase": state.phase}).items():
         if np.ndim(value):
-            coords[key] = (lanes, np.broadcast_to(value, shape))
+            coords[key] = (lanes, np.broadcast_to(value, status.shape[1:]))
         else:
             attrs[key] = float(value)
-    attrs |= _static(scene)
-    x, v, status = parts
     meaning = {"flag_values": list(range(len(STATUS))), "flag_meanings": " ".join(STATUS)}
-    return xr.Dataset(
-        {
-            "x": ([step, *lanes, "period"], x, {"long_name": "position on Sigma", "units": "length"}),
-            "v": ([step, *lanes, "period"], v, {"long_name": "velocity on Sigma", "units": "length w0"}),
-            "status": ([step, *lanes], status, {"long_name": "worst status at this value", **meaning}),
-        },
-        coords,
-        attrs,
-    )
+    variables = {
+        "x": ([step, *lanes, "period"], x, {"long_name": "position on Sigma", "units": "length"}),
+        "v": ([step, *lanes, "period"], v, {"long_name": "velocity on Sigma", "units": "length w0"}),
+        "status": ([step, *lanes], status, {"long_name": "worst status at this value", **meaning}),
+    }
+    return xr.Dataset(variables, coords, attrs)
+
+
+def _others(scene, name):
+    """The parameters that are not swept; of the walls' restitutions those that the walls have of their own."""
+    follows = [f"{side}.restitution" for side, wall in _walls(scene).items() if wall.restitution is None]
+    return {key: scene.parameter(key) for key in scene.names if key != name and key not in follows}
+
+
+def _walls(scene):
+    return {side: wall for side, wall in zip(SIDES, (scene.left, scene.right), strict=True) if wall is not None}
 
 
 def _static(scene):
     """What of the scene is no parameter: its walls, and the harmonics of those that move."""
-    walls = {side: wall for side, wall in (("left", scene.left), ("right", scene.right)) if wall is not None}
-    moving = {side: wall.motion.harmonic for side, wall in walls.items() if wall.motion is not None}
-    return {"walls": " ".join(walls) or "none"} | {f"{side}.motion.harmonic": m for side, m in moving.items()}
+    moving = {side: wall.motion.harmonic for side, wall in _walls(scene).items() if wall.motion is not None}
+    return {"walls": " ".join(_walls(scene)) or "none"} | {f"{side}.motion.harmonic": m for side, m in moving.items()}

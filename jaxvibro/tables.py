@@ -10,6 +10,7 @@ from . import check
 from .scene import SIDES, Motion, Scene, Wall, changed, known, make_scene
 
 MOST = 1_000_000
+MOST_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
 Count = Annotated[int, Meta(ge=1, le=MOST)]
 Settle = Annotated[int, Meta(ge=0, le=MOST)]
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
@@ -157,6 +158,9 @@ def _check_sweep(scene, sweep):
             raise check.SceneError(f"sweep.legs[{place}].name", "must differ from the other legs' names", leg.name)
         met.add(leg.name)
         _check_leg(f"sweep.legs[{place}]", scene, sweep, leg)
+    if sweep.count * sweep.keep * len(sweep.legs) > MOST_STATES:
+        rule = f"must keep at most {MOST_STATES:,} states: count times keep times the number of legs"
+        raise check.SceneError("sweep.keep", rule, sweep.keep)
 
 
 def _check_leg(key, scene, sweep, leg):

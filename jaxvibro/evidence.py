@@ -1,0 +1,153 @@
+"""Evidence for an attractor: an orbit that recurs and draws in, or motion that does neither recur nor stay together."""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from . import itinerary
+from .exponent import exponents
+from .meetings import is_same_set, meetings
+from .settling import clusters, orbit_of
+from .strobe import CAP, FULL, STATUS, State
+from .trail import KEEP, Trail, trail
+
+POLISH = 4  # times `settle` periods that a periodic orbit is run on before it is read
+WIDE = 1000  # slots for an orbit with more impacts in a period than `trail` records: as many as the impact cap
+LEAST_EXPONENT = 0.01  # per period, of chaos: mere shear passes for 0.002 over the periods that `exponents` averages
+SAMPLES = 8  # times KEEP periods of chaos that are looked at
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """An attractor before its share and its mirror image are known.
+
+    lanes: those that are on it; hits: its impacts as points (`meetings`); numbers: the fields of `Attractor`.
+    """
+
+    lanes: list[int]
+    hits: np.ndarray
+    numbers: dict
+
+
+def periodic(scene, found, periods, settle, scale):
+    """(periodic attractors, why other lanes that recur are on none): a list of `Seen`, and {lane: reason}.
+
+    found: a `Trail`; periods: those after which its lanes recur, 0 for none; scale: of x and v, the largest.
+    """
+    eps, lost, seen = float(np.finfo(scene.dtype).eps), {}, []
+    near, neutral = eps**0.4 * scale, 4.0 * eps**0.5
+    known = clusters(found, periods, near)
+    if not known:
+        return seen, lost
+    starts = _chosen(found.state, [one.lanes[0] for one in known])
+    rates, _ = exponents(scene, starts, scale)
+    run = trail(scene, starts, POLISH * max(settle, KEEP))
+    for k, (one, rate) in enumerate(zip(known, rates.tolist(), strict=True)):
+        last, n = run.lanes([k]), len(one.points)
+        if last.status[0] == FULL:
+            last = trail(scene, last.state, KEEP, WIDE)
+        apart = float(abs(last.points[-n:] - last.points[-2 * n : -n]).max())
+        if rate < -neutral and apart <= near:
+            seen.append(_orbit(scene, last, one.lanes, n, scale, _told(rate, f"recurs to within {apart:.0e}")))
+        else:
+            lost |= dict.fromkeys(one.lanes, "recurs but does not attract")
+    return seen, lost
+
+
+def _chosen(state, lanes):
+    return jax.tree.map(lambda leaf: leaf[lanes], state)
+
+
+def _told(rate, what):
+    return {"exponent": rate, "note": f"{what}; exponent {rate:.3g} per period"}
+
+
+def _orbit(scene, last, lanes, n, scale, told):
+    """A periodic attractor from a trail of one lane on it, read from its least rotation on."""
+    points, words = orbit_of(last, 0, n)
+    after = words[1:] + words[:1]
+    turn = min(range(n), key=lambda k: (after[k:] + after[:k], *points[k]))
+    impacts = [part[-n:, 0] for part in (last.time, last.side, last.speed)]
+    numbers = {
+        "label": itinerary.label(words),
+        "kind": "periodic",
+        "state": _state(last, turn - n),
+        "periods": n,
+        "itinerary": after[turn:] + after[:turn],
+        "points": np.roll(points, -turn, axis=0),
+        "least_speed": _least_speed(*impacts[1:]),
+    }
+    return Seen(lanes, meetings(float(scene.frequency), *impacts, scale), numbers | told)
+
+
+def _state(one, period):
+    """The state at the end of a kept period of a trail of one lane."""
+    x, v, contact = (float(part[period, 0]) for part in (one.x, one.v, one.contact))
+    return State(x, v, 0.0, contact)
+
+
+def _least_speed(side, speed):
+    return float(np.min(speed, where=side != 0, initial=np.inf))
+
+
+def dissipates(scene):
+    """Whether motions of a single scene draw together at all: it is damped, or a wall is not elastic."""
+    walls = [name for name in scene.names if name in ("left.restitution", "right.restitution")]
+    return bool(scene.damping > 0) or any(bool(scene.parameter(name) < 1) for name in walls)
+
+
+def chaotic(scene, found, lanes, scale):
+    """(chaotic attractors, why other lanes are on none), of the lanes that do not recur; as `periodic`."""
+    seen, lost = [], {}
+    if not lanes.size:
+        return seen, lost
+    rates, errors = exponents(scene, _chosen(found.state, lanes), scale)
+    with np.errstate(invalid="ignore"):
+        wild = rates - 3.0 * errors > LEAST_EXPONENT
+    lost |= dict.fromkeys(lanes[~wild].tolist(), "does not recur, and its exponent is not positive beyond doubt")
+    if not dissipates(scene):
+        return seen, lost | dict.fromkeys(lanes[wild].tolist(), "chaotic, but the scene loses no energy")
+    if wild.any():
+        lost |= _grouped(scene, _chosen(found.state, lanes[wild]), lanes[wild], rates[wild], scale, seen)
+    return seen, lost
+
+
+def _grouped(scene, state, lanes, rates, scale, seen):
+    """Puts chaotic lanes that fill the same set together, into `seen`; {lane: reason} of those that went bad."""
+    roams, lost = _roam(scene, state), {}
+    for k, (lane, rate) in enumerate(zip(lanes.tolist(), rates.tolist(), strict=True)):
+        one = roams.lanes([k])
+        if one.status[0] >= CAP:
+            lost[lane] = f"status {STATUS[one.status[0]]}"
+            continue
+        hits = meetings(float(scene.frequency), one.time, one.side, one.speed, scale)
+        home = next((other for other in seen if is_same_set(hits, other.hits)), None)
+        if home is None:
+            home = _wild(one, hits, _told(rate, "does not recur"))
+            seen.append(home)
+        home.lanes.append(lane)
+    return lost
+
+
+def _roam(scene, state):
+    """A trail of SAMPLES times KEEP periods."""
+    parts = []
+    for _ in range(SAMPLES):
+        parts.append(trail(scene, state, KEEP))
+        state = parts[-1].state
+    worst = np.max([part.status for part in parts], axis=0)
+    return Trail(state, worst, *map(np.concatenate, zip(*(part[2:] for part in parts), strict=True)))
+
+
+def _wild(one, hits, told):
+    numbers = {
+        "label": "chaotic",
+        "kind": "chaotic",
+        "state": _state(one, -1),
+        "periods": 0,
+        "itinerary": (),
+        "points": one.points[:, 0],
+        "least_speed": _least_speed(one.side, one.speed),
+    }
+    return Seen([], hits, numbers | told)

@@ -1,0 +1,7 @@
+"""Pictures with matplotlib. Each takes Axes, a new figure's where none are given, and returns them; none is shown."""
+
+from .diagram import diagram, mark
+from .portrait import portrait
+from .trace import trace
+
+__all__ = ["diagram", "mark", "portrait", "trace"]

@@ -1,0 +1,74 @@
+"""The swept diagram: a coordinate on the section against the parameter, one colour a leg."""
+
+import numpy as np
+from matplotlib.markers import TICKLEFT, TICKRIGHT
+
+from .style import COLOURS, COORDINATES, WALL, axes, label, plain
+
+SIZE = 1.2  # points, of the first leg's dots; later ones are smaller, so that where legs agree both are seen
+MARKERS = "osD^vP*X"
+
+
+def diagram(swept, variable="x", ax=None):
+    """Draw one variable, "x" or "v", of a Dataset of `sweep`: the Axes.
+
+    A dimension besides the values' and `period` (lane, or leg with its names) makes a leg of each of its entries, with
+    a colour and a size of dot of its own. Fixed walls are lines where x is drawn, unless they are far from all dots.
+    """
+    ax, name = axes(ax), swept.attrs["swept"]
+    step, *lanes = (dim for dim in swept[variable].dims if dim != "period")
+    legs = [swept] if not lanes else [swept.isel({lanes[0]: k}) for k in range(swept.sizes[lanes[0]])]
+    for k, leg in enumerate(legs):
+        across = np.broadcast_to(leg[name].values[:, None], leg[variable].shape)
+        up = leg[variable].transpose(step, "period").values
+        _dots(ax, across, up, k, _named(leg, lanes) + f"from {across[0, 0]:g} to {across[-1, 0]:g}")
+    if variable == "x":
+        _walls(ax, swept.attrs)
+    ax.set(xlabel=label(name), ylabel=COORDINATES[variable])
+    ax.margins(x=0.01)
+    return ax
+
+
+def _named(leg, lanes):
+    return plain(f"{leg[lanes[0]].values}: ") if lanes and lanes[0] in leg.coords else ""
+
+
+def _walls(ax, attrs):
+    low, high = ax.get_ylim()
+    near = (high - low) / 4
+    for side in ("left", "right"):
+        place = attrs.get(f"{side}.position")
+        stands = place is not None and f"{side}.motion.amplitude" not in attrs
+        if stands and low - near <= place <= high + near:
+            ax.axhline(place, color=WALL, linewidth=0.8, zorder=0)
+
+
+def _dots(ax, across, up, place, text):
+    size, colour = SIZE / (1 + place), COLOURS[place % len(COLOURS)]
+    style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": colour}
+    ax.plot(across.ravel(), up.ravel(), markersize=size, rasterized=True, label="_" + text, **style)
+    ax.plot([], [], markersize=7 / (1 + 0.4 * place), label=text, **style)
+
+
+def mark(attractors, value, variable="x", ax=None):
+    """Draw attractors into a diagram, at the value of the swept parameter that they belong to: the Axes.
+
+    Mirror images of each other have one shape, the first of them open and the second filled; a chaotic one is a row of
+    ticks, to the left or, its image, to the right.
+    """
+    ax, shapes = axes(ax), {}
+    ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
+    for place, one in enumerate(attractors):
+        if one.kind == "unresolved":
+            continue
+        twin = place if one.mirror_of is None else one.mirror_of
+        first = min(place, twin)
+        shape = shapes.setdefault(first, MARKERS[len(shapes) % len(MARKERS)])
+        up = one.points[:, "xv".index(variable)]
+        if one.kind == "chaotic":
+            look = {"marker": TICKLEFT if place == first else TICKRIGHT, "markeredgewidth": 0.3, "zorder": 4}
+        else:
+            look = {"marker": shape, "markerfacecolor": "white" if place == first else "black", "zorder": 5}
+        text = f"{one.label}, {100 * one.share:.1f} % of starts"
+        ax.plot(np.full(len(up), value), up, color="black", markersize=5.5, linestyle="none", label=text, **look)
+    return ax

@@ -1,0 +1,37 @@
+"""The phase portrait: velocity against position along a trajectory, with its impacts."""
+
+import numpy as np
+
+from .path import with_impacts
+from .style import COLOURS, COORDINATES, WALL, axes
+
+
+def portrait(trajectory, scene, ax=None):
+    """Draw a Dataset of `simulate` in the phase plane: the Axes.
+
+    Walls are grey, a moving one as wide as it goes; an impact is a dashed line; dots are the states on the section,
+    at the end of each drive period.
+    """
+    ax = axes(ax)
+    _walls(ax, scene)
+    _, x, v, jumps = with_impacts(trajectory, scene)
+    ax.plot(x, v, color=COLOURS[0], linewidth=1.0)
+    ends = np.stack([jumps, jumps + 2, jumps + 1], -1).ravel()  # before, after, nan
+    ax.plot(x[ends], v[ends], color=COLOURS[1], linewidth=1.2, linestyle="--")
+    turns = trajectory["phase"].values / (2 * np.pi)
+    whole = np.flatnonzero(abs(turns - turns[0] - np.round(turns - turns[0])) < 1e-6)[1:]
+    dots = {"linestyle": "none", "marker": "o", "markersize": 4, "color": COLOURS[2], "zorder": 3}
+    ax.plot(trajectory["x"].values[whole], trajectory["v"].values[whole], **dots)
+    ax.set(xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
+    ax.locator_params(axis="x", nbins=6)
+    return ax
+
+
+def _walls(ax, scene):
+    for wall in (scene.left, scene.right):
+        if wall is None:
+            continue
+        swing = 0.0 if wall.motion is None else abs(float(wall.motion.amplitude))
+        place = float(wall.position)
+        ax.axvspan(place - swing, place + swing, color=WALL, alpha=0.3, linewidth=0, zorder=0)
+        ax.axvline(place, color=WALL, linewidth=1.0, zorder=0)

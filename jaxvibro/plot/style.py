@@ -1,0 +1,36 @@
+"""Colours, names and units that all pictures share."""
+
+import matplotlib.pyplot as plt
+
+# Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
+COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
+WALL = "0.55"
+
+SYMBOLS = {"amplitude": "$A$", "frequency": r"$\omega$", "damping": r"$\gamma$", "restitution": "$R$"}
+_PARAMETERS = {
+    "amplitude": r"drive amplitude $A = F\,/\,(M\omega_0^2 d)$",
+    "frequency": r"drive frequency $\omega = \Omega\,/\,\omega_0$",
+    "damping": r"damping $\gamma = C\,/\,(2M\omega_0)$",
+    "restitution": r"restitution $R$",
+    "position": r"mean position $X_b\,/\,d$",
+    "motion.amplitude": r"amplitude of motion $B\,/\,d$",
+    "motion.phase": r"phase of motion (rad)",
+}
+COORDINATES = {"x": r"position $x = X\,/\,d$", "v": r"velocity $v = \dot X\,/\,(d\,\omega_0)$"}
+TIME = r"time in drive periods, $\omega t\,/\,2\pi$"
+
+
+def label(name):
+    """The axis label of a scene's parameter, symbol and unit included."""
+    side, _, rest = name.partition(".")
+    return f"{side} wall: {_PARAMETERS[rest]}" if rest else _PARAMETERS[name]
+
+
+def plain(text):
+    """A text of the user's as matplotlib shows it letter by letter, formula signs included."""
+    return text.replace("$", r"\$")
+
+
+def axes(ax):
+    """The Axes given, or those of a new figure."""
+    return plt.subplots(layout="constrained")[1] if ax is None else ax

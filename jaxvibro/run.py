@@ -1,0 +1,76 @@
+"""Does what a scene file asks, and writes picture, data and table: all of them whole, or none."""
+
+import os
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from . import report, scenefile
+from .data import dataset
+from .picture import picture
+from .study import study
+from .tables import SceneFile, SceneTable
+from .whole import whole
+
+ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a run gives. summary: plain numbers, texts, lists and dicts, as `--json` prints it; table: for reading."""
+
+    summary: dict
+    table: str
+
+
+def run(path, out="out", changes=(), force=False, progress=False):
+    """Does what a scene file asks, and writes its picture, data and table into a folder: `Done`.
+
+    path: of the scene file; its name without ending names the results. out: the folder, made where it is missing.
+    changes: other values for this run, each "key=value" as in the file ("sweep.count=201"); "scene." may be left out.
+    force: overwrite results that are there. progress: show bars on stderr.
+
+    Raises SceneError for what the file or the changes may not say, FileExistsError where a result is there already,
+    and OSError where the file cannot be read or the folder not be written to, all before any work.
+    """
+    began = time.perf_counter()
+    path, out = Path(path), Path(out)
+    file = scenefile.read(path, [_full(change) for change in changes])
+    files = {kind: out / (path.stem + ending) for kind, ending in ENDINGS.items()}
+    _refuse(path, out, files.values(), force)
+    found = study(file, progress)
+    table = report.table(found, path.name)
+    contents = {"picture": picture(found), "data": dataset(found).to_netcdf(engine="scipy"), "table": table.encode()}
+    _write({files[kind]: content for kind, content in contents.items()}, force)
+    summary = report.summary(found, {kind: str(one) for kind, one in files.items()})
+    return Done(summary | {"seconds": round(time.perf_counter() - began, 3)}, table)
+
+
+def _full(change):
+    """A change with its key from the top of the file: that of a scene's parameter may begin below [scene]."""
+    first = change.split("=")[0].split(".")[0].strip()
+    inner = first not in SceneFile.__struct_fields__ and first in SceneTable.__struct_fields__
+    return f"scene.{change}" if inner else change
+
+
+def _refuse(path, out, files, force):
+    """Refuse what could not be written at the end."""
+    if not os.path.isdir(out) and os.path.lexists(out):
+        raise NotADirectoryError(f"out: {out} is no folder")
+    above = next(one for one in (out, *out.absolute().parents) if os.path.lexists(one))
+    if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
+        raise PermissionError(f"out: {above} cannot be written to")
+    for one in files:
+        if one.is_dir() or (one.exists() and one.samefile(path)):
+            raise FileExistsError(f"out: {one} is in the way")
+        if one.exists() and not force:
+            raise FileExistsError(f"out: {one} is there already; --force overwrites it")
+
+
+def _write(contents, force):
+    """Write all files beside their places first, then put all there."""
+    with ExitStack() as stack:
+        for path, content in contents.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(whole(path, force)).write_bytes(content)

@@ -1,0 +1,62 @@
+"""Stretches of a swept diagram: neighbouring values at which the state comes back after the same number of periods."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+LONGEST = 32  # drive periods looked for, where as many as twice that are kept
+NEAR = 1e-6  # of the largest x and v of the diagram: a return as near as this counts
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Values of one leg, in the order of the sweep, from `first` to `last`, `count` of them.
+
+    periods: the least number of drive periods after which the states kept at each of these values come back; 0 where
+    they do not, which may be chaos, a longer orbit, or a motion that has not settled; None where the status was bad.
+    """
+
+    leg: str
+    first: float
+    last: float
+    count: int
+    periods: int | None
+
+
+def stretches(swept):
+    """The stretches of a Dataset of `sweep` with dimensions (step, leg, period), leg by leg."""
+    values = swept[swept.attrs["swept"]].transpose("step", "leg").values
+    found = recurrence(swept)
+    return [
+        Stretch(str(leg), float(values[first, k]), float(values[last - 1, k]), last - first, _periods(found[first, k]))
+        for k, leg in enumerate(swept["leg"].values)
+        for first, last in _runs(found[:, k])
+    ]
+
+
+def longest(swept):
+    """The largest number of periods looked for: half of those kept, LONGEST at most."""
+    return min(LONGEST, swept.sizes["period"] // 2)
+
+
+def _periods(number):
+    return None if number < 0 else int(number)
+
+
+def recurrence(swept):
+    """After how many periods the states kept come back, 0 where they do not, -1 on a bad status: (step, leg)."""
+    points = np.stack([swept[key].transpose("period", "step", "leg").values for key in ("x", "v")])
+    near = NEAR * np.nanmax(abs(points), initial=0.0)
+    found = np.where(np.isnan(points).any(axis=(0, 1)), -1, 0)
+    for n in range(1, longest(swept) + 1):
+        left = found == 0
+        some = points[:, :, left]
+        found[left] = np.where(abs(some[:, n:] - some[:, :-n]).max(axis=(0, 1)) <= near, n, 0)
+    return found
+
+
+def _runs(numbers):
+    """(first, one past the last) of each run of equal numbers."""
+    edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
+    return list(pairwise(edges))

@@ -1,0 +1,221 @@
+"""The stroboscopic map against ball arithmetic and closed forms, its rules for walls, and its lanes."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from jaxvibro.flow import fly
+from tests.proof import STRUCTURES, first_flights, strobe_errors
+from tests.reference import closed
+
+WALLS = (-1.0, 1.0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS)
+
+
+@pytest.fixture(scope="module")
+def lanes(scene):
+    """130 states, three blocks of lanes, the last one part full: (scene, start, end, impacts)."""
+    rng = np.random.default_rng(1)
+    many = scene.replace(amplitude=rng.uniform(0, 6, 130))
+    start = jv.State(jnp.asarray(rng.uniform(-1, 1, 130)), jnp.asarray(rng.uniform(-3, 3, 130)))
+    return many, start, *jv.strobe(many, start)
+
+
+def at(tree, k):
+    """Lane k of a batch, as a batch of one."""
+    return jax.tree.map(lambda leaf: leaf[k : k + 1] if jnp.ndim(leaf) else leaf, tree)
+
+
+def same(one, other):
+    """Whether two trees hold the same bits."""
+    pairs = zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True)
+    return all(np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True) for a, b in pairs)
+
+
+@pytest.mark.slow
+def test_random_scenes_against_ball_arithmetic():
+    rows, _ = strobe_errors(600, seed=50_000)
+    error, right, times, speeds, clearance, count = rows.T
+    assert right.all()
+    assert count.mean() > 1
+    assert error.max() < 1e-2
+    assert speeds.max() < 1e-2
+    assert times.max() < 1e-10
+    assert np.mean(clearance < 1) > 0.99
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("walls", STRUCTURES)
+def test_no_contact_is_missed_or_invented(walls):
+    assert first_flights(2_000, *walls, 1, seed=9)[1:] == (0, 0, 0)
+
+
+def test_forced_response_comes_back():
+    scene = jv.make_scene(1.3, 1.7, 0.1, 0.7, (-3.0, 2.0))
+    x, v = closed.forced(0.1, 1.7, 1.3, 0.0)
+    end, impacts = jv.strobe(scene, jv.State(float(x), float(v)))
+    assert abs(end.x - float(x)) < 1e-15
+    assert abs(end.v - float(v)) < 1e-15
+    assert impacts.count == 0
+    assert abs(impacts.least_clearance - (2.0 - 1.3 / np.sqrt((1 - 1.7**2) ** 2 + (0.2 * 1.7) ** 2))) < 1e-14
+
+
+def test_one_impact_orbits_come_back():
+    (orbit, *_) = closed.orbits(0.05, 2.1, 2.0, 0.7, 1.0, symmetric=True)
+    x, v = closed.at_phase(0.05, 2.1, 2.0, orbit, symmetric=True)
+    end, impacts = jv.strobe(jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS), jv.State(float(x), float(v)))
+    assert impacts.count == 2
+    assert abs(impacts.speed[0] - float(orbit.speed)) < 1e-14
+    assert abs(impacts.speed[1] - float(orbit.speed)) < 1e-14
+    assert abs(end.x - float(x)) < 1e-13
+    assert abs(end.v - float(v)) < 1e-13
+
+
+def test_a_batch_of_one_is_its_lane_bit_for_bit(lanes):
+    scene, start, end, impacts = lanes
+    for k in (0, 63, 64, 129):
+        assert same(jv.strobe(at(scene, k), at(start, k)), at((end, impacts), k))
+
+
+def test_chunks_are_the_whole_and_a_bad_lane_harms_no_other(lanes):
+    scene, start, end, impacts = lanes
+    part = jax.tree.map(lambda leaf: leaf[:70] if jnp.ndim(leaf) else leaf, (scene, start, end, impacts))
+    assert same(jv.strobe(*part[:2]), part[2:])
+    bad = jv.State(start.x.at[7].set(5.0).at[9].set(jnp.nan), start.v)
+    spoilt, told = jv.strobe(scene, bad)
+    assert told.status[7] == 3
+    assert told.status[9] == 4
+    assert jnp.isnan(spoilt.x[7])
+    kept = np.delete(np.arange(130), [7, 9])
+    assert same(
+        jax.tree.map(lambda leaf: leaf[kept], (spoilt, told)), jax.tree.map(lambda leaf: leaf[kept], (end, impacts))
+    )
+
+
+def test_scalar_and_vmapped_calls_agree_with_the_batch(lanes):
+    scene, start, end, impacts = lanes
+    mapped = jax.jit(jax.vmap(lambda a, s: jv.strobe(scene.replace(amplitude=a), s)))
+    ends, told = mapped(scene.amplitude, jv.State(start.x, start.v, jnp.zeros(130), jnp.zeros(130)))
+    assert np.array_equal(told.side, impacts.side)
+    calm = np.asarray(impacts.least_speed) > 1e-2
+    assert np.allclose(ends.x[calm], end.x[calm], rtol=0, atol=1e-11)
+    one, single = jv.strobe(*jax.tree.map(lambda leaf: leaf[5] if jnp.ndim(leaf) else leaf, (scene, start)))
+    assert np.array_equal(single.side, impacts.side[5])
+    assert abs(one.v - end.v[5]) < 1e-11
+
+
+def test_scaling_by_a_power_of_two_changes_no_digit(lanes):
+    scene, start, end, impacts = lanes
+    for power in (-30, 7):
+        k = 2.0**power
+        large = scene.replace(amplitude=k * scene.amplitude, **{"left.position": -k, "right.position": k})
+        grown, told = jv.strobe(large, jv.State(k * start.x, k * start.v))
+        assert same((grown.x / k, grown.v / k, told.time, told.side), (end.x, end.v, impacts.time, impacts.side))
+
+
+def test_mirror_image_with_half_a_period(lanes):
+    scene, start, end, impacts = lanes
+    image, told = jv.strobe(scene, jv.State(-start.x, -start.v, jnp.pi))
+    assert np.array_equal(told.side, -impacts.side)
+    calm = np.asarray(impacts.least_speed) > 1e-2
+    assert np.allclose(-image.x[calm], end.x[calm], rtol=0, atol=1e-11)
+
+
+def test_start_on_a_wall_moving_in_rebounds_at_time_zero(scene):
+    end, impacts = jv.strobe(scene, jv.State(1.0, 2.0))
+    assert impacts.time[0] == 0
+    assert impacts.side[0] == 1
+    assert impacts.speed[0] == 2
+    landed, later = jv.strobe(scene, jv.State(1.0, -1.4, 0.0, 1.0))
+    assert later.count == impacts.count - 1
+    assert abs(landed.x - end.x) < 1e-13
+
+
+def test_start_on_a_wall_at_rest_is_decided_by_the_press():
+    # the press on the right wall is A cos(phase) - 1: negative, it leaves at once; positive, it waits for the release
+    scene = jv.make_scene(0.5, 2.0, 0.1, 0.7, (None, 1.0))
+    end, impacts = jv.strobe(scene, jv.State(1.0, 0.0), slots=4)
+    x, v = fly(scene, jv.State(1.0, 0.0, 0.0), np.pi)
+    assert impacts.count == 0
+    assert abs(end.x - x) < 1e-14
+    assert abs(end.v - v) < 1e-14
+    strong, release = scene.replace(amplitude=3.0), np.arccos(1 / 3.0)
+    end, impacts = jv.strobe(strong, jv.State(1.0, 0.0, -0.3), slots=4)
+    x, v = fly(strong, jv.State(1.0, 0.0, release), (2 * np.pi - 0.3 - release) / 2.0)
+    assert impacts.count == 0
+    assert abs(end.x - x) < 1e-13
+    assert abs(end.v - v) < 1e-13
+
+
+def test_a_mass_that_rests_on_a_wall_leaves_when_the_press_ends():
+    # R = 0: it lands on the right wall, stays until A cos(phase) = 1, and flies freely from there
+    scene = jv.make_scene(3.0, 2.0, 0.1, 0.0, (None, 1.0))
+    end, impacts = jv.strobe(scene, jv.State(0.0, 1.0, -1.5), slots=4)
+    assert impacts.count == 1
+    release = np.arccos(1 / 3.0)
+    x, v = fly(scene, jv.State(1.0, 0.0, release), (2 * np.pi - 1.5 - release) / 2.0)
+    assert abs(end.x - x) < 1e-13
+    assert abs(end.v - v) < 1e-13
+
+
+def test_sticks_through_the_end_of_a_period():
+    scene = jv.make_scene(3.0, 0.5, 0.1, 0.0, (None, 1.0))
+    end, impacts = jv.strobe(scene, jv.State(0.9, 1.0), slots=4)
+    assert end.contact == 2
+    assert end.x == 1
+    assert end.v == 0
+    again, more = jv.strobe(scene, end, slots=4)
+    assert impacts.status == more.status == 0
+    assert again.contact == 2
+
+
+def test_two_periods_are_one_after_the_other(lanes):
+    scene, start, end, impacts = lanes
+    twice, told = jv.strobe(scene, start, periods=2)
+    after, second = jv.strobe(scene, end)
+    calm = (np.asarray(told.least_speed) > 1e-2) & (np.asarray(told.count) < 32)
+    assert np.array_equal(told.count[calm], (impacts.count + second.count)[calm])
+    assert np.allclose(twice.x[calm], after.x[calm], rtol=0, atol=1e-10)
+
+
+def test_full_slots_leave_the_state_right(lanes):
+    scene, start, end, impacts = lanes
+    short, told = jv.strobe(scene, start, slots=1)
+    assert np.array_equal(told.status == 1, impacts.count > 1)
+    assert same(short, end)
+    assert np.array_equal(told.time[:, 0], impacts.time[:, 0])
+
+
+def test_elastic_chatter_ends_with_a_status():
+    scene = jv.make_scene(3.0, 0.05, 0.0, 1.0, (None, 1.0))
+    end, impacts = jv.strobe(scene, jv.State(1.0, -1e-6), slots=2)
+    assert impacts.status == 2
+    assert jnp.isnan(end.x)
+
+
+@pytest.mark.parametrize("state", [(1.5, 0.0), (-1.0000001, 0.0)])
+def test_a_start_beyond_a_wall_is_refused(scene, state):
+    assert jv.strobe(scene, jv.State(*state))[1].status == 3
+
+
+def test_bad_numbers_inside_jit_are_a_status(scene):
+    def run(damping, restitution):
+        return jv.strobe(jv.make_scene(2.0, 2.1, damping, restitution, WALLS), jv.State(0.1, 0.2), slots=1)[1].status
+
+    traced = jax.jit(run)
+    assert traced(-0.1, 0.7) == 3
+    assert traced(0.1, 1.5) == 3
+    assert traced(jnp.nan, 0.7) == 4
+    assert traced(0.1, 0.7) < 2
+
+
+@pytest.mark.parametrize(("key", "value"), [("periods", 0), ("periods", 1.5), ("slots", -1), ("slots", True)])
+def test_arguments_are_refused_by_name(scene, key, value):
+    with pytest.raises(jv.SceneError, match=f"^{key}: must be a whole number"):
+        jv.strobe(scene, jv.State(0.0, 0.0), **{key: value})
