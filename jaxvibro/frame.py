@@ -18,9 +18,9 @@ class Frame(NamedTuple):
     """One number a lane each: the oscillator, its drive, its walls, and bounds for the longest step.
 
     force A, frequency omega, damping gamma; walls: those that exist, left first; period 2 pi / omega and its low part;
-    reach: the longest step (t); size: a length of the scene, the walls' distances and A together, to measure rounding by;
-    curb, slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings:
-    see `wall.tail`, for each wall.
+    reach: the longest step (t); size: a length of the scene, the walls' distances and A together, to measure rounding
+    by; curb, slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails,
+    swings: see `wall.tail`, for each wall.
     """
 
     force: jax.Array

@@ -45,8 +45,9 @@ class Impacts:
 
     time: since the strobe's start, in t (inf: empty); side: -1 left, +1 right, 0 empty; speed: abs(y- - v_b), 0 empty;
     count: of all impacts; least_speed: of them, inf if none; least_clearance: the smallest distance to a wall at a
-    turning point of x - x_b towards it, inf if none; status: 0 OK, 1 FULL (more impacts than slots; the state is right),
-    2 CAP (the impact cap), 3 INVALID (a bad scene, or a start beyond a wall), 4 NONFINITE; from CAP on the state is nan.
+    turning point of x - x_b towards it, inf if none; status: 0 OK, 1 FULL (more impacts than slots; the state is
+    right), 2 CAP (the impact cap), 3 INVALID (a bad scene, or a start beyond a wall), 4 NONFINITE; from CAP on the
+    state is nan.
     """
 
     time: jax.Array

@@ -1,4 +1,4 @@
-"""The library held against the references over random scenes; `python -m tests.proof strobe 10000` prints the numbers."""
+"""The library held against the references over random scenes: `python -m tests.proof strobe 10000` prints numbers."""
 
 import sys
 from collections import defaultdict

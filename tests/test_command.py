@@ -262,3 +262,11 @@ def test_the_readme_s_lines_run_as_printed():
     names = {}
     exec(compile(block, "README.md", "exec"), names)
     assert names["impacts"].status == 0 and abs(names["state"].x) <= 1.0
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/scene.md", "CONTRIBUTING.md"])
+def test_links_lead_somewhere(page):
+    path = ROOT / page
+    links = re.findall(r"\]\((?!https?:)([^)]+)\)", path.read_text())
+    assert [link for link in links if not (path.parent / link).exists()] == []
+    assert (ROOT / "docs" / "fig4.png").stat().st_size < 300_000
