@@ -60,6 +60,25 @@ def stage(function, *lanes):
     be short, or to have few results. Only operands that the results depend on are handed over; the emitter of a whole
     loop as one kernel aborts on any other.
     """
+    call, operands = _trimmed(function, lanes)
+    with set_xla_metadata(inlineable="false"):
+        return jax.jit(call)(*operands)
+
+
+def one_kernel(function, *lanes):
+    """function(*lanes), its loops compiled as one kernel in place of one launch for each operation."""
+    call, operands = _trimmed(function, lanes)
+
+    def plain(*operands):
+        with set_xla_metadata(inlineable=None, xla_cpu_small_call=None):
+            return call(*operands)
+
+    with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
+        return jax.jit(plain)(*operands)
+
+
+def _trimmed(function, lanes):
+    """(the function of those operands alone that its results depend on, these operands)."""
     flat, tree = jax.tree.flatten(lanes)
     closed, shape = jax.make_jaxpr(lambda *a: function(*jax.tree.unflatten(tree, a)), return_shape=True)(*flat)
     live = _operands(closed.jaxpr)
@@ -70,8 +89,7 @@ def stage(function, *lanes):
         full = [next(given) if keep else jnp.zeros_like(lane) for keep, lane in zip(kept, flat, strict=True)]
         return jax.tree.unflatten(jax.tree.structure(shape), jax.core.eval_jaxpr(closed.jaxpr, closed.consts, *full))
 
-    with set_xla_metadata(inlineable="false"):
-        return jax.jit(call)(*[lane for lane, keep in zip(flat, kept, strict=True) if keep])
+    return call, [lane for lane, keep in zip(flat, kept, strict=True) if keep]
 
 
 def _operands(jaxpr):
@@ -80,14 +98,3 @@ def _operands(jaxpr):
         if not live.isdisjoint(equation.outvars):
             live.update(v for v in equation.invars if not hasattr(v, "val"))
     return live
-
-
-def one_kernel(function, *lanes):
-    """function(*lanes), its loops compiled as one kernel in place of one launch for each operation."""
-
-    def plain(*lanes):
-        with set_xla_metadata(inlineable=None, xla_cpu_small_call=None):
-            return function(*lanes)
-
-    with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
-        return jax.jit(plain)(*lanes)

@@ -77,11 +77,7 @@ def strobe(scene, state, periods=1, slots=32):
 
 def _strobe(scene, state, periods, slots):
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
-    run = partial(_lanes, periods=periods, slots=slots)
-    if (
-        scene.left is not None or scene.right is not None
-    ):  # XLA's emitter of one kernel refuses a loop as short as a free one
-        run = partial(one_kernel, run)
+    run = partial(one_kernel, partial(_lanes, periods=periods, slots=slots))
     if not shape:
         return run(scene, state)
     count = math.prod(shape)

@@ -219,3 +219,18 @@ def test_bad_numbers_inside_jit_are_a_status(scene):
 def test_arguments_are_refused_by_name(scene, key, value):
     with pytest.raises(jv.SceneError, match=f"^{key}: must be a whole number"):
         jv.strobe(scene, jv.State(0.0, 0.0), **{key: value})
+
+
+@pytest.mark.parametrize(
+    "walls",
+    [(None, None), (None, 1.0), (jv.Wall(-1.0, 0.6), jv.Wall(1.0, 0.8)), (-1.0, jv.Wall(1.0, 0.5, jv.Motion(0.1)))],
+)
+def test_every_kind_of_scene_runs_inside_a_loop(walls):
+    # an operand that no result depends on would abort the process in XLA's emitter
+    scene = jv.make_scene(1.0, 2.1, 0.05, 0.7, walls)
+
+    def period(_, x):
+        return jv.strobe(scene, jv.State(x, 0.0 * x), slots=2)[0].x
+
+    looped = jax.jit(lambda x: jax.lax.fori_loop(0, 2, period, x))(jnp.array([0.1, 0.2]))
+    assert np.allclose(looped, period(0, period(0, jnp.array([0.1, 0.2]))), rtol=0, atol=1e-13)
