@@ -4,6 +4,7 @@ A step that passes a turning point is noted, and measured only when its lane pas
 else measure at nearly every step.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -101,11 +102,13 @@ def _measured(frame, call, clearance):
         if any(way[k] is not None for way in ways):
             where = [lax.full_like(call.x, 0.0) if way[k] is None else way[k] for way in ways]
             jet[k] = jet[k] - chosen(call.sign, frame.walls, where)
+    speeds = [jet[k + 1] * (1.0 / math.factorial(k)) for k in range(flow.ORDER)]
     time = call.time
     for _ in range(NEWTON):
-        time = time - (jet[1] + flow.shift(jet[1:], time)) / (jet[2] + flow.shift(jet[2:], time))
+        speed, bend = event.horner(speeds, time)
+        time = time - speed / bend
+    speed, bend = event.horner(speeds, time)
     found = -call.sign * ((jet[0] + call.x_low) + flow.shift(jet, time))
-    speed, bend = jet[1] + flow.shift(jet[1:], time), call.sign * (jet[2] + flow.shift(jet[2:], time))
-    settled = lax.abs(speed) <= -bend * frame.reach * event.landing(time.dtype)
+    settled = lax.abs(speed) <= -(call.sign * bend) * frame.reach * event.landing(time.dtype)
     real = (call.sign != 0) & settled & (time >= 0) & (time <= frame.reach)
     return choose(real, least(found, clearance), clearance)

@@ -76,8 +76,8 @@ def sure_step(g, bend, reach, floor):
     return most(choose(meets, least(horizon, bound), horizon), floor), time, exists
 
 
-def _value(g, time):
-    """The polynomial and its slope at a time."""
+def horner(g, time):
+    """The polynomial with these coefficients, from the constant on, and its slope at a time."""
     value, slope = g[-1], lax.full_like(time, 0.0)
     for coefficient in g[-2::-1]:
         slope = slope * time + value
@@ -90,10 +90,10 @@ def root(g, rest, reach, time, exists):
 
     Certain: G rises at a fifth of its slope at least up to MARGIN times the root, so that there is no other before.
     """
-    value, slope = _value(g, time)
-    bend = _value([k * g[k] for k in range(1, TERMS)], time)[1]
+    value, slope = horner(g, time)
+    bend = horner([k * g[k] for k in range(1, TERMS)], time)[1]
     time = time - value * slope / (slope * slope - 0.5 * value * bend)
-    value, slope = _value(g, time)
+    value, slope = horner(g, time)
     step = value / slope
     time = time - step
     far = time * MARGIN
