@@ -65,8 +65,8 @@ def float_type(dtype):
     return kind
 
 
-def number(key, value, dtype):
-    """The value as an array of real, finite numbers: NumPy's, or a tracer's, of which only the type is checked."""
+def real(key, value, dtype):
+    """The value as an array of real numbers: NumPy's, or a tracer's, of which only the type is checked."""
     if is_traced(value):
         if value.dtype.kind not in "fiu":
             raise SceneError(key, "must be a real number", f"type {value.dtype}")
@@ -75,8 +75,14 @@ def number(key, value, dtype):
     if array is None or array.dtype.kind not in "fiu":
         raise SceneError(key, "must be a real number", value)
     with np.errstate(over="ignore"):
-        array = array.astype(dtype)
-    require(key, "must be finite", array, np.isfinite(array))
+        return array.astype(dtype)
+
+
+def number(key, value, dtype):
+    """Like `real`, and known values must be finite."""
+    array = real(key, value, dtype)
+    if not is_traced(array):
+        require(key, "must be finite", array, np.isfinite(array))
     return array
 
 

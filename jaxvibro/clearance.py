@@ -15,7 +15,7 @@ from . import event, flow, impact
 from .lanes import choose, least, stage
 from .wall import chosen, course, less
 
-NEWTON = 5  # steps from the guess; the clearance is flat there
+NEWTON = 8  # steps from the guess; the clearance is flat there
 DOUBT = 0.01  # how far a cubic through the speeds of a step's ends may be off between, over the accelerations' change
 
 

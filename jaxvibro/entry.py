@@ -8,6 +8,8 @@ from .frame import is_valid
 from .lanes import choose, positive
 from .wall import course, less
 
+WIDE = 0.4  # of the exponents: lengths whose squares and products stay finite
+
 
 def enter(frame, state):
     """(path, valid, finite): a path with no time to go yet.
@@ -19,6 +21,9 @@ def enter(frame, state):
     valid, finite = is_valid(frame)
     for number in (state.x, state.v, cosine, state.contact):
         finite &= jnp.isfinite(number)
+    largest = jnp.maximum(frame.size, jnp.maximum(abs(state.x), abs(state.v)))
+    kind = jnp.finfo(largest.dtype)
+    finite &= (largest == 0) | ((largest > float(kind.tiny) ** WIDE) & (largest < float(kind.max) ** WIDE))
     none = jnp.zeros_like(cosine)
     path = Path(state.x + none, none, state.v + none, none, cosine, sine, none, none, none)
     kind = abs(state.contact) + none

@@ -92,7 +92,7 @@ def settle(frame, leaving, push, change):
     its change.
     """
     none = leaving == 0
-    pressed = (push > 0) & (leaving * leaving <= 4.0 * event.rounding(push.dtype) * push * frame.size)
+    pressed = (push > 0) & (leaving * (leaving / frame.size) <= 4.0 * event.rounding(push.dtype) * push)
     held = pressed | (none & (push == 0) & (change >= 0))
     free = choose(none & (push == 0), RELEASED, lax.full_like(push, LANDED))
     return choose(held, STUCK, free)

@@ -10,7 +10,7 @@ from . import check, clearance, log
 from .entry import enter
 from .frame import frame
 from .lanes import choose
-from .strobe import CAP, STATUS, finish, travel
+from .strobe import CAP, STATUS, finish, real_state, travel
 
 SLOTS = 1024
 
@@ -25,7 +25,7 @@ def simulate(scene, state, periods=1, samples=200):
     Raises SceneError for a batch, for a start beyond a wall or not finite, and where an impact cap ends the trajectory.
     """
     periods, samples = check.whole("periods", periods, 1), check.whole("samples", samples, 1)
-    state = jax.tree.map(lambda value: jnp.asarray(value, scene.dtype), state)
+    state = real_state(scene, state)
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     if shape:
         raise check.SceneError("state", "must be one state in one scene, no batch", f"shape {shape}")

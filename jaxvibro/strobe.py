@@ -22,6 +22,7 @@ OK, FULL, CAP, INVALID, NONFINITE = range(5)
 STATUS = ("ok", "full", "cap", "invalid", "nonfinite")
 IMPACTS = 1000  # of one lane in one period, the cap
 STEPS = 8  # times the steps that a flight alone would take, the cap on the rest
+MOST_STEPS = 1e6  # of one lane in one period: more would be a hang
 
 
 @jax.tree_util.register_dataclass
@@ -46,8 +47,8 @@ class Impacts:
     time: since the strobe's start, in t (inf: empty); side: -1 left, +1 right, 0 empty; speed: abs(y- - v_b), 0 empty;
     count: of all impacts; least_speed: of them, inf if none; least_clearance: the smallest distance to a wall at a
     turning point of x - x_b towards it, inf if none; status: 0 OK, 1 FULL (more impacts than slots; the state is
-    right), 2 CAP (the impact cap), 3 INVALID (a bad scene, or a start beyond a wall), 4 NONFINITE; from CAP on the
-    state is nan.
+    right), 2 CAP (1,000 impacts or a million steps in a period), 3 INVALID (a bad scene, or a start beyond a wall),
+    4 NONFINITE (a number that is not finite, or lengths beyond 1e-123 to 1e123); from CAP on the state is nan.
     """
 
     time: jax.Array
@@ -67,12 +68,26 @@ def strobe(scene, state, periods=1, slots=32):
     end belongs to the period that ends: the state is the one after it, and its contact says so. A start on a wall and
     moving into it rebounds at time 0.
 
-    Raises SceneError for periods or slots that cannot be; all else is a status of each lane (`Impacts`).
+    Raises SceneError for periods, slots or a state that cannot be; all else is a status of each lane (`Impacts`).
     """
     periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 0)
-    state = jax.tree.map(lambda value: jnp.asarray(value, scene.dtype), state)
+    state = real_state(scene, state)
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, state)))
     return (_inner if traced else _outer)(scene, state, periods, slots)
+
+
+def real_state(scene, state):
+    """The state with every number an array of the scene's type; refused where it is none, or fits no batch."""
+    if not isinstance(state, State):
+        raise check.SceneError("state", "must be a State", state)
+    keys = ("x", "v", "phase", "contact")
+    found = [jnp.asarray(check.real(f"state.{key}", getattr(state, key), scene.dtype)) for key in keys]
+    leaves = [
+        ("scene", jnp.zeros(scene.shape)),
+        *((f"state.{key}", each) for key, each in zip(keys, found, strict=True)),
+    ]
+    check.shapes_agree(leaves)
+    return State(*found)
 
 
 def _strobe(scene, state, periods, slots):
@@ -107,7 +122,7 @@ def _lanes(scene, state, periods, slots):
     start = path
     path = path._replace(rest=choose(valid & finite, built.period, 0.0))
     book = log.empty(path.x, slots, periods, clearance.nothing(built))
-    cap = 4.0 * IMPACTS + STEPS * built.period / built.reach
+    cap = 4.0 * IMPACTS + jnp.minimum(STEPS * built.period / built.reach, MOST_STEPS)
 
     def going(carry):
         return jnp.any(carry[0].rest > 0)

@@ -234,3 +234,25 @@ def test_every_kind_of_scene_runs_inside_a_loop(walls):
 
     looped = jax.jit(lambda x: jax.lax.fori_loop(0, 2, period, x))(jnp.array([0.1, 0.2]))
     assert np.allclose(looped, period(0, period(0, jnp.array([0.1, 0.2]))), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("value", [None, "a", 1j, [[1.0], [2.0, 3.0]]])
+def test_a_state_that_is_no_number_is_refused_by_name(scene, value):
+    with pytest.raises(jv.SceneError, match=r"^state\.v: must be a real number"):
+        jv.strobe(scene, jv.State(0.0, value))
+    with pytest.raises(jv.SceneError, match=r"^state: must be a State"):
+        jv.strobe(scene, (0.0, value))
+
+
+def test_batches_that_do_not_fit_are_refused(scene):
+    with pytest.raises(jv.SceneError, match=r"state\.x"):
+        jv.strobe(scene.replace(amplitude=np.ones(3)), jv.State(np.zeros(4), 0.0))
+
+
+def test_extreme_numbers_end_with_a_status(scene):
+    size = np.array([1.0, 1e200, 1e-160])
+    scaled = scene.replace(amplitude=2.0 * size, **{"left.position": -size, "right.position": size})
+    _, impacts = jv.strobe(scaled, jv.State(0.9 * size, -1.1 * size))
+    assert impacts.status.tolist() == [0, 4, 4]
+    _, impacts = jv.strobe(scene.replace(damping=1e300), jv.State(0.05, -1.1))
+    assert impacts.status == 4
