@@ -9,7 +9,7 @@ from . import event, flow
 from .lanes import choose, two_sum
 from .wall import chosen, course, less, press
 
-FREE, LANDED, STUCK, RELEASED = 0.0, 1.0, 2.0, 3.0
+LANDED, STUCK, RELEASED = 1.0, 2.0, 3.0
 
 
 class Meeting(NamedTuple):
