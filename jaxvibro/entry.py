@@ -1,18 +1,20 @@
 """How a given state begins its path: the rules for a start on a wall, and the starts that are refused."""
 
 import jax.numpy as jnp
+from jax import lax
 
 from . import event, impact
-from .flight import Path
 from .frame import is_valid
 from .lanes import choose, positive
+from .path import Motion, Path, motion
 from .wall import course, less
 
+OK, FULL, CAP, INVALID, NONFINITE = range(5)
 WIDE = 0.4  # of the exponents: lengths whose squares and products stay finite
 
 
 def enter(frame, state):
-    """(path, valid, finite): a path with no time to go yet.
+    """(path, fault): a path with no time to go yet, and OK, INVALID or NONFINITE.
 
     A start on a wall that moves into it stays free, so that its first event is that impact. One that moves away has
     landed; one without speed is decided by the press, then by its change (`impact.settle`).
@@ -24,8 +26,10 @@ def enter(frame, state):
     largest = jnp.maximum(frame.size, jnp.maximum(abs(state.x), abs(state.v)))
     kind = jnp.finfo(largest.dtype)
     finite &= (largest == 0) | ((largest > float(kind.tiny) ** WIDE) & (largest < float(kind.max) ** WIDE))
-    none = jnp.zeros_like(cosine)
-    path = Path(state.x + none, none, state.v + none, none, cosine, sine, none, none, none)
+    none = jnp.zeros_like(state.x)
+    cosine, sine = cosine + none, sine + none
+    start = Motion(none, none, none, none, cosine, sine)
+    path = Path(state.x + none, none, state.v + none, start, none, none, none)
     kind = abs(state.contact) + none
     valid &= (kind == 0) | (kind == impact.LANDED) | (kind == impact.STUCK)
     known = kind == 0
@@ -34,7 +38,9 @@ def enter(frame, state):
         path, fits = _at_wall(frame, wall, place, path, state.contact * wall.sign)
         valid &= fits
         known |= state.contact * wall.sign > 0
-    return path, valid & known, finite
+    path = path._replace(motion=motion(frame, path.x, path.v, cosine, sine))
+    fault = choose(finite, choose(valid & known, lax.full_like(none, OK), INVALID), NONFINITE)
+    return path, fault
 
 
 def _at_wall(frame, wall, place, path, given):

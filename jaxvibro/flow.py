@@ -5,7 +5,7 @@ products alone and so is right at resonance, at critical damping and beyond. Any
 """
 
 import math
-from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -18,22 +18,80 @@ ORDER = 18  # STEP^19 / 19! < 1e-17
 DOUBLINGS = 24
 
 
+class Series(NamedTuple):
+    """Taylor coefficients of the `Gains`, their order first, each from its first power of t that is not zero."""
+
+    stay: jax.Array
+    move: jax.Array
+    lift: jax.Array
+    lag: jax.Array
+
+
+class Gains(NamedTuple):
+    """What a flight of a given time does, from its series.
+
+    stay: p00 - 1 and move: p01 of the free flow ((p00, p01), (-p01, p00 - 2 gamma p01)); lift, lag: x after a start
+    from rest under the force cos(omega t), sin(omega t); versed, sined: cos - 1 and sin of the drive's angle.
+    """
+
+    stay: jax.Array
+    move: jax.Array
+    lift: jax.Array
+    lag: jax.Array
+    versed: jax.Array
+    sined: jax.Array
+
+
 def rate(frequency, damping):
     """An upper bound, at least 1, of how fast the drive and the free oscillation turn or decay, in radians over t."""
     fast = choose(frequency > 1.0, frequency, 1.0)
     return choose(2.0 * damping > fast, 2.0 * damping, fast)
 
 
-def jet(force, frequency, damping, x, v, cosine, sine, order):
-    """The derivatives x, x', ..., x^(order) where the drive is at this cosine and sine, from the equation of motion."""
-    drive = [force * cosine, -(force * sine) * frequency]
-    square, drag = -(frequency * frequency), -2.0 * damping
-    found = [x, v]
-    for k in range(order - 1):
-        if k > 1:
-            drive.append(drive[k - 2] * square)
-        found.append(drive[k] + (drag * found[k + 1] - found[k]))
-    return found
+def series(frequency, damping):
+    """The `Series` of an oscillator: derivatives at t = 0 by the equation of motion, over factorials."""
+    one = jnp.ones_like(frequency * damping)
+    none = jnp.zeros_like(one)
+
+    def extended(pairs, _):
+        (drive, drive_next), (free, free_next), (forced, forced_next) = pairs
+        new = (
+            (drive_next, -(frequency * frequency) * drive),
+            (free_next, -2.0 * damping * free_next - free),
+            (forced_next, drive - 2.0 * damping * forced_next - forced),
+        )
+        return new, (free, forced)
+
+    _, (free, forced) = lax.scan(extended, ((one, none), (none, one), (none, none)), length=ORDER + 1)
+
+    def over(values, more):
+        found = [1.0 / math.factorial(k + more) for k in range(ORDER + 1)]
+        return values * jnp.array(found, values.dtype).reshape(-1, *[1] * one.ndim)
+
+    # p00' = -p01, lag' = omega lift
+    return Series(-over(free, 1)[1:-1], over(free, 0)[1:], over(forced, 0)[2:], frequency * over(forced, 1)[2:-1])
+
+
+def gains(series, frequency, time):
+    """The `Gains` over 0 <= time <= STEP / rate."""
+    angle = frequency * time
+    square = time * time
+    return Gains(
+        _horner(series.stay, time) * square,
+        _horner(series.move, time) * time,
+        _horner(series.lift, time) * square,
+        _horner(series.lag, time) * (square * time),
+        versine(angle),
+        sinus(angle),
+    )
+
+
+def _horner(coefficients, time):
+    rows = [lax.index_in_dim(coefficients, k, keepdims=False) for k in range(coefficients.shape[0])]
+    total = rows[-1]
+    for row in rows[-2::-1]:
+        total = total * time + row
+    return total
 
 
 def extend(frequency, damping, drive, jet):
@@ -41,14 +99,6 @@ def extend(frequency, damping, drive, jet):
     square, drag = -(frequency * frequency), -2.0 * damping
     third = drive[0] + (drag * jet[1] - jet[0])
     return (drive[0] * square, drive[1] * square), (third, drive[1] + (drag * third - jet[1]))
-
-
-def shift(series, time):
-    """What the function with these derivatives gains over a time: Horner's rule, the constant term left out."""
-    total = series[-1]
-    for k in range(len(series) - 2, 0, -1):
-        total = series[k] + total * (time * (1.0 / (k + 1)))
-    return total * time
 
 
 def versine(angle):
@@ -94,27 +144,16 @@ def _doubled(frequency, damping, time):
     """The free flow's matrix ((p00, p01), (-p01, p11)), and the responses from rest to cos and sin of omega t."""
     turns = time * rate(frequency, damping) / STEP
     count = jnp.ceil(jnp.log2(jnp.maximum(lax.stop_gradient(turns), 1.0)))
-    step = time * jnp.exp2(-count)
-    one, none = jnp.ones_like(step), jnp.zeros_like(step)
-    series = partial(jet, frequency=frequency, damping=damping, order=ORDER)
-    p01, v01 = _advance(series(none, x=none, v=one, cosine=none, sine=none), none, one, step)
-    free = (v01 + 2.0 * damping * p01, p01, v01)
-    forced = tuple(
-        _advance(series(one, x=none, v=none, cosine=c, sine=s), none, none, step)
-        for c, s in ((one, none), (none, -one))
-    )
-    angle = frequency * step
-    carry = (free, forced, (versine(angle), sinus(angle)))
+    step = gains(series(frequency, damping), frequency, time * jnp.exp2(-count))
+    free = (1.0 + step.stay, step.move, 1.0 + step.stay - 2.0 * damping * step.move)
+    forced = ((step.lift, step.move - frequency * step.lag), (step.lag, frequency * step.lift))
+    carry = (free, forced, (step.versed, step.sined))
 
     def double(k, carry):
         return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), _double(*carry), carry)
 
     free, forced, _ = lax.fori_loop(0, DOUBLINGS, double, carry)
     return free, forced
-
-
-def _advance(series, x, v, step):
-    return x + shift(series, step), v + shift(series[1:], step)
 
 
 def _double(free, forced, angle):

@@ -1,4 +1,4 @@
-"""What a flight needs of a scene, broadcast over the lanes and worked out once."""
+"""What a flight needs of a scene, worked out once."""
 
 import math
 from typing import NamedTuple
@@ -8,6 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import flow
+from .event import TERMS
+from .path import swift
 from .wall import Lane, extent, lane, tail
 
 SIDES = (-1, 1)
@@ -15,12 +17,13 @@ TURN_LOW = 2.4492935982947064e-16  # 2 pi less its double
 
 
 class Frame(NamedTuple):
-    """One number a lane each: the oscillator, its drive, its walls, and bounds for the longest step.
+    """The oscillator, its drive, its walls, and bounds for the longest step; each number a scalar or one for each lane.
 
     force A, frequency omega, damping gamma; walls: those that exist, left first; period 2 pi / omega and its low part;
-    reach: the longest step (t); size: a length of the scene, the walls' distances and A together, to measure rounding
-    by; curb, slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails,
-    swings: see `wall.tail`, for each wall.
+    swift: see `path`; series: of the flow; reach: the longest step (t), pace: 1 / reach, weights: reach^k / k!; size: a
+    length of the scene, the walls' distances and A together, to measure rounding by; curb, slope: abs x^(8) is at most
+    curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall;
+    rushes: bounds on the change of the press on each; gap: the walls are never nearer to each other.
     """
 
     force: jax.Array
@@ -29,24 +32,26 @@ class Frame(NamedTuple):
     walls: tuple[Lane, ...]
     period: jax.Array
     period_low: jax.Array
+    swift: jax.Array
+    series: flow.Series
     reach: jax.Array
+    pace: jax.Array
+    weights: tuple[jax.Array, ...]
     size: jax.Array
     curb: jax.Array
     slope: jax.Array
     tails: tuple[jax.Array, ...]
     swings: tuple[jax.Array, ...]
+    rushes: tuple[jax.Array, ...]
+    gap: jax.Array
 
 
-def frame(scene, shape):
-    """The `Frame` of a scene over lanes of this shape."""
+def frame(scene):
+    """The `Frame` of a scene."""
     dtype = scene.dtype
-
-    def spread(value):
-        return jnp.broadcast_to(jnp.asarray(value, dtype), shape)
-
-    force, frequency, damping = map(spread, (scene.amplitude, scene.frequency, scene.damping))
+    force, frequency, damping = (jnp.asarray(n, dtype) for n in (scene.amplitude, scene.frequency, scene.damping))
     given = zip(SIDES, (scene.left, scene.right), strict=True)
-    walls = tuple(lane(wall, scene.restitution, side, shape, dtype) for side, wall in given if wall is not None)
+    walls = tuple(lane(wall, scene.restitution, side, dtype) for side, wall in given if wall is not None)
     rate = flow.rate(frequency, damping)
     for wall in walls:
         rate = jnp.maximum(rate, frequency * (wall.harmonic if wall.swing is not None else 1.0))
@@ -54,7 +59,7 @@ def frame(scene, shape):
     # energy of x^(6): abs x^(6), abs x^(7) <= abs x^(6)(0) + abs x^(7)(0) + A omega^6 t, damping only helps
     forcing, slope = abs(force) * frequency**6, jnp.sqrt(1.0 + 4.0 * damping * damping)
     period = 2.0 * jnp.pi / frequency
-    bounds = [tail(wall, force, frequency, damping) for wall in walls]
+    bounds = [tail(wall, force, frequency, damping, TERMS) for wall in walls]
     return Frame(
         force=force,
         frequency=frequency,
@@ -62,13 +67,26 @@ def frame(scene, shape):
         walls=walls,
         period=period,
         period_low=_remainder(frequency, period) / frequency,
+        swift=swift(frequency, damping, force),
+        series=flow.series(frequency, damping),
         reach=reach,
+        pace=rate / flow.STEP,
+        weights=tuple(reach**k / math.factorial(k) for k in range(TERMS + 1)),
         size=sum((extent(wall) for wall in walls), abs(force)),
         curb=forcing * (1.0 + slope * reach),
         slope=slope,
         tails=tuple(press for press, _ in bounds),
         swings=tuple(swing for _, swing in bounds),
+        rushes=tuple(tail(wall, force, frequency, damping, 1)[0] for wall in walls),
+        gap=_gap(walls, force),
     )
+
+
+def _gap(walls, like):
+    if len(walls) < 2:
+        return jnp.full_like(like, jnp.inf)
+    left, right = walls
+    return (right.position - left.position) - sum(abs(wall.swing) for wall in walls if wall.swing is not None)
 
 
 def _remainder(frequency, period):

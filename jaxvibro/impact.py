@@ -6,83 +6,78 @@ import jax
 from jax import lax
 
 from . import event, flow
-from .lanes import choose, two_sum
-from .wall import chosen, course, less, press
+from .lanes import choose, least, positive, two_sum
+from .path import CAPPED, Motion, Path, accelerations, motion
+from .wall import chosen, course, less, picked, press
 
 LANDED, STUCK, RELEASED = 1.0, 2.0, 3.0
+HOPS = 4.85  # 2 (1 + sqrt(2)), and for rounding
 
 
-class Meeting(NamedTuple):
-    """The event that a step ends with, to rounding: how much later it is, the velocity and the drive there."""
+class Strike(NamedTuple):
+    """What an event does: the speed against the wall before it, and the contact after it."""
 
-    late: jax.Array
-    v: jax.Array
-    cosine: jax.Array
-    sine: jax.Array
+    speed: jax.Array
+    contact: jax.Array
 
 
-def meet(frame, path, side):
-    """Moves the end of a step onto its event: one step of Halley's, from nearer than `event.landing`."""
-    values = (frame.force, frame.frequency, frame.damping)
-    x, v, cosine, sine = path.x, path.v, path.cosine, path.sine
-    pull = frame.force * cosine - x - 2.0 * frame.damping * v
-    jerk = -(frame.force * sine) * frame.frequency - v - 2.0 * frame.damping * pull
-    lates, releases = [], []
-    for wall in frame.walls:
-        where, speed, bend, _ = course(wall, frame.frequency, cosine, sine, 3)
-        gap = (where - x) - path.x_low
-        closing, bending = less(v, speed), less(pull, bend)
-        late = gap / closing
-        lates.append(late * (1.0 - 0.5 * bending * late / closing))
-        push, change = press(wall, *values, cosine, sine, 1)
-        releases.append(-push / change)
-    late, release = chosen(side, frame.walls, lates), chosen(side, frame.walls, releases)
+def late(frame, path, side):
+    """How much later than the end of a step its event is: one step of Halley's, from nearer than `event.landing`."""
+    values = (frame.force, frame.frequency, frame.damping, path.cosine, path.sine)
+    where, speed, bend = picked(side, frame.walls, [course(wall, values[1], *values[3:], 2) for wall in frame.walls])
+    push, change = picked(side, frame.walls, [press(wall, *values, 1) for wall in frame.walls])
+    pull, _ = accelerations(frame, path.x, path.v, path.cosine, path.sine)
+    closing, bending = less(path.v, speed), less(pull, bend)
     stuck = lax.abs(path.contact) == STUCK
-    late = choose(side != 0, choose(stuck, release, late), 0.0)
+    time = choose(stuck, -push, (where - path.x) - path.x_low) / choose(stuck, change, closing)
+    time = time * choose(stuck, 1.0, 1.0 - 0.5 * bending * time / closing)
+    return choose(side != 0, time, 0.0)
+
+
+def strike(frame, path, side, late):
+    """The `Strike` of an event: rebound, rest, release; a lane without one keeps what it has."""
+    stuck = lax.abs(path.contact) == STUCK
+    cosine, sine = _turned(frame, path, late)
+    _, speed, push, change = surface(frame, choose(stuck, path.contact, side), cosine, sine)
+    pull, jerk = accelerations(frame, path.x, path.v, path.cosine, path.sine)
+    closing = side * (path.v + late * (pull + 0.5 * late * jerk) - speed)
+    bounce = chosen(side, frame.walls, [wall.restitution for wall in frame.walls])
+    leaving = bounce * closing
+    state = settle(frame, leaving, side * push, side * change)
+    ends = chatters(frame, leaving, side * push, bounce, chosen(side, frame.walls, frame.rushes), path.rest)
+    state = choose(stuck, RELEASED, choose(ends, STUCK, state))
+    return Strike(choose(stuck, 0.0, closing), choose(side != 0, side * state, path.contact))
+
+
+def part(frame, path, side, late, strike, time):
+    """The path after the event: a lane without one goes on, one that rests is kept to its wall."""
+    cosine, sine = _turned(frame, path, late)
+    stuck = lax.abs(path.contact) == STUCK
+    where, speed, _, _ = surface(frame, choose(stuck, path.contact, side), cosine, sine)
+    on = (side != 0) | stuck
+    leaving = chosen(side, frame.walls, [wall.restitution for wall in frame.walls]) * strike.speed
+    after = speed - side * choose(lax.abs(strike.contact) == LANDED, leaving, 0.0)
+    x, v = choose(on, where, path.x), choose(on, after, path.v)
+    moved = motion(frame, where, after, cosine, sine)
+    moved = Motion(*(choose(on, new, old) for new, old in zip(moved[:4], path.motion[:4], strict=True)), cosine, sine)
+    rest, rest_low = two_sum(path.rest, path.rest_low - late)
+    idle = (time > 0) & ~on
+    contact = choose(idle, 0.0, strike.contact)
+    rest = choose(path.rest == CAPPED, CAPPED, positive(rest))
+    return Path(x, choose(on, 0.0, path.x_low), v, moved, rest, rest_low, contact)
+
+
+def _turned(frame, path, late):
     angle = frame.frequency * late
-    cosine, sine = flow.turn(cosine, sine, -0.5 * angle * angle, angle)
-    return Meeting(late, v + late * (pull + 0.5 * late * jerk), cosine, sine)
-
-
-def part(frame, path, meeting, side, time):
-    """(the path after the event, the relative speed before it): rebound, rest, release, or nothing at all."""
-    stuck, hit = lax.abs(path.contact) == STUCK, side != 0
-    wall_side = choose(stuck, path.contact, side)
-    where, speed, push, change = surface(frame, wall_side, meeting.cosine, meeting.sine)
-    sign = choose(wall_side < 0, lax.full_like(side, -1.0), 1.0)
-    closing = sign * (meeting.v - speed)
-    leaving = chosen(wall_side, frame.walls, [wall.restitution for wall in frame.walls]) * closing
-    state = settle(frame, leaving, sign * push, sign * change)
-    state = choose(stuck, RELEASED, state)
-    idle = choose(stuck, path.contact, choose(time > 0, 0.0, path.contact))
-    contact = choose(hit, sign * state, idle)
-    on = hit | stuck
-    bounces = hit & (state == LANDED)
-    v = choose(bounces, speed - sign * leaving, choose(on, speed, path.v))
-    rest, rest_low = two_sum(path.rest, path.rest_low - meeting.late)
-    after = path._replace(
-        x=choose(on, where, path.x),
-        x_low=choose(on, 0.0, path.x_low),
-        v=v,
-        v_low=choose(on, 0.0, path.v_low),
-        cosine=meeting.cosine,
-        sine=meeting.sine,
-        rest=choose(rest > 0, rest, 0.0),
-        rest_low=rest_low,
-        contact=contact,
-    )
-    return after, choose(hit & ~stuck, closing, 0.0)
+    return flow.turn(path.cosine, path.sine, -0.5 * angle * angle, angle)
 
 
 def surface(frame, side, cosine, sine):
     """Position, speed, press and the press's change of the wall on a side."""
-    found = []
-    for wall in frame.walls:
-        where, speed = course(wall, frame.frequency, cosine, sine, 1)
-        speed = lax.full_like(where, 0.0) if speed is None else speed
-        push = press(wall, frame.force, frame.frequency, frame.damping, cosine, sine, 1)
-        found.append((where, speed, *push))
-    return tuple(chosen(side, frame.walls, values) for values in zip(*found, strict=True))
+    courses = [course(wall, frame.frequency, cosine, sine, 1) for wall in frame.walls]
+    where, speed = picked(side, frame.walls, courses)
+    presses = [press(wall, frame.force, frame.frequency, frame.damping, cosine, sine, 1) for wall in frame.walls]
+    return where, 0.0 if speed is None else speed, *picked(side, frame.walls, presses)
 
 
 def settle(frame, leaving, push, change):
@@ -96,3 +91,22 @@ def settle(frame, leaving, push, change):
     held = pressed | (none & (push == 0) & (change >= 0))
     free = choose(none & (push == 0), RELEASED, lax.full_like(push, LANDED))
     return choose(held, STUCK, free)
+
+
+def chatters(frame, leaving, push, bounce, rush, time):
+    """Whether all hops that follow, infinitely many, certainly end in so much time: complete chatter.
+
+    While the press stays within push (1 +- e), a hop that leaves with speed u rises for at most u / (push (1 - e)), to
+    h = u^2 / (2 push (1 - e)); it falls for at most sqrt(2) times that, if damping takes less than half of the press,
+    and hits with at most k u, k^2 = (push (1 + e) + h) / (push (1 - e)). The speeds fall at least like ((1 + R) / 2)^n
+    if R k <= (1 + R) / 2, which gives e, and the time of all hops is a geometric series.
+    """
+    fall = 0.25 * (1.0 + bounce) * (1.0 + bounce)
+    square = bounce * bounce
+    share = least((fall - square) / (fall + 2.0 * square), 0.5)
+    weak = push * (1.0 - share)
+    span, high = HOPS * leaving, leaving * leaving
+    time = time * weak * (1.0 - bounce)
+    small = (rush * span <= share * push * weak * (1.0 - bounce)) & (high <= 2.0 * share * push * weak)
+    clear = (high < weak * frame.gap) & (8.0 * frame.damping * leaving <= weak)
+    return (push > 0) & (leaving > 0) & (span <= time) & small & clear

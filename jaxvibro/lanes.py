@@ -1,7 +1,8 @@
 """How the compiler is asked to treat a block of lanes: hints that cost speed, never correctness, where it ignores them.
 
-Arithmetic here works on lanes of equal shape, scalars included. `jnp.where` and its kin are jitted functions of their
-own and would each become a loop of their own below an un-inlined call, so the lanes use `choose` and lax alone.
+Arithmetic here works on lanes of one shape and on scalars, the numbers that all lanes share. `jnp.where` and its kin
+are jitted functions of their own and would each become a loop of their own below an un-inlined call, so the lanes use
+`choose` and lax alone.
 """
 
 import jax
@@ -14,16 +15,30 @@ OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
 def choose(condition, yes, no):
-    """lax.select that takes Python numbers: yes where the condition holds, no elsewhere."""
-    like = yes if isinstance(yes, jax.Array) else no if isinstance(no, jax.Array) else None
-    dtype = jnp.result_type(float) if like is None else like.dtype
-    return lax.select(condition, _spread(yes, condition, dtype), _spread(no, condition, dtype))
+    """lax.select that takes Python numbers and broadcasts: yes where the condition holds, no elsewhere."""
+    arrays = [each for each in (yes, no) if isinstance(each, jax.Array)]
+    dtype = arrays[0].dtype if arrays else jnp.result_type(float)
+    shape = jnp.broadcast_shapes(condition.shape, *(each.shape for each in arrays))
+    return lax.select(*(_spread(*each, shape) for each in ((condition, bool), (yes, dtype), (no, dtype))))
 
 
-def _spread(value, condition, dtype):
-    if isinstance(value, jax.Array) and value.shape == condition.shape:
+def _spread(value, dtype, shape):
+    if isinstance(value, jax.Array) and value.shape == shape:
         return value
-    return lax.broadcast(lax.convert_element_type(value, dtype), condition.shape)
+    return jnp.broadcast_to(lax.convert_element_type(value, dtype), shape)
+
+
+def mask(condition, like):
+    """The lanes where a condition holds, for `merge`: all bits set or none, as wide as the numbers of `like`."""
+    whole = jnp.int64 if like.dtype == jnp.float64 else jnp.int32
+    return lax.neg(lax.convert_element_type(condition, whole))
+
+
+def merge(mask, new, old):
+    """new where the mask's bits are set, else old: for what a loop carries, as `choose` in place is a masked store,
+    ten times as slow on some machines. The mask is to be the result of a `stage`."""
+    bits = [lax.bitcast_convert_type(each, mask.dtype) for each in (new, old)]
+    return lax.bitcast_convert_type((bits[0] & mask) | (bits[1] & ~mask), old.dtype)
 
 
 def positive(a):

@@ -1,4 +1,4 @@
-"""What a path leaves behind: its impacts in slots, its closest calls, and how far it has come."""
+"""What a path leaves behind: its impacts in slots, and how far it has come."""
 
 from typing import NamedTuple
 
@@ -6,70 +6,75 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from .lanes import choose, least
+from .lanes import choose, least, mask, merge, stage
 
-HEAD = 4  # slots that most lanes do with: the others are touched only where one needs more
+RECENT = 4  # impacts kept at hand; the slots are touched only where a lane has more, and at the end
 
 
 class Log(NamedTuple):
-    """Slots first, then lanes. times, speeds: of the impacts, the speed with its wall's sign; clearance: the least
-    measured, call: the turning points still to be (see `clearance`)."""
+    """times, speeds: of the recent impacts, the speed with its wall's sign; held: how many of them; count: of all
+    (floats like the rest, as mixed types are slow); end: when the time to go is used up; steps: taken so far, one
+    number for all lanes."""
 
     times: tuple[jax.Array, ...]
     speeds: tuple[jax.Array, ...]
+    held: jax.Array
     count: jax.Array
     least_speed: jax.Array
-    clearance: jax.Array
-    call: tuple
-    periods: jax.Array
-    turns: jax.Array
+    end: jax.Array
     steps: jax.Array
 
 
-def empty(lanes, slots, periods, call):
-    """A log of no impacts for lanes like these."""
-    parts = [part for part in (min(slots, HEAD), slots - min(slots, HEAD)) if part]
-    none, whole = jnp.full_like(lanes, jnp.inf), jnp.zeros_like(lanes, dtype=jnp.int32)
-    return Log(
-        tuple(jnp.full((part, *lanes.shape), jnp.inf, lanes.dtype) for part in parts),
-        tuple(jnp.zeros((part, *lanes.shape), lanes.dtype) for part in parts),
-        whole,
-        none,
-        none,
-        call,
-        whole + periods,
-        whole + periods,
-        whole,
-    )
+class Slots(NamedTuple):
+    """Times and speeds of all impacts, lanes first, slots last."""
+
+    times: jax.Array
+    speeds: jax.Array
 
 
-def write(log, hit, side, speed, time, seen, going):
-    """The log with one step more: of each lane that is going, an impact where it hit."""
-    times, speeds, start = [], [], 0
-    for old_times, old_speeds in zip(log.times, log.speeds, strict=True):
-        slots = lax.broadcasted_iota(jnp.int32, old_times.shape, 0) + start
-        here = (slots == log.count) & hit
+def empty(lanes, slots, end):
+    """(log, slots) of no impacts for lanes like these."""
+    none, never = jnp.zeros_like(lanes), jnp.full_like(lanes, jnp.inf)
+    recent = min(RECENT, slots)
+    log = Log((never,) * recent, (none,) * recent, none, none, never, end, jnp.zeros((), lanes.dtype))
+    shape = (*lanes.shape, slots)
+    return log, Slots(jnp.full(shape, jnp.inf, lanes.dtype), jnp.zeros(shape, lanes.dtype))
 
-        def put(here=here, old_times=old_times, old_speeds=old_speeds):
-            def spread(value):
-                return jnp.broadcast_to(value, old_times.shape)
 
-            return lax.select(here, spread(time), old_times), lax.select(here, spread(side * speed), old_speeds)
-
-        def keep(old_times=old_times, old_speeds=old_speeds):
-            return old_times, old_speeds
-
-        late = start and lax.cond(jnp.any(hit & (log.count >= start)), put, keep)
-        new_times, new_speeds = late or put()
-        times.append(new_times)
-        speeds.append(new_speeds)
-        start += old_times.shape[0]
+def write(log, side, speed, rest):
+    """The log with one step more: an impact of each lane with a side, with so much time to go."""
+    time, signed, slower, *places = stage(_due, log, side, speed, rest)
     return log._replace(
-        times=tuple(times),
-        speeds=tuple(speeds),
-        count=log.count + hit.astype(jnp.int32),
-        least_speed=choose(hit, least(speed, log.least_speed), log.least_speed),
-        call=seen[0],
-        clearance=seen[1],
-        steps=log.steps + going.astype(jnp.int32),
+        times=tuple(merge(*each) for each in zip(places, [time] * RECENT, log.times, strict=False)),
+        speeds=tuple(merge(*each) for each in zip(places, [signed] * RECENT, log.speeds, strict=False)),
+        held=log.held + lax.abs(side),
+        count=log.count + lax.abs(side),
+        least_speed=slower,
+        steps=log.steps + 1.0,
     )
+
+
+def _due(log, side, speed, rest):
+    hit = side != 0
+    places = [mask(hit & (log.held == k), speed) for k in range(len(log.times))]
+    return log.end - rest, side * speed, choose(hit, least(speed, log.least_speed), log.least_speed), *places
+
+
+def is_full(log):
+    """The lanes that hold as many impacts as they can: then `pour` is due."""
+    return log.held >= RECENT
+
+
+def pour(log, slots):
+    """(log, slots) with the impacts at hand put into their slots, and nothing into those that follow."""
+    last = slots.times.ndim - 1
+    place = lax.broadcasted_iota(log.count.dtype, slots.times.shape, last)
+    place = place - lax.expand_dims(log.count - log.held, [last])
+
+    def put(recent, empty, old):
+        for k, each in enumerate(recent):
+            old = choose(place == k, lax.expand_dims(choose(log.held > k, each, empty), [last]), old)
+        return old
+
+    slots = Slots(put(log.times, jnp.inf, slots.times), put(log.speeds, 0.0, slots.speeds))
+    return log._replace(held=jnp.zeros_like(log.held)), slots

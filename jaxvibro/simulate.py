@@ -6,11 +6,12 @@ import numpy as np
 import xarray as xr
 from jax import lax
 
-from . import check, clearance, log
+from . import check, journey
 from .entry import enter
 from .frame import frame
 from .lanes import choose
-from .strobe import CAP, STATUS, finish, real_state, travel
+from .path import CAPPED
+from .strobe import CAP, OK, STATUS, finish, real_state
 
 SLOTS = 1024
 
@@ -37,28 +38,22 @@ def simulate(scene, state, periods=1, samples=200):
 
 
 def _sampled(scene, state, periods, samples):
-    built = frame(scene, ())
-    path, valid, finite = enter(built, state)
-    book = log.empty(path.x, SLOTS, 1, clearance.nothing(built))
+    built = frame(scene)
+    path, fault = enter(built, state)
+    span = choose(fault == OK, built.period / samples, 0.0)
+    limit = journey.cap(built, periods * samples)
     angles = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
-    span = choose(valid & finite, built.period / samples, 0.0)
 
-    def sample(carry, step):
-        angle, past = step
-        path, book = carry
-        path = path._replace(cosine=jnp.cos(angle), sine=jnp.sin(angle), rest=span)
-        at = path.x, path.v
-        # a log's times count from one period before the rest is used up: here from the sample's start
-        path, book = lax.while_loop(
-            lambda c: c[0].rest > 0, lambda c: travel(built, *c, begun=past + span), (path, book)
-        )
-        return (path, book._replace(steps=jnp.zeros_like(book.steps))), at
+    def sample(told, step):
+        angle, end = step
+        turned = told.path.motion._replace(cosine=jnp.cos(angle), sine=jnp.sin(angle))
+        path = told.path._replace(motion=turned, rest=choose(told.path.rest == CAPPED, CAPPED, span))
+        return journey.run(built, told._replace(path=path, log=told.log._replace(end=end)), limit), (path.x, path.v)
 
-    past = span * jnp.arange(periods * samples)
-    (path, book), (x, v) = lax.scan(sample, (path, book), (angles[:-1], past))
-    book = book._replace(clearance=clearance.close(built, book.call, book.clearance))
-    _, impacts = finish(path, book, state, valid, finite, SLOTS, jnp.full_like(path.x, jnp.inf))
-    return jnp.append(x, path.x), jnp.append(v, path.v), angles, impacts
+    ends = span * jnp.arange(1, periods * samples + 1)
+    told, (x, v) = lax.scan(sample, journey.begin(built, path, SLOTS, ends[0]), (angles[:-1], ends))
+    _, impacts = finish(told, state, fault)
+    return jnp.append(x, told.path.x), jnp.append(v, told.path.v), angles, impacts
 
 
 _trace = jax.jit(_sampled, static_argnums=(2, 3))

@@ -1,28 +1,21 @@
-"""The stroboscopic map: the state one or more drive periods later, and the impacts on the way.
-
-One flat loop over a block of lanes: at each turn every lane flies a step, lands and rebounds, or is done.
-"""
+"""The stroboscopic map: the state one or more drive periods later, and the impacts on the way."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from . import check, clearance, log
-from .entry import enter
-from .flight import micro
+from . import check, journey
+from .entry import CAP, FULL, NONFINITE, OK, enter
 from .frame import frame
 from .impact import STUCK
-from .lanes import OPTIONS, WIDTH, choose, one_kernel
+from .lanes import OPTIONS, WIDTH, choose, one_kernel, stage
+from .path import CAPPED
 
-OK, FULL, CAP, INVALID, NONFINITE = range(5)
 STATUS = ("ok", "full", "cap", "invalid", "nonfinite")
-IMPACTS = 1000  # of one lane in one period, the cap
-STEPS = 8  # times the steps that a flight alone would take, the cap on the rest
-MOST_STEPS = 1e6  # of one lane in one period: more would be a hang
 
 
 @jax.tree_util.register_dataclass
@@ -96,19 +89,32 @@ def _strobe(scene, state, periods, slots):
     if not shape:
         return run(scene, state)
     count = math.prod(shape)
-    width = min(WIDTH, 1 << (count - 1).bit_length()) if count else 1
-    blocks = -(-count // width)
+    total = max(count, WIDTH)  # whatever the batch, a block is the same kernel: a lane's digits do not depend on others
+    leaves, tree = jax.tree.flatten((scene, replace(state, x=jnp.broadcast_to(state.x, shape))))
 
-    def block(leaf):
+    def spread(leaf):
         flat = jnp.broadcast_to(leaf, shape).reshape(count)
-        return jnp.pad(flat, (0, blocks * width - count), mode="edge").reshape(blocks, width)
+        return jnp.pad(flat, (0, total - count), mode="edge" if count else "constant")
 
-    def unblock(leaf):
-        flat = jnp.moveaxis(leaf, 1, -1) if leaf.ndim == 3 else leaf
-        return flat.reshape(blocks * width, *leaf.shape[1:-1])[:count].reshape(*shape, *leaf.shape[1:-1])
+    leaves = [spread(leaf) if jnp.shape(leaf) else leaf for leaf in leaves]  # one number for all lanes stays one
 
-    out = lax.map(lambda lanes: run(*lanes), jax.tree.map(block, (scene, state)))
-    return jax.tree.map(unblock, out)
+    def put(block, out):
+        start = jnp.minimum(block * WIDTH, total - WIDTH)  # the last block may repeat lanes of the one before
+        lanes = [lax.dynamic_slice_in_dim(leaf, start, WIDTH) if jnp.shape(leaf) else leaf for leaf in leaves]
+        done = run(*tree.unflatten(lanes))
+        return jax.tree.map(lambda whole, part: lax.dynamic_update_slice_in_dim(whole, part, start, 0), out, done)
+
+    out = lax.fori_loop(0, -(-total // WIDTH), put, _blank(total, slots, scene.dtype))
+    return jax.tree.map(lambda part: part[:count].reshape(*shape, *part.shape[1:]), out)
+
+
+def _blank(count, slots, dtype):
+    """Results to fill in; arrays of one content would be filled once and copied, so times begin as they end, empty."""
+    none = jnp.zeros(count, dtype)
+    whole = jnp.zeros(count, jnp.int32)
+    times, speeds = jnp.full((count, slots), jnp.inf, dtype), jnp.zeros((count, slots), dtype)
+    sides = jnp.zeros((count, slots), jnp.int8)
+    return State(none, none, none, none), Impacts(times, sides, speeds, whole, none, none, whole)
 
 
 _inner = jax.jit(_strobe, static_argnums=(2, 3))
@@ -116,63 +122,50 @@ _outer = jax.jit(_strobe, static_argnums=(2, 3), compiler_options=OPTIONS)
 
 
 def _lanes(scene, state, periods, slots):
-    """The strobe of scene and state whose numbers all have one shape; slots come first."""
-    built = frame(scene, jnp.shape(state.x))
-    path, valid, finite = enter(built, state)
-    start = path
-    path = path._replace(rest=choose(valid & finite, built.period, 0.0))
-    book = log.empty(path.x, slots, periods, clearance.nothing(built))
-    cap = 4.0 * IMPACTS + jnp.minimum(STEPS * built.period / built.reach, MOST_STEPS)
-
-    def going(carry):
-        return jnp.any(carry[0].rest > 0)
-
-    def turn(carry):
-        path, book = travel(built, *carry)
-        over = (path.rest == 0) & (book.turns > 1)
-        path = jax.tree.map(partial(choose, over), _again(built, start, path), path)
-        full = (book.count >= IMPACTS * periods) | (book.steps.astype(cap.dtype) > cap * periods)
-        path = path._replace(rest=choose(full, 0.0, path.rest))
-        return path, book._replace(turns=book.turns - over.astype(jnp.int32))
-
-    path, book = lax.while_loop(going, turn, (path, book))
-    book = book._replace(clearance=clearance.close(built, book.call, book.clearance))
-    return finish(path, book, state, valid, finite, slots, cap)
+    """The strobe of scene and state whose numbers are scalars or of one shape."""
+    built = frame(scene)
+    path, fault = stage(enter, built, state)
+    start = path.motion
+    path = path._replace(rest=choose(fault == OK, built.period, 0.0))
+    end = built.period if periods == 1 else built.period + lax.full_like(path.x, 0.0)
+    limit = journey.cap(built, periods)
+    again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
+    told = journey.run(built, journey.begin(built, path, slots, end), limit, again)
+    return finish(told, state, fault)
 
 
-def _again(frame, start, path):
-    """The path at the start of its next period, its drive turned back by what rounding left of the last one."""
+def _again(frame, start, last, told):
+    """A path that has ended a period begins the next, its drive turned back by what rounding left of the last one."""
+    path, book = told.path, told.log
+    over = (path.rest == 0) & (book.end < last)
     low = path.rest_low + frame.period_low
     angle = -frame.frequency * low
     cosine, sine = start.cosine - angle * start.sine, start.sine + angle * start.cosine
-    return path._replace(cosine=cosine, sine=sine, rest=frame.period, rest_low=low)
+    turned = path.motion._replace(cosine=choose(over, cosine, path.cosine), sine=choose(over, sine, path.sine))
+    rest, low = choose(over, frame.period, path.rest), choose(over, low, path.rest_low)
+    path = path._replace(motion=turned, rest=rest, rest_low=low)
+    end = choose(over, book.end + frame.period, book.end)
+    return told._replace(path=path, log=book._replace(end=end))
 
 
-def travel(frame, path, book, begun=None):
-    """One step of the lanes, written into the log; begun: the time at which the time to go is used up."""
-    step = micro(frame, path)
-    hit = (step.side != 0) & (abs(path.contact) != STUCK)
-    if begun is None:
-        begun = (book.periods - book.turns + 1).astype(path.rest.dtype) * frame.period
-    time = begun - step.path.rest
-    seen = clearance.note(frame, path, step, book.call, book.clearance)
-    return step.path, log.write(book, hit, step.side, step.speed, time, seen, path.rest > 0)
-
-
-def finish(path, book, state, valid, finite, slots, cap):
-    """(State, Impacts) of a path at its end."""
-    count = book.count
-    capped = (count >= IMPACTS * book.periods) | (book.steps.astype(cap.dtype) > cap * book.periods)
-    status = choose(count > slots, lax.full_like(count, FULL), OK)
-    status = choose(capped, lax.full_like(count, CAP), status)
-    status = choose(valid, status, INVALID)
-    status = choose(finite & (jnp.isfinite(path.x) & jnp.isfinite(path.v) | ~valid), status, NONFINITE)
+def finish(told, state, fault):
+    """(State, Impacts) of a journey at its end."""
+    path, book, slots, calls = told
+    status = choose(book.count > slots.times.shape[-1], lax.full_like(book.count, FULL), OK)
+    status = choose(path.rest == CAPPED, CAP, status)
+    status = choose(jnp.isfinite(path.x) & jnp.isfinite(path.v), status, NONFINITE)
+    status = choose(fault == OK, status, fault)
     good = status < CAP
     contact = jnp.sign(path.contact) * choose(abs(path.contact) == STUCK, STUCK, abs(jnp.sign(path.contact)))
-    end = State(choose(good, path.x, jnp.nan), choose(good, path.v, jnp.nan), state.phase, choose(good, contact, 0.0))
-    times, speeds = (
-        jnp.concatenate(parts) if parts else jnp.zeros((0, *path.x.shape), path.x.dtype)
-        for parts in (book.times, book.speeds)
+    phase = jnp.broadcast_to(state.phase, status.shape)
+    end = State(choose(good, path.x, jnp.nan), choose(good, path.v, jnp.nan), phase, choose(good, contact, 0.0))
+    none = jnp.full_like(path.x, jnp.inf)
+    return end, Impacts(
+        time=slots.times,
+        side=(slots.speeds > 0).astype(jnp.int8) - (slots.speeds < 0).astype(jnp.int8),
+        speed=abs(slots.speeds),
+        count=book.count.astype(jnp.int32),
+        least_speed=book.least_speed,
+        least_clearance=none if calls is None else calls.least,
+        status=status.astype(jnp.int32),
     )
-    sides = jnp.sign(speeds).astype(jnp.int32)
-    return end, Impacts(times, sides, abs(speeds), count, book.least_speed, book.clearance, status)

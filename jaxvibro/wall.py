@@ -11,7 +11,7 @@ from .lanes import choose
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Lane:
-    """One wall, broadcast over the lanes: x_b = position + swing cos(harmonic omega t + phase).
+    """One wall, its numbers scalars or lanes: x_b = position + swing cos(harmonic omega t + phase).
 
     sign: -1 for the left wall, +1 for the right; swing: None where it stands still; cosine, sine: of its phase.
     """
@@ -25,19 +25,18 @@ class Lane:
     harmonic: int = field(default=1, metadata={"static": True})
 
 
-def lane(wall, restitution, sign, shape, dtype):
+def lane(wall, restitution, sign, dtype):
     """The `Lane` of a scene's wall; restitution: the scene's, for a wall without its own."""
 
-    def spread(value):
-        return jnp.broadcast_to(jnp.asarray(value, dtype), shape)
+    def number(value):
+        return jnp.asarray(value, dtype)
 
-    own = spread(restitution if wall.restitution is None else wall.restitution)
+    position, own = number(wall.position), number(restitution if wall.restitution is None else wall.restitution)
     motion = wall.motion
     if motion is None:
-        return Lane(spread(wall.position), own, None, None, None, sign)
-    phase = spread(motion.phase)
-    swing = spread(motion.amplitude)
-    return Lane(spread(wall.position), own, swing, jnp.cos(phase), jnp.sin(phase), sign, motion.harmonic)
+        return Lane(position, own, None, None, None, sign)
+    phase = number(motion.phase)
+    return Lane(position, own, number(motion.amplitude), jnp.cos(phase), jnp.sin(phase), sign, motion.harmonic)
 
 
 def extent(wall):
@@ -91,18 +90,23 @@ def press(wall, force, frequency, damping, cosine, sine, order):
     return found
 
 
-def tail(wall, force, frequency, damping):
-    """A bound on the seventh derivative of `press`, and of the wall's own position: (lanes, lanes)."""
-    bound = abs(force) * frequency**7
+def tail(wall, force, frequency, damping, order):
+    """A bound on a derivative of `press`, and of the wall's own position: (number, number)."""
+    bound = abs(force) * frequency**order
     if wall.swing is None:
         return bound, jnp.zeros_like(bound)
     rate = frequency * float(wall.harmonic)
-    own = abs(wall.swing) * rate**7
+    own = abs(wall.swing) * rate**order
     return bound + own * (1.0 + 2.0 * damping * rate + rate * rate), own
 
 
 def chosen(side, walls, values):
-    """The value that belongs to the wall on a side (-1, +1): values in the order of the walls."""
-    if len(walls) == 1:
+    """The value that belongs to the wall on a side (-1, +1): values in the order of the walls; None stands for zero."""
+    if len(walls) == 1 or all(value is None for value in values):
         return values[0]
-    return choose(side < 0, values[0], values[1])
+    return choose(side < 0, *(0.0 if value is None else value for value in values))
+
+
+def picked(side, walls, lists):
+    """`chosen` for each place of some lists, one list a wall."""
+    return [chosen(side, walls, values) for values in zip(*lists, strict=True)]

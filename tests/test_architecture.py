@@ -10,8 +10,20 @@ FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROO
 # A file imports only from files named before it; `plot` stands for all files of that folder.
 ORDER = [
     *("gap", "check", "scene", "physical", "whole", "tables", "scenefile"),
-    *("lanes", "flow", "wall", "event", "impact", "frame", "flight", "log", "clearance", "entry", "strobe"),
-    *("simulate", "itinerary", "place", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
+    *("lanes", "flow", "path", "wall", "event", "impact", "frame", "flight", "log", "clearance", "entry", "journey"),
+    *(
+        "strobe",
+        "simulate",
+        "itinerary",
+        "place",
+        "sweep",
+        "starts",
+        "trail",
+        "exponent",
+        "meetings",
+        "recurrence",
+        "settling",
+    ),
     *("evidence", "attractors", "plot", "study", "stretch", "data", "report", "picture", "run"),
     *("cache", "starter", "command", "__main__"),
 ]
