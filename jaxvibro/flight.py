@@ -17,13 +17,13 @@ SLOW = 0.25  # of the speed that the acceleration makes over the longest step
 
 
 class Step(NamedTuple):
-    """What a step did: its time, the path before any impact and after, the side of the impact (0: none), its speed."""
+    """What a step did: its time, the path before any impact and after, the side of the impact (0: none), the strike."""
 
     time: jax.Array
     flown: Path
     path: Path
     side: jax.Array
-    speed: jax.Array
+    strike: impact.Strike
 
 
 def micro(frame, path):
@@ -32,7 +32,7 @@ def micro(frame, path):
         time = least(frame.reach, path.rest)
         flown = _advance(frame, path, time)
         none = lax.full_like(path.x, 0.0)
-        return Step(time, flown, flown, none, none)
+        return Step(time, flown, flown, none, impact.Strike(none, none, none))
     derivatives = jet(frame, path.x, path.v, path.cosine, path.sine, event.TERMS)
     side = stage(_side, frame, path, *derivatives[2:4])
     ahead = stage(_progress, frame, path, derivatives, side)
@@ -53,7 +53,7 @@ def micro(frame, path):
     late = stage(impact.late, frame, flown, hit)
     strike = stage(impact.strike, frame, flown, hit, late)
     after = stage(impact.part, frame, flown, hit, late, strike, time)
-    return Step(time, flown, after, hit, strike.speed)
+    return Step(time, flown, after, hit, strike)
 
 
 def _side(frame, path, pull, jerk):

@@ -11,13 +11,15 @@ from .path import CAPPED, Motion, Path, accelerations, motion
 from .wall import chosen, course, less, picked, press
 
 LANDED, STUCK, RELEASED = 1.0, 2.0, 3.0
+ENDLESS = -1.0  # the least speed of a chatter
 HOPS = 4.85  # 2 (1 + sqrt(2)), and for rounding
 
 
 class Strike(NamedTuple):
-    """What an event does: the speed against the wall before it, and the contact after it."""
+    """What an event does: the speed against the wall before it, the least speed that follows, the contact after it."""
 
     speed: jax.Array
+    least: jax.Array
     contact: jax.Array
 
 
@@ -46,7 +48,8 @@ def strike(frame, path, side, late):
     state = settle(frame, leaving, side * push, side * change)
     ends = chatters(frame, leaving, side * push, bounce, chosen(side, frame.walls, frame.rushes), path.rest)
     state = choose(stuck, RELEASED, choose(ends, STUCK, state))
-    return Strike(choose(stuck, 0.0, closing), choose(side != 0, side * state, path.contact))
+    least_speed = choose((state == STUCK) & (leaving > 0), ENDLESS, closing)
+    return Strike(choose(stuck, 0.0, closing), least_speed, choose(side != 0, side * state, path.contact))
 
 
 def part(frame, path, side, late, strike, time):

@@ -41,9 +41,9 @@ def empty(lanes, slots, end):
     return log, Slots(jnp.full(shape, jnp.inf, lanes.dtype), jnp.zeros(shape, lanes.dtype))
 
 
-def write(log, side, speed, rest):
-    """The log with one step more: an impact of each lane with a side, with so much time to go."""
-    time, signed, slower, *places = stage(_due, log, side, speed, rest)
+def write(log, side, strike, rest):
+    """The log with one step more: the `impact.Strike` of each lane with a side, with so much time to go."""
+    time, signed, slower, *places = stage(_due, log, side, strike, rest)
     return log._replace(
         times=tuple(merge(*each) for each in zip(places, [time] * RECENT, log.times, strict=False)),
         speeds=tuple(merge(*each) for each in zip(places, [signed] * RECENT, log.speeds, strict=False)),
@@ -54,10 +54,15 @@ def write(log, side, speed, rest):
     )
 
 
-def _due(log, side, speed, rest):
+def _due(log, side, strike, rest):
     hit = side != 0
-    places = [mask(hit & (log.held == k), speed) for k in range(len(log.times))]
-    return log.end - rest, side * speed, choose(hit, least(speed, log.least_speed), log.least_speed), *places
+    places = [mask(hit & (log.held == k), rest) for k in range(len(log.times))]
+    return (
+        log.end - rest,
+        side * strike.speed,
+        choose(hit, least(strike.least, log.least_speed), log.least_speed),
+        *places,
+    )
 
 
 def is_full(log):

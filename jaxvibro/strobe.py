@@ -12,7 +12,7 @@ from . import check, journey
 from .entry import CAP, FULL, NONFINITE, OK, enter
 from .frame import frame
 from .impact import STUCK
-from .lanes import OPTIONS, WIDTH, choose, one_kernel, stage
+from .lanes import OPTIONS, WIDTH, choose, one_kernel, positive, stage
 from .path import CAPPED
 
 STATUS = ("ok", "full", "cap", "invalid", "nonfinite")
@@ -42,6 +42,9 @@ class Impacts:
     turning point of x - x_b towards it, inf if none; status: 0 OK, 1 FULL (more impacts than slots; the state is
     right), 2 CAP (1,000 impacts or a million steps in a period), 3 INVALID (a bad scene, or a start beyond a wall),
     4 NONFINITE (a number that is not finite, or lengths beyond 1e-123 to 1e123); from CAP on the state is nan.
+
+    A mass whose hops certainly all end, infinitely many in a finite time, is put to rest on its wall: complete chatter.
+    The hops up to there are recorded and counted, least_speed is 0, the status FULL.
     """
 
     time: jax.Array
@@ -151,7 +154,8 @@ def _again(frame, start, last, told):
 def finish(told, state, fault):
     """(State, Impacts) of a journey at its end."""
     path, book, slots, calls = told
-    status = choose(book.count > slots.times.shape[-1], lax.full_like(book.count, FULL), OK)
+    full = (book.count > slots.times.shape[-1]) | (book.least_speed < 0)
+    status = choose(full, lax.full_like(book.count, FULL), OK)
     status = choose(path.rest == CAPPED, CAP, status)
     status = choose(jnp.isfinite(path.x) & jnp.isfinite(path.v), status, NONFINITE)
     status = choose(fault == OK, status, fault)
@@ -165,7 +169,7 @@ def finish(told, state, fault):
         side=(slots.speeds > 0).astype(jnp.int8) - (slots.speeds < 0).astype(jnp.int8),
         speed=abs(slots.speeds),
         count=book.count.astype(jnp.int32),
-        least_speed=book.least_speed,
+        least_speed=positive(book.least_speed),
         least_clearance=none if calls is None else calls.least,
         status=status.astype(jnp.int32),
     )

@@ -192,6 +192,37 @@ def test_full_slots_leave_the_state_right(lanes):
     assert np.array_equal(told.time[:, 0], impacts.time[:, 0])
 
 
+def test_complete_chatter_ends_at_rest():
+    # the press 0.3 cos(theta) + 1 on the right wall never ends: hops die out like 0.6^n and the mass stays
+    scene = jv.make_scene(0.3, 0.5, 0.1, 0.6, (None, -1.0))
+    end, impacts = jv.strobe(scene, jv.State(-1.2, 0.3), slots=16)
+    gaps = np.diff(np.asarray(impacts.time)[: impacts.count])
+    assert 4 < impacts.count < 16
+    assert np.all(np.abs(gaps[1:] / gaps[:-1] - 0.6) < 0.05)
+    assert impacts.speed[impacts.count - 1] > 1e-4
+    assert impacts.least_speed == 0
+    assert impacts.status == 1
+    assert (end.x, end.v, end.contact) == (-1.0, 0.0, 2.0)
+
+
+def test_hops_that_outlast_the_period_are_no_chatter():
+    scene = jv.make_scene(0.3, 0.5, 0.1, 0.97, (None, -1.0))
+    end, impacts = jv.strobe(scene, jv.State(-1.2, 0.3), slots=64)
+    assert impacts.count > 5
+    assert impacts.least_speed > 0.05
+    assert end.x < -1.0
+
+
+def test_a_lane_that_is_given_up_harms_no_other():
+    scene = jv.make_scene(3.0, 0.05, 0.0, 1.0, (None, 1.0))
+    start = jv.State(np.array([1.0, 0.3, -0.5]), np.array([-1e-6, -2.0, 1.0]))
+    _, impacts = jv.strobe(scene, start, slots=2)
+    assert impacts.status[0] == 2
+    alone = [jv.strobe(scene, jv.State(start.x[k], start.v[k]), slots=2)[1].status for k in (1, 2)]
+    assert np.array_equal(impacts.status[1:], alone)
+    assert max(alone) < 2
+
+
 def test_elastic_chatter_ends_with_a_status():
     scene = jv.make_scene(3.0, 0.05, 0.0, 1.0, (None, 1.0))
     end, impacts = jv.strobe(scene, jv.State(1.0, -1e-6), slots=2)
