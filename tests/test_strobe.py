@@ -197,9 +197,9 @@ def test_complete_chatter_ends_at_rest():
     scene = jv.make_scene(0.3, 0.5, 0.1, 0.6, (None, -1.0))
     end, impacts = jv.strobe(scene, jv.State(-1.2, 0.3), slots=16)
     gaps = np.diff(np.asarray(impacts.time)[: impacts.count])
-    assert 4 < impacts.count < 16
+    assert 3 <= impacts.count < 8
     assert np.all(np.abs(gaps[1:] / gaps[:-1] - 0.6) < 0.05)
-    assert impacts.speed[impacts.count - 1] > 1e-4
+    assert impacts.speed[impacts.count - 1] > 0.1
     assert impacts.least_speed == 0
     assert impacts.status == 1
     assert (end.x, end.v, end.contact) == (-1.0, 0.0, 2.0)
