@@ -15,6 +15,7 @@ from .impact import STUCK
 from .lanes import OPTIONS, WIDTH, choose, one_kernel, positive, stage
 from .path import CAPPED
 
+LEAST = 16  # lanes of a block: fewer are compiled in another way, and differ by a rounding
 STATUS = ("ok", "full", "cap", "invalid", "nonfinite")
 
 
@@ -86,13 +87,14 @@ def real_state(scene, state):
     return State(*found)
 
 
-def _strobe(scene, state, periods, slots):
+def _strobe(scene, state, periods, slots, least):
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     run = partial(one_kernel, partial(_lanes, periods=periods, slots=slots))
     if not shape:
         return run(scene, state)
     count = math.prod(shape)
-    total = max(count, WIDTH)  # whatever the batch, a block is the same kernel: a lane's digits do not depend on others
+    width = min(WIDTH, max(least, 1 << (count - 1).bit_length()))
+    total = max(count, width)
     leaves, tree = jax.tree.flatten((scene, replace(state, x=jnp.broadcast_to(state.x, shape))))
 
     def spread(leaf):
@@ -102,12 +104,12 @@ def _strobe(scene, state, periods, slots):
     leaves = [spread(leaf) if jnp.shape(leaf) else leaf for leaf in leaves]  # one number for all lanes stays one
 
     def put(block, out):
-        start = jnp.minimum(block * WIDTH, total - WIDTH)  # the last block may repeat lanes of the one before
-        lanes = [lax.dynamic_slice_in_dim(leaf, start, WIDTH) if jnp.shape(leaf) else leaf for leaf in leaves]
+        start = jnp.minimum(block * width, total - width)  # the last block may repeat lanes of the one before
+        lanes = [lax.dynamic_slice_in_dim(leaf, start, width) if jnp.shape(leaf) else leaf for leaf in leaves]
         done = run(*tree.unflatten(lanes))
         return jax.tree.map(lambda whole, part: lax.dynamic_update_slice_in_dim(whole, part, start, 0), out, done)
 
-    out = lax.fori_loop(0, -(-total // WIDTH), put, _blank(total, slots, scene.dtype))
+    out = lax.fori_loop(0, -(-total // width), put, _blank(total, slots, scene.dtype))
     return jax.tree.map(lambda part: part[:count].reshape(*shape, *part.shape[1:]), out)
 
 
@@ -120,8 +122,8 @@ def _blank(count, slots, dtype):
     return State(none, none, none, none), Impacts(times, sides, speeds, whole, none, none, whole)
 
 
-_inner = jax.jit(_strobe, static_argnums=(2, 3))
-_outer = jax.jit(_strobe, static_argnums=(2, 3), compiler_options=OPTIONS)
+_inner = jax.jit(partial(_strobe, least=1), static_argnums=(2, 3))
+_outer = jax.jit(partial(_strobe, least=LEAST), static_argnums=(2, 3), compiler_options=OPTIONS)
 
 
 def _lanes(scene, state, periods, slots):
