@@ -12,14 +12,15 @@ import jax.numpy as jnp
 from jax import lax
 
 from . import event, impact
-from .lanes import choose, least, mask, merge, stage
+from .lanes import choose, least, mask, merge, most, stage
 from .path import Motion, accelerations, jet, moved, place
 from .wall import course, less, picked
 
 TERMS = 9  # of the Taylor polynomial of x, an odd number
-ROUNDS = 4  # of Newton's steps on it
+ROUNDS = 8  # of Newton's steps on it
 NEAR = 1e-3  # of the longest step: how good its root must be
-DOUBT = 0.01  # how far a cubic through the speeds of a step's ends may be off between, over the accelerations' change
+AHEAD = 1.8  # of Newton's first step from an end, no more: between two turns it would lead to the other
+DOUBT = 0.05  # how far a cubic through the speeds of a step's ends may be off between, over the accelerations' change
 
 
 class Turn(NamedTuple):
@@ -122,12 +123,13 @@ def _mark(frame, path, flown, time):
         single = choose(a < 0, choose(b < 0, u / (u - w), 0.0), 1.0)
         first = near == way
         root = lax.sqrt(lax.abs(crest / (crest - choose(first, u, w))))
-        double = share + choose(first, -share, 1.0 - share) * root
+        early, late = least(share - share * root, AHEAD * u / (-a * time)), share + (1.0 - share) * root
+        late = most(late, 1.0 - AHEAD * w / (b * time))
         sign = choose(once, way, near)
         here = free & (once | twice) & (clear < nearest)
         if len(walls) == 1:
             here &= sign == float(walls[0].sign)
-        mark = choose(here, sign * (time * choose(once, single, double) + frame.reach), mark)
+        mark = choose(here, sign * (time * choose(once, single, choose(first, early, late)) + frame.reach), mark)
         nearest = choose(here, clear, nearest)
     return mark
 
