@@ -2,11 +2,12 @@
 
 import math
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jax.custom_batching import custom_vmap
 
 from . import check, journey
 from .entry import CAP, FULL, NONFINITE, OK, enter
@@ -70,7 +71,7 @@ def strobe(scene, state, periods=1, slots=32):
     periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 0)
     state = real_state(scene, state)
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, state)))
-    return (_inner if traced else _outer)(scene, state, periods, slots)
+    return (_within if traced else _outer)(scene, state, periods, slots)
 
 
 def real_state(scene, state):
@@ -124,6 +125,38 @@ def _blank(count, slots, dtype):
 
 _inner = jax.jit(partial(_strobe, least=1), static_argnums=(2, 3))
 _outer = jax.jit(partial(_strobe, least=LEAST), static_argnums=(2, 3), compiler_options=OPTIONS)
+
+
+def _within(scene, state, periods, slots):
+    """The strobe within other transformations: a caller's own vmap of it becomes a batch, in blocks as any other."""
+    leaves, tree = jax.tree.flatten((scene, state))
+    state, impacts = _mapped(tree, periods, slots)(*leaves)
+    whole = {name: getattr(impacts, name).astype(jnp.int32) for name in ("count", "status")}
+    return state, replace(impacts, side=impacts.side.astype(jnp.int8), **whole)
+
+
+@cache
+def _mapped(tree, periods, slots):
+    """Numbers in, real numbers out: custom_vmap passes the tangents of nothing else on."""
+
+    def plain(*leaves):
+        scene, state = tree.unflatten(leaves)
+        return jax.tree.map(lambda part: part.astype(scene.dtype), _inner(scene, state, periods, slots))
+
+    run = custom_vmap(plain)
+
+    @run.def_vmap
+    def _(size, batched, *leaves):
+        rank = max(jnp.ndim(leaf) - axis for leaf, axis in zip(leaves, batched, strict=True))
+
+        def aligned(leaf, axis):
+            own = jnp.shape(leaf)[1:] if axis else ()
+            return leaf.reshape(size, *[1] * (rank - len(own)), *own) if axis else leaf
+
+        out = plain(*map(aligned, leaves, batched))
+        return out, jax.tree.map(lambda _: any(batched), out)
+
+    return run
 
 
 def _lanes(scene, state, periods, slots):
