@@ -19,6 +19,7 @@ _HOMES = {
     "State": "strobe",
     "Impacts": "strobe",
     "strobe": "strobe",
+    "monodromy": "monodromy",
     "simulate": "simulate",
     "sweep": "sweep",
     "find_attractors": "attractors",

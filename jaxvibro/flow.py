@@ -133,15 +133,19 @@ def fly(scene, state, time):
     values = (scene.amplitude, scene.frequency, scene.damping, state.x, state.v, state.phase, time)
     values = jnp.broadcast_arrays(*(jnp.asarray(value, scene.dtype) for value in values))
     force, frequency, damping, x, v, phase, time = values
-    free, forced = _doubled(frequency, damping, time)
-    (p00, p01, p11), (in_phase, in_quadrature) = free, forced
-    cosine, sine = force * jnp.cos(phase), force * jnp.sin(phase)
+    return flown(responses(frequency, damping, time), force * jnp.cos(phase), force * jnp.sin(phase), x, v)
+
+
+def flown(responses, cosine, sine, x, v):
+    """(x, v) after the flight of these `responses`, under the force cosine cos(omega t) - sine sin(omega t)."""
+    (p00, p01, p11), (in_phase, in_quadrature) = responses
     moved = p00 * x + p01 * v + (cosine * in_phase[0] - sine * in_quadrature[0])
     return moved, p11 * v - p01 * x + (cosine * in_phase[1] - sine * in_quadrature[1])
 
 
-def _doubled(frequency, damping, time):
-    """The free flow's matrix ((p00, p01), (-p01, p11)), and the responses from rest to cos and sin of omega t."""
+def responses(frequency, damping, time):
+    """((p00, p01, p11), (of cos, of sin)): the free flow's matrix ((p00, p01), (-p01, p11)) over a time >= 0, and x, v
+    after a start from rest under the force cos(omega t), sin(omega t). All of one shape."""
     turns = time * rate(frequency, damping) / STEP
     count = jnp.ceil(jnp.log2(jnp.maximum(lax.stop_gradient(turns), 1.0)))
     step = gains(series(frequency, damping), frequency, time * jnp.exp2(-count))

@@ -65,6 +65,30 @@ def strobe_errors(count, seed=0):
     return np.array(rows), discarded
 
 
+def monodromy_errors(count, seed=0, kinds=None):
+    """For the same draws (of some structures only): error of M over the largest norm of d(end)/d(earlier state)."""
+    groups, fair = defaultdict(list), 0
+    while fair < count:
+        draw = draws.draw(seed)
+        seed += 1
+        if kinds and structure(draw.scene) not in kinds:
+            continue
+        try:
+            record = orbit.strobe(draw.scene, draw.x, draw.v, draw.phase)
+        except Discard:
+            continue
+        fair += 1
+        groups[structure(draw.scene)].append((draw, record))
+    errors = []
+    for members in groups.values():
+        drawn, records = zip(*members, strict=True)
+        start = jv.State(*(jnp.array([getattr(draw, key) for draw in drawn]) for key in ("x", "v", "phase")))
+        found = np.asarray(jv.monodromy(scene_of([draw.scene for draw in drawn]), start))
+        true = np.array([record.jacobian for record in records])
+        errors += list(np.abs(found - true).max((1, 2)) / [record.norm for record in records])
+    return np.array(errors)
+
+
 def _compare(drawn, records):
     scene = scene_of([draw.scene for draw in drawn])
     start = jv.State(*(jnp.array([getattr(draw, key) for draw in drawn]) for key in ("x", "v", "phase")))
@@ -158,6 +182,9 @@ def main(what, count):
         far = int((rows[:, 4] > 1).sum())
         print(f"clearance: {far} over the bound, largest of the others {rows[rows[:, 4] <= 1, 4].max():.3g}")
         print(f"impacts a draw: {rows[:, 5].mean():.2f}; largest clearance error over the bound {clearance:.3g}")
+    if what == "monodromy":
+        errors = monodromy_errors(count)
+        print(f"monodromy: {count} draws, largest error over the norm {errors.max():.3g}")
     if what == "flights":
         for left, right in STRUCTURES:
             for periods in (1, 2):
