@@ -29,7 +29,7 @@ class Step(NamedTuple):
 def micro(frame, path):
     """One certified step of every lane that has time to go; a lane that has none stays as it is."""
     if not frame.walls:
-        time = least(frame.reach, path.rest)
+        time = positive(least(frame.reach, path.rest))
         flown = _advance(frame, path, time)
         none = lax.full_like(path.x, 0.0)
         return Step(time, flown, flown, none, impact.Strike(none, none, none))
@@ -38,11 +38,9 @@ def micro(frame, path):
     ahead = stage(_progress, frame, path, derivatives, side)
     bound = event.bound(ahead, stage(event.cubic, ahead))
     near = stage(event.free_step, bound)
-    other = (
-        stage(_other, path, stage(_behind, frame, path, derivatives, side))
-        if len(frame.walls) == 2
-        else frame.reach * frame.pace
-    )
+    other = lax.full_like(near, 1.0)
+    if len(frame.walls) == 2:
+        other = stage(_other, path, stage(_behind, frame, path, derivatives, side))
     guess = stage(event.quadratic, *bound[:3])
     step = stage(event.sure_step, bound, stage(event.horizon, bound, guess), near)
     root = stage(event.newton, ahead, stage(event.halley, ahead, guess))

@@ -19,7 +19,7 @@ from .path import CAPPED, Path
 IMPACTS = 1000  # of one lane in one period, the cap
 STEPS = 8  # times the steps that a flight alone would take, the cap on the rest
 MOST_STEPS = 1e6  # of one lane in one period: more would be a hang
-GOING, FULL, CROWDED = 1, 2, 4
+GOING, FULL, CROWDED = 1, 2, 4  # what a lane may need: another step, its impacts in their slots, a measurement
 
 
 class Journey(NamedTuple):
