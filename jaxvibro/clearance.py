@@ -24,12 +24,13 @@ DOUBT = 0.05  # how far a cubic through the speeds of a step's ends may be off b
 
 
 class Turn(NamedTuple):
-    """A turning point: the motion at its step's start, and its mark.
+    """A turning point: the motion at its step's start, the step's time, and a mark.
 
     mark: the wall's sign times (a guess of the time from there + the longest step), 0 where there is none.
     """
 
     motion: Motion
+    span: jax.Array
     mark: jax.Array
 
 
@@ -44,7 +45,7 @@ class Calls(NamedTuple):
 def nothing(lanes):
     """No turning point, for lanes like these."""
     none = jnp.zeros_like(lanes)
-    turn = Turn(Motion(*[none] * 6), none)
+    turn = Turn(Motion(*[none] * 6), none, none)
     return Calls(jnp.full_like(lanes, jnp.inf), turn, turn)
 
 
@@ -52,8 +53,8 @@ def note(frame, path, step, calls):
     """The calls with the turning points of one step more, noted where a lane has no other noted."""
     new = stage(_mark, frame, path, step.flown, step.time)
     take, second = stage(_shared, calls.noted.mark, new)
-    first = jax.tree.map(lambda new, old: merge(take, new, old), Turn(path.motion, new), calls.noted)
-    return Calls(calls.least, first, Turn(path.motion, second))
+    first = jax.tree.map(lambda new, old: merge(take, new, old), Turn(path.motion, step.time, new), calls.noted)
+    return Calls(calls.least, first, Turn(path.motion, step.time, second))
 
 
 def _shared(noted, new):
@@ -72,7 +73,7 @@ def measure(frame, calls):
     The time is found on the speed's Taylor polynomial, then by one of Halley's steps along the flow: the polynomial
     leaves an error below 1e-3 of the longest step, and that of the clearance is its fourth power.
     """
-    motion, mark = calls.noted
+    motion, span, mark = calls.noted
     side = choose(mark < 0, lax.full_like(mark, -1.0), 1.0)
     x, _, v = stage(place, frame, motion)
     speeds = stage(_speeds, frame, side, motion, jet(frame, x, v, motion.cosine, motion.sine, TERMS))
@@ -82,9 +83,9 @@ def measure(frame, calls):
     near = stage(_relative, frame, side, moved(frame, motion, time))
     step = stage(_halley, *near[1:])
     found = -side * (near[0] + step * (near[1] + step * (0.5 * near[2] + step * (near[3] / 6.0))))
-    time = time + step
+    time, edge = time + step, frame.reach * event.rounding(time.dtype) ** 0.5
     real = (mark != 0) & (lax.abs(step) <= frame.reach * NEAR) & (side * near[2] < 0)
-    real &= (time >= 0) & (time <= frame.reach)
+    real &= (time >= -edge) & (time <= span + edge)
     none = calls.fresh._replace(mark=lax.full_like(time, 0.0))
     return Calls(choose(real, least(found, calls.least), calls.least), calls.fresh, none)
 

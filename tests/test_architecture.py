@@ -13,6 +13,7 @@ ORDER = [
     *("lanes", "flow", "path", "wall", "event", "impact", "frame", "flight", "log", "clearance", "entry", "journey"),
     *(
         "strobe",
+        "monodromy",
         "simulate",
         "itinerary",
         "place",
