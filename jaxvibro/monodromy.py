@@ -19,7 +19,7 @@ from .frame import frame
 from .impact import STUCK
 from .path import accelerations
 from .strobe import CAP, FULL, real_state, strobe
-from .wall import course, picked, press
+from .wall import chosen, course, picked, press
 
 SLOTS = 32  # impacts of a period
 
@@ -86,7 +86,7 @@ def _saltation(frame, side, x, v, phase):
     walls, values = frame.walls, (frame.force, frame.frequency, frame.damping, cosine, sine)
     courses = [course(wall, frame.frequency, cosine, sine, 2) for wall in walls]
     where, speed, bend = (0.0 if each is None else each for each in picked(side, walls, courses))
-    bounce = picked(side, walls, [[wall.restitution] for wall in walls])[0]
+    bounce = chosen(side, walls, [wall.restitution for wall in walls])
     push = side * picked(side, walls, [press(wall, *values, 0) for wall in walls])[0]
     closing = v - speed
     after = speed - bounce * closing
