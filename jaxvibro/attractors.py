@@ -6,11 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import check
+from .entry import CAP
 from .evidence import chaotic, periodic
 from .meetings import is_same_orbit, is_same_set, is_symmetric, mirrored
 from .settling import settle_lanes
 from .starts import box, random_starts
-from .strobe import CAP, STATUS, State
+from .state import STATUS, State
 
 
 @dataclass(frozen=True, eq=False)

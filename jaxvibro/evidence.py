@@ -6,10 +6,11 @@ import jax
 import numpy as np
 
 from . import itinerary
+from .entry import CAP, FULL
 from .exponent import exponents
 from .meetings import is_same_set, meetings
 from .settling import clusters, orbit_of
-from .strobe import CAP, FULL, STATUS, State
+from .state import STATUS, State
 from .trail import KEEP, Trail, trail
 
 POLISH = 4  # times `settle` periods that a periodic orbit is run on before it is read

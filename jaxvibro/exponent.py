@@ -6,8 +6,9 @@ The distance is brought back to its first size every few periods, and the logari
 import jax
 import numpy as np
 
+from .entry import CAP
 from .place import places
-from .strobe import CAP, State
+from .state import State
 from .trail import ends
 
 EVERY = 5  # periods between two renormalisations

@@ -15,7 +15,6 @@ from .lanes import choose
 
 STEP = 1.0  # longest step, in units of 1 / rate
 ORDER = 18  # STEP^19 / 19! < 1e-17
-DOUBLINGS = 24
 
 
 class Series(NamedTuple):
@@ -146,18 +145,33 @@ def flown(responses, cosine, sine, x, v):
 def responses(frequency, damping, time):
     """((p00, p01, p11), (of cos, of sin)): the free flow's matrix ((p00, p01), (-p01, p11)) over a time >= 0, and x, v
     after a start from rest under the force cos(omega t), sin(omega t). All of one shape."""
-    turns = time * rate(frequency, damping) / STEP
-    count = jnp.ceil(jnp.log2(jnp.maximum(lax.stop_gradient(turns), 1.0)))
-    step = gains(series(frequency, damping), frequency, time * jnp.exp2(-count))
+    return doubled(series(frequency, damping), frequency, damping, time)[:2]
+
+
+def doubled(series, frequency, damping, time):
+    """The `responses` over any time >= 0 from a `Series`, and cos - 1 and sin of the drive's angle."""
+    fast, zero = rate(frequency, damping), lax.full_like(time, 0.0)
+
+    def is_long(carry):
+        return jnp.any(carry[0] * fast > STEP)
+
+    def halve(carry):
+        step, count = carry
+        long = step * fast > STEP
+        return choose(long, 0.5 * step, step), count + choose(long, zero + 1.0, 0.0)
+
+    _, count = lax.while_loop(is_long, halve, (lax.stop_gradient(time), zero))
+    step = gains(series, frequency, time * jnp.exp2(-count))
     free = (1.0 + step.stay, step.move, 1.0 + step.stay - 2.0 * damping * step.move)
     forced = ((step.lift, step.move - frequency * step.lag), (step.lag, frequency * step.lift))
-    carry = (free, forced, (step.versed, step.sined))
 
-    def double(k, carry):
-        return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), _double(*carry), carry)
+    def double(carry):
+        left, now = carry
+        new = _double(*now)
+        return left - 1.0, jax.tree.map(lambda new, old: choose(left > 0, new, old), new, now)
 
-    free, forced, _ = lax.fori_loop(0, DOUBLINGS, double, carry)
-    return free, forced
+    start = (count, (free, forced, (step.versed, step.sined)))
+    return lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double, start)[1]
 
 
 def _double(free, forced, angle):

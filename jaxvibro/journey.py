@@ -55,8 +55,8 @@ def run(frame, journey, cap, again=None):
 
     def turn(journey):
         step = micro(frame, journey.path)
-        side = choose(lax.abs(journey.path.contact) == STUCK, 0.0, step.side)
-        book = log.write(journey.log, side, step.strike, step.path.rest)
+        stuck = lax.abs(journey.path.contact) == STUCK
+        book = log.write(journey.log, step.side, stuck, step.strike, step.path.rest)
         calls = clearance.note(frame, journey.path, step, journey.calls) if walls else None
         journey = journey._replace(path=step.path, log=book, calls=calls)
         journey = again(journey) if again else journey

@@ -5,6 +5,8 @@ are jitted functions of their own and would each become a loop of their own belo
 `choose` and lax alone.
 """
 
+from functools import lru_cache
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -68,43 +70,65 @@ def two_sum(a, b):
     return total, (a - (total - part)) + (b - part)
 
 
-def stage(function, *lanes):
+def stage(function, *lanes, **static):
     """function(*lanes) as an un-inlined call, whose results are stored: XLA would compute them anew for each use.
 
     XLA computes each result of a call in a loop of its own, with all that it depends on within the call: a stage is to
     be short, or to have few results. Only operands that the results depend on are handed over; the emitter of a whole
-    loop as one kernel aborts on any other.
+    loop as one kernel aborts on any other. The function is one of a module, traced once for lanes of a kind.
     """
-    call, operands = _trimmed(function, lanes)
+    call, operands = _trimmed(function, lanes, static)
     with set_xla_metadata(inlineable="false"):
         return jax.jit(call)(*operands)
 
 
-def one_kernel(function, *lanes):
-    """function(*lanes), its loops compiled as one kernel in place of one launch for each operation."""
-    call, operands = _trimmed(function, lanes)
+def one_kernel(function, *lanes, **static):
+    """function(*lanes), its loops compiled as one kernel in place of one launch for each operation.
 
-    def plain(*operands):
+    Operands of one shape are handed over in one array: the emitter aborts on an operand that is a constant which a loop
+    outside starts from too. The function is one of a module, traced once for lanes of a kind.
+    """
+    call, operands = _trimmed(function, lanes, static)
+    places = {}
+    for place, operand in enumerate(operands):
+        places.setdefault((jnp.shape(operand), jnp.result_type(operand)), []).append(place)
+
+    def plain(*packs):
+        given = [None] * len(operands)
+        for pack, group in zip(packs, places.values(), strict=True):
+            for row, place in enumerate(group):
+                given[place] = lax.index_in_dim(pack, row, keepdims=False)
         with set_xla_metadata(inlineable=None, xla_cpu_small_call=None):
-            return call(*operands)
+            return call(*given)
 
+    packs = [jnp.stack([operands[place] for place in group]) for group in places.values()]
     with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
-        return jax.jit(plain)(*operands)
+        return jax.jit(plain)(*packs)
 
 
-def _trimmed(function, lanes):
+def _trimmed(function, lanes, static):
     """(the function of those operands alone that its results depend on, these operands)."""
     flat, tree = jax.tree.flatten(lanes)
-    closed, shape = jax.make_jaxpr(lambda *a: function(*jax.tree.unflatten(tree, a)), return_shape=True)(*flat)
+    kinds = tuple((jnp.shape(lane), jnp.result_type(lane)) for lane in flat)
+    call, kept = _traced(function, tuple(static.items()), tree, kinds, jax.config.jax_enable_x64)
+    return call, [lane for lane, keep in zip(flat, kept, strict=True) if keep]
+
+
+@lru_cache(1024)
+def _traced(function, static, tree, kinds, double):
+    """(the function of the operands that matter, which those are), for operands of these shapes and types."""
+    blank = [jax.ShapeDtypeStruct(*kind) for kind in kinds]
+    whole = jax.make_jaxpr(lambda *a: function(*tree.unflatten(a), **dict(static)), return_shape=True)
+    closed, shape = whole(*blank)
     live = _operands(closed.jaxpr)
     kept = [variable in live for variable in closed.jaxpr.invars]
 
     def call(*given):
         given = iter(given)
-        full = [next(given) if keep else jnp.zeros_like(lane) for keep, lane in zip(kept, flat, strict=True)]
+        full = [next(given) if keep else jnp.zeros(*kind) for keep, kind in zip(kept, kinds, strict=True)]
         return jax.tree.unflatten(jax.tree.structure(shape), jax.core.eval_jaxpr(closed.jaxpr, closed.consts, *full))
 
-    return call, [lane for lane, keep in zip(flat, kept, strict=True) if keep]
+    return call, kept
 
 
 def _operands(jaxpr):

@@ -13,14 +13,15 @@ RECENT = 4  # impacts kept at hand; the slots are touched only where a lane has 
 
 class Log(NamedTuple):
     """times, speeds: of the recent impacts, the speed with its wall's sign; held: how many of them; count: of all
-    (floats like the rest, as mixed types are slow); end: when the time to go is used up; steps: taken so far, one
-    number for all lanes."""
+    (floats like the rest, as mixed types are slow); freed: when the mass was last released from a wall, -1 if never;
+    end: when the time to go is used up; steps: taken so far, one number for all lanes."""
 
     times: tuple[jax.Array, ...]
     speeds: tuple[jax.Array, ...]
     held: jax.Array
     count: jax.Array
     least_speed: jax.Array
+    freed: jax.Array
     end: jax.Array
     steps: jax.Array
 
@@ -36,13 +37,18 @@ def empty(lanes, slots, end):
     """(log, slots) of no impacts for lanes like these."""
     none, never = jnp.zeros_like(lanes), jnp.full_like(lanes, jnp.inf)
     recent = min(RECENT, slots)
-    log = Log((never,) * recent, (none,) * recent, none, none, never, end, jnp.zeros((), lanes.dtype))
+    log = Log((never,) * recent, (none,) * recent, none, none, never, none - 1.0, end, jnp.zeros((), lanes.dtype))
     shape = (*lanes.shape, slots)
     return log, Slots(jnp.full(shape, jnp.inf, lanes.dtype), jnp.zeros(shape, lanes.dtype))
 
 
-def write(log, side, strike, rest):
-    """The log with one step more: the `impact.Strike` of each lane with a side, with so much time to go."""
+def write(log, side, stuck, strike, rest):
+    """The log with one step more: the `impact.Strike` of each lane with a side, with so much time to go.
+
+    stuck: the lanes that rested on a wall; a side there is that of the wall that releases the mass.
+    """
+    freed = stage(_freed, side, stuck)
+    side = choose(stuck, 0.0, side)
     time, signed, slower, *places = stage(_due, log, side, strike, rest)
     return log._replace(
         times=tuple(merge(*each) for each in zip(places, [time] * RECENT, log.times, strict=False)),
@@ -50,8 +56,13 @@ def write(log, side, strike, rest):
         held=log.held + lax.abs(side),
         count=log.count + lax.abs(side),
         least_speed=slower,
+        freed=merge(freed, time, log.freed),
         steps=log.steps + 1.0,
     )
+
+
+def _freed(side, stuck):
+    return mask(stuck & (side != 0), side)
 
 
 def _due(log, side, strike, rest):

@@ -8,69 +8,102 @@ a-, a+ the accelerations before and after, v_b, a_b the wall's velocity and acce
 forgets where it came from: M = 0.
 """
 
-from functools import partial
+from dataclasses import replace
+from functools import cache, partial
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from . import check, flow
+from . import check, flow, period
+from .blocks import LEAST, batched, in_blocks
+from .entry import CAP
 from .frame import frame
 from .impact import STUCK
+from .lanes import OPTIONS, choose, one_kernel, stage
 from .path import accelerations
-from .strobe import CAP, FULL, real_state, strobe
-from .wall import chosen, course, picked, press
-
-SLOTS = 32  # impacts of a period
+from .period import SLOTS
+from .state import real_state
+from .wall import chosen, course, less, picked
 
 
 def monodromy(scene, state, periods=1):
     """The derivative of `strobe`'s (x, v) by the given (x, v): shape (..., 2, 2), rows x and v of the end.
 
-    scene, state, periods as for `strobe`. nan where the strobe has no end (status from CAP on) or, without a chatter,
-    more than 32 impacts a period; zero where the mass comes to rest on a wall. On an impact without speed the
-    derivative does not exist: inf or nan.
+    scene, state, periods as for `strobe`. nan where the strobe has no end (status from CAP on) or has more than 32
+    impacts a period in flight; zero where the mass comes to rest on a wall. On an impact without speed the derivative
+    does not exist: inf or nan.
 
-    Raises SceneError as `strobe` does.
+    Raises SceneError as `strobe` does, and TypeError where it is itself to be differentiated.
     """
     periods = check.whole("periods", periods, 1)
-    return _product(scene, real_state(scene, state), periods)
+    leaves, tree = jax.tree.flatten((scene, real_state(scene, state)))
+    traced = check.is_traced(*leaves)
+    return (_within(tree, periods) if traced else _at_once(tree, periods))(*leaves)
 
 
-@partial(jax.jit, static_argnums=2)
-def _product(scene, state, periods):
-    end, impacts = strobe(scene, state, periods, SLOTS * periods)
-    built, shape = frame(scene), impacts.status.shape
-    spread = partial(jnp.broadcast_to, shape=shape)
-    none = jnp.zeros(shape, scene.dtype)
-    force, frequency, damping = map(spread, (built.force, built.frequency, built.damping))
+@cache
+def _within(tree, periods):
+    run = jax.custom_jvp(batched(jax.jit(partial(_matrices, tree, periods, 1))))
 
-    def fly(x, v, phase, matrix, time):
-        """The state and the matrix after a flight."""
-        ways = flow.responses(frequency, damping, time)
-        x, v = flow.flown(ways, force * jnp.cos(phase), force * jnp.sin(phase), x, v)
-        p00, p01, p11 = ways[0]
-        return x, v, phase + frequency * time, _times((p00, p01, -p01, p11), matrix)
+    @run.defjvp
+    def _(primals, tangents):
+        raise TypeError("monodromy is a product without derivatives: differentiate jax.jacfwd of strobe instead")
 
-    def meet(carry, impact):
-        """A flight and the impact at its end; an empty slot changes nothing."""
-        (*before, past, rests), (time, side) = carry, impact
-        hit = side != 0
-        x, v, phase, matrix = fly(*before, jnp.where(hit, time - past, 0.0))
-        saltation, where, after, stays = _saltation(built, side, x, v, phase)
-        matrix = tuple(jnp.where(hit, a, b) for a, b in zip(_times(saltation, matrix), matrix, strict=True))
-        x, v = jnp.where(hit, where, x), jnp.where(hit, after, v)
-        return (x, v, phase, matrix, jnp.where(hit, time, past), rests | (hit & stays)), None
+    return run
 
-    rests = spread((abs(state.contact) == STUCK) | (abs(end.contact) == STUCK) | (impacts.least_speed == 0))
-    carry = (*map(spread, (state.x, state.v, state.phase)), (none + 1.0, none, none, none + 1.0), none, rests)
-    if built.walls:
-        carry, _ = lax.scan(meet, carry, (jnp.moveaxis(impacts.time, -1, 0), jnp.moveaxis(impacts.side, -1, 0)))
-    *before, past, rests = carry
-    matrix = fly(*before, periods * built.period - past)[3]
-    lost = (impacts.status >= CAP) | ((impacts.status == FULL) & (impacts.least_speed > 0))
-    values = [jnp.where(lost, jnp.nan, jnp.where(rests, 0.0, each)) for each in matrix]
-    return jnp.stack(values, -1).reshape(*shape, 2, 2)
+
+@cache
+def _at_once(tree, periods):
+    return jax.jit(partial(_matrices, tree, periods, LEAST), compiler_options=OPTIONS)
+
+
+def _matrices(tree, periods, least, *leaves):
+    """M of all lanes, block by block."""
+    scene, state = tree.unflatten(leaves)
+    shape = jnp.broadcast_shapes(*map(jnp.shape, leaves))
+
+    def run(given):
+        entries = one_kernel(_block, *given, periods=periods)
+        return jnp.stack(entries, -1).reshape(*entries[0].shape, 2, 2)
+
+    given = scene, replace(state, x=jnp.broadcast_to(state.x, shape))
+    return in_blocks(run, given, lambda lanes: jnp.zeros((lanes, 2, 2), scene.dtype), least)
+
+
+def _block(scene, state, periods):
+    """M of a block of lanes, by rows."""
+    slots = SLOTS * periods
+    (end, impacts), freed = period.through(scene, state, periods, slots)
+    built, zero = frame(scene), lax.full_like(freed, 0.0)
+    rows = (impacts.time, impacts.side.astype(freed.dtype), impacts.speed)
+    rows = [jnp.moveaxis(each, -1, 0) for each in rows]
+    most = lax.min(jnp.max(impacts.count), jnp.int32(slots)) if built.walls else jnp.int32(0)
+
+    def turn(carry):
+        """A flight and the impact at its end, or, after all impacts, the flight to the end."""
+        k, past, cosine, sine, matrix = carry
+        time, side, speed = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in rows)
+        last = k == most
+        hit = (side != 0) & ~last
+        span = choose(last, periods * built.period - past, choose(hit, time - past, 0.0))
+        free, _, angle = flow.doubled(built.series, built.frequency, built.damping, span)
+        p00, p01, p11 = free
+        cosine, sine = flow.turn(cosine, sine, *angle)
+        matrix = _times((p00, p01, -p01, p11), matrix)
+        if built.walls:
+            bounce, shear = stage(_saltation, built, side, speed, cosine, sine)
+            after = _times((-bounce, zero, shear, -bounce), matrix)
+            matrix = tuple(choose(hit, new, old) for new, old in zip(after, matrix, strict=True))
+        return k + 1, past + span, cosine, sine, matrix
+
+    cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
+    start = (jnp.int32(0), zero, cosine, sine, (zero + 1.0, zero, zero, zero + 1.0))
+    matrix = lax.while_loop(lambda carry: carry[0] <= most, turn, start)[-1]
+    stays = abs(end.contact) == STUCK
+    rests = stays | (abs(state.contact) == STUCK) | (freed >= 0)
+    lost = (impacts.status >= CAP) | ((impacts.count > slots) & ~stays)
+    return [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in matrix]
 
 
 def _times(left, right):
@@ -79,19 +112,14 @@ def _times(left, right):
     return a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h
 
 
-def _saltation(frame, side, x, v, phase):
-    """(Q by rows, the wall's position, v after, whether the mass then rests) of an impact; side 0: of none."""
-    side = jnp.where(side < 0, -1.0, 1.0)
-    cosine, sine = jnp.cos(phase), jnp.sin(phase)
-    walls, values = frame.walls, (frame.force, frame.frequency, frame.damping, cosine, sine)
-    courses = [course(wall, frame.frequency, cosine, sine, 2) for wall in walls]
-    where, speed, bend = (0.0 if each is None else each for each in picked(side, walls, courses))
-    bounce = chosen(side, walls, [wall.restitution for wall in walls])
-    push = side * picked(side, walls, [press(wall, *values, 0) for wall in walls])[0]
-    closing = v - speed
-    after = speed - bounce * closing
-    before_pull, _ = accelerations(frame, where, v, cosine, sine)
-    after_pull, _ = accelerations(frame, where, after, cosine, sine)
-    turn = (after_pull + bounce * before_pull - (1.0 + bounce) * bend) / closing
-    stays = (bounce * closing == 0) & (push >= 0)
-    return (-bounce, 0.0, turn, -bounce), where, after, stays
+def _saltation(frame, side, speed, cosine, sine):
+    """R and the lower left entry of Q, of an impact on a side with this speed; side 0: of none, any numbers."""
+    walls = frame.walls
+    where, pace, bend = picked(side, walls, [course(wall, frame.frequency, cosine, sine, 2) for wall in walls])
+    bounce = chosen(side, walls, [wall.restitution for wall in walls]) + 0.0 * speed
+    pace = 0.0 if pace is None else pace
+    closing = side * speed
+    before, _ = accelerations(frame, where, pace + closing, cosine, sine)
+    after, _ = accelerations(frame, where, pace - bounce * closing, cosine, sine)
+    shift = after + bounce * before
+    return bounce, less(shift, None if bend is None else (1.0 + bounce) * bend) / closing

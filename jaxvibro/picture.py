@@ -10,8 +10,8 @@ from .check import SceneError
 from .plot import style
 from .scene import SIDES
 from .simulate import simulate
+from .state import State
 from .stretch import recurrence
-from .strobe import State
 
 DOTS = 200  # per inch
 MOST = 9  # portraits

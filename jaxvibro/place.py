@@ -5,7 +5,7 @@ import jax.numpy as jnp
 
 from .impact import STUCK
 from .scene import SIDES
-from .strobe import State
+from .state import State
 
 SIGNS = (-1.0, 1.0)
 

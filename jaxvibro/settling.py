@@ -6,8 +6,8 @@ import jax
 import numpy as np
 
 from . import itinerary
+from .entry import CAP
 from .recurrence import returns, settled_periods
-from .strobe import CAP
 from .trail import KEEP, Trail, trail
 
 PATIENCE = 16  # times `settle` periods after which a start that has not recurred is given up

@@ -7,11 +7,12 @@ import xarray as xr
 from jax import lax
 
 from . import check, journey
-from .entry import enter
+from .entry import CAP, OK, enter
 from .frame import frame
 from .lanes import choose
 from .path import CAPPED
-from .strobe import CAP, OK, STATUS, finish, real_state
+from .period import finish
+from .state import STATUS, real_state
 
 SLOTS = 1024
 

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from .place import places
-from .strobe import State
+from .state import State
 
 LEAST_DIVISOR = 1e-3  # of A, sqrt(D): at resonance without damping there is no steady motion
 

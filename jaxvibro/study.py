@@ -10,7 +10,7 @@ from tqdm import tqdm
 from .attractors import find_attractors
 from .place import fit
 from .scene import Scene
-from .strobe import State
+from .state import State
 from .sweep import sweep
 from .tables import SceneFile
 

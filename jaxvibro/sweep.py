@@ -10,10 +10,12 @@ import xarray as xr
 from jax import lax
 
 from . import check
+from .entry import CAP, OK
 from .lanes import OPTIONS
 from .place import fit, places
 from .scene import SIDES
-from .strobe import CAP, OK, STATUS, State, strobe
+from .state import STATUS, State
+from .strobe import strobe
 
 CHUNK = 16  # values between two reports of progress
 EQUATION = "x'' + 2 damping x' + x = amplitude cos(frequency t), y+ - v_b = -restitution (y- - v_b) at a wall"

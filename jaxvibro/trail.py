@@ -8,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from .entry import CAP, FULL, OK
 from .lanes import OPTIONS, WIDTH
-from .strobe import CAP, FULL, OK, State, strobe
+from .state import State
+from .strobe import strobe
 
 KEEP = 64  # periods kept, of however many have been run
 SLOTS = 16  # impacts recorded in a period

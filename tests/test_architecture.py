@@ -10,21 +10,9 @@ FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROO
 # A file imports only from files named before it; `plot` stands for all files of that folder.
 ORDER = [
     *("gap", "check", "scene", "physical", "whole", "tables", "scenefile"),
-    *("lanes", "flow", "path", "wall", "event", "impact", "frame", "flight", "log", "clearance", "entry", "journey"),
-    *(
-        "strobe",
-        "monodromy",
-        "simulate",
-        "itinerary",
-        "place",
-        "sweep",
-        "starts",
-        "trail",
-        "exponent",
-        "meetings",
-        "recurrence",
-        "settling",
-    ),
+    *("lanes", "blocks", "flow", "path", "wall", "event", "impact", "frame", "flight"),
+    *("log", "clearance", "entry", "journey", "state", "period", "replay", "slopes", "strobe", "monodromy", "simulate"),
+    *("itinerary", "place", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
     *("evidence", "attractors", "plot", "study", "stretch", "data", "report", "picture", "run"),
     *("cache", "starter", "command", "__main__"),
 ]

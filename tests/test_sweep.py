@@ -6,8 +6,8 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.check import SceneError
+from jaxvibro.entry import CAP
 from jaxvibro.place import fit, places
-from jaxvibro.strobe import CAP
 
 
 def scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0), **more):

@@ -1,0 +1,62 @@
+"""A state, and what a strobe says of the impacts on its way."""
+
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+
+from . import check
+
+STATUS = ("ok", "full", "cap", "invalid", "nonfinite")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class State:
+    """A state at a phase of the drive: x, v (lengths of the scene, lengths per t), phase (rad), contact.
+
+    contact: 0 free, -1 or +1 has landed on the left or right wall and leaves it, -2 or +2 rests on it.
+    """
+
+    x: jax.Array
+    v: jax.Array
+    phase: jax.Array = 0.0
+    contact: jax.Array = 0.0
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Impacts:
+    """The impacts of a strobe, in order; slots are the last axis.
+
+    time: since the strobe's start, in t (inf: empty); side: -1 left, +1 right, 0 empty; speed: abs(y- - v_b), 0 empty;
+    count: of all impacts; least_speed: of them, inf if none; least_clearance: the smallest distance to a wall at a
+    turning point of x - x_b towards it, inf if none; status: 0 OK, 1 FULL (more impacts than slots; the state is
+    right), 2 CAP (1,000 impacts or a million steps in a period), 3 INVALID (a bad scene, or a start beyond a wall),
+    4 NONFINITE (a number that is not finite, or lengths beyond 1e-123 to 1e123); from CAP on the state is nan.
+
+    A mass whose hops certainly all end, infinitely many in a finite time, is put to rest on its wall: complete chatter.
+    The hops up to there are recorded and counted, least_speed is 0, the status FULL.
+    """
+
+    time: jax.Array
+    side: jax.Array
+    speed: jax.Array
+    count: jax.Array
+    least_speed: jax.Array
+    least_clearance: jax.Array
+    status: jax.Array
+
+
+def real_state(scene, state):
+    """The state with every number an array of the scene's type; refused where it is none, or fits no batch."""
+    if not isinstance(state, State):
+        raise check.SceneError("state", "must be a State", state)
+    keys = ("x", "v", "phase", "contact")
+    found = [jnp.asarray(check.real(f"state.{key}", getattr(state, key), scene.dtype)) for key in keys]
+    leaves = [
+        ("scene", jnp.zeros(scene.shape)),
+        *((f"state.{key}", each) for key, each in zip(keys, found, strict=True)),
+    ]
+    check.shapes_agree(leaves)
+    return State(*found)

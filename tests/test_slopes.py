@@ -1,0 +1,124 @@
+"""Derivatives of the strobe: forward, reverse, of higher order, by every number, through impacts, rests and batches."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+import jaxvibro as jv
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+
+
+def end_of(scene):
+    return lambda z: jnp.stack([(end := jv.strobe(scene, jv.State(z[0], z[1]))[0]).x, end.v])
+
+
+def difference(function, at, step=1e-6):
+    return (function(at + step) - function(at - step)) / (2 * step)
+
+
+def test_forward_and_reverse_agree_with_the_product(scene):
+    z = jnp.array([0.9, -1.1])
+    product = jv.monodromy(scene, jv.State(*z))
+    assert np.allclose(jax.jacfwd(end_of(scene))(z), product, rtol=0, atol=1e-13)
+    assert np.allclose(jax.jacrev(end_of(scene))(z), product, rtol=0, atol=1e-13)
+
+
+def test_a_caller_s_vmap_and_jit_change_nothing(scene):
+    z = jnp.array([[0.9, -1.1], [0.1, 2.0], [-0.5, 0.3]])
+    slopes = jax.jit(jax.vmap(jax.jacrev(end_of(scene))))(z)
+    assert np.allclose(slopes, [jax.jacfwd(end_of(scene))(each) for each in z], rtol=0, atol=1e-12)
+
+
+def test_a_batch_given_as_arrays_sums_over_a_shared_number(scene):
+    x, v = jnp.array([0.9, 0.1, -0.5]), jnp.array([-1.1, 2.0, 0.3])
+
+    def total(amplitude):
+        return jnp.sum(jv.strobe(scene.replace(amplitude=amplitude), jv.State(x, v))[0].x)
+
+    assert np.isclose(jax.grad(total)(2.0), difference(total, 2.0), rtol=1e-7)
+
+
+def test_second_and_third_derivatives(scene):
+    z, along = jnp.array([0.9, -1.1]), jnp.array([0.6, 0.8])
+    second = jax.hessian(end_of(scene))(z)
+    assert np.allclose(second, np.swapaxes(second, 1, 2), rtol=0, atol=1e-12)
+    first = jax.jit(jax.jacfwd(end_of(scene)))
+    assert np.allclose(second @ along, difference(lambda s: first(z + s * along), 0.0, 1e-5), rtol=0, atol=1e-8)
+    third = jax.jacfwd(jax.hessian(end_of(scene)))(z)
+    curved = jax.jit(jax.hessian(end_of(scene)))
+    assert np.allclose(third @ along, difference(lambda s: curved(z + s * along), 0.0, 1e-5), rtol=0, atol=1e-7)
+
+
+def test_times_and_speeds_of_impacts_have_derivatives(scene):
+    def told(v):
+        impacts = jv.strobe(scene, jv.State(0.9, v), slots=4)[1]
+        return jnp.where(impacts.side != 0, impacts.time, 0.0), impacts.speed, impacts.least_speed
+
+    expected = [difference(lambda v, k=k: told(v)[k], -1.1) for k in range(3)]
+    for slopes in (jax.jacfwd(told)(-1.1), jax.jacrev(told)(-1.1)):
+        for slope, by_difference in zip(slopes, expected, strict=True):
+            assert np.all(np.isfinite(slope))
+            assert np.allclose(slope, by_difference, rtol=0, atol=1e-8)
+
+
+def test_a_mass_at_rest_goes_with_its_wall():
+    # the spring presses it on the left wall, where it sticks at once: at the period's end x = x_b(T), v = v_b(T)
+    def end(position, swing, phase):
+        wall = jv.Wall(position, 0.0, jv.Motion(swing, phase))
+        done, impacts = jv.strobe(jv.make_scene(0.1, 0.5, 0.1, 0.5, (wall, None)), jv.State(1.1, -1.0, -0.3))
+        return done.x, done.v, impacts.status
+
+    x, v, _ = jax.jacfwd(end, argnums=(0, 1, 2))(1.0, 0.05, 0.4)
+    angle = -0.3 + 0.4
+    assert np.allclose(x, [1.0, np.cos(angle), -0.05 * np.sin(angle)], rtol=0, atol=1e-15)
+    assert np.allclose(v, [0.0, -0.5 * np.sin(angle), -0.5 * 0.05 * np.cos(angle)], rtol=0, atol=1e-15)
+
+
+def test_a_release_forgets_the_start_and_keeps_the_scene():
+    # sticks on a wall, is released, hits and is released again within a period: the last release counts
+    scene = jv.make_scene(3.0, 2.0, 0.1, 0.0, (None, 1.0))
+    names = ("amplitude", "frequency", "damping", "right.position")
+
+    @jax.jit
+    def end(numbers, x):
+        there = scene.replace(**dict(zip(names, numbers, strict=True)))
+        return jnp.stack([(done := jv.strobe(there, jv.State(x, 1.0, -1.5))[0]).x, done.v])
+
+    at = jnp.array([float(scene.parameter(name)) for name in names])
+    by_scene, by_x = jax.jit(jax.jacfwd(end, argnums=(0, 1)))(at, 0.0)
+    assert np.array_equal(by_x, [0.0, 0.0])
+    for k, step in enumerate(1e-6 * np.eye(4)):
+        assert np.allclose(by_scene[:, k], (end(at + step, 0.0) - end(at - step, 0.0)) / 2e-6, rtol=0, atol=1e-8)
+    curves = jax.jit(jax.jacfwd(jax.jacfwd(lambda a: end(at.at[0].set(a), 0.0))))(at[0])
+    slope = jax.jit(jax.jacfwd(lambda a: end(at.at[0].set(a), 0.0)))
+    assert np.allclose(curves, difference(slope, at[0], 1e-5), rtol=1e-6, atol=1e-7)
+
+
+def test_no_end_no_derivative_and_a_status(scene):
+    def ends(x):
+        end, impacts = jv.strobe(scene, jv.State(x, -1.1))
+        return end.x, impacts.status
+
+    slope, status = jax.vmap(jax.jacfwd(ends, has_aux=True))(jnp.array([0.9, 2.0]))
+    assert np.array_equal(status, [0, 3])
+    assert np.isfinite(slope[0]) and np.isnan(slope[1])
+
+
+def test_slots_asked_for_do_not_matter(scene):
+    few = jax.jacfwd(lambda v: jv.strobe(scene, jv.State(0.9, v), slots=0)[0].x)(-1.1)
+    assert few == jax.jacfwd(lambda v: jv.strobe(scene, jv.State(0.9, v))[0].x)(-1.1)
+
+
+def test_a_loop_that_starts_from_a_constant_of_the_strobe_s(scene):
+    # XLA's emitter aborts the process where a kernel and a loop share a constant
+    def ends(x):
+        impacts = jv.strobe(scene, jv.State(x, -1.1))[1]
+        return lax.scan(lambda total, side: (total + side, None), jnp.zeros(()), impacts.side)[0]
+
+    assert jax.jit(ends)(0.9) == -1.0  # one impact, on the left wall
