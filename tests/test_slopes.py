@@ -7,6 +7,7 @@ import pytest
 from jax import lax
 
 import jaxvibro as jv
+from tests.slopes_proof import first_errors, higher_errors
 
 
 @pytest.fixture(scope="module")
@@ -122,3 +123,11 @@ def test_a_loop_that_starts_from_a_constant_of_the_strobe_s(scene):
         return lax.scan(lambda total, side: (total + side, None), jnp.zeros(()), impacts.side)[0]
 
     assert jax.jit(ends)(0.9) == -1.0  # one impact, on the left wall
+
+
+@pytest.mark.slow
+def test_random_scenes_against_ball_arithmetic():
+    for (_, what), errors in first_errors(60, kinds={(1, 2)}).items():
+        assert np.all(errors < (1e-11 if what == "impacts" else 1e-12))
+    for errors in higher_errors(20, kinds={(0, None)}, ways=("rf", "fff")).values():
+        assert np.all(errors[:, 0] < 1e-9)

@@ -114,3 +114,17 @@ def fold(gamma, omega, restitution, wall, side=1, periods=1, symmetric=False):
     size = a**2 + (b / mpf(omega)) ** 2
     wall = mpf(wall)
     return Fold(sqrt(denominator(gamma, omega) / size) * abs(wall * b) / mpf(omega), side * wall * a / size)
+
+
+def multipliers(gamma, omega, amplitude, restitution, orbit, periods=1, symmetric=False):
+    """Floquet's multipliers of an orbit of `orbits`: eigenvalues of flight times saltation, squared where symmetric."""
+    gamma, omega, r = mpf(gamma), mpf(omega), mpf(restitution)
+    length = pi / omega if symmetric else 2 * pi * periods / omega
+    before = -orbit.v / r
+    force = mpf(amplitude) * cos(orbit.phase) - orbit.x
+    shear = (force - 2 * gamma * orbit.v + r * (force - 2 * gamma * before)) / before
+    m = free_flow(gamma, length) * matrix([[-r, 0], [shear, -r]])
+    half, product = (m[0, 0] + m[1, 1]) / 2, m[0, 0] * m[1, 1] - m[0, 1] * m[1, 0]
+    root = sqrt(half**2 - product)
+    found = [half + root, half - root]
+    return [each**2 for each in found] if symmetric else found

@@ -1,0 +1,81 @@
+"""A periodic orbit and what is known of it; and why there is none."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import itinerary as words
+from .scene import Scene
+from .state import Impacts, State
+
+
+class OrbitError(ValueError):
+    """There is no orbit to return. status: in a few words; residual: how far what was found is from an orbit, in the
+    scene's lengths, nan where nothing was; advice: what may help."""
+
+    def __init__(self, status, residual, advice):
+        super().__init__(status, residual, advice)
+        self.status, self.residual, self.advice = status, residual, advice
+
+    def __str__(self):
+        return f"no orbit: {self.status} (residual {self.residual:.1e}); {self.advice}"
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """A periodic orbit of a scene.
+
+    label: P n p q. periods: n, the least number of drive periods. state: on it, at the section's phase: the phase asked
+    for, unless an impact is within a thousandth of a period of it; then the middle of the longest flight. impacts: in n
+    periods from there, without empty slots. itinerary: the walls hit, a word a period. multipliers: Floquet's, the
+    larger first, complex, shape (2,). stable: whether both are smaller than 1. residual: the largest error left in the
+    equations that were solved (lengths, lengths per t). least_speed, least_clearance: of the impacts, and of turning
+    points towards a wall; inf where there are none. unknowns: "impacts" where their times and speeds were solved for,
+    "state" where the state was. scene: whose orbit it is. mirror_of: in a tuple of `find_orbits` the place of its
+    mirror image, its own where it is symmetric; else None.
+    """
+
+    label: str
+    periods: int
+    state: State
+    impacts: Impacts
+    itinerary: tuple[str, ...]
+    multipliers: np.ndarray
+    stable: bool
+    residual: float
+    least_speed: float
+    least_clearance: float
+    unknowns: str
+    scene: Scene
+    mirror_of: int | None = None
+
+
+def multipliers(trace, determinant):
+    """The eigenvalues of a matrix with this trace and determinant, the larger first: complex, shape (2,).
+
+    The larger is found without cancellation, the smaller from the determinant.
+    """
+    half = 0.5 * trace
+    inside = half * half - determinant
+    if inside < 0:
+        return half + 1j * np.sqrt(-inside) * np.array([1.0, -1.0])
+    larger = half + np.copysign(np.sqrt(inside), half)
+    return np.array([larger, determinant / larger if larger else 0.0], complex)
+
+
+def described(scene, state, impacts, itinerary, roots, residual, unknowns):
+    """The `Orbit` of these, its label and its stability read from them."""
+    return Orbit(
+        label=words.label(itinerary),
+        periods=len(itinerary),
+        state=state,
+        impacts=impacts,
+        itinerary=itinerary,
+        multipliers=roots,
+        stable=bool(np.all(abs(roots) < 1)),
+        residual=residual,
+        least_speed=impacts.least_speed,
+        least_clearance=impacts.least_clearance,
+        unknowns=unknowns,
+        scene=scene,
+    )

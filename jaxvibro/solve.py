@@ -1,0 +1,216 @@
+"""From a guess of the impacts to an `Orbit` by Newton's method, or to the reason why there is none.
+
+Times and speeds are the unknowns, for walls hit in a given order. What solves their equations is an orbit only if no
+flight passes through a wall, and if certified flights from each impact meet the next wall next.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from continuation import newton
+
+from . import cycle, passes
+from . import itinerary as words
+from .cycle import Cycle
+from .entry import OK
+from .frame import frame
+from .lanes import one_kernel
+from .orbit import OrbitError, described, multipliers
+from .state import Impacts, State
+from .trail import trail
+
+NEAR = 1e-3  # of a drive period: so near an impact the section is moved
+GUESSES = 64  # of the impacts, where only the itinerary is known
+TIMELY = 1e-6  # of a drive period: so well must a certified flight end at the impact
+
+
+class Solution(NamedTuple):
+    """A cycle after Newton's method, and what is known of it. start: (x, v) at the section; calls: clearance and time
+    of each flight's closest call to each wall; trace and determinant: of the monodromy matrix."""
+
+    cycle: Cycle
+    solved: newton.Solved
+    flights: cycle.Flights
+    start: tuple[jax.Array, jax.Array]
+    calls: tuple[jax.Array, jax.Array]
+    trace: jax.Array
+    determinant: jax.Array
+
+
+@jax.jit
+def solution(scene, guess):
+    """The `Solution` that Newton's method reaches from a cycle."""
+    built = frame(scene)
+    solved = one_kernel(cycle.solved, scene, guess)
+    found = cycle.ordered(scene, guess, solved.unknowns)
+    flown = cycle.flights(built, found)
+    start = cycle.at(built, found, flown, jnp.zeros_like(found.phase))
+    calls = passes.clearances(built, flown)
+    return Solution(found, solved, flown, start, calls, *cycle.invariants(built, flown, found.sides))
+
+
+def padded(scene, times, speeds, sides, phase, periods):
+    """A `Cycle` with 2, 8, 32, ... rows, so that few shapes are compiled."""
+    rows = 2
+    while rows < len(times):
+        rows *= 4
+    more = rows - len(times)
+    rows = (np.pad(np.asarray(each, scene.dtype), (0, more)) for each in (times, speeds, sides))
+    return Cycle(*rows, *(np.asarray(each, scene.dtype) for each in (phase, periods)))
+
+
+def by_impacts(scene, times, speeds, sides, phase, periods):
+    """The orbit with impacts near these times since the section's phase. Raises OrbitError."""
+    length = 2.0 * np.pi / float(scene.frequency)
+    found = jax.device_get(solution(scene, padded(scene, times, speeds, sides, phase, periods)))
+    _refuse_unsolved(found)
+    count = len(times)
+    times, speeds, sides = (each[:count] for each in found.cycle[:3])
+    least = _least_period(times, speeds, sides, periods, length)
+    if least < periods:
+        keep = count * least // periods
+        return by_impacts(scene, times[:keep], speeds[:keep], sides[:keep], phase, least)
+    later = _section(times, length)
+    if later:
+        turned = np.mod(times - later, periods * length)
+        order = np.argsort(turned)
+        phase = float(np.mod(phase + float(scene.frequency) * later, 2.0 * np.pi))
+        return by_impacts(scene, turned[order], speeds[order], sides[order], phase, periods)
+    _refuse_passing(scene, found, count)
+    _refuse_uncertain(scene, found, count, length)
+    return _described(scene, found, count, length)
+
+
+def _described(scene, found, count, length):
+    times, speeds, sides, phase, periods = found.cycle
+    clear = float(found.calls[0][:count].min(initial=np.inf))
+    rows = times[:count], sides[:count].astype(np.int8), speeds[:count]
+    impacts = Impacts(*rows, count, float(rows[2].min()), clear, OK)
+    itinerary = words.split(impacts.time, impacts.side, int(periods), length)
+    state = State(float(found.start[0]), float(found.start[1]), float(phase), 0.0)
+    roots = multipliers(float(found.trace), float(found.determinant))
+    return described(scene, state, impacts, itinerary, roots, float(found.solved.residual), "impacts")
+
+
+def _refuse_unsolved(found):
+    status, residual = int(found.solved.status), float(found.solved.residual)
+    if status != newton.OK:
+        raise OrbitError(newton.STATUS[status], residual, newton.ADVICE[status])
+
+
+def _least_period(times, speeds, sides, periods, length):
+    """The least number of periods after which these impacts come again."""
+    near = 1e-8
+
+    def again(least):
+        shift = len(times) * least // periods
+        late = np.roll(times, -shift) - times - least * length
+        late -= periods * length * np.round(late / (periods * length))
+        quicker = np.roll(speeds, -shift) - speeds
+        return (
+            np.array_equal(np.roll(sides, -shift), sides)
+            and np.all(abs(late) <= near * length)
+            and np.all(abs(quicker) <= near * (1.0 + speeds))
+        )
+
+    divisors = (n for n in range(1, periods) if periods % n == 0 and len(times) * n % periods == 0)
+    return next((n for n in divisors if again(n)), periods)
+
+
+def _section(times, length):
+    """How long after the section's phase the section is to be: 0 where no impact is near it."""
+    phases = np.sort(np.mod(times, length))
+    if min(phases[0], length - phases[-1]) >= NEAR * length:
+        return 0.0
+    gaps = np.diff(phases, append=phases[0] + length)
+    widest = int(np.argmax(gaps))
+    return float(np.mod(phases[widest] + 0.5 * gaps[widest], length))
+
+
+def _refuse_passing(scene, found, count):
+    """Refuse impacts without speed, and flights behind a wall: which, where, how deep."""
+    speeds, (clear, late) = found.cycle.speeds[:count], (each[:count] for each in found.calls)
+    residual, slowest = float(found.solved.residual), int(np.argmin(speeds))
+    if not speeds[slowest] > 0:
+        told = f"impact {slowest + 1} of {count} would have the speed {speeds[slowest]:.3g}"
+        raise OrbitError(f"not admissible: {told}", residual, "it belongs to a branch that has ended by grazing")
+    flight, wall = np.unravel_index(int(np.argmin(clear)), clear.shape)
+    if clear[flight, wall] < 0:
+        side = [side for side in ("left", "right") if getattr(scene, side) is not None][wall]
+        told = f"flight {flight + 1} of {count} passes through the {side} wall, {-clear[flight, wall]:.3g} deep"
+        told += f", {late[flight, wall]:.6g} after its start"
+        raise OrbitError(f"not admissible: {told}", residual, "it belongs to a branch that has ended by grazing")
+
+
+def _refuse_uncertain(scene, found, count, length):
+    """Refuse what certified flights from each impact do not confirm."""
+    times, _, sides, phase, _ = found.cycle
+    flights, follows = found.flights, found.flights.follows[:count]
+    starts = State(
+        flights.x[:count],
+        flights.v[:count],
+        phase + np.asarray(scene.frequency) * times[:count],
+        sides[:count],
+    )
+    spans = flights.time[:count]
+    kept = trail(scene, starts, max(1, int(np.ceil(spans.max() / length + TIMELY))))
+    after = kept.time + length * np.arange(len(kept.time))[:, None, None]
+    after = np.where(kept.side != 0, after, np.inf).transpose(1, 0, 2).reshape(count, -1)
+    first = after.argmin(axis=1)
+    met = kept.side.transpose(1, 0, 2).reshape(count, -1)[np.arange(count), first]
+    early = abs(after[np.arange(count), first] - spans) > TIMELY * length
+    wrong = np.flatnonzero(early | (met != sides[follows]))
+    if wrong.size:
+        told = f"the flight after impact {wrong[0] + 1} of {count} meets another wall, or none, or not then"
+        raise OrbitError(f"not admissible: {told}", float(found.solved.residual), "start nearer to an orbit")
+
+
+def solutions(scene, guesses):
+    """The cycle that Newton's method reaches from each of many: (cycles, `newton.Solved`), arrays with a row each."""
+    return jax.device_get(_many(scene, guesses))
+
+
+@jax.jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _many(scene, guess):
+    solved = cycle.solved(scene, guess)
+    return cycle.ordered(scene, guess, solved.unknowns), solved
+
+
+def guessed(scene, itinerary, phase, fast):
+    """An orbit with this itinerary, from guesses of its impacts at random: the first that is one.
+
+    fast: a speed that is large for the scene. Raises OrbitError: the last reason met, where no guess leads to an orbit.
+    """
+    flat, periods = "".join(itinerary), len(itinerary)
+    if not flat:
+        raise OrbitError("the state does meet walls", np.nan, "start where the motion meets none")
+    length = 2.0 * np.pi / float(scene.frequency)
+    rng = np.random.default_rng(0)
+    begins = np.repeat(np.arange(periods), [len(word) for word in itinerary])
+    times = np.sort(begins + rng.random((GUESSES, len(flat))), axis=1) * length
+    speeds = fast * rng.random(times.shape)
+    sides = np.broadcast_to([1.0 if side == "R" else -1.0 for side in flat], times.shape)
+    rows = [padded(scene, *each, phase, periods) for each in zip(times, speeds, sides, strict=True)]
+    found, solved = solutions(scene, Cycle(*(np.stack(each) for each in zip(*rows, strict=True))))
+    why = OrbitError(
+        "this itinerary's equations have no solution near any guess", np.nan, "give a state near the orbit"
+    )
+    seen = set()
+    for k in np.flatnonzero(solved.status == newton.OK):
+        key = tuple(np.round(found.times[k], 6))
+        if key in seen:
+            continue
+        seen.add(key)
+        try:
+            orbit = by_impacts(scene, *(each[k][: len(flat)] for each in found[:3]), phase, periods)
+        except OrbitError as error:
+            why = error
+            continue
+        if words.same(orbit.itinerary * (periods // orbit.periods), itinerary):
+            return orbit
+    raise why

@@ -1,0 +1,190 @@
+"""Periodic orbits against closed forms, autodiff and an independent search; what is no orbit is refused."""
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from jaxvibro import cycle
+from jaxvibro.frame import frame
+from jaxvibro.solve import by_impacts, padded, solution
+from tests.reference import closed
+
+GAMMA, OMEGA, R = 0.05, 2.1, 0.7
+PERIOD = 2 * np.pi / OMEGA
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jv.make_scene(4.65, OMEGA, GAMMA, R, (-1.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def orbits(scene):
+    return jv.find_orbits(scene, max_period=1, starts=40)
+
+
+def known(amplitude, wall=1.0, periods=1, symmetric=False, gamma=GAMMA, omega=OMEGA, restitution=R):
+    """States at phase 0 and multipliers of the closed forms' orbits, in 40 digits."""
+    with mpmath.workdps(40):
+        found = closed.orbits(gamma, omega, amplitude, restitution, wall, 1, periods, symmetric)
+        return [
+            (
+                closed.at_phase(gamma, omega, amplitude, one, 0, symmetric),
+                closed.multipliers(gamma, omega, amplitude, restitution, one, periods, symmetric),
+                one.speed,
+            )
+            for one in found
+        ]
+
+
+def agrees(orbit, state, multipliers):
+    assert abs(float(state[0] - orbit.state.x)) < 1e-12
+    assert abs(float(state[1] - orbit.state.v)) < 1e-12
+    true = sorted((complex(each) for each in multipliers), key=lambda each: (-abs(each), -each.imag))
+    assert np.allclose(orbit.multipliers, true, rtol=0, atol=1e-12 * max(1, abs(true[0])))
+
+
+def test_the_jacobian_of_the_impacts_equations_is_their_derivative(scene):
+    built = frame(scene)
+    given = cycle.Cycle(jnp.array([0.2, 1.1, 1.9]), jnp.array([1.0, 0.4, 2.0]), jnp.array([1.0, -1.0, 1.0]), 0.3, 1.0)
+
+    def values(unknowns):
+        return cycle.equations(built, given._replace(times=unknowns[:3], speeds=unknowns[3:]))[0]
+
+    at = jnp.concatenate([given.times, given.speeds])
+    value, slopes = cycle.equations(built, given)
+    change, _ = cycle.solve(slopes, value)
+    assert np.allclose(jax.jacfwd(values)(at) @ change, value, rtol=0, atol=1e-12)
+
+
+def test_the_motion_without_impacts(scene):
+    for amplitude in (0.5, 3.0, 3.35):
+        with mpmath.workdps(40):
+            state = closed.forced(GAMMA, OMEGA, amplitude, 0)
+        start = jv.State(0.01 + float(state[0]), float(state[1]))
+        orbit = jv.find_orbit(scene.replace(amplitude=amplitude), start, settle=0)
+        free = np.exp(PERIOD * np.roots([1.0, 2 * GAMMA, 1.0]))
+        assert orbit.label == "P100" and orbit.unknowns == "state"
+        agrees(orbit, state, free)
+        assert abs(orbit.least_clearance - (1 - amplitude / float(closed.grazing(GAMMA, OMEGA, 1)))) < 1e-12
+
+
+def test_symmetric_orbits_both_roots(scene):
+    for amplitude in (0.6, 2.0):
+        there, met = scene.replace(amplitude=amplitude), []
+        for state, multipliers, _ in known(amplitude, symmetric=True):
+            orbit = jv.find_orbit(there, jv.State(*map(float, state)), periods=1, settle=0)
+            assert orbit.label == "P111" and orbit.residual < 1e-13
+            agrees(orbit, state, multipliers)
+            met.append(orbit.stable)
+        assert met == [True, False]
+
+
+@pytest.mark.parametrize("periods", [1, 2, 3])
+def test_one_impact_on_one_wall(periods):
+    omega, wall, met = 2.0 * periods + 0.1, 0.05, 0
+    scene = jv.make_scene(5.0, omega, GAMMA, R, (None, wall))
+    for state, multipliers, speed in known(5.0, wall, periods, omega=omega):
+        start = jv.State(*map(float, state))
+        try:
+            orbit = jv.find_orbit(scene, start, periods=periods, settle=0)
+        except jv.OrbitError as error:
+            assert "not admissible" in error.status
+            continue
+        assert orbit.label == f"P{periods}01"
+        agrees(orbit, state, multipliers)
+        assert abs(float(speed) - orbit.least_speed) < 1e-12
+        met += 1
+    assert met
+
+
+def test_multipliers_agree_with_autodiff_and_with_what_is_lost(scene, orbits):
+    def end(z, phase):
+        done = jv.strobe(scene, jv.State(z[0], z[1], phase))[0]
+        return jnp.stack([done.x, done.v])
+
+    slopes = jax.jit(jax.jacfwd(end))
+    for orbit in orbits:
+        matrix = np.asarray(slopes(jnp.array([orbit.state.x, orbit.state.v]), orbit.state.phase))
+        found = sorted(np.linalg.eigvals(matrix), key=lambda each: (-abs(each), -each.imag))
+        assert np.allclose(orbit.multipliers, found, rtol=0, atol=1e-11 * abs(found[0]))
+        lost = R ** (2 * orbit.impacts.count) * np.exp(-2 * GAMMA * PERIOD)
+        assert abs(np.prod(orbit.multipliers) / lost - 1) < 1e-10
+
+
+def test_all_orbits_of_period_one(orbits):
+    # by an independent search on a grid: tests/reference/grid.py
+    found = [(orbit.label, np.round(orbit.multipliers[0], 6), orbit.stable) for orbit in orbits]
+    assert found == [
+        ("P111", -0.111244 + 0.406986j, True),
+        ("P111", -0.111244 + 0.406986j, True),
+        ("P111", 2.333002, False),
+        ("P112", 4.759687, False),
+        ("P112", -0.400941, True),
+        ("P121", 4.759687, False),
+        ("P121", -0.400941, True),
+    ]
+    assert [orbit.mirror_of for orbit in orbits] == [1, 0, 2, 5, 6, 3, 4]
+    for orbit in orbits:
+        twin = orbits[orbit.mirror_of]
+        assert np.allclose(sorted(orbit.impacts.speed), sorted(twin.impacts.speed), rtol=0, atol=1e-12)
+
+
+def test_an_itinerary_leads_to_its_orbit(scene):
+    orbit = jv.find_orbit(scene, jv.State(0.9, -1.1), itinerary=("LLR",), settle=0)
+    assert orbit.label == "P121" and orbit.itinerary == ("RLL",)
+    with pytest.raises(jv.OrbitError, match=r"not admissible|no guess"):
+        jv.find_orbit(scene, jv.State(0.9, -1.1), itinerary=("LLLLLL",), settle=0)
+
+
+def test_the_least_period_is_found(scene):
+    orbit = jv.find_orbit(scene.replace(amplitude=2.0), jv.State(0.9, -1.1), periods=4)
+    assert (orbit.label, orbit.periods, orbit.impacts.count) == ("P111", 1, 2)
+
+
+def test_the_section_moves_away_from_an_impact():
+    # a stable P111 has an impact at phase 0 near this amplitude
+    scene = jv.make_scene(0.893, 0.8, 0.05, 0.7, (-1.0, 1.0))
+    orbit = jv.find_orbit(scene, jv.State(0.5, 0.5), settle=400)
+    time = orbit.impacts.time / (2 * np.pi / 0.8)
+    assert np.all(abs(time - np.round(time)) > 1e-3)
+    end = jv.strobe(scene, orbit.state)[0]
+    assert abs(end.x - orbit.state.x) < 1e-13 and abs(end.v - orbit.state.v) < 1e-13
+
+
+def test_a_wall_passed_by_a_hair_is_refused():
+    # one wall near, one far away; then the far one as near as the orbit goes, a hair more or less
+    rng, tried = np.random.default_rng(5), 0
+    while tried < 12:
+        numbers = zip(("amplitude", "frequency", "damping"), rng.uniform((0.5, 0.5, 0.05), (3, 3, 1.5)), strict=True)
+        far = jv.make_scene(**dict(numbers), restitution=rng.uniform(0.3, 0.9), walls=(-50.0, rng.uniform(-0.3, 0.2)))
+        try:
+            orbit = jv.find_orbit(far, jv.State(-0.5, 0.0))
+        except jv.OrbitError:
+            continue
+        if orbit.unknowns != "impacts":
+            continue
+        tried += 1
+        rows = orbit.impacts.time, orbit.impacts.speed, orbit.impacts.side
+        reach = -50.0 + solution(far, padded(far, *rows, orbit.state.phase, orbit.periods)).calls[0][:, 0].min()
+        kept = jv.find_orbit(far.replace(**{"left.position": reach - 1e-9}), orbit.state, orbit.periods, settle=0)
+        assert abs(kept.least_clearance - min(orbit.least_clearance, 1e-9)) < 1e-13
+        near = far.replace(**{"left.position": reach + 1e-9})
+        with pytest.raises(jv.OrbitError, match=r"passes through the left wall, 1e-09 deep|not admissible"):
+            by_impacts(near, *rows, orbit.state.phase, orbit.periods)
+
+
+def test_what_is_no_orbit_says_why(scene):
+    with pytest.raises(jv.OrbitError, match=r"no orbit: the state does not come back within 32 periods .*find_orbits"):
+        jv.find_orbit(scene.replace(amplitude=5.24), jv.State(0.1, 0.3))
+    with pytest.raises(jv.OrbitError, match="no orbit: the state cannot be followed \\(invalid\\)"):
+        jv.find_orbit(scene, jv.State(1.5, 0.0))
+    with pytest.raises(jv.SceneError, match=r"^periods: must be the number of words, 1, or None"):
+        jv.find_orbit(scene, jv.State(0.0, 0.0), periods=2, itinerary=("LR",))
+    with pytest.raises(jv.SceneError, match=r"^itinerary: must be words"):
+        jv.find_orbit(scene, jv.State(0.0, 0.0), itinerary="LR")
+    with pytest.raises(jv.SceneError, match=r"^scene: must be a single scene"):
+        jv.find_orbit(scene.replace(amplitude=np.ones(3)), jv.State(0.0, 0.0))
