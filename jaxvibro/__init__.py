@@ -21,6 +21,8 @@ _HOMES = {
     "strobe": "strobe",
     "monodromy": "monodromy",
     "simulate": "simulate",
+    "return_map": "section",
+    "Return": "section",
     "find_orbit": "find",
     "find_orbits": "orbits",
     "Orbit": "orbit",

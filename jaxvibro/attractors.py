@@ -8,7 +8,9 @@ import numpy as np
 from . import check
 from .entry import CAP
 from .evidence import chaotic, periodic
+from .find import find_orbit
 from .meetings import is_same_orbit, is_same_set, is_symmetric, mirrored
+from .orbit import Orbit, OrbitError
 from .settling import settle_lanes
 from .starts import box, random_starts
 from .state import STATUS, State
@@ -19,7 +21,8 @@ class Attractor:
     """One of the things that starts settle on.
 
     label: P n p q, "chaotic" or "unresolved". kind: "periodic", "chaotic" or "unresolved"; the last stands for all
-    starts that gave evidence for neither. share: of the starts; all shares sum to 1. state: on it, at phase 0; of the
+    starts that gave evidence for neither. orbit: the `Orbit` of a periodic one, polished, with its multipliers; None
+    where there is none, or none was found. share: of the starts; all shares sum to 1. state: on it, at phase 0; of the
     unresolved, the first of the starts. periods: minimal number of drive periods of a periodic one, else 0. itinerary:
     the walls it hits, a word a period from `state` on, else (). points: x and v on Sigma from `state` on, shape
     (periods, 2); a sample where chaotic. least_speed: of its impacts, inf if none. exponent: the largest Lyapunov
@@ -39,6 +42,7 @@ class Attractor:
     exponent: float
     mirror_of: int | None
     note: str
+    orbit: Orbit | None = None
 
 
 def find_attractors(scene, starts=200, seed=0, settle=300):
@@ -61,11 +65,13 @@ def find_attractors(scene, starts=200, seed=0, settle=300):
     sets, restless = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < CAP)), scale)
     bad = {int(lane): f"status {STATUS[found.status[lane]]}" for lane in np.flatnonzero(found.status >= CAP)}
     seen = sorted(orbits + sets, key=lambda one: (-len(one.lanes), one.numbers["label"], *one.numbers["points"][0]))
-    return _paired(seen, is_symmetric(scene), starts) + _unresolved(given, adrift | restless | bad, starts)
+    return _paired(scene, seen, starts) + _unresolved(given, adrift | restless | bad, starts)
 
 
-def _paired(seen, symmetric, starts):
+def _paired(scene, seen, starts):
     """The attractors with their shares, and their mirror images where the scene is symmetric."""
+
+    symmetric = is_symmetric(scene)
 
     def image(one):
         test = is_same_orbit if one.numbers["periods"] else is_same_set
@@ -76,7 +82,19 @@ def _paired(seen, symmetric, starts):
         )
         return next(places, None) if symmetric else None
 
-    return tuple(Attractor(**one.numbers, share=len(one.lanes) / starts, mirror_of=image(one)) for one in seen)
+    return tuple(
+        Attractor(**one.numbers, share=len(one.lanes) / starts, mirror_of=image(one), orbit=_orbit(scene, one.numbers))
+        for one in seen
+    )
+
+
+def _orbit(scene, numbers):
+    if not numbers["periods"]:
+        return None
+    try:
+        return find_orbit(scene, numbers["state"], numbers["periods"], settle=0)
+    except OrbitError:
+        return None
 
 
 def _unresolved(given, reasons, starts):

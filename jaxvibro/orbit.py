@@ -1,6 +1,6 @@
 """A periodic orbit and what is known of it; and why there is none."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -46,7 +46,7 @@ class Orbit:
     least_speed: float
     least_clearance: float
     unknowns: str
-    scene: Scene
+    scene: Scene = field(repr=False)
     mirror_of: int | None = None
 
 

@@ -14,7 +14,7 @@ from .orbit import OrbitError, described, multipliers
 from .state import STATUS, Impacts, State
 from .strobe import strobe
 
-ROUNDS = 30  # of Newton's steps
+ROUNDS = 12  # of Newton's steps
 
 
 def by_state(scene, state, periods):

@@ -12,7 +12,7 @@ ORDER = [
     *("gap", "check", "scene", "physical", "whole", "tables", "scenefile"),
     *("lanes", "blocks", "flow", "path", "wall", "event", "impact", "frame", "flight"),
     *("log", "clearance", "entry", "journey", "state", "period", "replay", "slopes", "strobe", "monodromy", "simulate"),
-    *("itinerary", "place", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
+    *("itinerary", "place", "section", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
     *("cycle", "passes", "orbit", "solve", "shoot", "find", "orbits"),
     *("evidence", "attractors", "plot", "study", "stretch", "data", "report", "picture", "run"),
     *("cache", "starter", "command", "__main__"),

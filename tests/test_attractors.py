@@ -83,6 +83,14 @@ def test_exponent_of_an_orbit_whose_multipliers_are_complex(four):
     assert all(one.exponent < -0.5 for one in four)
 
 
+def test_a_periodic_attractor_has_its_orbit(four, chaos):
+    for one in four:
+        assert (one.orbit.label, one.orbit.stable) == (one.label, True)
+        assert abs(one.orbit.state.x - one.state.x) < 1e-9
+        assert abs(np.log(abs(one.orbit.multipliers[0])) - one.exponent) < 0.02
+    assert [one.orbit is None for one in chaos] == [one.kind == "chaotic" for one in chaos]
+
+
 def test_two_chaotic_attractors_and_two_orbits(chaos):
     assert sorted(one.label for one in chaos) == ["P111", "P111", "chaotic", "chaotic"]
     assert abs(sum(one.share for one in chaos) - 1.0) < 1e-12
@@ -101,6 +109,8 @@ def test_the_same_for_a_seed(four):
         for field in dataclasses.fields(one):
             if field.name == "state":
                 assert (one.state.x, one.state.v) == (other.state.x, other.state.v)
+            elif field.name == "orbit":
+                assert np.array_equal(one.orbit.impacts.time, other.orbit.impacts.time)
             else:
                 assert np.array_equal(getattr(one, field.name), getattr(other, field.name))
     few = jv.find_attractors(scene(4.65), starts=64, seed=1)
