@@ -13,7 +13,7 @@ from continuation import newton
 
 from . import check, flow
 from .cycle import Cycle
-from .entry import CAP, FULL
+from .entry import CAP
 from .meetings import is_symmetric, meetings, mirrored
 from .orbit import OrbitError
 from .shoot import by_state
@@ -53,7 +53,7 @@ def find_orbits(scene, max_period=4, starts=200, seed=0):
     for periods in range(1, longest + 1):
         for guess in _distinct(scene, _stretches(scene, looks, periods, rng)):
             found.add(lambda guess=guess: by_impacts(scene, *guess))
-        for state in _resting(looks[1], periods):
+        for state in _settled(looks[1], periods):
             found.add(lambda state=state, periods=periods: by_state(scene, state, periods))
     return found.paired(longest)
 
@@ -182,18 +182,13 @@ def _key(times, speeds, sides, periods, length):
     return min(turns)
 
 
-def _resting(look, periods):
-    """States that come back after so many periods and have more impacts than are recorded, or rest on a wall."""
+def _settled(look, periods):
+    """States that have come back after so many periods: orbits that rest on a wall are found from nothing else."""
     points = look.points
-    scale = abs(points[-1]).max(initial=1.0)
-    back = abs(points[-1] - points[-1 - periods]).max(axis=-1) <= 1e-6 * scale
-    rests = (
-        (look.status == FULL)
-        | (look.contact[-periods:] != 0).any(axis=0)
-        | (look.side[-periods:] == 0).all(axis=(0, 2))
-    )
+    near = 1e-6 * abs(points[-1]).max(initial=1.0)
+    back = abs(points[-1] - points[-1 - periods]).max(axis=-1) <= near
     seen = set()
-    for lane in np.flatnonzero(back & rests & (look.status < CAP)):
+    for lane in np.flatnonzero(back & (look.status < CAP)):
         key = tuple(np.round(points[-1, lane], 5))
         if key not in seen:
             seen.add(key)

@@ -20,6 +20,11 @@ def strobe(scene, state, periods=1, slots=32):
     end belongs to the period that ends: the state is the one after it, and its contact says so. A start on a wall and
     moving into it rebounds at time 0.
 
+    jax.grad, jacfwd, jacrev, hessian and the rest go through it, at any order: by x, v, phase and every number of the
+    scene; of the state, the impacts' times and speeds and the least speed. The rest of `Impacts` counts as constant.
+    A derivative is nan where there is no end, and with more than 32 impacts a period in flight: the status says so. At
+    an impact without speed there is none: what comes is that of the flight past it. A mass at rest forgets its start.
+
     Raises SceneError for periods, slots or a state that cannot be; all else is a status of each lane (`Impacts`).
     """
     periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 0)

@@ -10,7 +10,8 @@ import jaxvibro as jv
 from jaxvibro import cycle
 from jaxvibro.frame import frame
 from jaxvibro.solve import by_impacts, padded, solution
-from tests.reference import closed
+from tests.reference import closed, floquet, grid
+from tests.reference.scene import Motion, Scene, Wall
 
 GAMMA, OMEGA, R = 0.05, 2.1, 0.7
 PERIOD = 2 * np.pi / OMEGA
@@ -188,3 +189,44 @@ def test_what_is_no_orbit_says_why(scene):
         jv.find_orbit(scene, jv.State(0.0, 0.0), itinerary="LR")
     with pytest.raises(jv.SceneError, match=r"^scene: must be a single scene"):
         jv.find_orbit(scene.replace(amplitude=np.ones(3)), jv.State(0.0, 0.0))
+
+
+def test_multipliers_of_random_scenes_in_high_precision():
+    """Moving walls, R a wall, any damping; the references' orbit is polished in 640 bits."""
+    rng, met = np.random.default_rng(11), 0
+    while met < 12:
+        gamma, omega, amplitude, low, high = rng.uniform((0.02, 0.4, 0.2, 0.3, 0.3), (1.3, 4.0, 8.0, 0.9, 0.9))
+        swing, phase = rng.uniform((0.0, 0.0), (0.3, 6.0))
+        walls = (jv.Wall(-1.0, low, jv.Motion(swing, phase)), jv.Wall(rng.uniform(-0.4, 1.5), high))
+        try:
+            scene = jv.make_scene(amplitude, omega, gamma, 0.5, walls)
+            orbit = jv.find_orbit(scene, jv.State(-0.6, 0.0))
+        except jv.OrbitError:
+            continue
+        if orbit.unknowns != "impacts" or orbit.periods > 8:
+            continue
+        met += 1
+        right = Wall(float(scene.right.position), high)
+        plain = Scene(gamma, omega, amplitude, Wall(-1.0, low, Motion(swing, phase, 1)), right)
+        sides = [int(side) for side in orbit.impacts.side]
+        at, true = floquet.orbit(plain, *_start(orbit), orbit.impacts.time, sides, orbit.periods)
+        assert np.allclose(at, (orbit.state.x, orbit.state.v), rtol=0, atol=1e-11)
+        if abs(true[0] - true[1]) > 1e-3 * abs(true[0]):
+            assert np.allclose(orbit.multipliers, true, rtol=0, atol=1e-10 * abs(true[0]))
+        hits = [low**2 if side < 0 else high**2 for side in sides]
+        lost = np.prod(hits) * np.exp(-4 * np.pi * gamma * orbit.periods / omega)
+        assert abs(np.prod(orbit.multipliers) / lost - 1) < 1e-10
+
+
+def _start(orbit):
+    return orbit.state.x, orbit.state.v, orbit.state.phase
+
+
+@pytest.mark.slow
+def test_orbits_of_two_periods_against_a_search_on_a_grid(scene):
+    there = scene.replace(amplitude=5.6)
+    found = [(orbit.periods, orbit.multipliers[0]) for orbit in jv.find_orbits(there, max_period=2)]
+    other = [(len(one.points), one.multipliers[0]) for one in grid.orbits(there, 2, columns=60)]
+    assert sorted(n for n, _ in found) == sorted(n for n, _ in other) == [1, 1, 1, 2, 2]
+    for n, root in found:
+        assert min(abs(root - theirs) for m, theirs in other if m == n) < 1e-9
