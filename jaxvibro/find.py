@@ -5,6 +5,7 @@ import numpy as np
 from . import check
 from . import itinerary as words
 from .entry import CAP, FULL
+from .impact import STUCK
 from .orbit import OrbitError
 from .shoot import by_state
 from .solve import by_impacts, guessed
@@ -21,8 +22,9 @@ def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
 
     scene: a single one; state: a `State` of numbers, the section lies at its phase. periods: drive periods n of the
     orbit, at most 64; None takes the least number, up to 32, after which the state comes back; what is found may have
-    a divisor of it. itinerary: the walls to be hit, a word of "L" and "R" a period, ("LR",) or ("LRL", "R"); None takes
-    those that are hit from the state on. settle: drive periods before Newton's method.
+    a divisor of it. itinerary: the walls to be hit, a word of "L" and "R" a period, ("LR",) or ("LRL", "R"), compared
+    cyclically; None takes those that are hit from the state on. Where the state hits others, the orbit may be far from
+    it: of those that random guesses lead to the nearest is taken. settle: drive periods before Newton's method.
 
     Raises OrbitError, with status, residual and advice, where there is no such orbit: no return, no convergence, a
     singular Jacobian (a bifurcation), a flight through a wall; SceneError for arguments that cannot be.
@@ -77,22 +79,22 @@ def _returns(scene, state, settle):
 
 
 def _near(scene, state, periods, itinerary):
-    """The orbit near a state: by its impacts, or, where it rests on a wall, has very many or none, by the state."""
+    """The orbit near a state: by its impacts, or by the state where it rests on a wall or meets none."""
     kept = _followed(trail(scene, state, periods))
     found = words.words(kept.side[:, 0])
-    phase = float(state.phase[0])
-    if itinerary is not None and not words.same(found, itinerary):
-        return guessed(scene, itinerary, phase, box(scene)[2])
     plain = State(*(float(each[0]) for each in (state.x, state.v, state.phase, state.contact)))
-    if not any(found) or kept.status[0] == FULL:
+    if itinerary is not None and not words.same(found, itinerary):
+        return guessed(scene, itinerary, plain, box(scene)[2])
+    if not any(found) or _rests(scene, kept):
         return by_state(scene, plain, periods)
     length = 2.0 * np.pi / float(scene.frequency)
     hit = kept.side[:, 0] != 0
     times = (kept.time[:, 0] + length * np.arange(periods)[:, None])[hit]
-    try:
-        return by_impacts(scene, times, kept.speed[:, 0][hit], kept.side[:, 0][hit], phase, periods)
-    except OrbitError as error:
-        try:
-            return by_state(scene, plain, periods)
-        except OrbitError:
-            raise error from None
+    return by_impacts(scene, times, kept.speed[:, 0][hit], kept.side[:, 0][hit], plain.phase, periods)
+
+
+def _rests(scene, kept):
+    """Whether the mass may rest on a wall: it chatters, ends a period there, or a wall takes all of its speed."""
+    walls = [name for name in scene.names if name in ("left.restitution", "right.restitution")]
+    plastic = any(float(scene.parameter(name)) == 0 for name in walls)
+    return plastic or kept.status[0] == FULL or bool((abs(kept.contact) == STUCK).any())

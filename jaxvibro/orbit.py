@@ -18,7 +18,8 @@ class OrbitError(ValueError):
         self.status, self.residual, self.advice = status, residual, advice
 
     def __str__(self):
-        return f"no orbit: {self.status} (residual {self.residual:.1e}); {self.advice}"
+        left = "" if np.isnan(self.residual) else f" (residual {self.residual:.1e})"
+        return f"no orbit: {self.status}{left}; {self.advice}"
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ from .trail import KEEP, trail
 
 SETTLE = 300  # drive periods after which a second look at the trajectories is taken
 NEAREST, RANDOM = 2048, 1024  # stretches of each length that are tried
+COARSE = 1e-4  # of the largest x and v: stretches that begin nearer to each other are one
 LANES = 256  # of one call of Newton's method
 MOST = 32  # impacts of an orbit
 SAME = 1e-7  # of the largest speed: two orbits as near are one
@@ -139,7 +140,9 @@ def _stretches(scene, looks, periods, rng):
         points = look.points
         apart = abs(points[periods:] - points[:-periods]).max(axis=-1)
         flat = np.where((look.status < CAP)[None, :], apart, np.inf).ravel()
-        nearest = np.argsort(flat, kind="stable")[:NEAREST]
+        order = np.argsort(flat, kind="stable")
+        spots = np.round(points[:-periods].reshape(-1, 2)[order] / (COARSE * abs(points).max())).astype(int)
+        nearest = order[np.sort(np.unique(spots, axis=0, return_index=True)[1])[:NEAREST]]  # one of each spot
         chosen = np.unique(np.concatenate([nearest, rng.integers(0, flat.size, RANDOM)]))
         for begin, lane in zip(*np.unravel_index(chosen[np.isfinite(flat[chosen])], apart.shape), strict=True):
             rows = slice(begin + 1, begin + 1 + periods)

@@ -1,6 +1,7 @@
-"""The picture of a run: the swept diagram with the attractors in it, or portraits where nothing was swept."""
+"""The picture of a run: the swept diagram with attractors and orbits in it, or portraits where nothing was swept."""
 
 import math
+from functools import partial
 from io import BytesIO
 
 from matplotlib.figure import Figure
@@ -8,6 +9,7 @@ from matplotlib.figure import Figure
 from . import plot
 from .check import SceneError
 from .plot import style
+from .plot.orbit import title
 from .scene import SIDES
 from .simulate import simulate
 from .state import State
@@ -33,42 +35,73 @@ def _diagram(found):
     both = figure.subplots(2, 1, sharex=True)
     for ax, variable in zip(both, "xv", strict=True):
         plot.diagram(found.swept, variable, ax)
-        if found.mark is not None:
-            plot.mark(found.attractors, found.mark, variable, ax)
+        for asked, draw, some in (
+            (found.file.attractors, plot.mark, found.attractors),
+            (found.file.orbits, plot.mark_orbits, found.others),
+        ):
+            value = found.mark(asked)
+            if value is not None:
+                draw(some, value, variable, ax)
         ax.label_outer()
     figure.legend(*both[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
     return figure
 
 
 def _portraits(found):
-    motions = list(_motions(found))[:MOST]
-    columns = max(1, math.isqrt(max(0, len(motions) - 1)) + 1)
-    rows = max(1, -(-len(motions) // columns))
+    motions = list(_motions(found))
+    drawn, columns = motions[:MOST], max(1, math.isqrt(max(0, min(MOST, len(motions)) - 1)) + 1)
+    rows = max(1, -(-len(drawn) // columns))
     figure = Figure(figsize=(1 + 4.0 * columns, 0.5 + 3.7 * rows), layout="constrained")
-    for place, (title, state, periods) in enumerate(motions, 1):
+    for place, (draw, name) in enumerate(drawn, 1):
         ax = figure.add_subplot(rows, columns, place)
         try:
-            plot.portrait(simulate(found.there, state, periods, SAMPLES), found.there, ax)
+            draw(ax)
         except SceneError as error:  # too many impacts to draw
             ax.text(0.5, 0.5, style.plain(str(error)), wrap=True, ha="center", va="center")
-        ax.set_title(title, fontsize="medium")
+        ax.set_title(name, fontsize="medium")
+    if len(motions) != len(drawn) or not motions:
+        told = f"the first {MOST} of {len(motions)} motions" if motions else "no motion to draw"
+        figure.supxlabel(told, fontsize="medium")
     return figure
 
 
 def _motions(found):
-    """(title, state, drive periods) of each motion that there is to draw."""
+    """(what draws it into Axes, title) of each motion that there is to draw."""
     for one in found.attractors or ():
         if one.kind != "unresolved":
-            yield f"{one.label}, {100 * one.share:.1f} % of starts", one.state, one.periods or ROAMED
-    if found.attractors is None:
+            name = f"{one.label}, {100 * one.share:.1f} % of starts" + _at(found, found.file.attractors)
+            yield _drawing(found.there(found.file.attractors), one.state, one.periods or ROAMED), name
+    for one in found.others:
+        yield partial(plot.orbit, one), title(one) + _at(found, found.file.orbits)
+    if found.swept is not None:
         n, last = int(recurrence(found.swept)[0, 0]), found.swept.isel(step=0, leg=0, period=-1)
         if n >= 0:
-            yield "from rest, settled", State(float(last["x"]), float(last["v"])), n or ROAMED
+            state = State(float(last["x"]), float(last["v"]))
+            yield _drawing(found.scene, state, n or ROAMED), "from rest, settled"
+
+
+def _drawing(scene, state, periods):
+    return lambda ax: plot.portrait(simulate(scene, state, periods, SAMPLES), scene, ax)
+
+
+def _shared(found):
+    """The scene that the heading is of: where attractors and orbits are of two, the file's own."""
+    asked = [one for one in (found.file.attractors, found.file.orbits) if one is not None]
+    if found.file.sweep is not None or not asked or any(one.at != asked[0].at for one in asked):
+        return found.scene
+    return found.there(asked[0])
+
+
+def _at(found, asked):
+    """For a title: the values in which a motion's scene differs from the heading's, in a line of their own."""
+    if _shared(found) is not found.scene or not asked.at:
+        return ""
+    return "\nat " + ", ".join(f"{style.SYMBOLS.get(name, name)} = {value:g}" for name, value in asked.at.items())
 
 
 def _heading(found):
     """The scene in a line or two, but for what is swept."""
-    scene = found.there
+    scene = _shared(found)
     swept = None if found.file.sweep is None else found.file.sweep.parameter
     plain = [f"{sign} = {float(scene.parameter(name)):g}" for name, sign in style.SYMBOLS.items() if name != swept]
     walls = [_wall(scene, side, swept) for side in SIDES if getattr(scene, side) is not None]

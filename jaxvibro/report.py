@@ -10,13 +10,15 @@ from .study import KEEP, SETTLE
 
 
 def table(found, name):
-    """A text: the scene, the stretches of the sweep, the attractors."""
+    """A text: the scene, the stretches of the sweep, the attractors, the orbits."""
     scene = found.scene
     parts = [f"jaxvibro {__version__}, {name}\n", _columns([(key, float(scene.parameter(key))) for key in scene.names])]
     if found.swept is not None:
         parts += ["", *_sweep(found)]
     if found.attractors is not None:
         parts += ["", *_attractors(found)]
+    if found.orbits is not None:
+        parts += ["", *_orbits(found)]
     return "\n".join(parts) + "\n"
 
 
@@ -46,18 +48,52 @@ def _periods(number):
 
 def _attractors(found):
     asked = found.file.attractors
-    at = ", ".join(f"{key} = {value:g}" for key, value in asked.at.items()) or "the scene's own values"
-    yield f"attractors at {at}, from {asked.starts} starts (seed {asked.seed}); x and v at phase 0"
+    yield f"attractors at {_at(asked)}, from {asked.starts} starts (seed {asked.seed}); x and v at phase 0"
     rows = [("", "label", "share", "periods", "x", "v", "impacts", "exponent", "mirror image")]
     for place, one in enumerate(found.attractors, 1):
         state = (f"{one.state.x:.12f}", f"{one.state.v:.12f}")
-        words, twin = " ".join(word or "." for word in one.itinerary), _mirror(place, one.mirror_of)
         share, rate = f"{100 * one.share:.1f} %", f"{one.exponent:.4f}"
-        rows.append((place, one.label, share, one.periods or "-", *state, words or "-", rate, twin))
+        walls, twin = _walls(one.itinerary), _mirror(place, one.mirror_of)
+        rows.append((place, one.label, share, one.periods or "-", *state, walls, rate, twin))
     yield _columns(rows)
     yield "impacts: L left, R right, a word a period; exponent: the largest, per drive period"
     for place, one in enumerate(found.attractors, 1):
         yield f"{place}: {one.note}"
+
+
+def _at(asked):
+    return ", ".join(f"{key} = {value:g}" for key, value in asked.at.items()) or "the scene's own values"
+
+
+def _walls(itinerary):
+    return " ".join(word or "." for word in itinerary) or "-"
+
+
+def _orbits(found):
+    asked = found.file.orbits
+    told = f"max_period {asked.max_period}, near trajectories from {asked.starts} starts (seed {asked.seed})"
+    yield f"periodic orbits at {_at(asked)}, {told}: {len(found.orbits) or 'none'} found"
+    if not found.orbits:
+        return
+    turned = any(one.state.phase for one in found.orbits)
+    names = ("", "label", "", "multipliers", "x", "v", "phase", "impacts", "least speed", "least clearance", "residual")
+    rows = [(*names, "mirror image")]
+    for place, one in enumerate(found.orbits, 1):
+        state = [f"{getattr(one.state, key):.12f}" for key in ("x", "v", "phase")]
+        least = (float(one.least_speed), float(one.least_clearance), f"{one.residual:.1e}")
+        told = (one.label, "stable" if one.stable else "unstable", _pair(one.multipliers))
+        rows.append((place, *told, *state, _walls(one.itinerary), *least, _mirror(place, one.mirror_of)))
+    yield _columns(rows if turned else [row[:6] + row[7:] for row in rows])
+    where = "at the phase (rad) given" if turned else "at phase 0"
+    yield f"x and v {where}; impacts: L left, R right, a word a period; multipliers: Floquet's, the larger first"
+
+
+def _pair(multipliers):
+    """Two real numbers, or two complex ones as one text."""
+    first, second = multipliers
+    if first.imag:
+        return f"{first.real:.7g} +- {abs(first.imag):.7g}i"
+    return f"{first.real:.7g}, {second.real:.7g}"
 
 
 def _mirror(place, twin):
@@ -79,22 +115,40 @@ def summary(found, files):
     if found.swept is not None:
         told["stretches"] = [msgspec.to_builtins(one) for one in stretches(found.swept)]
     if found.attractors is not None:
-        told["attractors"] = [_plain(one) for one in found.attractors]
+        told["attractors"] = [_attractor(one) for one in found.attractors]
+    if found.orbits is not None:
+        told["orbits"] = [_orbit(one) for one in found.orbits]
     return told
 
 
-def _plain(attractor):
-    numbers = ("share", "least_speed", "exponent")
+def _attractor(one):
     return {
-        "label": attractor.label,
-        "kind": attractor.kind,
-        "periods": attractor.periods,
-        "itinerary": list(attractor.itinerary),
-        "state": {key: _finite(getattr(attractor.state, key)) for key in ("x", "v", "phase", "contact")},
-        "points": attractor.points.tolist() if attractor.periods else [],
-        "mirror_of": attractor.mirror_of,
-        "note": attractor.note,
-    } | {key: _finite(getattr(attractor, key)) for key in numbers}
+        "kind": one.kind,
+        "points": one.points.tolist() if one.periods else [],
+        "note": one.note,
+        **_plain(one, ("share", "least_speed", "exponent")),
+    }
+
+
+def _orbit(one):
+    """Multipliers are pairs, real and imaginary part."""
+    return {
+        "stable": one.stable,
+        "unknowns": one.unknowns,
+        "multipliers": [[_finite(root.real), _finite(root.imag)] for root in one.multipliers],
+        **_plain(one, ("residual", "least_speed", "least_clearance")),
+    }
+
+
+def _plain(one, numbers):
+    """What attractors and orbits have in common, and some numbers of theirs."""
+    return {
+        "label": one.label,
+        "periods": one.periods,
+        "itinerary": list(one.itinerary),
+        "state": {key: _finite(getattr(one.state, key)) for key in ("x", "v", "phase", "contact")},
+        "mirror_of": one.mirror_of,
+    } | {key: _finite(getattr(one, key)) for key in numbers}
 
 
 def _finite(number):

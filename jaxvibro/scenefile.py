@@ -22,6 +22,7 @@ _KINDS = {
     "sweep.legs": tables.LegTable,
     "sweep.legs.start": tables.StartTable,
     "attractors": tables.AttractorsTable,
+    "orbits": tables.OrbitsTable,
 }
 _WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
 

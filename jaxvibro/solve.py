@@ -24,6 +24,7 @@ from .state import Impacts, State
 from .trail import trail
 
 NEAR = 1e-3  # of a drive period: so near an impact the section is moved
+ENDED = "start nearer to another orbit: this one may be on a branch that has ended by grazing"
 GUESSES = 64  # of the impacts, where only the itinerary is known
 TIMELY = 1e-6  # of a drive period: so well must a certified flight end at the impact
 
@@ -137,13 +138,13 @@ def _refuse_passing(scene, found, count):
     residual, slowest = float(found.solved.residual), int(np.argmin(speeds))
     if not speeds[slowest] > 0:
         told = f"impact {slowest + 1} of {count} would have the speed {speeds[slowest]:.3g}"
-        raise OrbitError(f"not admissible: {told}", residual, "it belongs to a branch that has ended by grazing")
+        raise OrbitError(f"not admissible: {told}", residual, ENDED)
     flight, wall = np.unravel_index(int(np.argmin(clear)), clear.shape)
     if clear[flight, wall] < 0:
         side = [side for side in ("left", "right") if getattr(scene, side) is not None][wall]
         told = f"flight {flight + 1} of {count} passes through the {side} wall, {-clear[flight, wall]:.3g} deep"
         told += f", {late[flight, wall]:.6g} after its start"
-        raise OrbitError(f"not admissible: {told}", residual, "it belongs to a branch that has ended by grazing")
+        raise OrbitError(f"not admissible: {told}", residual, ENDED)
 
 
 def _refuse_uncertain(scene, found, count, length):
@@ -181,8 +182,8 @@ def _many(scene, guess):
     return cycle.ordered(scene, guess, solved.unknowns), solved
 
 
-def guessed(scene, itinerary, phase, fast):
-    """An orbit with this itinerary, from guesses of its impacts at random: the first that is one.
+def guessed(scene, itinerary, state, fast):
+    """An orbit with this itinerary, from guesses of its impacts at random: of those found the nearest to the state.
 
     fast: a speed that is large for the scene. Raises OrbitError: the last reason met, where no guess leads to an orbit.
     """
@@ -195,22 +196,21 @@ def guessed(scene, itinerary, phase, fast):
     times = np.sort(begins + rng.random((GUESSES, len(flat))), axis=1) * length
     speeds = fast * rng.random(times.shape)
     sides = np.broadcast_to([1.0 if side == "R" else -1.0 for side in flat], times.shape)
-    rows = [padded(scene, *each, phase, periods) for each in zip(times, speeds, sides, strict=True)]
+    rows = [padded(scene, *each, state.phase, periods) for each in zip(times, speeds, sides, strict=True)]
     found, solved = solutions(scene, Cycle(*(np.stack(each) for each in zip(*rows, strict=True))))
-    why = OrbitError(
-        "this itinerary's equations have no solution near any guess", np.nan, "give a state near the orbit"
-    )
-    seen = set()
+    why = OrbitError("no guess leads to a solution with this itinerary", np.nan, "give a state near the orbit")
+    seen, orbits = set(), []
     for k in np.flatnonzero(solved.status == newton.OK):
         key = tuple(np.round(found.times[k], 6))
-        if key in seen:
-            continue
-        seen.add(key)
-        try:
-            orbit = by_impacts(scene, *(each[k][: len(flat)] for each in found[:3]), phase, periods)
-        except OrbitError as error:
-            why = error
-            continue
-        if words.same(orbit.itinerary * (periods // orbit.periods), itinerary):
-            return orbit
-    raise why
+        if key not in seen:
+            seen.add(key)
+            try:
+                orbit = by_impacts(scene, *(each[k][: len(flat)] for each in found[:3]), state.phase, periods)
+            except OrbitError as error:
+                why = error
+                continue
+            if words.same(orbit.itinerary * (periods // orbit.periods), itinerary):
+                orbits.append(orbit)
+    if not orbits:
+        raise why
+    return min(orbits, key=lambda one: abs(one.state.x - state.x) + abs(one.state.v - state.v))

@@ -49,4 +49,10 @@ start = {x = 0.0, v = 0.0}
 starts = 50
 seed = 0
 at = {amplitude = 3.0}    # values other than [scene]'s, if any
+
+# [orbits]             # periodic orbits, those that repel too; it takes longer than the attractors
+# max_period = 4       # drive periods of the longest, up to 32
+# starts = 50
+# seed = 0
+# at = {amplitude = 3.0}
 """

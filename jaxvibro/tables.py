@@ -13,6 +13,7 @@ MOST = 1_000_000
 MOST_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
 Count = Annotated[int, Meta(ge=1, le=MOST)]
 Settle = Annotated[int, Meta(ge=0, le=MOST)]
+Periods = Annotated[int, Meta(ge=1, le=32)]  # half of what `trail` keeps
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
 Name = Annotated[str, Meta(min_length=1)]
 
@@ -97,21 +98,34 @@ class AttractorsTable(Table):
     at: dict[str, float] = {}
 
 
+class OrbitsTable(Table):
+    """[orbits]: the periodic orbits, stable and unstable, that trajectories of the scene, with the values under `at`,
+    come near."""
+
+    max_period: Periods = 4
+    starts: Count = 200
+    seed: Seed = 0
+    at: dict[str, float] = {}
+
+
 class SceneFile(Table):
     """All that a scene file says: the scene, and the studies that it asks for."""
 
     scene: SceneTable
     sweep: SweepTable | None = None
     attractors: AttractorsTable | None = None
+    orbits: OrbitsTable | None = None
 
     def check(self):
         """This file, once scene and studies break no rule. Raises SceneError naming the key, dotted from the top."""
         scene = _plain(self.scene)
         if self.sweep is not None:
             _check_sweep(scene, self.sweep)
-        if self.attractors is not None:
-            with _under("attractors.at."):
-                known(changed(scene, self.attractors.at), np.float64)
+        for name in ("attractors", "orbits"):
+            asked = getattr(self, name)
+            if asked is not None:
+                with _under(f"{name}.at."):
+                    known(changed(scene, asked.at), np.float64)
         return self
 
 

@@ -66,7 +66,7 @@ def strobe_errors(count, seed=0):
 
 
 def monodromy_errors(count, seed=0, kinds=None):
-    """For the same draws (of some structures only): error of M over the largest norm of d(end)/d(earlier state)."""
+    """For the same draws (of some structures only): error of M over the product of its factors' norms."""
     groups, fair = defaultdict(list), 0
     while fair < count:
         draw = draws.draw(seed)
@@ -85,7 +85,7 @@ def monodromy_errors(count, seed=0, kinds=None):
         start = jv.State(*(jnp.array([getattr(draw, key) for draw in drawn]) for key in ("x", "v", "phase")))
         found = np.asarray(jv.monodromy(scene_of([draw.scene for draw in drawn]), start))
         true = np.array([record.jacobian for record in records])
-        errors += list(np.abs(found - true).max((1, 2)) / [record.norm for record in records])
+        errors += list(np.abs(found - true).max((1, 2)) / [record.product for record in records])
     return np.array(errors)
 
 
@@ -184,7 +184,7 @@ def main(what, count):
         print(f"impacts a draw: {rows[:, 5].mean():.2f}; largest clearance error over the bound {clearance:.3g}")
     if what == "monodromy":
         errors = monodromy_errors(count)
-        print(f"monodromy: {count} draws, largest error over the norm {errors.max():.3g}")
+        print(f"monodromy: {count} draws, largest error over the product of the norms {errors.max():.3g}")
     if what == "flights":
         for left, right in STRUCTURES:
             for periods in (1, 2):

@@ -59,8 +59,9 @@ def ends(scene, periods, slots):
 def first_errors(count, seed=0, kinds=STRUCTURES, ways="fr", periods=1):
     """{(way, what): errors of the draws}; what is "state", the name of another number, or "impacts".
 
-    state: of d(x, v)/d(x, v), over record.norm. A number: of d(x, v) by it, over the largest of that column, 1 and
-    norm * scale. impacts: of the times and speeds by every number, over the same with their own rows in the column.
+    state: of d(x, v)/d(x, v), over record.product. A number: of d(x, v) by it, over the largest of that column, 1
+    and product * scale. impacts: of the times and speeds by every number, over the same with their own rows in the
+    column.
     """
     errors = defaultdict(list)
     for members in gather(count, seed, kinds, periods):
@@ -87,9 +88,9 @@ def _filled(rows, slots):
 def _first(found, true, records, names):
     """Pairs (what, errors of the draws) of one structure."""
     far, size = abs(found - true), abs(true)
-    norm = np.array([record.norm for record in records])
-    floor = np.maximum(1, norm * [record.scale for record in records])[:, None]
-    yield "state", far[:, :2, :2].max((1, 2)) / norm
+    product = np.array([record.product for record in records])
+    floor = np.maximum(1, product * [record.scale for record in records])[:, None]
+    yield "state", far[:, :2, :2].max((1, 2)) / product
     over = far[:, :2].max(1) / np.maximum(size[:, :2].max(1), floor)
     yield from zip(names[2:], over.T[2:], strict=True)
     yield "impacts", (far[:, 2:].max(1, initial=0) / np.maximum(size.max(1), floor)).max(1)

@@ -175,6 +175,8 @@ BAD = [
     (["--set", "sweep.legs.0.start.x=1.5"], "sweep.legs[0].start.x: must lie between the walls"),
     (["--set", "sweep.legs.5.name='a'"], "sweep.legs"),
     (["--set", "attractors.at.mass=1"], "attractors.at.mass: is not a parameter"),
+    (["--set", "orbits.max_period=33"], "orbits.max_period: must be a whole number <= 32; got 33"),
+    (["--set", "orbits.at.mass=1"], "orbits.at.mass: is not a parameter"),
     (["--set", ""], "must be KEY=VALUE"),
     (["--set"], "--set: expected one argument"),
     (["--st", "amplitude=3"], "unrecognized arguments: --st"),

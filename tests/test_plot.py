@@ -1,5 +1,7 @@
 """Pictures: Axes in, Axes out, nothing shown; told apart by the colour-blind and in grey; symbols and units."""
 
+from dataclasses import replace
+
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
@@ -90,6 +92,44 @@ def test_attractors_are_marked_where_they_are_and_twins_share_a_shape():
     one, twin, other = ((line.get_marker(), line.get_markerfacecolor()) for line in marks)
     assert one[0] == twin[0] != other[0] and one[1] != twin[1]
     assert ax.get_legend_handles_labels()[1][0] == "P111, 40.0 % of starts"
+
+
+@pytest.fixture(scope="module")
+def orbits():
+    return jv.find_orbits(jv.make_scene(4.65, 2.1, 0.05, 0.7, (-1.0, 1.0)), max_period=1, starts=20)
+
+
+def test_an_orbit_s_portrait_tells_stable_from_unstable(orbits):
+    titles = []
+    for one in (orbits[0], orbits[2]):
+        ax = plot.orbit(one, Figure().subplots())
+        titles.append(ax.get_title())
+        path, jumps, dots = ax.lines[-3:]
+        x, v = (line[np.isfinite(line)] for line in numbers(path))
+        np.testing.assert_allclose([x[-1], v[-1]], [x[0], v[0]], atol=1e-12)
+        assert numbers(dots)[0] == pytest.approx([one.state.x], abs=1e-12)
+        assert np.isfinite(numbers(jumps)[0]).sum() == 2 * one.impacts.count == 4
+        assert (path.get_linestyle() == "-") == (dots.get_markerfacecolor() != "white") == one.stable
+    assert titles == ["P111, stable, multipliers -0.1112 ± 0.407i", "P111, unstable, multiplier 2.333"]
+
+
+def test_orbits_are_marked_at_phase_0_and_the_unstable_ones_are_open(orbits):
+    ax = plot.mark_orbits(orbits, 4.65, "x", Figure().subplots())
+    marks = ax.lines[1:]
+    drawn = [line.get_xydata().tolist() for line in marks]
+    np.testing.assert_allclose(drawn, [[[4.65, one.state.x]] for one in orbits], atol=1e-12)
+    assert [line.get_markerfacecolor() != "white" for line in marks] == [one.stable for one in orbits]
+    shapes = [line.get_marker() for line in marks]
+    assert shapes[0] == shapes[1] and shapes[3] == shapes[5] and shapes[4] == shapes[6] and len(set(shapes)) == 4
+    assert ax.get_legend_handles_labels()[1][:2] == ["P111 and mirror image, stable", "P111, unstable"]
+
+
+def test_an_orbit_with_another_phase_is_marked_at_phase_0(orbits):
+    one = orbits[3]
+    later = jv.simulate(one.scene, one.state, 1, 400).isel(time=120)
+    state = jv.State(float(later["x"]), float(later["v"]), float(later["phase"]))
+    ax = plot.mark_orbits([replace(one, state=state)], 4.65, "v", Figure().subplots())
+    np.testing.assert_allclose(ax.lines[-1].get_ydata(), [one.state.v], atol=1e-9)
 
 
 def test_neighbouring_colours_differ_in_grey():

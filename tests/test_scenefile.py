@@ -44,7 +44,7 @@ def test_reading_needs_no_double_precision_until_the_scene_is_made():
 # The change to scenes/fig4.toml, the key that the error names, and what it says.
 BAD = [
     ("scene.amplitud = 3", "scene.amplitud", f"is not a key here {KEYS_OF_SCENE}; got 3"),
-    ("scen = 3", "scen", "is not a key here (scene, sweep, attractors); got 3"),
+    ("scen = 3", "scen", "is not a key here (scene, sweep, attractors, orbits); got 3"),
     ("scene.left.stiffness = 3", "scene.left.stiffness", "is not a key here (position, restitution, motion)"),
     ("scene.left.motion = {amplitude=0, size=1}", "scene.left.motion.size", "is not a key here"),
     ("sweep.steps = 3", "sweep.steps", "is not a key here (parameter, count, settle, keep, legs)"),
@@ -101,6 +101,17 @@ BAD = [
     ("attractors.at.damping = 'low'", "attractors.at.damping", "must be a number; got 'low'"),
     (f"attractors.at.damping = 1{400 * '0'}", "attractors.at.damping", "Number out of range"),
     ("attractors.at.'right.restitution' = 2", "attractors.at.right.restitution", "must lie between 0 and 1; got 2.0"),
+    ("orbits.periods = 3", "orbits.periods", "is not a key here (max_period, starts, seed, at)"),
+    ("orbits = 3", "orbits", "must be a table; got 3"),
+    ("orbits.max_period = 0", "orbits.max_period", "must be a whole number >= 1; got 0"),
+    ("orbits.max_period = 33", "orbits.max_period", "must be a whole number <= 32; got 33"),
+    ("orbits.max_period = 1.5", "orbits.max_period", "must be a whole number; got 1.5"),
+    ("orbits.starts = 0", "orbits.starts", "must be a whole number >= 1; got 0"),
+    ("orbits.seed = -1", "orbits.seed", "must be a whole number >= 0; got -1"),
+    ("orbits.at = 4.65", "orbits.at", "must be a table; got 4.65"),
+    ("orbits.at.force = 1.0", "orbits.at.force", "is not a parameter of this scene (amplitude, "),
+    ("orbits.at.damping = 'low'", "orbits.at.damping", "must be a number; got 'low'"),
+    ("orbits.at.frequency = 0", "orbits.at.frequency", "must be greater than 0; got 0.0"),
     ("scene.amplitude", "scene.amplitude", "must be KEY=VALUE, the value as in TOML"),
     ("scene.amplitude = large", "scene.amplitude", "must be KEY=VALUE, the value as in TOML"),
 ]
@@ -149,6 +160,14 @@ def test_changes_go_in_before_the_check():
     assert (file.scene.amplitude, file.scene.right.motion.amplitude) == (3.0, 0.1)
     assert [leg.last for leg in file.sweep.legs] == [0.0, 5.0]
     assert file.attractors.at == {"amplitude": 4.65, "damping": 0.1}
+    assert file.orbits is None
+
+
+def test_orbits_have_defaults_and_values_of_their_own():
+    asked = scenefile.read(FIG4, ["orbits = {}"]).orbits
+    assert (asked.max_period, asked.starts, asked.seed, asked.at) == (4, 200, 0, {})
+    asked = scenefile.read(FIG4, ["orbits = {max_period=32, starts=7, seed=3, at={amplitude=3}}"]).orbits
+    assert (asked.max_period, asked.starts, asked.seed, asked.at) == (32, 7, 3, {"amplitude": 3.0})
 
 
 def test_a_start_is_held_against_the_walls_at_phase_0_of_the_first_value():
@@ -160,7 +179,8 @@ def test_a_start_is_held_against_the_walls_at_phase_0_of_the_first_value():
 
 
 def test_a_whole_file_survives_writing(tmp_path):
-    file = scenefile.read(FIG4, ["scene.right.restitution=0.6", "attractors.at.'right.restitution'=0.5"])
+    changes = ["scene.right.restitution=0.6", "attractors.at.'right.restitution'=0.5", "orbits.max_period=2"]
+    file = scenefile.read(FIG4, changes)
     scenefile.dump(file, tmp_path / "copy.toml")
     assert scenefile.read(tmp_path / "copy.toml") == file
 

@@ -6,21 +6,24 @@ from .path import with_impacts
 from .style import COLOURS, COORDINATES, WALL, axes
 
 
-def portrait(trajectory, scene, ax=None):
+def portrait(trajectory, scene, ax=None, stable=True):
     """Draw a Dataset of `simulate` in the phase plane: the Axes.
 
     Walls are grey, a moving one as wide as it goes; an impact is a dashed line; dots are the states on the section,
-    at the end of each drive period.
+    at the end of each drive period. stable: whether the motion is; one that is not has a dashed line of its own colour,
+    its impacts are dotted, its states open.
     """
     ax = axes(ax)
     _walls(ax, scene)
     _, x, v, jumps = with_impacts(trajectory, scene)
-    ax.plot(x, v, color=COLOURS[0], linewidth=1.0)
+    line, broken = ("-", "--") if stable else ((0, (6, 2)), ":")
+    ax.plot(x, v, color=COLOURS[0 if stable else 7], linewidth=1.0, linestyle=line)
     ends = np.stack([jumps, jumps + 2, jumps + 1], -1).ravel()  # before, after, nan
-    ax.plot(x[ends], v[ends], color=COLOURS[1], linewidth=1.2, linestyle="--")
+    ax.plot(x[ends], v[ends], color=COLOURS[1], linewidth=1.2, linestyle=broken)
     turns = trajectory["phase"].values / (2 * np.pi)
     whole = np.flatnonzero(abs(turns - turns[0] - np.round(turns - turns[0])) < 1e-6)[1:]
     dots = {"linestyle": "none", "marker": "o", "markersize": 4, "color": COLOURS[2], "zorder": 3}
+    dots["markerfacecolor"] = COLOURS[2] if stable else "white"
     ax.plot(trajectory["x"].values[whole], trajectory["v"].values[whole], **dots)
     ax.set(xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
     ax.locator_params(axis="x", nbins=6)

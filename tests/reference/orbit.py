@@ -21,7 +21,8 @@ class Record:
 
     turns holds every turning point of x - x_wall in flight, one wall after the other (Turn: time, side, clearance,
     minimum). least_clearance is the least of all of them, least_minimum of the minima alone (floats, inf if none).
-    norm is the largest 2-norm of d(end)/d(state at an earlier time), jacobian d(end)/d(start) (rows of floats).
+    norm is the largest 2-norm of d(end)/d(state at an earlier time), product that of the norms of all flights' and
+    impacts' matrices, jacobian d(end)/d(start) (rows of floats).
     scale is the largest of |x|, |v| at start, impacts and end, wall distances, A and A / sqrt(D).
     """
 
@@ -35,6 +36,7 @@ class Record:
     least_clearance: float = math.inf
     least_minimum: float = math.inf
     norm: float = 1.0
+    product: float = 1.0
     jacobian: tuple = ((1.0, 0.0), (0.0, 1.0))
     scale: float = 0.0
 
@@ -79,6 +81,7 @@ def run(scene, x, v, phase, contact, periods):
             length = hit[0] if hit else end - t
             x, v = course.flight(length)
             factors += [flown(oscillator, length / 4)] * 4
+            record.product *= norm(flown(oscillator, length))
             if hit is None:
                 break
             t, theta = t + length, theta + oscillator.omega * length
@@ -142,6 +145,7 @@ def rebound(scene, oscillator, record, factors, at, side):
     before_pull, after_pull = force - 2 * oscillator.gamma * v, force - 2 * oscillator.gamma * after
     shear = (after_pull + r * before_pull - (1 + r) * change) / relative
     factors.append(((-float(r), 0.0), (float(shear), -float(r))))
+    record.product *= norm(factors[-1])
     record.times.append(t)
     record.sides.append(side)
     record.speeds.append(abs(relative))
