@@ -52,9 +52,6 @@ def _strobe(task):
     run = jax.custom_jvp(batched(lambda *leaves: _real(inner(*task.tree.unflatten(leaves)))))
 
     def rule(primals, tangents):
-        if not _moving(tangents):
-            out = run(*primals)
-            return out, jax.tree.map(jnp.zeros_like, out)
         out, known = _recorded(task)(*primals)
         return out, _pushed(task, out, known, primals, tangents)
 
@@ -107,6 +104,9 @@ def _tensors(task):
     def rule(primals, tangents):
         given = tangents[: task.tree.num_leaves]
         moving = _moving(given)
+        if not moving:
+            values = run(*primals)
+            return values, jax.tree.map(jnp.zeros_like, values)
         above = task._replace(order=task.order + 1, chosen=tuple(sorted({*task.chosen, *moving})))
         found = list(enumerate(_tensors(above)(*primals)))
         values = tuple(_some(each, above, [*repeat(task.chosen, m + 1)]) for m, each in found[:-1])
@@ -125,6 +125,8 @@ def _moving(tangents):
 def _pushed(task, out, known, primals, tangents):
     """The tangents of (State, Impacts)."""
     (end, impacts), moving = out, _moving(tangents)
+    if not moving:
+        return jax.tree.map(jnp.zeros_like, out)
     told = (known.count, known.freed, known.rests, known.times, known.sides)
 
     def slopes(of_state):

@@ -125,6 +125,14 @@ def test_a_loop_that_starts_from_a_constant_of_the_strobe_s(scene):
     assert jax.jit(ends)(0.9) == -1.0  # one impact, on the left wall
 
 
+def test_the_contact_is_a_constant(scene):
+    def end(contact):
+        return jv.strobe(scene, jv.State(-1.0, 1.0, 0.0, contact))[0].x
+
+    assert jax.grad(end)(-1.0) == 0
+    assert jax.grad(jax.grad(end))(-1.0) == 0
+
+
 @pytest.mark.slow
 def test_random_scenes_against_ball_arithmetic():
     for (_, what), errors in first_errors(60, kinds={(1, 2)}).items():
