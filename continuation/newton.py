@@ -61,7 +61,7 @@ def newton(function, start, longest=jnp.inf, most=30, solve=solve):
     carry = (start, zero, zero + jnp.finfo(start.dtype).max, zero + 1.0, 0)
     unknowns, residual, step, worst, _ = lax.while_loop(going, advance, carry)
     small = step <= eps**0.5 * (1.0 + jnp.max(abs(unknowns)))
-    status = jnp.where(small, OK, SLOW)
-    status = jnp.where(worst < SINGULAR_BELOW * eps, SINGULAR, status)
+    stalled = jnp.where(worst < eps**0.25, SINGULAR, SLOW)  # at a double root the steps shrink by a factor alone
+    status = jnp.where(worst < SINGULAR_BELOW * eps, SINGULAR, jnp.where(small, OK, stalled))
     status = jnp.where(jnp.isfinite(residual), status, NONFINITE)
     return Solved(unknowns, residual, step, worst, status)

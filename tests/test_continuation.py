@@ -35,14 +35,15 @@ def test_newton_says_why_it_failed():
     def none(point):  # x^2 + 1 = 0
         return point * point + 1.0, jnp.diag(2.0 * point)
 
-    def double(point):  # x^2 = 0
-        return point * point, jnp.diag(2.0 * point) + 0.0 * jnp.eye(1)
+    def double(point):  # x^2 = 0, y = 0: each step halves x
+        x, y = point
+        return jnp.stack([x * x, y]), jnp.diag(jnp.stack([2.0 * x, 1.0]))
 
     def flat(point):
         return jnp.stack([point[0] - 1.0, point[0] - 1.0]), jnp.array([[1.0, 0.0], [1.0, 0.0]])
 
     assert newton.newton(none, jnp.array([0.3])).status == newton.SLOW
-    assert newton.newton(double, jnp.array([1.0]), most=10).status == newton.SLOW
+    assert newton.newton(double, jnp.array([1.0, 1.0]), most=25).status == newton.SINGULAR
     assert newton.newton(flat, jnp.array([0.0, 0.0])).status == newton.SINGULAR
     assert newton.newton(on_circle, jnp.array([jnp.nan, 1.0])).status == newton.NONFINITE
 
