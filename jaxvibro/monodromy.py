@@ -27,24 +27,24 @@ from .state import real_state
 from .wall import chosen, course, less, picked
 
 
-def monodromy(scene, state, periods=1):
+def monodromy(scene, state, periods=1, slots=SLOTS):
     """The derivative of `strobe`'s (x, v) by the given (x, v): shape (..., 2, 2), rows x and v of the end.
 
-    scene, state, periods as for `strobe`. nan where the strobe has no end (status from CAP on) or has more than 32
-    impacts a period in flight; zero where the mass comes to rest on a wall. On an impact without speed the derivative
-    does not exist: inf or nan.
+    scene, state, periods as for `strobe`; slots: impacts of a period that there is room for. nan where the strobe has
+    no end (status from CAP on) or has more impacts than that and does not end at rest; zero where the mass rests on a
+    wall. On an impact without speed the derivative does not exist: inf or nan.
 
     Raises SceneError as `strobe` does, and TypeError where it is itself to be differentiated.
     """
-    periods = check.whole("periods", periods, 1)
+    periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 1)
     leaves, tree = jax.tree.flatten((scene, real_state(scene, state)))
     traced = check.is_traced(*leaves)
-    return (_within(tree, periods) if traced else _at_once(tree, periods))(*leaves)
+    return (_within if traced else _at_once)(tree, periods, slots * periods)(*leaves)
 
 
 @cache
-def _within(tree, periods):
-    run = jax.custom_jvp(batched(jax.jit(partial(_matrices, tree, periods, 1))))
+def _within(tree, periods, slots):
+    run = jax.custom_jvp(batched(jax.jit(partial(_matrices, tree, periods, slots, 1))))
 
     @run.defjvp
     def _(primals, tangents):
@@ -54,26 +54,25 @@ def _within(tree, periods):
 
 
 @cache
-def _at_once(tree, periods):
-    return jax.jit(partial(_matrices, tree, periods, LEAST), compiler_options=OPTIONS)
+def _at_once(tree, periods, slots):
+    return jax.jit(partial(_matrices, tree, periods, slots, LEAST), compiler_options=OPTIONS)
 
 
-def _matrices(tree, periods, least, *leaves):
+def _matrices(tree, periods, slots, least, *leaves):
     """M of all lanes, block by block."""
     scene, state = tree.unflatten(leaves)
     shape = jnp.broadcast_shapes(*map(jnp.shape, leaves))
 
     def run(given):
-        entries = one_kernel(_block, *given, periods=periods)
+        entries = one_kernel(_block, *given, periods=periods, slots=slots)
         return jnp.stack(entries, -1).reshape(*entries[0].shape, 2, 2)
 
     given = scene, replace(state, x=jnp.broadcast_to(state.x, shape))
     return in_blocks(run, given, lambda lanes: jnp.zeros((lanes, 2, 2), scene.dtype), least)
 
 
-def _block(scene, state, periods):
+def _block(scene, state, periods, slots):
     """M of a block of lanes, by rows."""
-    slots = SLOTS * periods
     (end, impacts), freed = period.through(scene, state, periods, slots)
     built, zero = frame(scene), lax.full_like(freed, 0.0)
     rows = (impacts.time, impacts.side.astype(freed.dtype), impacts.speed)

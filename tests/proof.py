@@ -83,7 +83,7 @@ def monodromy_errors(count, seed=0, kinds=None):
     for members in groups.values():
         drawn, records = zip(*members, strict=True)
         start = jv.State(*(jnp.array([getattr(draw, key) for draw in drawn]) for key in ("x", "v", "phase")))
-        found = np.asarray(jv.monodromy(scene_of([draw.scene for draw in drawn]), start))
+        found = np.asarray(jv.monodromy(scene_of([draw.scene for draw in drawn]), start, slots=SLOTS))
         true = np.array([record.jacobian for record in records])
         errors += list(np.abs(found - true).max((1, 2)) / [record.product for record in records])
     return np.array(errors)

@@ -62,6 +62,17 @@ def test_no_end_no_derivative(scene):
     assert np.all(np.isnan(found[1]))
 
 
+def test_slots_that_do_not_hold_all_impacts_give_nan(scene):
+    state = jv.State(0.0, 3.0)  # two impacts
+    assert np.all(np.isnan(jv.monodromy(scene, state, slots=1)))
+    assert np.array_equal(jv.monodromy(scene, state, slots=2), jv.monodromy(scene, state))
+
+
+def test_it_is_not_to_be_differentiated(scene):
+    with pytest.raises(TypeError, match=r"differentiate jax\.jacfwd of strobe"):
+        jax.jacfwd(lambda x: jv.monodromy(scene, jv.State(x, 0.0)))(0.5)
+
+
 def test_periods_are_refused_by_name(scene):
     with pytest.raises(jv.SceneError, match=r"^periods: must be a whole number"):
         jv.monodromy(scene, jv.State(0.0, 0.0), periods=0)
