@@ -12,8 +12,8 @@ OK, SLOW, SINGULAR, NONFINITE = range(4)
 STATUS = ("ok", "not converged", "singular", "not finite")
 ADVICE = (
     "",
-    "Newton's steps did not become small: start nearer, or with another itinerary",
-    "the Jacobian is singular: a bifurcation or a grazing is near",
+    "Newton's steps did not become small: start nearer",
+    "the Jacobian is singular: a bifurcation is near",
     "a number is not finite: the start is too far from any solution",
 )
 DONE = -1
