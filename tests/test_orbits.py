@@ -27,14 +27,14 @@ def orbits(scene):
     return jv.find_orbits(scene, max_period=1, starts=40)
 
 
-def known(amplitude, wall=1.0, periods=1, symmetric=False, gamma=GAMMA, omega=OMEGA, restitution=R):
+def known(amplitude, wall=1.0, periods=1, symmetric=False, omega=OMEGA, side=1):
     """States at phase 0 and multipliers of the closed forms' orbits, in 40 digits."""
     with mpmath.workdps(40):
-        found = closed.orbits(gamma, omega, amplitude, restitution, wall, 1, periods, symmetric)
+        found = closed.orbits(GAMMA, omega, amplitude, R, wall, side, periods, symmetric)
         return [
             (
-                closed.at_phase(gamma, omega, amplitude, one, 0, symmetric),
-                closed.multipliers(gamma, omega, amplitude, restitution, one, periods, symmetric),
+                closed.at_phase(GAMMA, omega, amplitude, one, 0, symmetric),
+                closed.multipliers(GAMMA, omega, amplitude, R, one, periods, symmetric),
                 one.speed,
             )
             for one in found
@@ -84,18 +84,18 @@ def test_symmetric_orbits_both_roots(scene):
         assert met == [True, False]
 
 
-@pytest.mark.parametrize("periods", [1, 2, 3])
-def test_one_impact_on_one_wall(periods):
-    omega, wall, met = 2.0 * periods + 0.1, 0.05, 0
-    scene = jv.make_scene(5.0, omega, GAMMA, R, (None, wall))
-    for state, multipliers, speed in known(5.0, wall, periods, omega=omega):
+@pytest.mark.parametrize("side, periods", [(1, 1), (1, 2), (1, 3), (-1, 1)])
+def test_one_impact_on_one_wall(side, periods):
+    omega, wall, met = 2.0 * periods + 0.1, 0.05 * side, 0
+    scene = jv.make_scene(5.0, omega, GAMMA, R, (None, wall) if side > 0 else (wall, None))
+    for state, multipliers, speed in known(5.0, wall, periods, omega=omega, side=side):
         start = jv.State(*map(float, state))
         try:
             orbit = jv.find_orbit(scene, start, periods=periods, settle=0)
         except jv.OrbitError as error:
             assert "not admissible" in error.status
             continue
-        assert orbit.label == f"P{periods}01"
+        assert orbit.label == (f"P{periods}01" if side > 0 else f"P{periods}10")
         agrees(orbit, state, multipliers)
         assert abs(float(speed) - orbit.least_speed) < 1e-12
         met += 1
