@@ -45,6 +45,12 @@ def is_known(name, names, value):
         raise SceneError(name, f"is not a parameter of this scene ({', '.join(names)})", value)
 
 
+def is_single(scene):
+    """Refuse a batch of scenes."""
+    if scene.shape:
+        raise SceneError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")
+
+
 def is_pair(walls):
     """Refuse walls that are not two entries, left and right."""
     if not isinstance(walls, tuple | list) or len(walls) != 2:

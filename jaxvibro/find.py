@@ -29,8 +29,7 @@ def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
     Raises OrbitError, with status, residual and advice, where there is no such orbit: no return, no convergence, a
     singular Jacobian (a bifurcation), a flight through a wall; SceneError for arguments that cannot be.
     """
-    if scene.shape:
-        raise check.SceneError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")
+    check.is_single(scene)
     state, settle = _lane(real_state(scene, state)), check.whole("settle", settle, 0)
     if itinerary is not None:
         itinerary = _checked(itinerary, periods)
