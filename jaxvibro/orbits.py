@@ -55,7 +55,7 @@ def find_orbits(scene, max_period=4, starts=200, seed=0):
             found.add(lambda guess=guess: by_impacts(scene, *guess))
         for state in _settled(looks[1], periods):
             found.add(lambda state=state, periods=periods: by_state(scene, state, periods))
-    return found.paired(longest)
+    return found.paired()
 
 
 class _Known:
@@ -65,18 +65,15 @@ class _Known:
         self.scene, self.fast, self.orbits, self.hits = scene, fast, [], []
 
     def add(self, make):
-        """Adds what `make` returns, unless it is known or no orbit; its place, None where it is none."""
+        """Adds what `make` returns, unless it is known or no orbit."""
         try:
             orbit = make()
         except OrbitError:
-            return None
+            return
         hits = self.seen(orbit)
-        place = self.place(orbit.periods, hits)
-        if place is None:
+        if self.place(orbit.periods, hits) is None:
             self.orbits.append(orbit)
             self.hits.append(hits)
-            return len(self.orbits) - 1
-        return place
 
     def seen(self, orbit):
         """The orbit's impacts as points."""
@@ -90,17 +87,16 @@ class _Known:
                 return place
         return None
 
-    def paired(self, longest):
+    def paired(self):
         """The orbits in order, each with the place of its mirror image."""
-        if is_symmetric(self.scene):
+        symmetric = is_symmetric(self.scene)
+        if symmetric:
             for orbit, hits in zip(list(self.orbits), list(self.hits), strict=True):
                 if self.place(orbit.periods, mirrored(hits)) is None:
                     self.add(lambda orbit=orbit: _image(orbit))
         order = sorted(range(len(self.orbits)), key=lambda k: _rank(self.orbits[k]))
-        order = [k for k in order if self.orbits[k].periods <= longest]
         places = {old: new for new, old in enumerate(order)}
         twins = [self.place(self.orbits[k].periods, mirrored(self.hits[k])) for k in order]
-        symmetric = is_symmetric(self.scene)
         return tuple(
             replace(self.orbits[k], mirror_of=places.get(twin) if symmetric else None)
             for k, twin in zip(order, twins, strict=True)
