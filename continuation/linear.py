@@ -1,19 +1,30 @@
 """Small dense linear systems, one or many under vmap: no call of a library, whose overhead is more than the work."""
 
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 from jax import lax
 
 
-def solve(matrix, right):
-    """(x, worst): matrix x = right by Gauss and Jordan with row pivoting; worst: the least pivot over the largest.
+class Eliminated(NamedTuple):
+    """x; worst: the least pivot over the largest, 0 where the matrix is singular, and x is not finite; determinant."""
 
-    matrix: (n, n), n small; right: (n,). Where worst is 0 the matrix is singular, and x is not finite.
+    x: jax.Array
+    worst: jax.Array
+    determinant: jax.Array
+
+
+def solve(matrix, right):
+    """matrix x = right by Gauss and Jordan with row pivoting: `Eliminated`.
+
+    matrix: (n, n), n small; right: (n,), or (n, k) for k right sides.
     """
     size = len(right)
     rows = jnp.arange(size)
 
     def eliminate(k, carry):
-        system, least, most = carry
+        system, least, most, determinant = carry
         column = lax.dynamic_index_in_dim(system, k, 1, keepdims=False)
         chosen = jnp.argmax(jnp.where(rows >= k, abs(column), -1.0))
         pivot_row = lax.dynamic_index_in_dim(system, chosen, 0, keepdims=False)
@@ -23,10 +34,14 @@ def solve(matrix, right):
         pivot_row = pivot_row / pivot
         column = jnp.where(rows == chosen, lax.dynamic_index_in_dim(moved, k, keepdims=False), column)
         system = jnp.where((rows == k)[:, None], pivot_row, system - column[:, None] * pivot_row)
-        return system, jnp.minimum(least, abs(pivot)), jnp.maximum(most, abs(pivot))
+        determinant = determinant * jnp.where(chosen == k, pivot, -pivot)
+        return system, jnp.minimum(least, abs(pivot)), jnp.maximum(most, abs(pivot)), determinant
 
-    system = jnp.concatenate([matrix, right[:, None]], 1)
+    wide = right[:, None] if right.ndim == 1 else right
+    system = jnp.concatenate([matrix, wide], 1)
     zero = jnp.zeros((), system.dtype)
-    system, least, most = lax.fori_loop(0, size, eliminate, (system, zero + jnp.inf, zero))
+    start = (system, zero + jnp.inf, zero, zero + 1.0)
+    system, least, most, determinant = lax.fori_loop(0, size, eliminate, start)
     worst = least / most
-    return system[:, -1], jnp.where(jnp.isnan(worst), 0.0, worst)
+    x = system[:, size:].reshape(right.shape)
+    return Eliminated(x, jnp.where(jnp.isnan(worst), 0.0, worst), determinant)

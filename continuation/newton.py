@@ -43,7 +43,7 @@ def newton(function, start, longest=jnp.inf, most=30, solve=solve):
     def advance(carry):
         unknowns, _, step, _, count = carry
         value, slope = function(unknowns)
-        change, worst = solve(slope, value)
+        change, worst = solve(slope, value)[:2]
         cut = jnp.minimum(1.0, jnp.min(longest / abs(change), where=change != 0, initial=1.0))
         near = step <= eps**0.7 * (1.0 + jnp.max(abs(unknowns)))
         return (

@@ -4,6 +4,9 @@ A flight is sampled; where x - x_b turns back between two samples, the turning p
 measures; whether an orbit is one is decided by certified flights (`solve`).
 """
 
+from typing import NamedTuple
+
+import jax
 import jax.numpy as jnp
 from jax import lax
 
@@ -11,42 +14,56 @@ from . import flow
 from .path import accelerations
 from .wall import course, less
 
-SAMPLES = 256  # of a flight
-ROUNDS = 6  # of Newton's steps from a parabola's guess
+TURN = 0.1  # between samples, of the fastest angle: the drive's, a wall's, the free oscillation's, in radians
+ROUNDS = 4  # of Newton's steps from a parabola's guess
 
 
-def clearances(frame, found):
+class Flight(NamedTuple):
+    """What is asked of flights: how long they are, x, v and the drive's cosine and sine at their start, (rows,) each.
+    `cycle.Flights` have these too."""
+
+    time: jax.Array
+    x: jax.Array
+    v: jax.Array
+    cosine: jax.Array
+    sine: jax.Array
+
+
+def samples(frame, found):
+    """How many samples the longest of some flights needs."""
+    return jnp.ceil(jnp.max(found.time) / (TURN * frame.reach)).astype(int) + 8
+
+
+def clearances(frame, found, samples):
     """The least distance to each wall at a turning point of a flight towards it, and its time since the flight's start.
 
     found: the `cycle.Flights`. Shapes (rows, walls); inf where there is none. Below 0 the flight passes through.
     """
-    times = found.time[:, None] * (jnp.arange(SAMPLES + 1) / SAMPLES)
-    seen = _towards(frame, *_flown(frame, found, times))
-    low, high, guess, turns = (jnp.stack(each, -1) for each in zip(*(_cell(times, *one) for one in seen), strict=True))
+    span = found.time / samples
+    cells = _nearest(frame, found, span, samples)
+    times, distances = [], []
+    for one, (crest, cell, past) in enumerate(cells):
 
-    def nearer(_, carry):
-        time, _ = carry
-        rows = _towards(frame, *_flown(frame, found, time))
-        distance, closing, bending = (jnp.stack([one[k][:, j] for j, one in enumerate(rows)], -1) for k in range(3))
-        step = closing / jnp.where(bending == 0, 1.0, bending)
-        return jnp.clip(time - step, low, high), distance + 0.5 * step * closing
+        def nearer(_, carry, one=one, cell=cell):
+            time, _ = carry
+            distance, closing, bending = relative(frame, found, time)[one]
+            step = closing / jnp.where(bending == 0, 1.0, bending)
+            return jnp.clip(time - step, cell * span, (cell + 1.0) * span), distance + 0.5 * step * closing
 
-    time, distance = lax.fori_loop(0, ROUNDS, nearer, (guess, jnp.zeros_like(guess)))
-    return jnp.where(turns, distance, jnp.inf), time
+        time, distance = lax.fori_loop(0, ROUNDS, nearer, ((cell + past) * span, jnp.zeros_like(span)))
+        times.append(time)
+        distances.append(jnp.where(jnp.isfinite(crest), distance, jnp.inf))
+    return jnp.stack(distances, -1), jnp.stack(times, -1)
 
 
-def _flown(frame, found, times):
-    """x, v and the drive's cosine and sine at times (rows, any number) after the starts of the flights."""
-    x, v, cosine, sine = (
-        jnp.broadcast_to(each[:, None], times.shape) for each in (found.x, found.v, found.cosine, found.sine)
-    )
-    free, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, times)
-    x, v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v)
-    return x, v, *flow.turn(cosine, sine, *angle)
+def relative(frame, found, time):
+    """For each wall: the distance to it, speed and acceleration towards it, a time after each flight's start."""
+    free, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, time)
+    x, v = flow.flown((free, forced), frame.force * found.cosine, frame.force * found.sine, found.x, found.v)
+    return _towards(frame, x, v, *flow.turn(found.cosine, found.sine, *angle))
 
 
 def _towards(frame, x, v, cosine, sine):
-    """For each wall: the distance to it, speed and acceleration towards it."""
     pull, _ = accelerations(frame, x, v, cosine, sine)
     found = []
     for wall in frame.walls:
@@ -55,14 +72,31 @@ def _towards(frame, x, v, cosine, sine):
     return found
 
 
-def _cell(times, distance, closing, _):
-    """The turning point nearest to a wall: the samples' times before and after it, a guess, whether there is any."""
-    before, after, span = closing[:, :-1], closing[:, 1:], times[:, 1:] - times[:, :-1]
-    turns = (before > 0) & (after <= 0)
-    past = before / jnp.where(turns, before - after, 1.0)
-    crest = jnp.where(turns, distance[:, :-1] - 0.5 * before * past * span, jnp.inf)
-    cell = jnp.argmin(crest, axis=1)[:, None]
-    low, high, guess = (
-        jnp.take_along_axis(each, cell, 1)[:, 0] for each in (times[:, :-1], times[:, 1:], times[:, :-1] + past * span)
-    )
-    return low, high, guess, jnp.any(turns, axis=1)
+def _nearest(frame, found, span, samples):
+    """For each wall the nearest turning point, as a parabola sees it: (its distance, inf: none; the samples' cell; how
+    far into the cell)."""
+    free, forced, (versed, sined) = flow.doubled(frame.series, frame.frequency, frame.damping, span)
+    none = jnp.zeros_like(span)
+
+    def advance(k, carry):
+        (x, v, cosine, sine), before, best = carry
+        x, v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v)
+        place = x, v, *flow.turn(cosine, sine, versed, sined)
+        after = [each[:2] for each in _towards(frame, *place)]
+        best = [_better(k, span, *each) for each in zip(before, after, best, strict=True)]
+        return place, after, best
+
+    place = found.x, found.v, found.cosine, found.sine
+    start = [each[:2] for each in _towards(frame, *place)]
+    best = [(none + jnp.inf, none, none) for _ in frame.walls]
+    return lax.fori_loop(0, samples, advance, (place, start, best))[2]
+
+
+def _better(k, span, before, after, best):
+    """The nearer of the best turning point so far and that of a cell."""
+    (distance, closing), (_, end) = before, after
+    turns = (closing > 0) & (end <= 0)
+    past = closing / jnp.where(turns, closing - end, 1.0)
+    crest = distance - 0.5 * closing * past * span
+    new = (crest, k + jnp.zeros_like(span), past)
+    return jax.tree.map(lambda new, old: jnp.where(turns & (crest < best[0]), new, old), new, best)

@@ -62,7 +62,7 @@ def _stepped(state, end, miss, matrix):
     """(the next state, how far it is from the last): where the start is forgotten the end itself."""
     if not matrix.any():
         return end, float(abs(miss).max())
-    step, worst = (np.asarray(each) for each in solve(np.eye(2) - matrix, miss))
+    step, worst, _ = (np.asarray(each) for each in solve(np.eye(2) - matrix, miss))
     if not worst > newton.SINGULAR_BELOW * np.finfo(step.dtype).eps:
         status = newton.SINGULAR
         raise OrbitError(newton.STATUS[status], float(abs(miss).max()), newton.ADVICE[status])

@@ -45,12 +45,15 @@ class Solution(NamedTuple):
 @jax.jit
 def solution(scene, guess):
     """The `Solution` that Newton's method reaches from a cycle."""
-    built = frame(scene)
     solved = one_kernel(cycle.solved, scene, guess)
-    found = cycle.ordered(scene, guess, solved.unknowns)
+    return _measured(scene, cycle.ordered(scene, guess, solved.unknowns), solved)
+
+
+def _measured(scene, found, solved):
+    built = frame(scene)
     flown = cycle.flights(built, found)
     start = cycle.at(built, found, flown, jnp.zeros_like(found.phase))
-    calls = passes.clearances(built, flown)
+    calls = passes.clearances(built, flown, passes.samples(built, flown))
     return Solution(found, solved, flown, start, calls, *cycle.invariants(built, flown, found.sides))
 
 
@@ -84,6 +87,23 @@ def by_impacts(scene, times, speeds, sides, phase, periods):
     _refuse_passing(scene, found, count)
     _refuse_uncertain(scene, found, count, length)
     return _described(scene, found, count, length)
+
+
+def by_section(scene, times, speeds, sides, periods, residual):
+    """The orbit that has exactly these impacts, times since phase 0, with this residual; its section where it may be.
+    Nothing is solved and nothing refused."""
+    length = 2.0 * np.pi / float(scene.frequency)
+    later = _section(np.mod(times, periods * length), length)
+    turned = np.mod(times - later, periods * length)
+    order = np.argsort(turned)
+    phase = np.mod(float(scene.frequency) * later, 2.0 * np.pi)
+    given = padded(scene, turned[order], speeds[order], sides[order], phase, periods)
+    zero = np.zeros((), scene.dtype)
+    solved = newton.Solved(zero, zero + residual, zero, zero + 1.0, newton.OK)
+    return _described(scene, jax.device_get(_known(scene, given, solved)), len(times), length)
+
+
+_known = jax.jit(_measured)
 
 
 def _described(scene, found, count, length):

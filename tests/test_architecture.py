@@ -14,6 +14,8 @@ ORDER = [
     *("log", "clearance", "entry", "journey", "state", "period", "replay", "slopes", "strobe", "monodromy", "simulate"),
     *("itinerary", "place", "section", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
     *("cycle", "passes", "orbit", "solve", "shoot", "find", "orbits"),
+    *("ring", "along", "look", "rows", "graze", "dips", "image", "monitor", "piece", "walk"),
+    *("told", "branch", "domain", "assemble", "follow", "switch"),
     *("evidence", "attractors", "plot", "study", "stretch", "data", "report", "picture", "run"),
     *("cache", "starter", "command", "__main__"),
 ]

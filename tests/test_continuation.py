@@ -18,10 +18,11 @@ def test_linear_systems_against_lapack():
     rng = np.random.default_rng(0)
     matrices, rights = rng.normal(size=(50, 6, 6)), rng.normal(size=(50, 6))
     matrices[:, 0, 0] = 0.0  # rows have to be exchanged
-    found, worst = jax.vmap(solve)(matrices, rights)
+    found, worst, determinant = jax.vmap(solve)(matrices, rights)
     assert np.allclose(found, np.linalg.solve(matrices, rights[..., None])[..., 0], rtol=1e-10, atol=1e-10)
     assert np.all(worst > 0)
-    assert solve(jnp.ones((3, 3)), jnp.arange(3.0))[1] == 0
+    assert np.allclose(determinant, np.linalg.det(matrices), rtol=1e-10)
+    assert solve(jnp.ones((3, 3)), jnp.arange(3.0)).worst == 0
 
 
 def test_newton_finds_a_point_to_rounding():

@@ -1,0 +1,121 @@
+"""Pseudo-arclength continuation: many steps along a branch of F(z) = 0 in one compiled call.
+
+z = (u, p): n unknowns and the parameter, n equations. A step goes along the tangent and comes back to the branch within
+the plane across it. Lengths are weighted: the length of dz is that of scale * dz.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from .linear import solve as dense
+
+ON, OUT, UNDERFLOW, NONFINITE = range(4)
+STATUS = ("on", "out of bounds", "step underflow", "not finite")
+ROUNDS = 8  # of Newton's method in a step
+TURN, LARGEST_TURN = 0.12, 0.4  # angle between tangents that steps aim at; beyond which a step is refused
+GROW, SHRINK = 2.0, 0.25  # the most that one step is longer or shorter than the last
+STRAY = 0.3  # of a step: so far may the branch lie from its tangent
+
+
+class Control(NamedTuple):
+    """scale: (n + 1,), weights of a length; smallest, largest: step; tolerance: of Newton's method, as a length;
+    low, high: where the parameter ends the branch."""
+
+    scale: jax.Array
+    smallest: jax.Array
+    largest: jax.Array
+    tolerance: jax.Array
+    low: jax.Array
+    high: jax.Array
+
+
+class Place(NamedTuple):
+    """A point of a branch, its unit tangent, the step to try next, and a status: on from here, or why not."""
+
+    z: jax.Array
+    tangent: jax.Array
+    step: jax.Array
+    status: jax.Array
+
+
+class Point(NamedTuple):
+    """A point met. z, tangent: (n + 1,); step: from the last one; residual: the largest entry of F before Newton's last
+    step; determinant: of the system with the last tangent as its last row; kept: false where the step was refused."""
+
+    z: jax.Array
+    tangent: jax.Array
+    step: jax.Array
+    residual: jax.Array
+    determinant: jax.Array
+    kept: jax.Array
+
+
+def bordered(slopes, row, right):
+    """The system whose rows are an n by n + 1 matrix and one row more, solved: `linear.Eliminated`."""
+    return dense(jnp.concatenate([slopes, row[None]]), right)
+
+
+def unit(tangent, scale):
+    """The tangent with length 1."""
+    return tangent / jnp.linalg.norm(scale * tangent)
+
+
+def corrected(function, solve, place, step, control, args):
+    """The branch's point a step away along the tangent: (`Point`, length of Newton's last change, of all of them).
+
+    function: (z, args) -> (F, slopes); solve: (slopes, row, right) -> x, worst, determinant, as `bordered`.
+    """
+    row = control.scale * control.scale * place.tangent
+    guess = place.z + step * place.tangent
+    along = jnp.zeros_like(guess).at[-1].set(1.0)
+
+    def going(carry):
+        _, _, change, _, _, count = carry
+        return (change > control.tolerance) & (count < ROUNDS)
+
+    def advance(carry):
+        z, _, _, _, _, count = carry
+        value, slopes = function(z, args)
+        miss = jnp.concatenate([value, jnp.sum(row * (z - guess))[None]])
+        found = solve(slopes, row, jnp.stack([miss, along], 1))
+        change, tangent = found.x[:, 0], found.x[:, 1]
+        length = jnp.linalg.norm(control.scale * change)
+        length = jnp.where(jnp.isfinite(length), length, jnp.inf)
+        count = jnp.where(jnp.isfinite(length), count + 1, ROUNDS)
+        return z - change, tangent, length, jnp.max(abs(value)), found.determinant, count
+
+    zero = jnp.zeros_like(step)
+    start = (guess, place.tangent, zero + jnp.inf, zero, zero, 0)
+    z, tangent, change, residual, determinant, _ = lax.while_loop(going, advance, start)
+    point = Point(z, unit(tangent, control.scale), step, residual, determinant, change <= control.tolerance)
+    return point, jnp.linalg.norm(control.scale * (z - guess))
+
+
+def track(function, solve, place, control, args, count):
+    """(the `Place` reached, the `Point` of each of so many attempted steps)."""
+
+    def attempt(place, _):
+        on = place.status == ON
+        step = jnp.where(on, place.step, 0.0)
+        point, stray = corrected(function, solve, place, step, control, args)
+        bend = jnp.sum(control.scale * control.scale * place.tangent * point.tangent)
+        turn = jnp.sqrt(jnp.maximum(2.0 * (1.0 - bend), 0.0))
+        good = point.kept & (turn < LARGEST_TURN) & (stray < STRAY * abs(step)) & jnp.all(jnp.isfinite(point.tangent))
+        kept = on & good
+        factor = jnp.where(good, jnp.clip(TURN / jnp.maximum(turn, 1e-3), SHRINK, GROW), SHRINK)
+        wanted = jnp.minimum(place.step * factor, control.largest)
+        outside = (point.z[-1] < control.low) | (point.z[-1] > control.high)
+        status = jnp.where(kept & outside, OUT, jnp.where(wanted < control.smallest, UNDERFLOW, ON))
+        status = jnp.where(on, status, place.status)
+        new = Place(
+            jnp.where(kept, point.z, place.z),
+            jnp.where(kept, point.tangent, place.tangent),
+            jnp.where(on, wanted, place.step),
+            status,
+        )
+        return new, point._replace(kept=kept)
+
+    return lax.scan(attempt, place, length=count)

@@ -1,0 +1,186 @@
+"""A branch from its start on: chunks of steps, the events in them located, and what ends it."""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from . import arclength, locate
+from .arclength import ON, Place, Point
+
+CHUNK = 64  # steps attempted in a compiled call
+POLISHED = 1e-10  # a length: from a step as short the next leaves rounding alone
+SAME = 1e-6  # of the scaled lengths: two points as near are one
+
+
+class Event(NamedTuple):
+    """A special point. kind: "SN", "BP" or a test's label; after: the place of the point before it; length: from that
+    to it along the tangent; z; residual: the largest error left in its equations."""
+
+    kind: str
+    after: int
+    length: float
+    z: np.ndarray
+    residual: float
+
+
+def tangent(problem, z, scale, args, along=None):
+    """The unit tangent at a regular point: towards greater parameters, or as near as can be to a direction."""
+    slopes = np.asarray(locate.evaluated(problem, z, args)[1])
+    return oriented(slopes, scale, along)
+
+
+def oriented(slopes, scale, along=None):
+    """The unit null vector of an (n, n + 1) matrix; columns of scale 0 left out."""
+    used = scale > 0
+    filled = np.zeros(len(scale))
+    filled[used] = np.linalg.svd(slopes[:, used])[2][-1]
+    if along is None:
+        along = np.zeros(len(scale))
+        along[-1] = 1.0
+    sign = np.sign(np.sum(scale * scale * filled * along)) or 1.0
+    return sign * filled / np.linalg.norm(scale * filled)
+
+
+@partial(jax.jit, static_argnums=(0, 4))
+def _track(problem, place, control, args, count):
+    return problem.run(_tracked, place, control, args, problem=problem, count=count)
+
+
+def _tracked(place, control, args, problem, count):
+    return arclength.track(problem.function, problem.solve, place, control, args, count)
+
+
+@partial(jax.jit, static_argnums=0)
+def _step(problem, place, length, control, args):
+    return problem.run(_stepped, place, length, control, args, problem=problem)
+
+
+def _stepped(place, length, control, args, problem):
+    return arclength.corrected(problem.function, problem.solve, place, length, control, args)[0]
+
+
+def step(problem, point, length, control, args):
+    """The branch's `Point` a length away along the tangent of one: `kept` says whether Newton's method came there."""
+    place = Place(point.z, point.tangent, np.float64(0.0), np.int32(ON))
+    return jax.device_get(_step(problem, place, np.float64(length), control, args))
+
+
+def pinned(problem, z, index, value, control, args):
+    """The `Point` near z with a value in one of its places, to rounding: `kept` says whether there is one."""
+    row = np.zeros(len(z))
+    row[index] = 1.0 / control.scale[index] ** 2
+    place = np.array(z)
+    place[index] = value
+    return step(problem, Point(place, row, *[np.zeros(())] * 3, np.True_), 0.0, polishing(control), args)
+
+
+def polishing(control):
+    """The `Control` with which Newton's method ends at rounding."""
+    return control._replace(tolerance=np.float64(POLISHED))
+
+
+def stretches(problem, place, control, args):
+    """Yields (`arclength.Point` of arrays, status of `arclength`): points in a row, the first being the last before.
+
+    place: where it starts. It ends when the status is not ON.
+    """
+    zero = np.zeros_like(place.step)
+    start = step(problem, Point(place.z, place.tangent, *[zero] * 3, np.True_), 0.0, control, args)
+    start = start._replace(z=place.z, tangent=place.tangent, step=zero)
+    while True:
+        place, points = jax.device_get(_track(problem, place, control, args, CHUNK))
+        kept = jax.tree.map(lambda leaf, keep=points.kept: leaf[keep], points)
+        kept = jax.tree.map(lambda first, rest: np.concatenate([np.asarray(first)[None], rest]), start, kept)
+        yield kept, int(place.status)
+        if place.status != ON:
+            return
+        start = jax.tree.map(lambda leaf: leaf[-1], kept)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _values(problem, test, zs, args):
+    return jax.vmap(lambda z: jnp.linalg.det(test.matrix(z, args)))(zs)
+
+
+def watched(problem, points, args):
+    """{label: determinant at each point} of a problem's tests."""
+    rows = -(-len(points.z) // (CHUNK + 1)) * (CHUNK + 1)
+    padded = np.concatenate([points.z, np.repeat(points.z[-1:], rows - len(points.z), axis=0)])
+    return {test.label: np.asarray(_values(problem, test, padded, args))[: len(points.z)] for test in problem.tests}
+
+
+def events(problem, points, values, control, args):
+    """The `Event`s between points in a row, in order; values: {label: of the problem's tests at each point}."""
+    found, signs = [], {"SN": points.tangent[:, -1], "BP": points.determinant} | values
+    for kind, each in signs.items():
+        for after in np.flatnonzero(each[:-1] * each[1:] < 0):
+            event = _located(problem, kind, points, int(after), each, control, args)
+            if event is not None:
+                found.append(event)
+    return _told_apart(found, control)
+
+
+def _located(problem, kind, points, after, values, control, args):
+    """The event between two points, None where Newton's method leads to none there."""
+    here = jax.tree.map(lambda leaf: leaf[after], points)
+    length = float(points.step[after + 1])
+    share = values[after] / (values[after] - values[after + 1])
+    for guess in (share, 0.5, 0.25, 0.75):
+        near = step(problem, here, guess * length, control, args)
+        z = near.z if near.kept else here.z + guess * length * here.tangent
+        found = _polished(problem, kind, z, args)
+        if found.z is None:
+            continue
+        along = float(np.sum(control.scale**2 * here.tangent * (found.z - here.z)))
+        if -0.05 * length <= along <= 1.05 * length:
+            return Event(kind, after, min(max(along, 0.0), length), found.z, found.residual)
+    return None
+
+
+def _polished(problem, kind, z, args):
+    if kind == "SN":
+        return locate.fold(problem, z, args)
+    if kind == "BP":
+        return locate.branch_point(problem, z, args)
+    (test,) = (test for test in problem.tests if test.label == kind)
+    return locate.singular(problem, test, z, args)
+
+
+def _told_apart(found, control):
+    """Events in order. Where a branch is crossed at its own turning point, both a fold and a branch point are seen: it
+    is a branch point."""
+    crossings = [one for one in found if one.kind == "BP"]
+    kept = [
+        one
+        for one in found
+        if one.kind != "SN" or not any(np.linalg.norm(control.scale * (one.z - two.z)) < SAME for two in crossings)
+    ]
+    return sorted(kept, key=lambda one: (one.after, one.length))
+
+
+def meets(points, marks, control):
+    """(place of the point before, length from it, which mark) of each of some marks, points in z, that a row of points
+    passes near enough to be on the same branch; confirm with `step`."""
+    found = []
+    square = control.scale**2
+    for k, mark in enumerate(marks):
+        apart = mark - points.z[:-1]
+        along = np.einsum("ik,ik->i", apart, square * points.tangent[:-1])
+        aside = np.linalg.norm(control.scale * (apart - along[:, None] * points.tangent[:-1]), axis=1)
+        size = points.step[1:]
+        for after in np.flatnonzero((along > 0) & (along <= size) & (aside < 0.5 * size)):
+            found.append((int(after), float(along[after]), k))
+    return sorted(found)
+
+
+def passes_mark(problem, points, marks, control, args):
+    """(place of the point before, length from it) where a row of points first passes through one of some marks."""
+    for after, length, k in meets(points, marks, control):
+        here = jax.tree.map(lambda leaf, after=after: leaf[after], points)
+        there = step(problem, here, length, control, args)
+        if there.kept and np.linalg.norm(control.scale * (there.z - marks[k])) < SAME:
+            return after, length
+    return None

@@ -1,0 +1,138 @@
+"""Special points to rounding: Newton's method on F(z) = 0 and equations of the point, minimally augmented.
+
+Where a matrix A is singular, the g of (A, b; c, 0) (v; g) = (0; 1) is zero, for any b and c that keep the whole from
+being so; its gradient is -w (A') v, (w, g) of the transposed system (Govaerts, Numerical Methods for Bifurcations of
+Dynamical Equilibria, 3.3). A handful of points of a branch are special: the linear algebra is NumPy's, and what is
+compiled is the problem's functions and one derivative of them.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+ROUNDS = 12  # of Newton's steps
+SMALL = 1e-9  # of 1 + abs z: a step from which the next leaves rounding alone
+
+
+class Located(NamedTuple):
+    """z: the point, None where Newton's method led to none; residual: the largest error left in its equations."""
+
+    z: np.ndarray | None
+    residual: float
+
+
+@partial(jax.jit, static_argnums=0)
+def evaluated(problem, z, args):
+    """(F, dF/dz) of a `problem.Problem`."""
+    return problem.run(problem.plain, z, args)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def bent(problem, function, z, left, right, args):
+    """The gradient of left @ A(z) @ right, A(z) being a function's matrix of (z, args)."""
+    return problem.run(_gradient, z, left, right, args, of=function)
+
+
+def _gradient(z, left, right, args, of):
+    return jax.jacfwd(lambda z: left @ of(z, args) @ right)(z)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def matrix(problem, test, z, args):
+    """A `problem.Test`'s matrix."""
+    return problem.run(test.matrix, z, args)
+
+
+def fold(problem, z, args):
+    """The fold near a point, where the branch turns back in the parameter: `Located`."""
+
+    def system(z):
+        value, slopes = _plain(problem, z, args)
+        left, gap, right, _ = _nulls(slopes[:, :-1], border)
+        more = -np.asarray(bent(problem, problem.slopes, z, left, np.append(right, 0.0), args))
+        return np.append(value, gap), np.vstack([slopes, more])
+
+    border = _border(_plain(problem, z, args)[1][:, :-1])
+    return newton(system, z)
+
+
+def branch_point(problem, z, args):
+    """The point near where two branches meet: `Located`.
+
+    Unknowns are z and a misfit mu, zero at the end: F + mu b, g and w F_p are zero. This is regular at pitchforks too.
+    """
+    size = len(z) - 1
+
+    def system(y):
+        z = y[:-1]
+        value, slopes = _plain(problem, z, args)
+        left, gap, right, solve = _nulls(slopes[:, :-1], border)
+        across = np.append(-solve(slopes[:, -1]), 1.0)
+        rows = [-np.asarray(bent(problem, problem.slopes, z, left, np.append(right, 0.0), args))]
+        rows.append(np.asarray(bent(problem, problem.slopes, z, left, across, args)))
+        matrix = np.zeros((size + 2, size + 2))
+        matrix[:size, :-1], matrix[:size, -1], matrix[size:, :-1] = slopes, border[0], rows
+        return np.concatenate([value + y[-1] * border[0], [gap, left @ slopes[:, -1]]]), matrix
+
+    border = _border(_plain(problem, z, args)[1][:, :-1])
+    found = newton(system, np.append(z, 0.0))
+    return found if found.z is None else Located(found.z[:-1], found.residual)
+
+
+def singular(problem, test, z, args):
+    """The point near where the matrix of a `problem.Test` is singular: `Located`."""
+
+    def system(z):
+        value, slopes = _plain(problem, z, args)
+        left, gap, right, _ = _nulls(np.asarray(matrix(problem, test, z, args)), border)
+        more = -np.asarray(bent(problem, test.matrix, z, left, right, args))
+        return np.append(value, gap), np.vstack([slopes, more])
+
+    border = _border(np.asarray(matrix(problem, test, z, args)))
+    return newton(system, z)
+
+
+def newton(system, start):
+    """The zero near a start of a function y -> (value, its derivative): `Located`."""
+    y, before = start, np.inf
+    for _ in range(ROUNDS):
+        value, slopes = system(y)
+        try:
+            change = np.linalg.solve(slopes, value)
+        except np.linalg.LinAlgError:
+            break
+        y, step = y - change, abs(change).max()
+        if not np.isfinite(step):
+            break
+        if before <= SMALL * (1.0 + abs(y).max()):
+            return Located(y, float(abs(value).max()))
+        before = step
+    return Located(None, np.nan)
+
+
+def _plain(problem, z, args):
+    return tuple(np.asarray(each) for each in evaluated(problem, z, args))
+
+
+def _border(matrix):
+    """(b, c): the nearly null vectors of a matrix's transpose and of the matrix."""
+    left, _, right = np.linalg.svd(matrix)
+    return left[:, -1], right[-1]
+
+
+def _nulls(matrix, border):
+    """(w, g, v, y -> the solution x of A x + b s = y, c x = 0)."""
+    size = len(matrix)
+    whole = np.zeros((size + 1, size + 1))
+    whole[:size, :size], whole[:size, -1], whole[-1, :size] = matrix, *border
+    unit = np.zeros(size + 1)
+    unit[-1] = 1.0
+    right, left = np.linalg.solve(whole, unit), np.linalg.solve(whole.T, unit)
+    return left[:-1], left[-1], right[:-1], lambda y: np.linalg.solve(whole, np.append(y, 0.0))[:-1]
+
+
+def null(matrix):
+    """The unit null vector of a singular matrix."""
+    return _border(matrix)[1]

@@ -1,0 +1,79 @@
+"""What is continued: F(z) = 0 with z = (u, p), n equations, n unknowns u and one parameter p, and what is watched."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from .arclength import bordered
+
+
+class Test(NamedTuple):
+    """An event where a square matrix becomes singular. label: of the event; matrix: of (z, args)."""
+
+    label: str
+    matrix: Callable
+
+
+def plainly(function, *arrays, **static):
+    """function(*arrays, **static)."""
+    return function(*arrays, **static)
+
+
+class Problem(NamedTuple):
+    """Functions of (z, args), of a module or made once: they are what compiled code is kept by.
+
+    function: F and its slopes; solve: (slopes, row, right) -> x, worst, determinant of the slopes and one row more, as
+    `arclength.bordered`; plain: F and dF/dz, an (n, n + 1) matrix; slopes: dF/dz alone; tests: what is watched besides
+    folds and branch points; run: (function, *arrays, **static) -> its result, within a jit, as the compiler likes it.
+    """
+
+    function: Callable
+    solve: Callable
+    plain: Callable
+    slopes: Callable
+    tests: tuple[Test, ...] = ()
+    run: Callable = plainly
+
+
+def equilibria(residual):
+    """The `Problem` of F(u, p, args) = 0."""
+
+    def function(z, args):
+        def values(z):
+            return residual(z[:-1], z[-1], args)
+
+        return values(z), jax.jacfwd(values)(z)
+
+    return Problem(function, bordered, function, lambda z, args: function(z, args)[1])
+
+
+def fixed_points(move):
+    """The `Problem` of the fixed points of a map (u, p, args) -> u: with flips, PD, and Neimark-Sacker points, NS."""
+
+    def function(z, args):
+        def values(z):
+            return move(z[:-1], z[-1], args) - z[:-1]
+
+        return values(z), jax.jacfwd(values)(z)
+
+    def flip(z, args):
+        return function(z, args)[1][:, :-1] + 2.0 * jnp.eye(len(z) - 1)
+
+    def pair(z, args):
+        return pairs(function(z, args)[1][:, :-1] + jnp.eye(len(z) - 1))
+
+    def slopes(z, args):
+        return function(z, args)[1]
+
+    return Problem(function, bordered, function, slopes, (Test("PD", flip), Test("NS", pair)))
+
+
+def pairs(matrix):
+    """The products of two different eigenvalues less 1 are this matrix's eigenvalues: the bialternate product of the
+    matrix with itself, less the identity (Kuznetsov, Elements of Applied Bifurcation Theory, 10.2)."""
+    rows, columns = jnp.triu_indices(len(matrix), 1)
+    straight = matrix[rows][:, rows] * matrix[columns][:, columns]
+    crossed = matrix[rows][:, columns] * matrix[columns][:, rows]
+    return straight - crossed - jnp.eye(len(rows))

@@ -1,0 +1,190 @@
+"""From the pieces of a walk to a `Branch`: its data, segments and special points."""
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from . import itinerary as words
+from .branch import Branch, Segment, roots, special_of, spot_of
+from .meetings import is_symmetric
+from .piece import Piece
+from .told import Spot, itinerary
+
+SAME = 1e-6  # of speeds and times over the period: two orbits as near are one
+
+
+class Ends(NamedTuple):
+    """Why a branch ends, at its first and its last point."""
+
+    first: str
+    last: str
+
+
+def assembled(scene, name, bounds, settings, back, on):
+    """The `Branch` of what was walked from a start backwards and onwards; either may be None."""
+    pieces = [_turned(one) for one in reversed(back.pieces)] if back else []
+    if back and on:
+        pieces[-1] = _glued(pieces[-1], on.pieces[0])
+        pieces += on.pieces[1:]
+    elif on:
+        pieces = on.pieces
+    start = "the start"
+    reasons = Ends(back.reason if back else start, on.reason if on else start)
+    data, segments, special = _told(scene, name, bounds, pieces)
+    return Branch(name, bounds, scene, data, segments, special, tuple(reasons), settings)
+
+
+def merged(one, other):
+    """Two branches as one, the second beginning where the first ends."""
+    shift = len(one) - 1
+    data = xr.concat([one.data, other.data.isel(point=slice(1, None))], "point", join="outer", data_vars="all")
+    data["side"] = data["side"].fillna(0).astype(np.int8)
+    moved = [replace(each, first=each.first + shift, last=each.last + shift) for each in other.segments]
+    last = replace(one.segments[-1], last=moved[0].last)
+    ahead = [replace(each, place=each.place + shift) for each in other.special if each.place]
+    behind = [each for each in one.special if not (each.kind == "EP" and each.place == shift)]
+    return replace(
+        other,
+        scene=one.scene,
+        data=data,
+        segments=(*one.segments[:-1], last, *moved[1:]),
+        special=(*behind, *ahead),
+        reasons=(one.reasons[0], other.reasons[1]),
+    )
+
+
+def _turned(one):
+    """A piece from its end to its start."""
+    last = len(one.points.z) - 1
+    points, look = (type(each)(*(leaf[::-1] for leaf in each)) for each in (one.points, one.look))
+    marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
+    return Piece(one.along, points._replace(tangent=-points.tangent), look, marks, one.why)
+
+
+def _glued(one, other):
+    """Two pieces of the same orbits, the second beginning where the first ends."""
+    last = len(one.points.z) - 1
+
+    def both(first, second):
+        return type(first)(*(np.concatenate([a, b[1:]]) for a, b in zip(first, second, strict=True)))
+
+    marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
+    return Piece(one.along, both(one.points, other.points), both(one.look, other.look), marks, other.why)
+
+
+def _told(scene, name, bounds, pieces):
+    widest = max(int(np.sum(one.along.cycle.sides != 0)) for one in pieces)
+    parts = [_rows(one, name, widest, k) for k, one in enumerate(pieces)]
+    data = xr.concat(parts, "point").assign_attrs(parameter=name)
+    segments, special, first = [], [], 0
+    marked = set()
+    for one, part in zip(pieces, parts, strict=True):
+        size = part.sizes["point"]
+        spot = spot_of(part.isel(point=0), name)
+        walls = itinerary(spot, _frequency(scene, name, spot.value))
+        segments.append(Segment(first, first + size - 1, words.label(walls), walls))
+        for mark in one.marks:
+            place = first + mark.place
+            known = mark.kind == "GR" and place - 1 in marked  # the same grazing, met from the other piece
+            if not known:
+                special.append(_special(scene, name, bounds, mark, place, part.isel(point=mark.place)))
+            if mark.kind == "GR":
+                marked.add(place)
+        first += size
+    ends = [(0, parts[0].isel(point=0)), (first - 1, parts[-1].isel(point=-1))]
+    for place, row in ends:
+        if not any(abs(one.place - place) < 1 for one in special):
+            special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
+    return data, tuple(segments), tuple(sorted(special, key=lambda one: one.place))
+
+
+def _frequency(scene, name, value):
+    return value if name == "frequency" else float(scene.frequency)
+
+
+def _rows(one, name, widest, place):
+    """A piece as a Dataset."""
+    z, turn, look = one.points.z, one.points.tangent, one.look
+    count, rows, size = int(np.sum(one.along.cycle.sides != 0)), len(one.along.cycle.sides), len(one.points.z)
+
+    def impacts(values, fill):
+        found = np.full((size, widest), fill)
+        found[:, :count] = values
+        return found
+
+    sides = np.broadcast_to(one.along.cycle.sides[:count], (size, count))
+    slow = z[:, rows : rows + count] if rows else z[:, :0]
+    quick = turn[:, rows : rows + count] if rows else slow
+    found = roots(look.trace, look.determinant)
+    speeds = np.where(count, slow.min(axis=1, initial=np.inf), np.inf)
+    columns = {
+        name: ("point", z[:, -1], {"long_name": "the parameter"}),
+        "time": (("point", "impact"), impacts(z[:, :count] if rows else slow, np.nan), _attrs("since phase 0", "1/w0")),
+        "speed": (("point", "impact"), impacts(slow, np.nan), _attrs("abs(y- - v_b)", "length w0")),
+        "side": (("point", "impact"), impacts(sides, 0).astype(np.int8), _attrs("-1 left, 1 right, 0 none", "1")),
+        "x": (("point", "period"), look.x, _attrs("position at phase 0 of each period", "length")),
+        "v": (("point", "period"), look.v, _attrs("velocity at phase 0 of each period", "length w0")),
+        "multiplier_real": (("point", "multiplier"), found.real, _attrs("Floquet's, the larger first", "1")),
+        "multiplier_imag": (("point", "multiplier"), found.imag, _attrs("Floquet's, the larger first", "1")),
+        "stable": ("point", (abs(found) < 1).all(axis=1).astype(np.int8), _attrs("1: both are smaller than 1", "1")),
+        "least_speed": ("point", speeds, _attrs("of the impacts, inf: none", "length w0")),
+        "least_clearance": ("point", look.clear.min(axis=(1, 2)), _attrs("at turning points, inf: none", "length")),
+        "residual": ("point", one.points.residual, _attrs("largest error left in the equations", "length")),
+        "time_slope": (
+            ("point", "impact"),
+            impacts(turn[:, :count] if rows else slow, np.nan),
+            _attrs("of the unit tangent", "1"),
+        ),
+        "speed_slope": (("point", "impact"), impacts(quick, np.nan), _attrs("of the unit tangent", "1")),
+        "value_slope": ("point", turn[:, -1], _attrs("of the unit tangent", "1")),
+        "segment": ("point", np.full(size, place), _attrs("which stretch of one itinerary", "1")),
+    }
+    return xr.Dataset(columns)
+
+
+def _attrs(meaning, units):
+    return {"long_name": meaning, "units": units}
+
+
+def _special(scene, name, bounds, mark, place, row):
+    kind = mark.kind
+    if kind == "BP" and is_symmetric(scene):
+        spot = spot_of(row, name)
+        kind = "SB" if _is_own_image(spot, _frequency(scene, name, spot.value)) else kind
+    joins = [_joined(way) for way in mark.exits]
+    return special_of(scene, name, bounds, place, row, kind, mark.residual, joins, mark.aside)
+
+
+def _joined(way):
+    """The `Spot` of an `Exit`."""
+    along, z = way.along, way.near
+    count, rows = int(np.sum(along.cycle.sides != 0)), len(along.cycle.sides)
+    look = way.look
+    sides = np.asarray(along.cycle.sides[:count])
+    periods, start = int(along.cycle.periods), (float(look.x[0, 0]), float(look.v[0, 0]))
+    return Spot(
+        float(z[-1]),
+        z[:count] if rows else z[:0],
+        z[rows : rows + count] if rows else z[:0],
+        sides,
+        periods,
+        *start,
+        0.0,
+    )
+
+
+def _is_own_image(spot, frequency):
+    """Whether an orbit is its own mirror image."""
+    period = 2.0 * np.pi / frequency
+    span = spot.periods * period
+    for shift in 0.5 * period + period * np.arange(spot.periods):
+        late = np.mod(spot.times + shift, span)
+        order, own = np.argsort(late), np.argsort(np.mod(spot.times, span))
+        apart = abs(late[order] - np.mod(spot.times, span)[own])
+        apart = np.minimum(apart, span - apart).max(initial=0.0) / period
+        alike = np.array_equal(-spot.sides[order], spot.sides[own])
+        if alike and apart < SAME and np.allclose(spot.speeds[order], spot.speeds[own], rtol=SAME, atol=SAME):
+            return True
+    return False

@@ -1,0 +1,255 @@
+"""A branch of periodic orbits along a parameter, and the special points on it."""
+
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import xarray as xr
+
+from . import __version__
+from . import itinerary as words
+from .check import SceneError
+from .orbit import multipliers
+from .scene import Scene
+from .tables import SceneTable, table_of
+from .told import Spot, itinerary, told
+from .whole import whole
+
+NUMBERS = ("first_step", "largest_step", "tolerance")  # of the settings
+
+MEANINGS = {
+    "SN": "saddle-node",
+    "SB": "symmetry breaking",
+    "BP": "branch point",
+    "PD": "period doubling",
+    "GR": "grazing",
+    "EP": "end",
+}
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of a branch with one itinerary. first, last: the places of its points; label; itinerary: at its first
+    point, a word a period (where an impact crosses phase 0 the words change, not the order of the walls)."""
+
+    first: int
+    last: int
+    label: str
+    itinerary: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Special:
+    """A special point of a branch.
+
+    kind: SN, SB (symmetry breaking), BP (other branch point), PD, GR, EP (end), or a monitor's name. name, value: of
+    the parameter. bounds: of the branch. scene: at the value. itinerary: the walls hit, a word a period. multipliers:
+    the larger first, infinite at an impact without speed. residual: the largest error left in the point's equations.
+    place: among the branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the
+    parameter); joins: spots of the orbits that meet at a GR, a little on; aside: which of them the branch does not
+    go on with.
+    """
+
+    kind: str
+    name: str
+    value: float
+    bounds: tuple[float, float]
+    scene: Scene = field(repr=False)
+    itinerary: tuple[str, ...]
+    multipliers: np.ndarray
+    residual: float
+    place: int
+    spot: Spot = field(repr=False)
+    slopes: np.ndarray = field(repr=False)
+    joins: tuple[Spot, ...] = field(repr=False)
+    aside: tuple[bool, ...] = field(repr=False)
+
+    @property
+    def label(self):
+        """P n p q of the orbit."""
+        return words.label(self.itinerary)
+
+    @cached_property
+    def orbit(self):
+        """The `Orbit` at the point. At a GR an impact may have no speed."""
+        return told(self.scene, self.spot)
+
+    @cached_property
+    def meets(self):
+        """The `Orbit`s that meet at a GR, each a little on from it, one for every branch that leaves the point."""
+        return tuple(told(self.scene.replace(**{self.name: one.value}), one) for one in self.joins)
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """A branch of periodic orbits.
+
+    name: the parameter; bounds: of it; scene: at the start; data: an xarray.Dataset with a row a point, in order along
+    the branch (see `jaxvibro.follow`); segments: stretches of one itinerary; special: special points in order; reasons:
+    why it ends, at its first and at its last point; settings: steps and tolerance.
+    """
+
+    name: str
+    bounds: tuple[float, float]
+    scene: Scene = field(repr=False)
+    data: xr.Dataset = field(repr=False)
+    segments: tuple[Segment, ...]
+    special: tuple[Special, ...]
+    reasons: tuple[str, str]
+    settings: dict
+
+    def __len__(self):
+        return self.data.sizes["point"]
+
+    @property
+    def values(self):
+        """The parameter's value at each point, (points,)."""
+        return self.data[self.name].values
+
+    @property
+    def stable(self):
+        """Whether each point's orbit is stable, (points,)."""
+        return self.data["stable"].values.astype(bool)
+
+    @property
+    def multipliers(self):
+        """Floquet's, (points, 2), complex, the larger first."""
+        return self.data["multiplier_real"].values + 1j * self.data["multiplier_imag"].values
+
+    @property
+    def reason(self):
+        """Why each end is one: {"first": ..., "last": ...}."""
+        return dict(zip(("first", "last"), self.reasons, strict=True))
+
+    def points(self, kind):
+        """The special points of a kind, a tuple."""
+        return tuple(one for one in self.special if one.kind == kind)
+
+    def orbit(self, place):
+        """The `Orbit` at one of the points, by its place along the branch."""
+        count = len(self)
+        if not -count <= place < count:
+            raise SceneError("place", f"must be a point of the branch, from 0 to {count - 1}", place)
+        spot = spot_of(self.data.isel(point=place), self.name)
+        return told(self.scene.replace(**{self.name: spot.value}), spot)
+
+    def save(self, path, force=False):
+        """Write the branch to a NetCDF file, from which `load_branch` reads the same numbers.
+
+        Raises FileExistsError where the file is there already, unless force is given.
+        """
+        known = [
+            [one.kind, one.place, one.residual, [_plain(each) for each in one.joins], one.aside] for one in self.special
+        ]
+        attrs = {
+            "title": "jaxvibro branch",
+            "source": f"jaxvibro {__version__}",
+            "parameter": self.name,
+            "bounds": list(self.bounds),
+            "scene": msgspec.toml.encode(table_of(self.scene)).decode(),
+            "special": json.dumps(known),
+            "segments": json.dumps([[one.first, one.last, one.label, one.itinerary] for one in self.segments]),
+            "reasons": json.dumps(self.reasons),
+            "settings": json.dumps({key: self.settings[key] for key in NUMBERS}),
+        }
+        with whole(path, force) as part:
+            part.write_bytes(self.data.assign_attrs(attrs).to_netcdf(engine="scipy"))
+
+    def table(self):
+        """The special points as a text, a line each, and why the branch ends."""
+        rows = [("kind", self.name, "orbit", "itinerary", "multipliers", "meets")]
+        for one in self.special:
+            walls = " ".join(word or "." for word in one.itinerary)
+            rows.append(
+                (one.kind, f"{one.value:.12g}", one.label, walls, pair(one.multipliers), " ".join(labels(one)) or "-")
+            )
+        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
+        ends = [f"{end} point: {why}" for end, why in self.reason.items()]
+        return "\n".join([*lines, *ends])
+
+
+def load_branch(path):
+    """The `Branch` of a file that `Branch.save` wrote. Monitors and stops are not kept.
+
+    Raises SceneError where the file is no branch, OSError where it cannot be read.
+    """
+    told = Path(path).read_bytes()
+    try:
+        data = xr.load_dataset(told, engine="scipy")
+        attrs = data.attrs
+        name, bounds = attrs["parameter"], tuple(float(each) for each in attrs["bounds"])
+        scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
+        segments = tuple(Segment(*one[:3], tuple(one[3])) for one in json.loads(attrs["segments"]))
+        special = [
+            special_of(scene, name, bounds, place, data.isel(point=place), kind, residual, map(_spot, joins), aside)
+            for kind, place, residual, joins, aside in json.loads(attrs["special"])
+        ]
+        reasons, settings = tuple(json.loads(attrs["reasons"])), json.loads(attrs["settings"])
+    except (KeyError, ValueError, TypeError, msgspec.MsgspecError) as error:
+        raise SceneError("path", f"must be a file of Branch.save ({error})", str(path)) from None
+    settings = settings | {"monitors": {}, "stop": ()}
+    return Branch(name, bounds, scene, data.assign_attrs(parameter=name), segments, tuple(special), reasons, settings)
+
+
+def _plain(spot):
+    return [each.tolist() if isinstance(each, np.ndarray) else each for each in spot]
+
+
+def _spot(given):
+    return Spot(*(np.array(each, float) if isinstance(each, list) else each for each in given))
+
+
+def labels(special):
+    """The labels of the orbits that meet at a special point, each with the side of the parameter it is on."""
+    found = []
+    for one in special.joins:
+        frequency = one.value if special.name == "frequency" else float(special.scene.frequency)
+        way = ">" if one.value > special.value else "<"
+        found.append(words.label(itinerary(one, frequency)) + way)
+    return found
+
+
+def pair(roots):
+    """Two multipliers as a text."""
+    first, second = roots
+    if first.imag:
+        return f"{first.real:.6g} +- {abs(first.imag):.6g}i"
+    return f"{first.real:.6g}, {second.real:.6g}"
+
+
+def spot_of(row, name):
+    """The `Spot` of a row of a branch's data."""
+    hit = row["side"].values != 0
+    columns = (row[key].values[hit].astype(float) for key in ("time", "speed", "side"))
+    plain = (float(row[key].values[0]) for key in ("x", "v"))
+    return Spot(float(row[name].values), *columns, row.sizes["period"], *plain, float(row["residual"].values))
+
+
+def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=()):
+    """The `Special` at a row of a branch's data."""
+    spot = spot_of(row, name)
+    found = (row["multiplier_real"] + 1j * row["multiplier_imag"]).values
+    there = scene.replace(**{name: spot.value})
+    walls = itinerary(spot, float(there.frequency))
+    hit = row["side"].values != 0
+    slopes = np.concatenate(
+        [row["time_slope"].values[hit], row["speed_slope"].values[hit], [row["value_slope"].values]]
+    )
+    return Special(
+        kind, name, spot.value, bounds, there, walls, found, residual, place, spot, slopes, tuple(joins), tuple(aside)
+    )
+
+
+def roots(trace, determinant):
+    """Multipliers of some monodromy matrices, (points, 2): infinite where a speed is zero."""
+    finite = np.isfinite(trace) & np.isfinite(determinant)
+    return np.array(
+        [
+            multipliers(float(one), float(two)) if fine else np.full(2, np.inf, complex)
+            for one, two, fine in zip(trace, determinant, finite, strict=True)
+        ]
+    ).reshape(-1, 2)

@@ -1,0 +1,51 @@
+"""What a parameter of a scene may be, and along which leaf of the scene it lies."""
+
+import jax
+import numpy as np
+
+from . import check
+from .scene import changed
+
+
+def domain(scene, name):
+    """(low, high): between them, ends left out where the walls would meet or the drive stand, the scene is one."""
+    inf = np.inf
+    if name in ("frequency", "damping"):
+        return (np.finfo(float).tiny if name == "frequency" else 0.0), inf
+    if name.endswith("restitution"):
+        return 0.0, 1.0
+    if name.endswith("position") and scene.left is not None and scene.right is not None:
+        room = sum(abs(float(wall.motion.amplitude)) for wall in (scene.left, scene.right) if wall.motion is not None)
+        low = -inf if name.startswith("left") else float(scene.left.position) + room
+        high = inf if name.startswith("right") else float(scene.right.position) - room
+        return low, high
+    return -inf, inf
+
+
+def bounds_of(scene, name, bounds):
+    """(low, high) as plain numbers, checked: two finite numbers, the first smaller, with the scene's value between."""
+    check.is_known(name, scene.names, name)
+    given = np.asarray(bounds, float) if np.shape(bounds) == (2,) else np.array([np.nan, np.nan])
+    if not (np.isfinite(given).all() and given[0] < given[1]):
+        raise check.SceneError("bounds", "must be (low, high), two finite numbers, the first smaller", bounds)
+    value = float(scene.parameter(name))
+    if not given[0] <= value <= given[1]:
+        raise check.SceneError("bounds", f"must hold the start's {name}, {value:.12g}", bounds)
+    return float(given[0]), float(given[1])
+
+
+def marked(scene, name):
+    """(the scene with a number of its own at the parameter, the same tree with True there alone)."""
+    value = scene.parameter(name)
+    own = changed(scene, {name: value})
+    blank = jax.tree.map(lambda leaf: np.False_, own)
+    return own, changed(blank, {name: np.True_})
+
+
+def scene_length(scene):
+    """A length to measure speeds and lengths by: the farthest wall's distance, else the forced amplitude, at least."""
+    walls = [wall for wall in (scene.left, scene.right) if wall is not None]
+    found = max((abs(float(wall.position)) for wall in walls), default=0.0)
+    stiff, drag = 1.0 - float(scene.frequency) ** 2, 2.0 * float(scene.damping) * float(scene.frequency)
+    forced = abs(float(scene.amplitude)) / max(np.hypot(stiff, drag), 1e-3)
+    return found if found > 1e-3 * forced else (forced or 1.0)

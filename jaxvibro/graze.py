@@ -1,0 +1,236 @@
+"""Grazing: where a branch's impact loses its speed or a flight comes to touch a wall, and what goes on from there.
+
+At such a point the orbit is one of each itinerary that has the touches as impacts without speed, or leaves them out. On
+each of these branches it is a regular point; those along which speeds and clearances become positive meet there.
+"""
+
+from itertools import product
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from continuation import follow, locate
+from continuation.arclength import Control, Point
+
+from . import cycle, passes
+from .along import Along, cycle_at, problem, there
+from .cycle import Cycle
+from .frame import frame
+from .lanes import one_kernel
+from .look import Look, flight, looked
+
+TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
+ASIDE = 1e-5  # step, in scaled lengths, after which a branch that leaves a grazing is looked at
+ENDS = 1e-5  # of a flight: a touch as near to its ends is that of the impact there
+
+
+class Touch(NamedTuple):
+    """A touch of a wall. row: of the impact at it, or of that before it; side; late: its time since that impact's;
+    own: whether the branch has it as an impact."""
+
+    row: int
+    side: int
+    late: float
+    own: bool
+
+
+class Exit(NamedTuple):
+    """A branch that leaves a grazing admissibly. along: its orbits; point: the grazing itself, its tangent leading
+    away; near, look: z a little on, and its `Look`; included: which of the touches are its impacts."""
+
+    along: Along
+    point: Point
+    near: np.ndarray
+    look: Look
+    included: tuple[bool, ...]
+
+
+def scales(along, length):
+    """The weights of z: times as they are and speeds over the scene's length, their mean square over the impacts; the
+    parameter over the length where it is one."""
+    rows = len(along.cycle.sides)
+    share = 1.0 / max(1.0, np.sqrt(np.sum(along.cycle.sides != 0)))
+    hit = np.asarray(along.cycle.sides != 0, float) * share
+    own = np.concatenate([hit, hit / length]) if rows else np.ones(2) / length
+    return np.append(own, 1.0 / parameter_scale(along, length))
+
+
+def parameter_scale(along, length):
+    """The scene's length where the parameter is a length, else 1."""
+    marks = along.which
+    walls = [wall for wall in (marks.left, marks.right) if wall is not None]
+    lengths = [marks.amplitude, *(wall.position for wall in walls)]
+    lengths += [wall.motion.amplitude for wall in walls if wall.motion is not None]
+    return length if any(bool(mark) for mark in lengths) else 1.0
+
+
+@jax.jit
+def _contact(y, along, row, wall):
+    return one_kernel(_met, y, along, row, wall)
+
+
+def _met(y, along, row, wall):
+    """(distance, speed and acceleration towards a wall of the flight after a row, the first two's gradients); y = (z,
+    the time since the flight's start)."""
+
+    def at(y):
+        z, late = y[:-1], y[-1]
+        if len(along.cycle.sides):
+            built = frame(there(along, z[-1]))
+            found = cycle.flights(built, cycle_at(along, z))
+        else:
+            built, found = flight(along, z)
+        every = passes.relative(built, found, jnp.full_like(found.time, late))
+        return jnp.stack([jnp.stack([one[k] for one in every])[wall, row] for k in range(2)])
+
+    return at(y), jax.jacfwd(at)(y)
+
+
+def touched(along, z, row, wall, late):
+    """The point near where the flight after a row touches a wall: `locate.Located` of z."""
+
+    def system(y):
+        value, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), y[:-1], along))
+        met, more = (np.asarray(each) for each in _contact(y, along, np.int32(row), np.int32(wall)))
+        return np.concatenate([value, met]), np.vstack([np.pad(slopes, ((0, 0), (0, 1))), more])
+
+    found = locate.newton(system, np.append(z, late))
+    return found if found.z is None else found._replace(z=found.z[:-1])
+
+
+def touches(along, z, length):
+    """The `Touch`es at a point."""
+    sides, look = along.cycle.sides, looked(along, z[None])
+    rows = len(sides)
+    hit = np.flatnonzero(sides != 0)
+    still = [int(k) for k in hit if abs(z[rows + k]) < TOUCH * length]
+    found = [Touch(k, int(sides[k]), 0.0, True) for k in still]
+    walls = wall_sides(along.scene)
+    spans = flight_times(along, z)
+    for row, wall in zip(*np.nonzero(abs(look.clear[0]) < TOUCH * length), strict=True):
+        late, side = float(look.late[0, row, wall]), walls[wall]
+        following = int(hit[(np.flatnonzero(hit == row)[0] + 1) % len(hit)]) if rows else None
+        begins = row in still and sides[row] == side and late < ENDS * spans[row]
+        ends = following in still and sides[following] == side and late > (1.0 - ENDS) * spans[row]
+        if not (begins or ends):
+            found.append(Touch(int(row), side, late, False))
+    return found
+
+
+def flight_times(along, z):
+    """How long each flight is, (rows,); of an orbit without impacts its periods, (1,)."""
+    scene, turns = there(along, z[-1]), along.cycle
+    span = float(turns.periods) * 2.0 * np.pi / float(scene.frequency)
+    rows = len(turns.sides)
+    if not rows:
+        return np.array([span])
+    count = int(np.sum(turns.sides != 0))
+    times = np.zeros(rows)
+    times[:count] = np.diff(z[:count], append=z[0] + span)
+    return times
+
+
+def wall_sides(scene):
+    """The sides of the walls that there are."""
+    return [side for side, wall in ((-1, scene.left), (1, scene.right)) if wall is not None]
+
+
+def exits(along, z, length):
+    """(the `Touch`es at a grazing, the `Exit`s that leave it), of the branch that came there itself too."""
+    there_are = touches(along, z, length)
+    found = []
+    for included in product((False, True), repeat=len(there_are)):
+        built = _with(along, z, there_are, included)
+        for sign in (1.0, -1.0):
+            one = _exit(*built, sign, length, included)
+            if one is not None:
+                found.append(one)
+    return there_are, found
+
+
+def _with(along, z, there_are, included):
+    """(along, z, the touches left out as (row, wall, late)) with some of the touches as impacts."""
+    sides, rows = along.cycle.sides, len(along.cycle.sides)
+    hit = np.flatnonzero(sides != 0)
+    listed = [(int(k), 0.0, z[k], z[rows + k], int(sides[k]), True) for k in hit]
+    for touch, wanted in zip(there_are, included, strict=True):
+        if touch.own:
+            at = next(k for k, one in enumerate(listed) if one[0] == touch.row and one[1] == 0.0)
+            listed[at] = (*listed[at][:3], 0.0, listed[at][4], wanted)
+        else:
+            begin = z[touch.row] if rows else 0.0
+            listed.append((touch.row, touch.late, begin + touch.late, 0.0, touch.side, wanted))
+    listed.sort(key=lambda one: one[:2])
+    kept = [one for one in listed if one[5]]
+    new = along._replace(cycle=padded(along, [each[2:5] for each in kept]))
+    start = np.append(np.concatenate([new.cycle.times, new.cycle.speeds]), z[-1]) if kept else free_start(new, z[-1])
+    walls, out = wall_sides(along.scene), []
+    span = float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z[-1]).frequency)
+    before = None
+    for one in [*listed, *listed]:  # twice round: the one before the first is the last
+        if one[5]:
+            before = one
+    place = len(kept) - 1
+    for one in listed:
+        if one[5]:
+            before, place = one, kept.index(one)
+        elif before is None:
+            out.append((0, walls.index(one[4]), one[2] % span))
+        else:
+            out.append((place, walls.index(one[4]), (one[2] - before[2]) % span))
+    return new, start, out
+
+
+def padded(along, impacts):
+    """A cycle with these impacts, (time, speed, side) each, in rows of a power of two; none without impacts."""
+    rows = 0 if not impacts else max(2, 1 << (len(impacts) - 1).bit_length())
+    columns = np.zeros((3, rows))
+    for k, one in enumerate(impacts):
+        columns[:, k] = one
+    return Cycle(*columns, *(np.asarray(each, float) for each in along.cycle[3:]))
+
+
+def free_start(along, value):
+    """z of the orbit without impacts."""
+    start = np.array([0.0, 0.0, value])
+    rest, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), start, along))
+    start[:2] = -np.linalg.solve(slopes[:, :2], rest)
+    return start
+
+
+def _opening(along, z, direction, row, wall, late):
+    """How fast the distance of a flight at a time grows in a direction of z."""
+    gradient = np.asarray(_contact(np.append(z, late), along, np.int32(row), np.int32(wall))[1])[0]
+    return float(gradient[:-1] @ direction)
+
+
+def _exit(along, z, out, sign, length, included):
+    scale = scales(along, length)
+    task = problem(along)
+    tangent = sign * follow.tangent(task, z, scale, along)
+    rows = len(along.cycle.sides)
+    count = int(np.sum(along.cycle.sides != 0))
+    slow = [k for k in range(count) if z[rows + k] == 0.0]
+    rates = [tangent[rows + k] for k in slow]
+    rates += [_opening(along, z, tangent, *each) for each in out]
+    if any(rate < -1e-6 for rate in rates):
+        return None
+    zero = np.zeros(())
+    point = Point(z, tangent, zero, zero, zero, np.True_)
+    control = Control(scale, *(np.float64(each) for each in (0.0, 1.0, 1e-12, -np.inf, np.inf)))
+    near = follow.step(task, point, ASIDE, control, along)
+    if not near.kept:
+        return None
+    look = looked(along, near.z[None])
+    return Exit(along, point, near.z, look, included) if admissible(along, near.z, look)[0] else None
+
+
+def admissible(along, zs, look):
+    """Which points keep to their walls and hit them with positive speed: (points,)."""
+    zs = np.atleast_2d(zs)
+    rows = len(along.cycle.sides)
+    hit = np.flatnonzero(along.cycle.sides != 0)
+    fast = (zs[:, rows + hit] > 0).all(axis=1) if rows else np.full(len(zs), True)
+    return fast & (look.clear >= 0).all(axis=(1, 2)) & np.isfinite(zs).all(axis=1)

@@ -1,0 +1,56 @@
+"""A user's monitors along a branch: functions of a point, and where they change their sign."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.optimize import brentq
+
+from .look import looked
+from .orbit import multipliers
+from .rows import at, between
+
+
+class Seen(NamedTuple):
+    """A point of a branch, as a user's monitor sees it. value: the parameter's; times, speeds, sides: of the impacts;
+    x, v: at the section, one for each period; multipliers: the larger first; clearance: the least, inf if none."""
+
+    value: float
+    times: np.ndarray
+    speeds: np.ndarray
+    sides: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    multipliers: np.ndarray
+    clearance: float
+
+
+def seen(along, z, look):
+    """The `Seen` of one point."""
+    rows, count = len(along.cycle.sides), int(np.sum(along.cycle.sides != 0))
+    return Seen(
+        float(z[-1]),
+        z[:count],
+        z[rows : rows + count],
+        np.asarray(along.cycle.sides[:count]),
+        look.x,
+        look.v,
+        multipliers(float(look.trace), float(look.determinant)),
+        float(look.clear.min(initial=np.inf)),
+    )
+
+
+def crossings(along, points, look, kind, function, control):
+    """Where a user's monitor changes its sign."""
+    values = np.array([function(seen(along, z, at(look, k))) for k, z in enumerate(points.z)], float)
+    for after in np.flatnonzero(values[:-1] * values[1:] < 0):
+        size = float(points.step[after + 1])
+
+        def value(length, after=int(after)):
+            one = between(along, points, after, length, control)
+            if one is None:
+                raise ValueError(f"the monitor {kind} cannot be followed between two points")
+            return function(seen(along, one.z, at(looked(along, one.z[None]), 0)))
+
+        length = brentq(value, 0.0, size, xtol=1e-14, rtol=1e-14)
+        one = between(along, points, int(after), length, control)
+        yield int(after), length, kind, one.z, float(one.residual)

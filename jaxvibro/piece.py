@@ -1,0 +1,230 @@
+"""A piece of a branch: orbits of one itinerary, from a start to the first grazing, bound or other end."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from continuation import arclength, follow
+from continuation.arclength import ON, OUT, Control, Place, Point
+from continuation.locate import Located
+
+from .along import Along, problem
+from .dips import with_dips
+from .graze import Touch, admissible, exits, touched
+from .image import images
+from .look import Look, looked
+from .monitor import crossings
+from .rows import at, between, joined, put, upto
+
+MOST = 20_000  # points of a piece
+HALVES = 60  # of an interval in which a grazing is looked for
+BOUND, DOMAIN, CLOSED, STOPPED, STEP, GRAZE, POINTS, NUMBER = range(8)
+ENDS = {ON: None, OUT: BOUND, arclength.UNDERFLOW: STEP, arclength.NONFINITE: NUMBER}  # of a chunk of steps
+
+
+class Asked(NamedTuple):
+    """What a branch is asked for. control: of steps; first: the first; domain: (low, high), the parameter's by its
+    meaning; monitors: {label: function of a `Seen`}; stop: labels; length: the scene's; marks: (`Cycle`, parameter) of
+    orbits that end the branch when it meets them."""
+
+    control: Control
+    first: float
+    domain: tuple[float, float]
+    monitors: dict
+    stop: tuple[str, ...]
+    length: float
+    marks: tuple
+
+
+class Mark(NamedTuple):
+    """A special point among those of a piece: its place there, kind, the largest error left; at a grazing its touches
+    and exits, and which exits the branch leaves aside."""
+
+    place: int
+    kind: str
+    residual: float
+    touches: tuple[Touch, ...] = ()
+    exits: tuple = ()
+    aside: tuple[bool, ...] = ()
+
+
+class Piece(NamedTuple):
+    """along: its orbits; points, look: a row a point; marks: in order; why: the end, one of BOUND to NUMBER."""
+
+    along: Along
+    points: Point
+    look: Look
+    marks: tuple[Mark, ...]
+    why: int
+
+
+def piece(along, start, asked):
+    """The `Piece` that begins at a `Point`."""
+    task = problem(along)
+    control = asked.control
+    place = Place(start.z, start.tangent, np.float64(asked.first), np.int32(ON))
+    parts, count = [], 0
+    for points, status in follow.stretches(task, place, control, along):
+        part = _part(along, points, status, asked)
+        parts.append(part)
+        count += len(part.points.z)
+        if part.why is not None or count > MOST:
+            break
+    return _joined(along, parts)
+
+
+class _Part(NamedTuple):
+    points: Point
+    look: Look
+    marks: tuple
+    why: int | None
+
+
+def _part(along, points, status, asked):
+    """What a chunk of steps gives, cut at its end, with its special points put in."""
+    control = asked.control
+    points, look = with_dips(along, points, looked(along, points.z), control)
+    good = admissible(along, points.z, look)
+    good[0] = True
+    size, why, last = len(points.z), ENDS[status], []
+    if not good.all():
+        points, last = _to_graze(along, points, look, int(np.argmin(good)), asked)
+        why = GRAZE if last else STEP
+    elif status == OUT:
+        points, why = _to_bound(along, points, asked)
+    loop = _met(along, points, asked)
+    if loop is not None:
+        points, last, why = _cut(along, points, *loop, control), [], CLOSED
+    if not (len(points.z) == size and why is None):
+        look = looked(along, points.z)
+    marks = [(one.after, one.length, one.kind, one.z, one.residual) for one in _events(along, points, look, control)]
+    for kind, function in asked.monitors.items():
+        marks += crossings(along, points, look, kind, function, control)
+    points, placed = _inserted(along, points, sorted(marks, key=lambda one: one[:2]), control)
+    placed += [one._replace(place=len(points.z) - 1) for one in last]
+    stops = [one.place for one in placed if one.kind in asked.stop]
+    if stops:
+        points, why = upto(points, stops[0] + 1), STOPPED
+        placed = [one for one in placed if one.place <= stops[0]]
+    return _Part(points, looked(along, points.z) if marks or stops else look, tuple(placed), why)
+
+
+def _joined(along, parts):
+    points, look = joined([one.points for one in parts]), joined([one.look for one in parts])
+    marks, offset = [], 0
+    for part in parts:
+        marks += [one._replace(place=one.place + offset) for one in part.marks]
+        offset += len(part.points.z) - 1
+    return Piece(along, points, look, tuple(marks), POINTS if parts[-1].why is None else parts[-1].why)
+
+
+def _to_graze(along, points, look, bad, asked):
+    """(the points up to the grazing before the first bad one, [its `Mark`]); without a mark where none is found."""
+    good, length = at(points, bad - 1), float(points.step[bad])
+    there, seen, low, high = at(points, bad), at(look, bad), 0.0, length
+    for _ in range(HALVES):
+        found = _first_touch(along, good, there, seen, low, high, asked)
+        if found is not None:
+            break
+        middle = between(along, points, bad - 1, 0.5 * (low + high), asked.control)
+        if middle is None:
+            break
+        view = looked(along, middle.z[None])
+        if admissible(along, middle.z, view)[0]:
+            low = 0.5 * (low + high)
+        else:
+            high, there, seen = 0.5 * (low + high), middle, at(view, 0)
+    cut = upto(points, bad)
+    if found is None:
+        return cut, []
+    z, residual = found
+    one = _placed(along, points, bad - 1, z, asked.control)
+    met, ways = exits(along, z, asked.length)
+    mark = Mark(0, "GR", residual, tuple(met), tuple(ways))
+    return put(cut, bad, one), [mark]
+
+
+def _first_touch(along, good, there, seen, low, high, asked):
+    """(z, residual) of the first touch between two lengths from a good point: there, seen: the point at the second."""
+    task, rows = problem(along), len(along.cycle.sides)
+    hit = np.flatnonzero(along.cycle.sides != 0)
+    middle = 0.5 * (good.z + there.z)
+    square, found = asked.control.scale**2, []
+    for row in hit if rows else ():
+        if there.z[rows + row] <= 0:
+            found.append(_pinned(task, middle, int(rows + row), 0.0, asked, along))
+    if not found or not (there.z[rows + hit] <= 0).any():
+        for row, wall in zip(*np.nonzero(seen.clear < 0), strict=True):
+            found.append(touched(along, there.z, row, wall, float(seen.late[row, wall])))
+    best = None
+    for one in found:
+        if one.z is None:
+            continue
+        length = float(np.sum(square * good.tangent * (one.z - good.z)))
+        inside = low - 1e-9 - 0.02 * (high - low) <= length <= high + 1e-9 + 0.02 * (high - low)
+        if inside and (best is None or length < best[0]):
+            best = length, one
+    if best is None:
+        return None
+    return best[1].z, best[1].residual
+
+
+def _pinned(task, z, index, value, asked, along):
+    """`follow.pinned` as a `Located`."""
+    one = follow.pinned(task, z, index, value, asked.control, along)
+    return Located(one.z if one.kept else None, float(one.residual))
+
+
+def _placed(along, points, after, z, control):
+    """A `Point` with this z, its tangent and determinant taken on the branch there."""
+    here = at(points, after)
+    length = float(np.sum(control.scale**2 * here.tangent * (z - here.z)))
+    one = follow.step(problem(along), here, length, control, along)
+    if not one.kept or not np.isfinite(one.tangent).all():
+        one = here
+    return one._replace(z=z, step=np.float64(length), kept=np.True_)
+
+
+def _to_bound(along, points, asked):
+    """(the points, the last one on the bound that was passed, why)."""
+    control, last = asked.control, len(points.z) - 1
+    value = control.low if points.z[-1, -1] < control.low else control.high
+    (p, q) = points.z[-2:, -1]
+    share = (value - p) / (q - p)
+    guess = between(along, points, last - 1, share * float(points.step[-1]), control)
+    guess = points.z[-2] + share * (points.z[-1] - points.z[-2]) if guess is None else guess.z
+    found = _pinned(problem(along), guess, -1, value, asked, along)
+    cut = upto(points, last)
+    if found.z is None:
+        return cut, STEP
+    why = DOMAIN if value in asked.domain else BOUND
+    return put(cut, last, _placed(along, points, last - 1, found.z, control)), why
+
+
+def _met(along, points, asked):
+    """(place, length) where the branch comes to one of the marks, None where it does not."""
+    marks = [each for cycle, value in asked.marks for each in images(along, cycle, value, points.z[0])]
+    return follow.passes_mark(problem(along), points, marks, asked.control, along) if marks else None
+
+
+def _cut(along, points, after, length, control):
+    """The points up to a length after one of them."""
+    one = between(along, points, after, length, control)
+    cut = upto(points, after + 1)
+    return cut if one is None else put(cut, after + 1, one)
+
+
+def _events(along, points, look, control):
+    values = {"PD": look.flip} if len(along.cycle.sides) else {}
+    return follow.events(problem(along), points, values, control, along)
+
+
+def _inserted(along, points, marks, control):
+    """(the points with those of the marks among them, the `Mark`s)."""
+    placed, done = [], {}
+    for shift, (after, length, kind, z, residual) in enumerate(marks):
+        one = _placed(along, points, after + shift, z, control)
+        points = put(points, after + shift + 1, one._replace(step=np.float64(length - done.get(after, 0.0))))
+        done[after] = length
+        placed.append(Mark(after + shift + 1, kind, residual))
+    return points, placed

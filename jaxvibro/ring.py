@@ -1,0 +1,137 @@
+"""Linear systems of a cycle: two equations and two unknowns an impact, each row with its own unknowns and the next's.
+
+With one parameter more and one row more (a border) they are solved by Givens' rotations, impact by impact: the unknowns
+of one after the other are left to those of the first and the parameter, where the circle closes. Nothing is divided by
+the speeds, so that a branch can go through speed zero.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from continuation.linear import Eliminated, solve
+
+
+class Ring(NamedTuple):
+    """own: (rows, 2, 2), each row's derivative by its own time and speed; following: by the next row's; by: (rows, 2),
+    by the parameter; last: the row whose next is the first; those after it are empty."""
+
+    own: jax.Array
+    following: jax.Array
+    by: jax.Array
+    last: jax.Array
+
+
+def of(slopes, by=None):
+    """The `Ring` of the `Slopes` of `cycle.equations`, and of their derivative by the parameter, None for none."""
+    own = jnp.stack([jnp.stack(pair, 1) for pair in slopes.own], 1)
+    e, f = slopes.following
+    zero = jnp.zeros_like(e)
+    following = jnp.stack([jnp.stack([e, zero], 1), jnp.stack([f, zero - 1.0], 1)], 1)
+    by = jnp.zeros(2 * len(e), e.dtype) if by is None else by
+    return Ring(own, following, _pairs(by, len(e)), slopes.last)
+
+
+def bordered(ring, row, right):
+    """The ring's equations, then one row, for times, speeds and parameter: `linear.Eliminated`.
+
+    row: (2 rows + 1,); right: (2 rows + 1, k), empty rows zero.
+    """
+    rows = len(ring.own)
+    blocks = jnp.concatenate([ring.own, ring.following, ring.by[:, :, None], _pairs(right, rows)], 2)
+    edges = jnp.concatenate([_pairs(row[:, None], rows)[..., 0], jnp.zeros((rows, blocks.shape[2] - 2))], 1)
+    corner = edges[0].at[4:].set(jnp.concatenate([row[-1:], right[-1]]))
+    relation, corner, product, kept = _reduced(blocks, edges, corner, ring.last)
+    table = jnp.concatenate([relation, corner[None]])
+    small = jnp.concatenate([table[:, :2] + table[:, 2:4], table[:, 4:5]], 1)
+    found = solve(small, table[:, 5:])
+    pairs = _back(kept, found.x[:2], found.x[2], ring.last)
+    x = jnp.concatenate([pairs[:, 0], pairs[:, 1], found.x[2:]])
+    return Eliminated(x, found.worst, product * found.determinant)
+
+
+def determinant(ring, turn):
+    """The determinant of the equations by times and speeds where what comes after the last impact is the first's times
+    a number: 1 for the equations themselves, -1 for a cycle that changes its sign each time round."""
+    blocks = jnp.concatenate([ring.own, ring.following, ring.by[:, :, None]], 2)
+    edges = jnp.zeros((len(blocks), 5), blocks.dtype)
+    (a, b), _, product, _ = _reduced(blocks, edges, edges[0], ring.last)
+    a, b = a[:2] + turn * a[2:4], b[:2] + turn * b[2:4]
+    return product * (a[0] * b[1] - a[1] * b[0])
+
+
+def dense(ring, turn=1.0):
+    """The equations' derivative as a matrix (2 rows, 2 rows + 1), as `determinant` takes it; 1 for an empty unknown."""
+    rows = len(ring.own)
+    place = jnp.arange(rows)
+    hit = place <= ring.last
+    follows = jnp.where(place < ring.last, place + 1, 0)
+    sign = jnp.where(place == ring.last, turn, 1.0)
+    near = jax.nn.one_hot(place, rows, dtype=ring.own.dtype)
+    after = sign[:, None] * jax.nn.one_hot(follows, rows, dtype=ring.own.dtype)
+    own = jnp.where(hit[:, None, None], ring.own, jnp.eye(2))
+    following = jnp.where(hit[:, None, None], ring.following, 0.0)
+    whole = near[:, None, None, :] * own[..., None] + after[:, None, None, :] * following[..., None]
+    matrix = whole.transpose(1, 0, 2, 3).reshape(2 * rows, 2 * rows)
+    by = jnp.where(hit[:, None], ring.by, 0.0)
+    return jnp.concatenate([matrix, by.T.reshape(2 * rows, 1)], 1)
+
+
+def _pairs(flat, rows):
+    """Numbers by times, then speeds, (2 rows, k), as (rows, 2, k)."""
+    return jnp.stack([flat[:rows], flat[rows : 2 * rows]], 1)
+
+
+def _reduced(blocks, edges, corner, last):
+    """All unknowns eliminated but the first's: (the last relation, the border's row, the product of the pivots, and the
+    rows that give the others back).
+
+    A row has columns of the first unknowns (2), of those after the present ones (2), of the parameter, right sides.
+    """
+
+    def eliminate(carry, given):
+        relation, corner, product = carry
+        place, block, edge = given
+        none = jnp.zeros((2, 2), block.dtype)
+        above = jnp.concatenate([relation[:, 2:4], relation[:, :2], none, relation[:, 4:]], 1)
+        below = jnp.concatenate([block[:, :2], none, block[:, 2:]], 1)
+        top, rest = _rotated(above, below)
+        low = jnp.concatenate([corner[2:4] + edge[:2], corner[:2], none[0], corner[4:]])
+        for k in (0, 1):
+            low = low - (low[k] / top[k, k]) * top[k]
+        pivots = top[0, 0] * top[1, 1]
+        there = place <= last
+        new = rest[:, 2:], low[2:], product * pivots
+        return jax.tree.map(lambda new, old: jnp.where(there, new, old), new, carry), top
+
+    carry = blocks[0], corner, jnp.ones_like(corner[0])
+    (relation, corner, product), kept = lax.scan(eliminate, carry, (jnp.arange(1, len(blocks)), blocks[1:], edges[1:]))
+    return relation, corner, product, kept
+
+
+def _rotated(above, below):
+    """Two and two rows turned so that the first two columns are upper triangular: ((0, 1), (2, 3)) after."""
+    rows = [*above, *below]
+    for column, k, j in ((0, 0, 1), (0, 2, 3), (0, 0, 2), (1, 1, 3), (1, 1, 2)):
+        a, b = rows[k][column], rows[j][column]
+        size = jnp.sqrt(a * a + b * b)
+        c, s = (jnp.where(size > 0, each / jnp.where(size > 0, size, 1.0), one) for each, one in ((a, 1.0), (b, 0.0)))
+        rows[k], rows[j] = c * rows[k] + s * rows[j], c * rows[j] - s * rows[k]
+    return jnp.stack(rows[:2]), jnp.stack(rows[2:])
+
+
+def _back(kept, first, parameter, last):
+    """All unknowns, (rows, 2, k), from the first's (2, k) and the parameter's (k,)."""
+
+    def back(after, given):
+        place, top = given
+        right = top[:, 7:] - top[:, 2:4] @ first - top[:, 4:6] @ after - top[:, 6:7] * parameter
+        speed = right[1] / top[1, 1]
+        found = jnp.stack([(right[0] - top[0, 1] * speed) / top[0, 0], speed])
+        there = place <= last
+        return jnp.where(there, found, after), jnp.where(there, found, 0.0)
+
+    _, others = lax.scan(back, first, (jnp.arange(1, len(kept) + 1), kept), reverse=True)
+    return jnp.concatenate([first[None], others])

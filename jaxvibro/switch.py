@@ -1,0 +1,121 @@
+"""`switch`: the other branches that leave a special point; `extend`: a branch beyond its end."""
+
+import numpy as np
+
+from continuation import locate
+from continuation import switch as crossing
+from continuation.follow import tangent
+
+from . import check
+from .along import problem
+from .assemble import assembled, merged
+from .branch import Branch, Special, spot_of
+from .domain import bounds_of, scene_length
+from .follow import asking, placed, point, settled
+from .graze import exits, padded, scales
+from .walk import walked
+
+FIRST = 0.01  # step of a branch that leaves a point
+KINDS = ("SB", "BP", "PD", "GR")
+
+
+def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1e-10, monitors=(), stop=()):
+    """The branches that leave a special point besides the one it was found on: a tuple of `Branch`, each from the point
+    on, to where it ends.
+
+    special: a `Special` of a branch. At SB and BP the two halves of the branch that crosses there; at PD the one of
+    twice the period (its other half has the same orbits, a period later); at GR those of the itineraries that the
+    branch did not go on with. bounds and the rest as in `follow`; bounds None takes the point's.
+
+    Raises SceneError for a point of another kind, and arguments that cannot be.
+    """
+    if not isinstance(special, Special):
+        raise check.SceneError("special", "must be a special point of a branch", special)
+    if special.kind not in KINDS:
+        raise check.SceneError("special", f"must be of kind {', '.join(KINDS)}: no branch leaves others", special.kind)
+    bounds = bounds_of(special.scene, special.name, special.bounds if bounds is None else bounds)
+    settings = settled(first_step, largest_step, tolerance, monitors, stop)
+    leaving = {"PD": _doubled, "GR": _grazing}.get(special.kind, _crossed)
+    starts = leaving(special, *placed(special.scene, special.name, special.spot))
+    return tuple(_walked(special.scene, special.name, bounds, settings, *start) for start in starts)
+
+
+def extend(branch, bounds):
+    """The branch with wider bounds, followed on from each end that had come to its bound: a `Branch`.
+
+    Raises SceneError where the new bounds do not hold the old ones.
+    """
+    if not isinstance(branch, Branch):
+        raise check.SceneError("branch", "must be a Branch", branch)
+    wide = bounds_of(branch.scene, branch.name, bounds)
+    if not (wide[0] <= branch.bounds[0] and branch.bounds[1] <= wide[1]):
+        raise check.SceneError("bounds", f"must hold the branch's own, {branch.bounds}", bounds)
+    ends = ((0, -1.0), (len(branch) - 1, 1.0))
+    for place, sign in ends:
+        if "bound" in branch.reasons[place > 0] and not _is_at(branch, place, wide):
+            more = _onwards(branch, place if sign < 0 else len(branch) - 1, sign, wide)
+            branch = merged(more, branch) if sign < 0 else merged(branch, more)
+    return branch
+
+
+def _is_at(branch, place, wide):
+    return branch.values[place] in wide
+
+
+def _onwards(branch, place, sign, bounds):
+    """The branch beyond one of its ends, from there on, or, at its first point, up to there."""
+    row = branch.data.isel(point=place)
+    spot = spot_of(row, branch.name)
+    scene = branch.scene.replace(**{branch.name: spot.value})
+    along, z = placed(scene, branch.name, spot)
+    count, rows = len(spot.times), len(along.cycle.sides)
+    ahead = np.zeros(len(z))
+    hit = row["side"].values != 0
+    if rows:
+        ahead[:count], ahead[rows : rows + count] = row["time_slope"].values[hit], row["speed_slope"].values[hit]
+    ahead[-1] = row["value_slope"].values
+    start = point(z, tangent(problem(along), z, scales(along, scene_length(scene)), along, sign * ahead))
+    asked = asking(scene, branch.name, bounds, scene_length(scene), (along, z), **branch.settings)
+    done = walked(along, start, asked)
+    back, on = (done, None) if sign < 0 else (None, done)
+    return assembled(scene, branch.name, bounds, branch.settings, back, on)
+
+
+def _walked(scene, name, bounds, settings, along, start):
+    asked = asking(scene, name, bounds, scene_length(scene), (along, start.z), **settings)
+    return assembled(scene, name, bounds, settings, None, walked(along, start, asked))
+
+
+def _crossed(special, along, z):
+    """Both directions of the branch that crosses that on which the point was found."""
+    scale, rows = scales(along, scene_length(special.scene)), len(along.cycle.sides)
+    count, known = len(special.spot.times), np.zeros(len(z))
+    known[:count], known[rows : rows + count] = special.slopes[:count], special.slopes[count:-1]
+    known[-1] = special.slopes[-1]
+    other = crossing.other(crossing.directions(problem(along), z, scale, along), known, scale)
+    return [(along, point(z, sign * other)) for sign in (1.0, -1.0)]
+
+
+def _doubled(special, along, z):
+    """The orbit as one of twice the period, and the direction in which its two halves become different."""
+    task, rows, count = problem(along), len(along.cycle.sides), len(special.spot.times)
+    null = locate.null(np.asarray(locate.matrix(task, task.tests[0], z, along)))
+    spot, span = special.spot, special.spot.periods * 2.0 * np.pi / float(special.scene.frequency)
+    late = np.concatenate([spot.times, spot.times + span])
+    twice = along._replace(cycle=along.cycle._replace(periods=np.asarray(2.0 * spot.periods)))
+    listed = zip(late, np.tile(spot.speeds, 2), np.tile(spot.sides, 2), strict=True)
+    twice = twice._replace(cycle=padded(twice, list(listed)))
+    wide = len(twice.cycle.sides)
+    tangent = np.zeros(2 * wide + 1)
+    for half in (0, 1):
+        part = null[half * rows : half * rows + count]
+        tangent[half * wide : half * wide + 2 * count] = np.concatenate([part, -part])
+    tangent /= np.linalg.norm(scales(twice, scene_length(special.scene)) * tangent)
+    start = np.concatenate([twice.cycle.times, twice.cycle.speeds, z[-1:]])
+    return [(twice, point(start, tangent))]
+
+
+def _grazing(special, along, z):
+    """Each branch that leaves a grazing and is not one that the point was found on."""
+    _, ways = exits(along, z, scene_length(special.scene))
+    return [(way.along, way.point) for way, aside in zip(ways, special.aside, strict=True) if aside]

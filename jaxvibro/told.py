@@ -1,0 +1,55 @@
+"""An orbit that is known to be one, described without Newton's method: a point of a branch, be it singular."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from . import itinerary as words
+from .along import Along
+from .cycle import Cycle
+from .entry import OK
+from .look import looked
+from .orbit import described, multipliers
+from .solve import by_section
+from .state import Impacts, State
+
+
+class Spot(NamedTuple):
+    """An orbit in plain numbers. value: of the branch's parameter; times, since phase 0, speeds, sides: of the impacts;
+    periods; x, v: at phase 0; residual: the largest error left in its equations."""
+
+    value: float
+    times: np.ndarray
+    speeds: np.ndarray
+    sides: np.ndarray
+    periods: int
+    x: float
+    v: float
+    residual: float
+
+
+def itinerary(spot, frequency):
+    """The walls that a `Spot`'s orbit hits, a word a period."""
+    length = 2.0 * np.pi / frequency
+    late = np.mod(spot.times, spot.periods * length)
+    order = np.argsort(late)
+    return words.split(late[order], spot.sides[order].astype(int), spot.periods, length)
+
+
+def told(scene, spot):
+    """The `Orbit` of a `Spot` of a scene."""
+    if len(spot.times):
+        return by_section(scene, spot.times, spot.speeds, spot.sides, spot.periods, spot.residual)
+    blank = np.zeros(0)
+    along = Along(scene, jax.tree.map(lambda leaf: np.False_, scene), Cycle(*[blank] * 3, *_numbers(0.0, spot.periods)))
+    look = looked(along, np.array([[spot.x, spot.v, spot.value]]))
+    clear = float(look.clear.min(initial=np.inf))
+    impacts = Impacts(blank, blank.astype(np.int8), blank, 0, np.inf, clear, OK)
+    roots = multipliers(float(look.trace[0]), float(look.determinant[0]))
+    walls = ("",) * spot.periods
+    return described(scene, State(spot.x, spot.v), impacts, walls, roots, spot.residual, "state")
+
+
+def _numbers(*values):
+    return (np.asarray(value, float) for value in values)

@@ -1,0 +1,68 @@
+"""From piece to piece along a branch: at each grazing it is decided what goes on."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .graze import scales
+from .piece import GRAZE, Piece, piece
+
+REASONS = (
+    "the parameter reached its bound {value:.12g}",
+    "the parameter's domain ends at {value:.12g}",
+    "it closes: the branch came back to an orbit met before, at {value:.12g}",
+    "stopped at {kind}, {value:.12g}",
+    "the step became too small at {value:.12g}: Newton's method does not converge there",
+    "grazing at {value:.12g}: no orbit with as many periods goes on from there",
+    "it has too many points, the last at {value:.12g}",
+    "a number is not finite after {value:.12g}",
+)
+MOST = 200  # pieces of a branch
+
+
+class Walked(NamedTuple):
+    """The pieces of a branch in one direction, and why it ends."""
+
+    pieces: list[Piece]
+    reason: str
+
+
+def walked(along, start, asked):
+    """The `Walked` from a `Point`, whose tangent leads away."""
+    pieces = []
+    while True:
+        scale = scales(along, asked.length)
+        one = piece(along, start, asked._replace(control=asked.control._replace(scale=scale)))
+        one, way = _onwards(one, scale) if one.why == GRAZE else (one, None)
+        pieces.append(one)
+        if way is None or len(pieces) == MOST:
+            return Walked(pieces, _reason(one))
+        along, start = way.along, way.point
+
+
+def _onwards(one, scale):
+    """(the piece, its last mark telling which exits are left aside; the `Exit` by which the branch goes on).
+
+    It goes on with the touches' impacts exchanged, those it had for those it had not, else as many of them as can be;
+    the exit is None where there is none.
+    """
+    mark = one.marks[-1]
+    here = tuple(touch.own for touch in mark.touches)
+    arrived = one.points.tangent[-1]
+
+    def is_back(way):
+        same = way.included == here and way.point.tangent.shape == arrived.shape
+        return same and np.sum(scale * scale * way.point.tangent * arrived) < 0
+
+    def exchanged(way):
+        forward = way.included == here
+        return forward, sum(a != b for a, b in zip(way.included, here, strict=True))
+
+    chosen = max((way for way in mark.exits if not is_back(way)), key=exchanged, default=None)
+    aside = tuple(not (way is chosen or is_back(way)) for way in mark.exits)
+    return one._replace(marks=(*one.marks[:-1], mark._replace(aside=aside))), chosen
+
+
+def _reason(one):
+    kind = one.marks[-1].kind if one.marks else ""
+    return REASONS[one.why].format(value=one.points.z[-1, -1], kind=kind)
