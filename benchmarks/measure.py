@@ -7,7 +7,7 @@ import pathlib
 import jax
 
 import jaxvibro
-from benchmarks import chart, derived, harness, machine, ours, page, sides, truth
+from benchmarks import branches, chart, derived, harness, machine, ours, page, sides, truth
 from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, draw
 
 JUDGED = 4096
@@ -82,7 +82,7 @@ def main(directory, quick, out):
     out.mkdir(parents=True, exist_ok=True)
     chart.save(out / "benchmarks.png", rows, TITLE)
     lines = notes(yardstick, rounds, true.judged)
-    asked = compare(us, timings, single) + derived.compare(states, rounds)
+    asked = compare(us, timings, single) + derived.compare(states, rounds) + branches.compare(rounds)
     text = page.body(rows, asked, lines, machine.describe(), "benchmarks.png")
     page.write(out / "benchmarks.md", text)
     print(f"{text}\n\nwritten: {out / 'benchmarks.md'}, {out / 'benchmarks.png'}")

@@ -43,13 +43,15 @@ class Place(NamedTuple):
 
 class Point(NamedTuple):
     """A point met. z, tangent: (n + 1,); step: from the last one; residual: the largest entry of F before Newton's last
-    step; determinant: of the system with the last tangent as its last row; kept: false where the step was refused."""
+    step; determinant: of the system with the last tangent as its last row; met: whether Newton's method came there;
+    kept: whether the step was taken, not too far round a bend."""
 
     z: jax.Array
     tangent: jax.Array
     step: jax.Array
     residual: jax.Array
     determinant: jax.Array
+    met: jax.Array
     kept: jax.Array
 
 
@@ -90,7 +92,8 @@ def corrected(function, solve, place, step, control, args):
     zero = jnp.zeros_like(step)
     start = (guess, place.tangent, zero + jnp.inf, zero, zero, 0)
     z, tangent, change, residual, determinant, _ = lax.while_loop(going, advance, start)
-    point = Point(z, unit(tangent, control.scale), step, residual, determinant, change <= control.tolerance)
+    met = change <= control.tolerance
+    point = Point(z, unit(tangent, control.scale), step, residual, determinant, met, met)
     return point, jnp.linalg.norm(control.scale * (z - guess))
 
 
@@ -103,12 +106,13 @@ def track(function, solve, place, control, args, count):
         point, stray = corrected(function, solve, place, step, control, args)
         bend = jnp.sum(control.scale * control.scale * place.tangent * point.tangent)
         turn = jnp.sqrt(jnp.maximum(2.0 * (1.0 - bend), 0.0))
-        good = point.kept & (turn < LARGEST_TURN) & (stray < STRAY * abs(step)) & jnp.all(jnp.isfinite(point.tangent))
+        good = point.met & (turn < LARGEST_TURN) & (stray < STRAY * abs(step)) & jnp.all(jnp.isfinite(point.tangent))
         kept = on & good
         factor = jnp.where(good, jnp.clip(TURN / jnp.maximum(turn, 1e-3), SHRINK, GROW), SHRINK)
         wanted = jnp.minimum(place.step * factor, control.largest)
         outside = (point.z[-1] < control.low) | (point.z[-1] > control.high)
-        status = jnp.where(kept & outside, OUT, jnp.where(wanted < control.smallest, UNDERFLOW, ON))
+        short = jnp.where(jnp.isfinite(point.residual), UNDERFLOW, NONFINITE)
+        status = jnp.where(kept & outside, OUT, jnp.where(wanted < control.smallest, short, ON))
         status = jnp.where(on, status, place.status)
         new = Place(
             jnp.where(kept, point.z, place.z),

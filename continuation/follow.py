@@ -10,7 +10,7 @@ import numpy as np
 from . import arclength, locate
 from .arclength import ON, Place, Point
 
-CHUNK = 64  # steps attempted in a compiled call
+CHUNK = 128  # steps attempted in a compiled call
 POLISHED = 1e-10  # a length: from a step as short the next leaves rounding alone
 SAME = 1e-6  # of the scaled lengths: two points as near are one
 
@@ -53,28 +53,20 @@ def _tracked(place, control, args, problem, count):
     return arclength.track(problem.function, problem.solve, place, control, args, count)
 
 
-@partial(jax.jit, static_argnums=0)
-def _step(problem, place, length, control, args):
-    return problem.run(_stepped, place, length, control, args, problem=problem)
-
-
-def _stepped(place, length, control, args, problem):
-    return arclength.corrected(problem.function, problem.solve, place, length, control, args)[0]
-
-
 def step(problem, point, length, control, args):
-    """The branch's `Point` a length away along the tangent of one: `kept` says whether Newton's method came there."""
-    place = Place(point.z, point.tangent, np.float64(0.0), np.int32(ON))
-    return jax.device_get(_step(problem, place, np.float64(length), control, args))
+    """The branch's `Point` a length away along the tangent of one: `met` says whether Newton's method came there."""
+    place = Place(point.z, point.tangent, np.float64(length), np.int32(ON))
+    once = control._replace(smallest=np.float64(np.inf))  # the same compiled code, which ends after one step
+    return jax.tree.map(lambda leaf: leaf[0], jax.device_get(_track(problem, place, once, args, CHUNK)[1]))
 
 
 def pinned(problem, z, index, value, control, args):
-    """The `Point` near z with a value in one of its places, to rounding: `kept` says whether there is one."""
+    """The `Point` near z with a value in one of its places, to rounding: `met` says whether there is one."""
     row = np.zeros(len(z))
     row[index] = 1.0 / control.scale[index] ** 2
     place = np.array(z)
     place[index] = value
-    return step(problem, Point(place, row, *[np.zeros(())] * 3, np.True_), 0.0, polishing(control), args)
+    return step(problem, Point(place, row, *[np.zeros(())] * 3, *[np.True_] * 2), 0.0, polishing(control), args)
 
 
 def polishing(control):
@@ -88,8 +80,8 @@ def stretches(problem, place, control, args):
     place: where it starts. It ends when the status is not ON.
     """
     zero = np.zeros_like(place.step)
-    start = step(problem, Point(place.z, place.tangent, *[zero] * 3, np.True_), 0.0, control, args)
-    start = start._replace(z=place.z, tangent=place.tangent, step=zero)
+    start = step(problem, Point(place.z, place.tangent, *[zero] * 3, *[np.True_] * 2), 0.0, control, args)
+    start = start._replace(z=place.z, tangent=place.tangent, step=zero, kept=np.True_)
     while True:
         place, points = jax.device_get(_track(problem, place, control, args, CHUNK))
         kept = jax.tree.map(lambda leaf, keep=points.kept: leaf[keep], points)
@@ -113,14 +105,26 @@ def watched(problem, points, args):
 
 
 def events(problem, points, values, control, args):
-    """The `Event`s between points in a row, in order; values: {label: of the problem's tests at each point}."""
-    found, signs = [], {"SN": points.tangent[:, -1], "BP": points.determinant} | values
-    for kind, each in signs.items():
-        for after in np.flatnonzero(each[:-1] * each[1:] < 0):
+    """The `Event`s between points in a row, in order; values: {label: of the problem's tests at each point}.
+
+    One at the first point is left out: it belongs to the points before, or the branch was begun in it.
+    """
+    found, watched = [], {"SN": points.tangent[:, -1], "BP": points.determinant} | values
+    for kind, each in watched.items():
+        signs = _signs(each)
+        for after in np.flatnonzero(signs[:-1] * signs[1:] < 0):
             event = _located(problem, kind, points, int(after), each, control, args)
-            if event is not None:
+            if event is not None and np.linalg.norm(control.scale * (event.z - points.z[0])) > SAME:
                 found.append(event)
     return _told_apart(found, control)
+
+
+def _signs(values):
+    """The sign of each; a zero has that of the one before, so that the change is after it."""
+    signs = np.sign(values)
+    for k in np.flatnonzero(signs == 0):
+        signs[k] = signs[k - 1] if k else -signs[1]
+    return signs
 
 
 def _located(problem, kind, points, after, values, control, args):
@@ -130,7 +134,7 @@ def _located(problem, kind, points, after, values, control, args):
     share = values[after] / (values[after] - values[after + 1])
     for guess in (share, 0.5, 0.25, 0.75):
         near = step(problem, here, guess * length, control, args)
-        z = near.z if near.kept else here.z + guess * length * here.tangent
+        z = near.z if near.met else here.z + guess * length * here.tangent
         found = _polished(problem, kind, z, args)
         if found.z is None:
             continue
@@ -146,7 +150,10 @@ def _polished(problem, kind, z, args):
     if kind == "BP":
         return locate.branch_point(problem, z, args)
     (test,) = (test for test in problem.tests if test.label == kind)
-    return locate.singular(problem, test, z, args)
+    found = locate.singular(problem, test, z, args)
+    if found.z is None or test.holds(np.asarray(locate.evaluated(problem, found.z, args)[1])[:, :-1]):
+        return found
+    return locate.Located(None, np.nan)
 
 
 def _told_apart(found, control):
@@ -181,6 +188,6 @@ def passes_mark(problem, points, marks, control, args):
     for after, length, k in meets(points, marks, control):
         here = jax.tree.map(lambda leaf, after=after: leaf[after], points)
         there = step(problem, here, length, control, args)
-        if there.kept and np.linalg.norm(control.scale * (there.z - marks[k])) < SAME:
+        if there.met and np.linalg.norm(control.scale * (there.z - marks[k])) < SAME:
             return after, length
     return None

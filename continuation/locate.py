@@ -2,8 +2,8 @@
 
 Where a matrix A is singular, the g of (A, b; c, 0) (v; g) = (0; 1) is zero, for any b and c that keep the whole from
 being so; its gradient is -w (A') v, (w, g) of the transposed system (Govaerts, Numerical Methods for Bifurcations of
-Dynamical Equilibria, 3.3). A handful of points of a branch are special: the linear algebra is NumPy's, and what is
-compiled is the problem's functions and one derivative of them.
+Dynamical Equilibria, 3.3). A handful of points of a branch are special: the linear algebra is NumPy's, the gradient
+is by differences, and nothing is compiled but the problem's own functions.
 """
 
 from functools import partial
@@ -13,6 +13,7 @@ import jax
 import numpy as np
 
 ROUNDS = 12  # of Newton's steps
+APART = 1e-5  # of 1 + abs z: the points of a difference
 SMALL = 1e-9  # of 1 + abs z: a step from which the next leaves rounding alone
 
 
@@ -29,14 +30,23 @@ def evaluated(problem, z, args):
     return problem.run(problem.plain, z, args)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def bent(problem, function, z, left, right, args):
-    """The gradient of left @ A(z) @ right, A(z) being a function's matrix of (z, args)."""
-    return problem.run(_gradient, z, left, right, args, of=function)
+def slopes_of(problem, z, args):
+    """dF/dz."""
+    return np.asarray(evaluated(problem, z, args)[1])
 
 
-def _gradient(z, left, right, args, of):
-    return jax.jacfwd(lambda z: left @ of(z, args) @ right)(z)
+def bent(function, z, left, right):
+    """The gradient of left @ A(z) @ right by central differences, A(z) being a function's matrix.
+
+    It is right to nine digits or so: Newton's method needs no more to come to rounding, in a step more.
+    """
+
+    def along(k):
+        step = np.zeros(len(z))
+        step[k] = APART * (1.0 + abs(z[k]))
+        return left @ (function(z + step) - function(z - step)) @ right / (2.0 * step[k])
+
+    return np.array([along(k) for k in range(len(z))])
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -51,7 +61,7 @@ def fold(problem, z, args):
     def system(z):
         value, slopes = _plain(problem, z, args)
         left, gap, right, _ = _nulls(slopes[:, :-1], border)
-        more = -np.asarray(bent(problem, problem.slopes, z, left, np.append(right, 0.0), args))
+        more = -bent(partial(slopes_of, problem, args=args), z, left, np.append(right, 0.0))
         return np.append(value, gap), np.vstack([slopes, more])
 
     border = _border(_plain(problem, z, args)[1][:, :-1])
@@ -70,15 +80,16 @@ def branch_point(problem, z, args):
         value, slopes = _plain(problem, z, args)
         left, gap, right, solve = _nulls(slopes[:, :-1], border)
         across = np.append(-solve(slopes[:, -1]), 1.0)
-        rows = [-np.asarray(bent(problem, problem.slopes, z, left, np.append(right, 0.0), args))]
-        rows.append(np.asarray(bent(problem, problem.slopes, z, left, across, args)))
+        rows = [-bent(partial(slopes_of, problem, args=args), z, left, np.append(right, 0.0))]
+        rows.append(bent(partial(slopes_of, problem, args=args), z, left, across))
         matrix = np.zeros((size + 2, size + 2))
         matrix[:size, :-1], matrix[:size, -1], matrix[size:, :-1] = slopes, border[0], rows
         return np.concatenate([value + y[-1] * border[0], [gap, left @ slopes[:, -1]]]), matrix
 
     border = _border(_plain(problem, z, args)[1][:, :-1])
     found = newton(system, np.append(z, 0.0))
-    return found if found.z is None else Located(found.z[:-1], found.residual)
+    met = found.z is not None and abs(found.z[-1]) <= SMALL * (1.0 + abs(found.z).max())
+    return Located(found.z[:-1], found.residual) if met else Located(None, np.nan)
 
 
 def singular(problem, test, z, args):
@@ -87,7 +98,7 @@ def singular(problem, test, z, args):
     def system(z):
         value, slopes = _plain(problem, z, args)
         left, gap, right, _ = _nulls(np.asarray(matrix(problem, test, z, args)), border)
-        more = -np.asarray(bent(problem, test.matrix, z, left, right, args))
+        more = -bent(lambda z: np.asarray(matrix(problem, test, z, args)), z, left, right)
         return np.append(value, gap), np.vstack([slopes, more])
 
     border = _border(np.asarray(matrix(problem, test, z, args)))

@@ -5,15 +5,20 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from .arclength import bordered
 
+ON_CIRCLE = 1e-6  # so far from the unit circle, or from the real line, is a multiplier not on it
+
 
 class Test(NamedTuple):
-    """An event where a square matrix becomes singular. label: of the event; matrix: of (z, args)."""
+    """An event where a square matrix becomes singular. label: of the event; matrix: of (z, args); holds: (dF/du) ->
+    whether it is one, where the matrix may be singular for another reason."""
 
     label: str
     matrix: Callable
+    holds: Callable = lambda slopes: True
 
 
 def plainly(function, *arrays, **static):
@@ -25,14 +30,13 @@ class Problem(NamedTuple):
     """Functions of (z, args), of a module or made once: they are what compiled code is kept by.
 
     function: F and its slopes; solve: (slopes, row, right) -> x, worst, determinant of the slopes and one row more, as
-    `arclength.bordered`; plain: F and dF/dz, an (n, n + 1) matrix; slopes: dF/dz alone; tests: what is watched besides
-    folds and branch points; run: (function, *arrays, **static) -> its result, within a jit, as the compiler likes it.
+    `arclength.bordered`; plain: F and dF/dz, an (n, n + 1) matrix; tests: what is watched besides folds and branch
+    points; run: (function, *arrays, **static) -> its result, within a jit, as the compiler likes it.
     """
 
     function: Callable
     solve: Callable
     plain: Callable
-    slopes: Callable
     tests: tuple[Test, ...] = ()
     run: Callable = plainly
 
@@ -46,7 +50,7 @@ def equilibria(residual):
 
         return values(z), jax.jacfwd(values)(z)
 
-    return Problem(function, bordered, function, lambda z, args: function(z, args)[1])
+    return Problem(function, bordered, function)
 
 
 def fixed_points(move):
@@ -64,10 +68,14 @@ def fixed_points(move):
     def pair(z, args):
         return pairs(function(z, args)[1][:, :-1] + jnp.eye(len(z) - 1))
 
-    def slopes(z, args):
-        return function(z, args)[1]
+    return Problem(function, bordered, function, (Test("PD", flip), Test("NS", pair, is_pair)))
 
-    return Problem(function, bordered, function, slopes, (Test("PD", flip), Test("NS", pair)))
+
+def is_pair(slopes):
+    """Whether a map less its point has derivative slopes with two complex multipliers on the unit circle: two real ones
+    whose product is 1 are none (a neutral saddle)."""
+    roots = np.linalg.eigvals(slopes) + 1.0
+    return bool(np.any((abs(abs(roots) - 1.0) < ON_CIRCLE) & (abs(roots.imag) > ON_CIRCLE)))
 
 
 def pairs(matrix):

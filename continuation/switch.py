@@ -1,5 +1,7 @@
 """Where branches meet: the directions in which they leave."""
 
+from functools import partial
+
 import numpy as np
 
 from . import locate
@@ -17,7 +19,8 @@ def directions(problem, z, scale, args):
     left, _, right = np.linalg.svd(slopes[:, used] / scale[used])
     plane = np.zeros((2, len(z)))
     plane[:, used] = right[-2:] / scale[used]
-    rows = [locate.bent(problem, problem.slopes, z, left[:, used.sum() - 2], one, args) for one in plane]
+    task = partial(locate.slopes_of, problem, args=args)
+    rows = [locate.bent(task, z, left[:, used.sum() - 2], one) for one in plane]
     form = np.stack(rows) @ plane.T
     (a, b), (_, c) = 0.5 * (form + form.T)
     inside = b * b - a * c

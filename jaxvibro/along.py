@@ -61,6 +61,11 @@ def _flip(z, along):
     return ring.dense(ring.of(cycle.equations(built, given)[1]), -1.0)[:, :-1]
 
 
+def _flip(z, along):
+    built, given = frame(there(along, z[-1])), cycle_at(along, z)
+    return ring.dense(ring.of(cycle.equations(built, given)[1]), -1.0)[:, :-1]
+
+
 def _slopes(z, along):
     return ring.dense(_impacts(z, along)[1])
 
@@ -78,12 +83,8 @@ def _free(z, along):
     return values(z), jax.jacfwd(values)(z)
 
 
-def _free_slopes(z, along):
-    return _free(z, along)[1]
-
-
-IMPACTS = Problem(_impacts, ring.bordered, _plain, _slopes, (Test("PD", _flip),), one_kernel)
-FREE = Problem(_free, bordered, _free, _free_slopes, (), one_kernel)
+IMPACTS = Problem(_impacts, ring.bordered, _plain, (Test("PD", _flip),), one_kernel)
+FREE = Problem(_free, bordered, _free, (), one_kernel)
 
 
 def problem(along):

@@ -39,8 +39,10 @@ def assembled(scene, name, bounds, settings, back, on):
 def merged(one, other):
     """Two branches as one, the second beginning where the first ends."""
     shift = len(one) - 1
-    data = xr.concat([one.data, other.data.isel(point=slice(1, None))], "point", join="outer", data_vars="all")
-    data["side"] = data["side"].fillna(0).astype(np.int8)
+    widest = max(one.data.sizes["impact"], other.data.sizes["impact"])
+    more = other.data.isel(point=slice(1, None))
+    more = more.assign(segment=more["segment"] + one.data["segment"].values[-1])
+    data = xr.concat([_widened(one.data, widest), _widened(more, widest)], "point")
     moved = [replace(each, first=each.first + shift, last=each.last + shift) for each in other.segments]
     last = replace(one.segments[-1], last=moved[0].last)
     ahead = [replace(each, place=each.place + shift) for each in other.special if each.place]
@@ -53,6 +55,15 @@ def merged(one, other):
         special=(*behind, *ahead),
         reasons=(one.reasons[0], other.reasons[1]),
     )
+
+
+def _widened(data, widest):
+    """The data with room for so many impacts."""
+    room = {"impact": (0, widest - data.sizes["impact"])}
+    if not room["impact"][1]:
+        return data
+    sides = data["side"].pad(room, constant_values=0)
+    return data.drop_vars("side").pad(room).assign(side=sides)
 
 
 def _turned(one):

@@ -12,7 +12,6 @@ import xarray as xr
 from . import __version__
 from . import itinerary as words
 from .check import SceneError
-from .orbit import multipliers
 from .scene import Scene
 from .tables import SceneTable, table_of
 from .told import Spot, itinerary, told
@@ -26,6 +25,7 @@ MEANINGS = {
     "BP": "branch point",
     "PD": "period doubling",
     "GR": "grazing",
+    "CH": "rest after chatter",
     "EP": "end",
 }
 
@@ -45,7 +45,8 @@ class Segment:
 class Special:
     """A special point of a branch.
 
-    kind: SN, SB (symmetry breaking), BP (other branch point), PD, GR, EP (end), or a monitor's name. name, value: of
+    kind: SN, SB (symmetry breaking), BP (other branch point), PD, GR, CH (the mass begins to rest on a wall), EP (end),
+    or a monitor's name. name, value: of
     the parameter. bounds: of the branch. scene: at the value. itinerary: the walls hit, a word a period. multipliers:
     the larger first, infinite at an impact without speed. residual: the largest error left in the point's equations.
     place: among the branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the
@@ -245,11 +246,12 @@ def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=
 
 
 def roots(trace, determinant):
-    """Multipliers of some monodromy matrices, (points, 2): infinite where a speed is zero."""
-    finite = np.isfinite(trace) & np.isfinite(determinant)
-    return np.array(
-        [
-            multipliers(float(one), float(two)) if fine else np.full(2, np.inf, complex)
-            for one, two, fine in zip(trace, determinant, finite, strict=True)
-        ]
-    ).reshape(-1, 2)
+    """Multipliers of some monodromy matrices, (points, 2), as `orbit.multipliers`: infinite where a speed is zero."""
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        half = 0.5 * trace
+        inside = half * half - determinant
+        larger = half + np.copysign(np.sqrt(np.maximum(inside, 0.0)), half)
+        real = np.stack([larger, np.where(larger != 0, determinant / larger, 0.0)], 1)
+        turned = half[:, None] + 1j * np.sqrt(np.maximum(-inside, 0.0))[:, None] * np.array([1.0, -1.0])
+        found = np.where((inside < 0)[:, None], turned, real)
+    return np.where(np.isfinite(found).all(axis=1)[:, None], found, np.inf)

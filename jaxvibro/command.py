@@ -13,8 +13,9 @@ from .whole import whole
 BAD, INTERRUPTED = 2, 130
 
 _RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
-periodic [orbits], stable and unstable; a scene with none of these is followed from rest. Writes DIR/NAME.png, NAME.nc
-and NAME.txt, for a scene file NAME.toml."""
+periodic [orbits], stable and unstable; a [branch] of them is followed along a parameter, with the branches that leave
+it; a scene with none of these is followed from rest. Writes DIR/NAME.png, NAME.nc and NAME.txt, for a scene file
+NAME.toml."""
 _SET = """another value for this run, both as in the scene file: --set sweep.count=201. The "scene." may go:
 --set amplitude=3. A text keeps its quotes: --set 'sweep.parameter="frequency"'. May be given more than once."""
 

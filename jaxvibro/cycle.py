@@ -87,9 +87,12 @@ class Slopes(NamedTuple):
     last: jax.Array
 
 
-def equations(frame, cycle):
-    """(F, its `Slopes`) of the unknowns u = (times, speeds): how far each flight ends from its wall, from its speed."""
-    found, sides = flights(frame, cycle), cycle.sides
+def equations(frame, cycle, found=None):
+    """(F, its `Slopes`) of the unknowns u = (times, speeds): how far each flight ends from its wall, from its speed.
+
+    found: the cycle's `Flights` where they are known.
+    """
+    found, sides = flights(frame, cycle) if found is None else found, cycle.sides
     hit, aim = sides != 0, sides[found.follows]
     p00, p01, p11 = found.matrix
     shear, lost, push = found.bend - found.after, found.bounce * found.closing, -found.bounce * sides
@@ -179,11 +182,12 @@ def invariants(frame, found, sides):
 
 
 def at(frame, cycle, found, time):
-    """(x, v) of the cycle at a time since the section's phase, not before the first impact of its periods or after."""
+    """(x, v) of the cycle at times since the section's phase, (any number,)."""
     span = cycle.periods * frame.period
-    since = jnp.where(cycle.sides != 0, time - cycle.times, jnp.inf)
-    since = jnp.where(since < 0, since + span, since)
-    k = jnp.argmin(since)
+    since = time[:, None] - cycle.times
+    since = jnp.where(cycle.sides != 0, since - span * jnp.floor(since / span), jnp.inf)
+    k = jnp.argmin(since, axis=1)
     cosine, sine = frame.force * found.cosine[k], frame.force * found.sine[k]
-    free, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, since[k])
+    late = jnp.take_along_axis(since, k[:, None], 1)[:, 0]
+    free, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, late)
     return flow.flown((free, forced), cosine, sine, found.x[k], found.v[k])

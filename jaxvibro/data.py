@@ -1,10 +1,11 @@
-"""The data of a run as one Dataset, as it goes to a NetCDF file: those of sweep, attractors and orbits."""
+"""The data of a run as one Dataset, as it goes to a NetCDF file: those of sweep, attractors, orbits and branches."""
 
 import msgspec
 import numpy as np
 import xarray as xr
 
 from . import __version__
+from .branch import labels
 
 NONE = -1  # in `attractor_mirror` and `orbit_mirror`, where no mirror image was found
 LENGTH, SPEED = {"units": "length"}, {"units": "length w0"}
@@ -15,6 +16,7 @@ def dataset(found):
     parts = [found.swept] if found.swept is not None else []
     parts += [_attractors(found.attractors)] if found.attractors is not None else []
     parts += [_orbits(found.orbits)] if found.orbits else []
+    parts += [_branches(found.branches), _special(found.branches)] if found.branches else []
     whole = xr.merge(parts, combine_attrs="drop_conflicts")
     attrs = {
         "title": "jaxvibro run",
@@ -69,6 +71,56 @@ def _orbits(orbits):
             ),
             "orbit_residual": column("largest error left in its equations", [one.residual for one in orbits]),
             "orbit_mirror": column(f"place of its mirror image, {NONE}: none", _images(orbits)),
+        }
+    )
+
+
+def _branches(branches):
+    """All branches' points, one after the other, in the variables that a branch's data have."""
+    name, data = branches[0].name, [one.data for one in branches]
+
+    def column(key):
+        dims, attrs = data[0][key].dims, data[0][key].attrs
+        parts = [each[key].values for each in data]
+        if len(dims) > 1:
+            widest = max(part.shape[1] for part in parts)
+            fill = 0 if parts[0].dtype.kind == "i" else np.nan
+            parts = [np.pad(part, ((0, 0), (0, widest - part.shape[1])), constant_values=fill) for part in parts]
+        named = [dim if dim == "multiplier" else f"branch_{dim}" for dim in dims]
+        return named, np.concatenate(parts), attrs
+
+    number = np.repeat(np.arange(len(branches)), [len(one) for one in branches])
+    found = {f"branch_{'value' if key == name else key}": column(key) for key in data[0]}
+    found["branch_value"][2]["parameter"] = name
+    found["branch_number"] = "branch_point", number, {"long_name": "place of the branch among the branches, from 0"}
+    for place, end in enumerate(("first", "last")):
+        why = [one.reasons[place] for one in branches]
+        found[f"branch_{end}_reason"] = "branch", why, {"long_name": f"why the branch ends at its {end} point"}
+    return xr.Dataset(found)
+
+
+def _special(branches):
+    """The special points of all branches, ends included."""
+    firsts = np.cumsum([0] + [len(one) for one in branches])
+    found = [(k, one) for k, branch in enumerate(branches) for one in branch.special]
+    roots = np.array([one.multipliers for _, one in found])
+
+    def column(meaning, values, **attrs):
+        return "special", np.array(values), {"long_name": meaning, **attrs}
+
+    larger = ("special", "multiplier"), {"long_name": "Floquet multipliers, the larger first", "units": "1"}
+    return xr.Dataset(
+        {
+            "special_kind": column("SN, SB, BP, PD, GR, EP", [one.kind for _, one in found]),
+            "special_value": column("of the parameter", [one.value for _, one in found]),
+            "special_branch": column("place of its branch among the branches", [k for k, _ in found]),
+            "special_point": column("its place along branch_point", [firsts[k] + one.place for k, one in found]),
+            "special_label": column("P n p q: periods, impacts left, right", [one.label for _, one in found]),
+            "special_itinerary": column("walls hit, a word a period", [" ".join(one.itinerary) for _, one in found]),
+            "special_meets": column("orbits that meet there", [" ".join(labels(one)) for _, one in found]),
+            "special_multiplier_real": (larger[0], roots.real, larger[1]),
+            "special_multiplier_imag": (larger[0], roots.imag, larger[1]),
+            "special_residual": column("largest error left in its equations", [one.residual for _, one in found]),
         }
     )
 

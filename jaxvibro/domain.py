@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 from . import check
+from .path import swift
 from .scene import changed
 
 
@@ -43,9 +44,9 @@ def marked(scene, name):
 
 
 def scene_length(scene):
-    """A length to measure speeds and lengths by: the farthest wall's distance, else the forced amplitude, at least."""
+    """A length to measure speeds and lengths by: the farther wall's distance; where that is small beside the motion, or
+    there is none, the size of the swift part of the response to the drive (`path.swift`), 1 at rest."""
     walls = [wall for wall in (scene.left, scene.right) if wall is not None]
     found = max((abs(float(wall.position)) for wall in walls), default=0.0)
-    stiff, drag = 1.0 - float(scene.frequency) ** 2, 2.0 * float(scene.damping) * float(scene.frequency)
-    forced = abs(float(scene.amplitude)) / max(np.hypot(stiff, drag), 1e-3)
-    return found if found > 1e-3 * forced else (forced or 1.0)
+    size = abs(float(swift(scene.frequency, scene.damping, scene.amplitude)))
+    return found if found > 0.3 * size else (size or 1.0)

@@ -66,7 +66,7 @@ def follow(
 def point(z, tangent):
     """The `Point` at a start."""
     zero = np.zeros(())
-    return Point(z, tangent, zero, zero, zero, np.True_)
+    return Point(z, tangent, zero, zero, zero, np.True_, np.True_)
 
 
 def asking(scene, name, bounds, length, start, first_step, largest_step, tolerance, monitors, stop):
@@ -96,7 +96,7 @@ def started(orbit, name):
         raise OrbitError("the start is no orbit", residual, "give an Orbit of find_orbit, with its own scene")
     numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
     found = pinned(problem(along), z, -1, value, Control(scales(along, 1.0), *numbers), along)
-    return along, found.z if found.kept else z
+    return along, found.z if found.met else z
 
 
 def placed(scene, name, spot):

@@ -4,6 +4,7 @@ At such a point the orbit is one of each itinerary that has the touches as impac
 each of these branches it is a regular point; those along which speeds and clearances become positive meet there.
 """
 
+from functools import partial
 from itertools import product
 from typing import NamedTuple
 
@@ -72,29 +73,30 @@ def _contact(y, along, row, wall):
 
 
 def _met(y, along, row, wall):
-    """(distance, speed and acceleration towards a wall of the flight after a row, the first two's gradients); y = (z,
-    the time since the flight's start)."""
+    """(distance, speed, acceleration) towards a wall of the flight after a row; y = (z, the time since its start)."""
+    z, late = y[:-1], y[-1]
+    if len(along.cycle.sides):
+        built = frame(there(along, z[-1]))
+        found = cycle.flights(built, cycle_at(along, z))
+    else:
+        built, found = flight(along, z)
+    every = passes.relative(built, found, jnp.full_like(found.time, late))
+    return jnp.stack([jnp.stack([one[k] for one in every])[wall, row] for k in range(3)])
 
-    def at(y):
-        z, late = y[:-1], y[-1]
-        if len(along.cycle.sides):
-            built = frame(there(along, z[-1]))
-            found = cycle.flights(built, cycle_at(along, z))
-        else:
-            built, found = flight(along, z)
-        every = passes.relative(built, found, jnp.full_like(found.time, late))
-        return jnp.stack([jnp.stack([one[k] for one in every])[wall, row] for k in range(2)])
 
-    return at(y), jax.jacfwd(at)(y)
+def _bearing(along, row, wall, y):
+    """Distance and speed towards a wall, as a matrix of one column."""
+    return np.asarray(_contact(y, along, np.int32(row), np.int32(wall)))[:2, None]
 
 
 def touched(along, z, row, wall, late):
     """The point near where the flight after a row touches a wall: `locate.Located` of z."""
+    bearing, one = partial(_bearing, along, row, wall), np.ones(1)
 
     def system(y):
         value, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), y[:-1], along))
-        met, more = (np.asarray(each) for each in _contact(y, along, np.int32(row), np.int32(wall)))
-        return np.concatenate([value, met]), np.vstack([np.pad(slopes, ((0, 0), (0, 1))), more])
+        more = [locate.bent(bearing, y, unit, one) for unit in np.eye(2)]
+        return np.concatenate([value, bearing(y)[:, 0]]), np.vstack([np.pad(slopes, ((0, 0), (0, 1))), more])
 
     found = locate.newton(system, np.append(z, late))
     return found if found.z is None else found._replace(z=found.z[:-1])
@@ -117,6 +119,26 @@ def touches(along, z, length):
         if not (begins or ends):
             found.append(Touch(int(row), side, late, False))
     return found
+
+
+def stilled(along, z, length):
+    """z with the speeds that are zero but for rounding put to zero."""
+    rows = len(along.cycle.sides)
+    found = np.array(z)
+    speeds = found[rows : 2 * rows]
+    speeds[abs(speeds) < TOUCH * length] = 0.0
+    return found
+
+
+def is_pressed(along, z, there_are):
+    """Whether at one of the touches that are impacts the wall is in the way of the mass, which then rests on it."""
+    walls = wall_sides(along.scene)
+    pulls = [
+        float(_contact(np.append(z, 0.0), along, np.int32(one.row), np.int32(walls.index(one.side)))[2])
+        for one in there_are
+        if one.own
+    ]
+    return any(pull > 0 for pull in pulls)
 
 
 def flight_times(along, z):
@@ -202,8 +224,8 @@ def free_start(along, value):
 
 def _opening(along, z, direction, row, wall, late):
     """How fast the distance of a flight at a time grows in a direction of z."""
-    gradient = np.asarray(_contact(np.append(z, late), along, np.int32(row), np.int32(wall))[1])[0]
-    return float(gradient[:-1] @ direction)
+    ends = (_bearing(along, row, wall, np.append(z + sign * locate.APART * direction, late))[0, 0] for sign in (1, -1))
+    return float(np.subtract(*ends) / (2.0 * locate.APART))
 
 
 def _exit(along, z, out, sign, length, included):
@@ -218,10 +240,10 @@ def _exit(along, z, out, sign, length, included):
     if any(rate < -1e-6 for rate in rates):
         return None
     zero = np.zeros(())
-    point = Point(z, tangent, zero, zero, zero, np.True_)
+    point = Point(z, tangent, zero, zero, zero, np.True_, np.True_)
     control = Control(scale, *(np.float64(each) for each in (0.0, 1.0, 1e-12, -np.inf, np.inf)))
     near = follow.step(task, point, ASIDE, control, along)
-    if not near.kept:
+    if not near.met:
         return None
     look = looked(along, near.z[None])
     return Exit(along, point, near.z, look, included) if admissible(along, near.z, look)[0] else None

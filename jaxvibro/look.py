@@ -6,13 +6,14 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from . import cycle, flow, passes, ring
 from .along import cycle_at, there
 from .frame import frame
-from .lanes import OPTIONS, one_kernel
+from .lanes import one_kernel
 
-LANES = 80  # points of a compiled call
+LANES = 144  # points of a compiled call
 OVERLAP = 1.0625  # of its periods, that the flight of an orbit without impacts is looked at
 
 
@@ -37,47 +38,43 @@ def looked(along, zs):
     for first in range(0, len(zs), LANES):
         some = zs[first : first + LANES]
         padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
-        run = _flown if rows else _unmet
-        parts.append([each[: len(some)] for each in jax.device_get(run(along, padded, periods))])
+        found = jax.device_get(_seen(hitting if rows else _free, along, padded, np.int32(len(some)), periods))
+        parts.append([each[: len(some)] for each in found])
     return Look(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-@partial(jax.jit, static_argnums=2, compiler_options=OPTIONS)
-def _flown(along, zs, periods):
-    def times(z):
-        built = frame(there(along, z[-1]))
-        return passes.samples(built, cycle.flights(built, cycle_at(along, z)))
-
-    samples = jnp.max(jax.vmap(times)(zs))
-    return one_kernel(_seen, along, zs, samples, periods=periods)
+@partial(jax.jit, static_argnums=(0, 4))
+def _seen(one, along, zs, count, periods):
+    """Point by point in one kernel: as fast here as many lanes at once, and compiled in half the time."""
+    return one_kernel(_each, along, zs, count, one=one, periods=periods)
 
 
-def _seen(along, zs, samples, periods):
-    return jax.vmap(lambda z: _one(along, z, samples, periods))(zs)
+def _each(along, zs, count, one, periods):
+    def look(k, found):
+        new = one(along, lax.dynamic_index_in_dim(zs, k, keepdims=False), periods)
+        return jax.tree.map(lambda whole, part: lax.dynamic_update_index_in_dim(whole, part, k, 0), found, new)
+
+    shapes = jax.eval_shape(lambda z: one(along, z, periods), zs[0])
+    blank = jax.tree.map(lambda leaf: jnp.zeros((len(zs), *leaf.shape), leaf.dtype), shapes)
+    return lax.fori_loop(0, count, look, blank)
 
 
-def _one(along, z, samples, periods):
+def hitting(along, z, periods):
+    """The `Look` at one point of orbits with impacts."""
     built, given = frame(there(along, z[-1])), cycle_at(along, z)
     found = cycle.flights(built, given)
-    places = [cycle.at(built, given, found, k * built.period) for k in range(periods)]
-    x, v = (jnp.stack(each) for each in zip(*places, strict=True))
-    clear = passes.clearances(built, found, samples)
-    flip = ring.determinant(ring.of(cycle.equations(built, given)[1]), -1.0)
+    x, v = cycle.at(built, given, found, built.period * jnp.arange(periods))
+    clear = passes.clearances(built, found, passes.samples(built, found))
+    flip = ring.determinant(ring.of(cycle.equations(built, given, found)[1]), -1.0)
     return Look(*clear, *cycle.invariants(built, found, given.sides), x, v, flip)
 
 
-@partial(jax.jit, static_argnums=2, compiler_options=OPTIONS)
-def _unmet(along, zs, periods):
-    samples = jnp.max(jax.vmap(lambda z: passes.samples(*flight(along, z)))(zs))
-
-    def one(z):
-        built, found = flight(along, z)
-        (p00, p01, p11), _, _ = flow.doubled(built.series, built.frequency, built.damping, found.time / OVERLAP)
-        x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
-        clear = passes.clearances(built, found, samples)
-        return Look(*clear, (p00 + p11)[0], (p00 * p11 + p01 * p01)[0], x, v, jnp.ones_like(z[0]))
-
-    return jax.vmap(one)(zs)
+def _free(along, z, periods):
+    built, found = flight(along, z)
+    (p00, p01, p11), _, _ = flow.doubled(built.series, built.frequency, built.damping, found.time / OVERLAP)
+    x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
+    clear = passes.clearances(built, found, passes.samples(built, found))
+    return Look(*clear, (p00 + p11)[0], (p00 * p11 + p01 * p01)[0], x, v, jnp.ones_like(z[0]))
 
 
 def flight(along, z):

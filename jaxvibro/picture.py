@@ -1,10 +1,11 @@
-"""The picture of a run: the swept diagram with attractors and orbits in it, or portraits where nothing was swept."""
+"""The picture of a run: the diagram of what was swept or followed, with attractors and orbits in it, or portraits."""
 
 import math
 from functools import partial
 from io import BytesIO
 
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from . import plot
 from .check import SceneError
@@ -15,15 +16,16 @@ from .simulate import simulate
 from .state import State
 from .stretch import recurrence
 
-DOTS = 200  # per inch
+DOTS = 170  # per inch
 MOST = 9  # portraits
+ROWS = 8  # of a legend's columns
 ROAMED = 40  # drive periods drawn of a motion that does not recur
 SAMPLES = 400  # of a drive period
 
 
 def picture(found):
     """The picture of what was `Found`, as a PNG's bytes."""
-    figure = _diagram(found) if found.file.sweep is not None else _portraits(found)
+    figure = _diagram(found) if found.across is not None else _portraits(found)
     figure.suptitle(_heading(found), fontsize="medium")
     held = BytesIO()
     figure.savefig(held, format="png", dpi=DOTS)
@@ -31,10 +33,13 @@ def picture(found):
 
 
 def _diagram(found):
-    figure = Figure(figsize=(7.5, 8.0), layout="constrained")
+    figure = Figure(figsize=(7.5, 9.0 if found.drawn else 8.0), layout="constrained")
     both = figure.subplots(2, 1, sharex=True)
     for ax, variable in zip(both, "xv", strict=True):
-        plot.diagram(found.swept, variable, ax)
+        if found.file.sweep is not None:
+            plot.diagram(found.swept, variable, ax, faint=bool(found.drawn))
+        for one in found.drawn:
+            plot.branch(one, variable, ax)
         for asked, draw, some in (
             (found.file.attractors, plot.mark, found.attractors),
             (found.file.orbits, plot.mark_orbits, found.others),
@@ -43,8 +48,29 @@ def _diagram(found):
             if value is not None:
                 draw(some, value, variable, ax)
         ax.label_outer()
-    figure.legend(*both[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    if found.drawn:
+        plot.mark_points(found.drawn, both[0])
+    _legend(figure, both[0])
     return figure
+
+
+def _legend(figure, ax):
+    """One legend below all: with branches in it, a column for each kind of entry."""
+    told = list(zip(*ax.get_legend_handles_labels(), strict=True))
+    look = {"loc": "outside lower center", "frameon": False}
+    kinds = [handle.get_gid() for handle, _ in told]
+    if "branch" not in kinds:
+        figure.legend(*zip(*told, strict=True), ncols=3, **look)
+        return
+    first = kinds.index("branch")
+    legs, rest = told[:first], told[first:]
+    groups = [[one for one in rest if one[0].get_gid() == kind] for kind in ("branch", "stability", "special", None)]
+    groups = [groups[0], legs + groups[1], groups[2], groups[3]]
+    rows = min(ROWS, max(map(len, groups)))
+    blank = Line2D([], [], linestyle="none"), ""
+    columns = [part + [blank] * (-len(part) % rows) for part in groups]
+    entries = [one for part in columns for one in part]
+    figure.legend(*zip(*entries, strict=True), ncols=len(entries) // rows, fontsize="small", columnspacing=1.0, **look)
 
 
 def _portraits(found):
@@ -85,9 +111,11 @@ def _drawing(scene, state, periods):
 
 
 def _shared(found):
-    """The scene that the heading is of: where attractors and orbits are of two, the file's own."""
+    """The scene that the heading is of: the diagram's; where attractors and orbits are of two, the file's own."""
+    if found.across is not None:
+        return found.base
     asked = [one for one in (found.file.attractors, found.file.orbits) if one is not None]
-    if found.file.sweep is not None or not asked or any(one.at != asked[0].at for one in asked):
+    if not asked or any(one.at != asked[0].at for one in asked):
         return found.scene
     return found.there(asked[0])
 
@@ -102,9 +130,10 @@ def _at(found, asked):
 def _heading(found):
     """The scene in a line or two, but for what is swept."""
     scene = _shared(found)
-    swept = None if found.file.sweep is None else found.file.sweep.parameter
-    plain = [f"{sign} = {float(scene.parameter(name)):g}" for name, sign in style.SYMBOLS.items() if name != swept]
-    walls = [_wall(scene, side, swept) for side in SIDES if getattr(scene, side) is not None]
+    plain = [
+        f"{sign} = {float(scene.parameter(name)):g}" for name, sign in style.SYMBOLS.items() if name != found.across
+    ]
+    walls = [_wall(scene, side, found.across) for side in SIDES if getattr(scene, side) is not None]
     return ",  ".join(plain) + "\n" + (",  ".join(walls) or "no walls") + ";  states at phase 0 of the drive"
 
 

@@ -10,7 +10,7 @@ from continuation.locate import Located
 
 from .along import Along, problem
 from .dips import with_dips
-from .graze import Touch, admissible, exits, touched
+from .graze import Touch, admissible, exits, is_pressed, stilled, touched
 from .image import images
 from .look import Look, looked
 from .monitor import crossings
@@ -18,7 +18,7 @@ from .rows import at, between, joined, put, upto
 
 MOST = 20_000  # points of a piece
 HALVES = 60  # of an interval in which a grazing is looked for
-BOUND, DOMAIN, CLOSED, STOPPED, STEP, GRAZE, POINTS, NUMBER = range(8)
+BOUND, DOMAIN, CLOSED, STOPPED, STEP, GRAZE, REST, POINTS, NUMBER = range(9)
 ENDS = {ON: None, OUT: BOUND, arclength.UNDERFLOW: STEP, arclength.NONFINITE: NUMBER}  # of a chunk of steps
 
 
@@ -37,7 +37,7 @@ class Asked(NamedTuple):
 
 
 class Mark(NamedTuple):
-    """A special point among those of a piece: its place there, kind, the largest error left; at a grazing its touches
+    """A special point among those of a piece: its place there, kind, the largest error left; at a GR or CH its touches
     and exits, and which exits the branch leaves aside."""
 
     place: int
@@ -89,7 +89,7 @@ def _part(along, points, status, asked):
     size, why, last = len(points.z), ENDS[status], []
     if not good.all():
         points, last = _to_graze(along, points, look, int(np.argmin(good)), asked)
-        why = GRAZE if last else STEP
+        why = {"GR": GRAZE, "CH": REST}[last[0].kind] if last else STEP
     elif status == OUT:
         points, why = _to_bound(along, points, asked)
     loop = _met(along, points, asked)
@@ -97,7 +97,7 @@ def _part(along, points, status, asked):
         points, last, why = _cut(along, points, *loop, control), [], CLOSED
     if not (len(points.z) == size and why is None):
         look = looked(along, points.z)
-    marks = [(one.after, one.length, one.kind, one.z, one.residual) for one in _events(along, points, look, control)]
+    marks = _events(along, points, look, control)
     for kind, function in asked.monitors.items():
         marks += crossings(along, points, look, kind, function, control)
     points, placed = _inserted(along, points, sorted(marks, key=lambda one: one[:2]), control)
@@ -137,10 +137,11 @@ def _to_graze(along, points, look, bad, asked):
     cut = upto(points, bad)
     if found is None:
         return cut, []
-    z, residual = found
+    z, residual = stilled(along, found[0], asked.length), found[1]
     one = _placed(along, points, bad - 1, z, asked.control)
     met, ways = exits(along, z, asked.length)
-    mark = Mark(0, "GR", residual, tuple(met), tuple(ways))
+    kind = "CH" if len(ways) < 2 and is_pressed(along, z, met) else "GR"
+    mark = Mark(0, kind, residual, tuple(met), tuple(ways))
     return put(cut, bad, one), [mark]
 
 
@@ -172,7 +173,7 @@ def _first_touch(along, good, there, seen, low, high, asked):
 def _pinned(task, z, index, value, asked, along):
     """`follow.pinned` as a `Located`."""
     one = follow.pinned(task, z, index, value, asked.control, along)
-    return Located(one.z if one.kept else None, float(one.residual))
+    return Located(one.z if one.met else None, float(one.residual))
 
 
 def _placed(along, points, after, z, control):
@@ -180,9 +181,9 @@ def _placed(along, points, after, z, control):
     here = at(points, after)
     length = float(np.sum(control.scale**2 * here.tangent * (z - here.z)))
     one = follow.step(problem(along), here, length, control, along)
-    if not one.kept or not np.isfinite(one.tangent).all():
+    if not one.met or not np.isfinite(one.tangent).all():
         one = here
-    return one._replace(z=z, step=np.float64(length), kept=np.True_)
+    return one._replace(z=z, step=np.float64(length), met=np.True_, kept=np.True_)
 
 
 def _to_bound(along, points, asked):
@@ -216,7 +217,8 @@ def _cut(along, points, after, length, control):
 
 def _events(along, points, look, control):
     values = {"PD": look.flip} if len(along.cycle.sides) else {}
-    return follow.events(problem(along), points, values, control, along)
+    found = follow.events(problem(along), points, values, control, along)
+    return [(one.after, one.length, one.kind, one.z, one.residual) for one in found]
 
 
 def _inserted(along, points, marks, control):

@@ -5,12 +5,13 @@ import math
 import msgspec
 
 from . import __version__
+from .branch import MEANINGS, labels
 from .stretch import longest, stretches
 from .study import KEEP, SETTLE
 
 
 def table(found, name):
-    """A text: the scene, the stretches of the sweep, the attractors, the orbits."""
+    """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches."""
     scene = found.scene
     parts = [f"jaxvibro {__version__}, {name}\n", _columns([(key, float(scene.parameter(key))) for key in scene.names])]
     if found.swept is not None:
@@ -19,6 +20,8 @@ def table(found, name):
         parts += ["", *_attractors(found)]
     if found.orbits is not None:
         parts += ["", *_orbits(found)]
+    if found.branches is not None:
+        parts += ["", *_branches(found)]
     return "\n".join(parts) + "\n"
 
 
@@ -88,6 +91,19 @@ def _orbits(found):
     yield f"x and v {where}; impacts: L left, R right, a word a period; multipliers: Floquet's, the larger first"
 
 
+def _branches(found):
+    asked, (low, high) = found.file.branch, found.file.branch.bounds
+    start = f"from x = {asked.start.x:g}, v = {asked.start.v:g} at {_at(asked)}, max_period {asked.max_period}"
+    yield f"branches of periodic orbits for {asked.parameter} from {low:g} to {high:g}, {start}: {len(found.branches)}"
+    for place, one in enumerate(found.branches, 1):
+        first, last = one.values[[0, -1]]
+        yield f"\n{place}: {one.segments[0].label} from {first:.12g} to {last:.12g}, {len(one)} points"
+        yield one.table()
+    told = ", ".join(f"{kind} {meaning}" for kind, meaning in MEANINGS.items())
+    yield f"\n{told}"
+    yield "multipliers: Floquet's, the larger first; meets: orbits that meet there, on which side of the value"
+
+
 def _pair(multipliers):
     """Two real numbers, or two complex ones as one text."""
     first, second = multipliers
@@ -118,6 +134,8 @@ def summary(found, files):
         told["attractors"] = [_attractor(one) for one in found.attractors]
     if found.orbits is not None:
         told["orbits"] = [_orbit(one) for one in found.orbits]
+    if found.branches is not None:
+        told["branches"] = [_branch(one) for one in found.branches]
     return told
 
 
@@ -135,8 +153,42 @@ def _orbit(one):
     return {
         "stable": one.stable,
         "unknowns": one.unknowns,
-        "multipliers": [[_finite(root.real), _finite(root.imag)] for root in one.multipliers],
+        "multipliers": _pairs(one.multipliers),
         **_plain(one, ("residual", "least_speed", "least_clearance")),
+    }
+
+
+def _pairs(multipliers):
+    return [[_finite(root.real), _finite(root.imag)] for root in multipliers]
+
+
+def _branch(one):
+    first, last = one.values[[0, -1]]
+    return {
+        "label": one.segments[0].label,
+        "parameter": one.name,
+        "from": float(first),
+        "to": float(last),
+        "points": len(one),
+        "reasons": list(one.reasons),
+        "segments": [
+            {"label": part.label, "itinerary": list(part.itinerary), "first": part.first, "last": part.last}
+            for part in one.segments
+        ],
+        "special": [_point(each) for each in one.special],
+    }
+
+
+def _point(one):
+    return {
+        "kind": one.kind,
+        "value": one.value,
+        "label": one.label,
+        "itinerary": list(one.itinerary),
+        "multipliers": _pairs(one.multipliers),
+        "residual": _finite(one.residual),
+        "place": int(one.place),
+        "meets": labels(one),
     }
 
 

@@ -34,4 +34,4 @@ def joined(parts):
 def between(along, points, after, length, control):
     """The `Point` a length after one of them, None where Newton's method does not come there."""
     one = follow.step(problem(along), at(points, after), length, control, along)
-    return one if one.kept else None
+    return one if one.met else None

@@ -32,7 +32,8 @@ def run(path, out="out", changes=(), force=False, progress=False):
     force: overwrite results that are there. progress: show bars on stderr.
 
     Raises SceneError for what the file or the changes may not say, FileExistsError where a result is there already,
-    and OSError where the file cannot be read or the folder not be written to, all before any work.
+    and OSError where the file cannot be read or the folder not be written to, all before any work; and SceneError
+    where the start of a [branch] turns out to settle on no orbit that can be followed, before the other studies.
     """
     began = time.perf_counter()
     path, out = Path(path), Path(out)

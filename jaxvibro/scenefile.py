@@ -23,6 +23,8 @@ _KINDS = {
     "sweep.legs.start": tables.StartTable,
     "attractors": tables.AttractorsTable,
     "orbits": tables.OrbitsTable,
+    "branch": tables.BranchTable,
+    "branch.start": tables.StartTable,
 }
 _WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
 

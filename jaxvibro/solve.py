@@ -52,7 +52,7 @@ def solution(scene, guess):
 def _measured(scene, found, solved):
     built = frame(scene)
     flown = cycle.flights(built, found)
-    start = cycle.at(built, found, flown, jnp.zeros_like(found.phase))
+    start = tuple(each[0] for each in cycle.at(built, found, flown, jnp.zeros(1, found.times.dtype)))
     calls = passes.clearances(built, flown, passes.samples(built, flown))
     return Solution(found, solved, flown, start, calls, *cycle.invariants(built, flown, found.sides))
 

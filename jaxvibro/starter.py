@@ -55,4 +55,11 @@ at = {amplitude = 3.0}    # values other than [scene]'s, if any
 # starts = 50
 # seed = 0
 # at = {amplitude = 3.0}
+
+# [branch]             # the periodic orbits along a parameter, stable and unstable, and where they change
+# parameter = "amplitude"
+# bounds = [0.0, 6.0]
+# start = {x = 0.9, v = -1.1}   # what this settles on is where it begins,
+# at = {amplitude = 2.0}        # with these values
+# max_period = 1       # drive periods of the longest that a period doubling is followed to; 1: none
 """

@@ -1,4 +1,4 @@
-"""What a scene file asks for, computed: a swept diagram, attractors, periodic orbits; else the motion from rest."""
+"""What a scene file asks for, computed: a swept diagram, attractors, orbits, branches; else the motion from rest."""
 
 from dataclasses import dataclass, replace
 
@@ -8,12 +8,16 @@ import xarray as xr
 from tqdm import tqdm
 
 from .attractors import find_attractors
+from .check import SceneError
+from .find import find_orbit
+from .orbit import OrbitError
 from .orbits import find_orbits
 from .place import fit
-from .scene import Scene
+from .scene import Scene, changed
 from .state import State
 from .sweep import sweep
 from .tables import SceneFile
+from .tree import followed
 
 SETTLE, KEEP = 300, 100  # drive periods from rest, where no study says how many
 SAME = 1e-6  # of a state: an orbit as near to an attractor's is that attractor
@@ -24,8 +28,8 @@ class Found:
     """What came out. file: what was asked; scene: its scene.
 
     swept: the Dataset of `sweep` with a dimension `leg`, of one value and a leg "rest" where no study was asked for;
-    attractors, orbits: as `find_attractors` and `find_orbits` give them. Each is None where the file does not ask for
-    it.
+    attractors, orbits, branches: as `find_attractors`, `find_orbits` and `followed` give them. Each is None where the
+    file does not ask for it.
     """
 
     file: SceneFile
@@ -33,18 +37,42 @@ class Found:
     swept: xr.Dataset | None
     attractors: tuple | None
     orbits: tuple | None
+    branches: tuple | None = None
+
+    @property
+    def across(self):
+        """The parameter of the diagram: that which is swept, or else followed; None where there is no diagram."""
+        asked = self.file.sweep or self.file.branch
+        return None if asked is None else asked.parameter
+
+    @property
+    def base(self):
+        """The scene of the diagram, but for its parameter."""
+        return self.scene if self.file.sweep is not None else self.there(self.file.branch)
 
     def there(self, asked):
         """The scene that a table with values `at` is about; for None the file's own."""
         return self.scene if asked is None else self.scene.replace(**asked.at)
 
     def mark(self, asked):
-        """The swept parameter's value at which what a table with values `at` gave belongs into the diagram, None where
+        """The value of the diagram's parameter at which what a table with values `at` gave belongs into it, None where
         it does not."""
-        sweeping = self.file.sweep
-        if asked is None or sweeping is None or not set(asked.at) <= {sweeping.parameter}:
+        if asked is None or self.across is None or not self._is_inside(asked):
             return None
-        return float(self.there(asked).parameter(sweeping.parameter))
+        return float(self.there(asked).parameter(self.across))
+
+    @property
+    def drawn(self):
+        """The branches that belong into the diagram: none where another parameter is swept, or in another scene."""
+        asked = self.file.branch
+        inside = self.branches and asked.parameter == self.across and self._is_inside(asked)
+        return self.branches if inside else ()
+
+    def _is_inside(self, asked):
+        """Whether the scene that a table is about is that of the diagram, but for its parameter."""
+        here = self.base
+        there = changed(self.there(asked), {self.across: here.parameter(self.across)})
+        return all(float(here.parameter(key)) == float(there.parameter(key)) for key in here.names)
 
     @property
     def others(self):
@@ -58,18 +86,23 @@ class Found:
 
 
 def study(file, progress=False):
-    """Does what a `SceneFile` asks: `Found`. progress: show bars on stderr."""
+    """Does what a `SceneFile` asks: `Found`. progress: show bars on stderr.
+
+    Raises SceneError where the start of a branch settles on no orbit that can be followed.
+    """
     scene = file.scene.make()
-    swept, attractors, orbits = None, None, None
+    swept, attractors, orbits, branches = None, None, None, None
+    if file.branch is not None:  # first, as its start may turn out to be none
+        branches = _branches(scene.replace(**file.branch.at), file.branch, progress)
     if file.sweep is not None:
         swept = _legs(scene, file.sweep, progress)
     if file.attractors is not None:
         attractors = _attractors(scene.replace(**file.attractors.at), file.attractors, progress)
     if file.orbits is not None:
         orbits = _orbits(scene.replace(**file.orbits.at), file.orbits, progress)
-    if swept is None and attractors is None and orbits is None:
+    if swept is attractors is orbits is branches is None:
         swept = _rest(scene)
-    return Found(file, scene, swept, attractors, orbits)
+    return Found(file, scene, swept, attractors, orbits, branches)
 
 
 def _legs(scene, table, progress):
@@ -94,6 +127,25 @@ def _orbits(scene, table, progress):
     with tqdm(desc="orbits", total=table.starts, unit=" starts", disable=not progress) as bar:
         found = find_orbits(scene, table.max_period, table.starts, table.seed)
         bar.update(table.starts)
+    return found
+
+
+def _branches(scene, table, progress):
+    with tqdm(desc="branches", unit=" branches", disable=not progress) as bar:
+        try:
+            orbit = find_orbit(scene, State(table.start.x, table.start.v), settle=table.settle)
+            found = followed(
+                orbit,
+                table.parameter,
+                table.bounds,
+                table.max_period,
+                lambda n: bar.update(n - bar.n),
+                largest_step=table.largest_step,
+            )
+        except OrbitError as error:
+            rule = f"must settle on an orbit that can be followed ({error})"
+            raise SceneError("branch.start", rule, {"x": table.start.x, "v": table.start.v}) from None
+        bar.update(len(found) - bar.n)
     return found
 
 

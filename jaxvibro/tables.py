@@ -60,7 +60,7 @@ class SceneTable(Table):
 
 
 class StartTable(Table):
-    """Where a leg starts, at phase 0: position x in the walls' unit of length, velocity v."""
+    """Where a motion starts, at phase 0: position x in the walls' unit of length, velocity v."""
 
     x: float
     v: float
@@ -108,6 +108,19 @@ class OrbitsTable(Table):
     at: dict[str, float] = {}
 
 
+class BranchTable(Table, kw_only=True):
+    """[branch]: the periodic orbits along a parameter from that on which the scene, with the values under `at`, settles
+    from a start, and the branches that leave them."""
+
+    parameter: Name
+    bounds: tuple[float, float]
+    start: StartTable = StartTable(0.0, 0.0)
+    at: dict[str, float] = {}
+    settle: Settle = 200
+    max_period: Periods = 1
+    largest_step: float = 0.1
+
+
 class SceneFile(Table):
     """All that a scene file says: the scene, and the studies that it asks for."""
 
@@ -115,6 +128,7 @@ class SceneFile(Table):
     sweep: SweepTable | None = None
     attractors: AttractorsTable | None = None
     orbits: OrbitsTable | None = None
+    branch: BranchTable | None = None
 
     def check(self):
         """This file, once scene and studies break no rule. Raises SceneError naming the key, dotted from the top."""
@@ -126,6 +140,8 @@ class SceneFile(Table):
             if asked is not None:
                 with _under(f"{name}.at."):
                     known(changed(scene, asked.at), np.float64)
+        if self.branch is not None:
+            _check_branch(scene, self.branch)
         return self
 
 
@@ -163,9 +179,7 @@ def _under(prefix):
 
 
 def _check_sweep(scene, sweep):
-    if sweep.parameter not in scene.names:
-        rule = f"must be a parameter of the scene ({', '.join(scene.names)})"
-        raise check.SceneError("sweep.parameter", rule, sweep.parameter)
+    _check_name("sweep.parameter", scene, sweep.parameter)
     met = set()
     for place, leg in enumerate(sweep.legs):
         if leg.name in met:
@@ -178,14 +192,44 @@ def _check_sweep(scene, sweep):
 
 
 def _check_leg(key, scene, sweep, leg):
-    for name, value in (("from", leg.first), ("to", leg.last), ("start.x", leg.start.x), ("start.v", leg.start.v)):
+    for name, value in (("from", leg.first), ("to", leg.last)):
         check.number(f"{key}.{name}", value, np.float64)
     with _under(f"{key} from {leg.first} to {leg.last}: "):
         known(changed(scene, {sweep.parameter: sweep.values(leg)}), np.float64)
-    first = changed(scene, {sweep.parameter: leg.first})
-    low, high = (_place_at_phase_0(side, getattr(first, side)) for side in SIDES)
+    _check_start(f"{key}.start", changed(scene, {sweep.parameter: leg.first}), leg.start)
+
+
+def _check_branch(scene, branch):
+    _check_name("branch.parameter", scene, branch.parameter)
+    low, high = branch.bounds
+    if not (np.isfinite(branch.bounds).all() and low < high):
+        rule = "must be [low, high], two finite numbers, the first smaller"
+        raise check.SceneError("branch.bounds", rule, list(branch.bounds))
+    with _under("branch.at."):
+        scene = known(changed(scene, branch.at), np.float64)
+    value = float(scene.parameter(branch.parameter))
+    if not low <= value <= high:
+        if branch.parameter in branch.at:
+            rule = f"must lie within branch.bounds, {low} and {high}"
+            raise check.SceneError(f"branch.at.{branch.parameter}", rule, value)
+        rule = f"must hold the scene's {branch.parameter}, {value}, or that in branch.at"
+        raise check.SceneError("branch.bounds", rule, list(branch.bounds))
+    _check_start("branch.start", scene, branch.start)
+    step = check.number("branch.largest_step", branch.largest_step, np.float64)
+    check.require("branch.largest_step", "must be greater than 0", step, step > 0)
+
+
+def _check_name(key, scene, name):
+    if name not in scene.names:
+        raise check.SceneError(key, f"must be a parameter of the scene ({', '.join(scene.names)})", name)
+
+
+def _check_start(key, scene, start):
+    for name in ("x", "v"):
+        check.number(f"{key}.{name}", getattr(start, name), np.float64)
+    low, high = (_place_at_phase_0(side, getattr(scene, side)) for side in SIDES)
     rule = f"must lie between the walls, here at {low} and {high}"
-    check.require(f"{key}.start.x", rule, leg.start.x, low <= leg.start.x <= high)
+    check.require(f"{key}.x", rule, start.x, low <= start.x <= high)
 
 
 def _place_at_phase_0(side, wall):

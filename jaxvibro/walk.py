@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .graze import scales
-from .piece import GRAZE, Piece, piece
+from .piece import CLOSED, GRAZE, Piece, piece
 
 REASONS = (
     "the parameter reached its bound {value:.12g}",
@@ -14,10 +14,12 @@ REASONS = (
     "stopped at {kind}, {value:.12g}",
     "the step became too small at {value:.12g}: Newton's method does not converge there",
     "grazing at {value:.12g}: no orbit with as many periods goes on from there",
+    "from {value:.12g} on the mass rests on a wall for a while",
     "it has too many points, the last at {value:.12g}",
     "a number is not finite after {value:.12g}",
 )
 MOST = 200  # pieces of a branch
+SAME = 1e-7  # two grazings as near are one
 
 
 class Walked(NamedTuple):
@@ -29,11 +31,17 @@ class Walked(NamedTuple):
 
 def walked(along, start, asked):
     """The `Walked` from a `Point`, whose tangent leads away."""
-    pieces = []
+    pieces, met = [], []
     while True:
         scale = scales(along, asked.length)
         one = piece(along, start, asked._replace(control=asked.control._replace(scale=scale)))
-        one, way = _onwards(one, scale) if one.why == GRAZE else (one, None)
+        way = None
+        if one.why == GRAZE:
+            one, way = _onwards(one, scale)
+            place = np.append(np.sort(np.abs(one.points.z[-1])), len(along.cycle.sides))
+            if any(len(each) == len(place) and abs(each - place).max() < SAME for each in met):
+                one, way = one._replace(why=CLOSED), None
+            met.append(place)
         pieces.append(one)
         if way is None or len(pieces) == MOST:
             return Walked(pieces, _reason(one))

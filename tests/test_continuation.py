@@ -1,11 +1,13 @@
-"""The numerics that know no oscillator: small linear systems, Newton's method and its statuses."""
+"""The numerics that know no oscillator, piece by piece; whole branches are in test_arclength.py."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
-from continuation import newton
+from continuation import arclength, follow, newton, problem, switch
 from continuation.linear import solve
+from tests.test_arclength import CIRCLE, CUSP, HENON, KNOTS, PITCHFORK, TRANSCRITICAL, close, control_of, place_of, walk
 
 
 def on_circle(point):
@@ -54,3 +56,110 @@ def test_a_step_is_cut_and_lanes_do_not_disturb_each_other():
     found = jax.vmap(lambda start: newton.newton(on_circle, start, longest=0.5))(starts)
     assert np.array_equal(found.status, [newton.OK, newton.NONFINITE, newton.OK])
     assert np.allclose(found.unknowns[2], -np.sqrt(2.0), rtol=0, atol=1e-15)
+
+
+def same_tangents(found, true, scale):
+    """Whether two tangents are two directions' unit tangents, in any order, with any sign, to 1e-12."""
+    true = np.array(true) / np.linalg.norm(scale * np.array(true), axis=1)[:, None]
+    apart = [[min(abs(one - two).max(), abs(one + two).max()) for two in true] for one in found]
+    return set(np.argmin(apart, axis=1)) == {0, 1} and np.min(apart, axis=1).max() < 1e-12
+
+
+def test_marks_on_a_branch():
+    control = control_of(2)
+    points, _ = next(follow.stretches(CIRCLE, place_of([1.0, 0.0], [0.0, 1.0]), control, 1.0))
+    on, off = np.array([0.28, 0.96]), np.array([0.28, 0.96 + 1e-4])
+    assert follow.passes_mark(CIRCLE, points, [off], control, 1.0) is None
+    after, length = follow.passes_mark(CIRCLE, points, [off, on], control, 1.0)
+    here = jax.tree.map(lambda leaf: leaf[after], points)
+    assert close(follow.step(CIRCLE, here, length, control, 1.0).z, on, 1e-12)
+    assert {k for _, _, k in follow.meets(points, np.array([off, on, [0.0, 0.0]]), control)} == {0, 1}
+
+
+def test_tangents():
+    assert close(follow.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), 1.0), [-0.8, 0.6], 1e-15)
+    assert close(follow.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), 1.0, [1, 0]), [0.8, -0.6], 1e-15)
+    weighted = follow.tangent(CIRCLE, np.array([0.6, 0.8]), np.array([2.0, 0.5]), 1.0)
+    assert close(weighted, np.array([-0.8, 0.6]) / np.hypot(1.6, 0.3), 1e-15)
+    left_out = follow.oriented(np.array([[1.0, 7.0, -2.0]]), np.array([1.0, 0.0, 1.0]))
+    assert close(left_out, np.array([2.0, 0.0, 1.0]) / np.sqrt(5), 1e-15)
+
+
+@pytest.mark.parametrize("scale", [np.ones(2), np.array([2.0, 0.5])])
+def test_directions_at_crossings(scale):
+    zero = np.zeros(2)
+    fork = switch.directions(PITCHFORK, zero, scale, 0.0)
+    assert same_tangents(fork, [[1, 0], [0, 1]], scale)
+    assert close(abs(switch.other(fork, np.array([0.1, 1.0]), scale)), [1 / scale[0], 0], 1e-14)
+    assert same_tangents(switch.directions(TRANSCRITICAL, zero, scale, None), [[1, 1], [0, 1]], scale)
+    crossing, wide = np.array([3, 3, 27 * np.exp(-3)]), np.append(scale, 3.0)
+    both = switch.directions(KNOTS, crossing, wide, None)
+    assert same_tangents(both, [[1, 1, -18 * np.exp(-3)], [1, -1, 0]], wide)
+    with pytest.raises(ValueError, match="no branches cross"):
+        switch.directions(CIRCLE, zero, scale, 0.0)
+
+
+@pytest.mark.parametrize("size", [2, 3, 4, 5])
+def test_pairs_have_the_products_of_eigenvalues(size):
+    for matrix in np.random.default_rng(size).normal(size=(5, size, size)):
+        values = np.linalg.eigvals(matrix)
+        products = [values[i] * values[k] - 1 for i in range(size) for k in range(i)]
+        found = np.linalg.eigvals(np.asarray(problem.pairs(jnp.array(matrix))))
+        assert len(found) == len(products)
+        assert close(np.poly(found).real, np.poly(products).real, 1e-9 * abs(np.poly(products)).max())
+
+
+def test_lanes_of_branches_do_not_disturb_each_other():
+    a = np.array([1.0, -0.5, 2.5, 1.0, 1.0])
+    starts = np.stack([np.full(5, -2.0), -8.0 + 2.0 * a], 1)
+    starts[4, 1] = np.nan
+    highs = np.array([-5.0, -3.0, 5.0, 0.0, 3.0])
+    tangents = np.stack([follow.tangent(CUSP, z, np.ones(2), one) for z, one in zip(starts[:4], a, strict=False)])
+    places = [place_of(z, t) for z, t in zip(starts, [*tangents, tangents[0]], strict=True)]
+    controls = [control_of(2, low=-9.0, high=high) for high in highs]
+
+    def track(place, control, a):
+        return arclength.track(CUSP.function, CUSP.solve, place, control, a, 80)
+
+    def stacked(trees):
+        return jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
+
+    together = jax.jit(jax.vmap(track))(stacked(places), stacked(controls), a)
+    alone = stacked([jax.jit(track)(*each) for each in zip(places, controls, a, strict=True)])
+    (place, points), (true_place, true) = together, alone
+    assert np.array_equal(points.kept, true.kept)
+    assert len(set(points.kept.sum(axis=1).tolist())) == 5
+    assert np.array_equal(place.status, true_place.status)
+    assert list(place.status) == [arclength.OUT] * 2 + [arclength.ON, arclength.OUT, arclength.NONFINITE]
+    for found, expected in ((points.z, true.z), (points.tangent, true.tangent), (points.step, true.step)):
+        assert close(np.where(points.kept.T, found.T, 0), np.where(true.kept.T, expected.T, 0), 1e-12)
+    assert np.allclose(place.z, true_place.z, rtol=0, atol=1e-12, equal_nan=True)
+
+
+@pytest.mark.parametrize("scale", [np.ones(2), np.array([4.0, 0.2])])
+def test_a_point_with_one_number_given(scale):
+    control = control_of(2, scale=scale, tolerance=1e-3)  # of steps alone
+    for index, value, true in (
+        (0, 0.6, [0.6, 0.8]),
+        (1, 0.6, [0.8, 0.6]),
+        (0, 0.0, [0, 1]),
+        (-1, -0.28, [0.96, -0.28]),
+    ):
+        found = follow.pinned(CIRCLE, np.array([0.7, 0.7]), index, value, control, 1.0)
+        assert found.met
+        assert found.z[index] == value
+        assert close(found.z, true, 1e-15)
+    assert not follow.pinned(CIRCLE, np.array([0.7, 0.7]), 0, 1.1, control, 1.0).kept
+    found = follow.pinned(HENON, np.array([0.3, 0.4, 0.0]), 2, 0.3675, control_of(3), 0.3)
+    assert close(found.z, [0.35, 0.35, 0.3675], 1e-15)
+
+
+def test_lengths_are_weighted():
+    scale = np.array([3.0, 0.5])
+    found = walk(CIRCLE, [0.6, 0.8], 1.0, largest=0.1, scale=scale)
+    assert found.kinds == ["SN", "SN"]
+    assert close(found.met, [[0, 1], [0, -1]], 1e-14)
+    assert close(np.sum(found.z**2, axis=1), 1, 1e-12)
+    assert found.closed
+    lengths = np.linalg.norm(scale * np.diff(found.z, axis=0), axis=1)
+    assert 0.09 < lengths.max() < 0.11

@@ -12,6 +12,7 @@ from matplotlib.figure import Figure
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.attractors import Attractor
+from jaxvibro.branch import Branch, Segment, special_of
 from jaxvibro.plot import path, style
 
 SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, jv.Motion(0.3, 0.5, 2))))
@@ -130,6 +131,110 @@ def test_an_orbit_with_another_phase_is_marked_at_phase_0(orbits):
     state = jv.State(float(later["x"]), float(later["v"]), float(later["phase"]))
     ax = plot.mark_orbits([replace(one, state=state)], 4.65, "v", Figure().subplots())
     np.testing.assert_allclose(ax.lines[-1].get_ydata(), [one.state.v], atol=1e-9)
+
+
+FREE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+PERIOD = 2 * np.pi / 2.1
+
+
+def branch(label="P111", periods=1, change=7):
+    """A branch of nine points, of numbers without meaning but for these: it turns unstable at the fourth; its impact on
+    the right crosses phase 0, to earlier times, 0.4 of the way from the fifth to the sixth; x jumps at a change of
+    itinerary."""
+    k = np.arange(9.0)
+    late = np.stack([PERIOD * (4.4 - k) / 20, 1.3 + 0 * k], -1)
+    roots = np.where(k < 3, 0.5, np.where(k > 3, 1.5, 1.0 + 1e-13))
+    x = (0.1 * k + (k >= change))[:, None] + np.arange(periods)
+    column = {
+        "amplitude": 1 + 0.5 * k,
+        "multiplier_real": (("point", "multiplier"), np.stack([roots, 0 * k], -1)),
+        "multiplier_imag": (("point", "multiplier"), np.zeros((9, 2))),
+        "stable": (roots < 1).astype(np.int8),
+        "segment": (k >= change).astype(int),
+        "value_slope": 0 * k,
+        "residual": 0 * k,
+        "least_speed": 2 + 0.1 * k,
+        "least_clearance": np.where(k < 2, np.inf, 0.3),
+    }
+    impacts = {"time": late, "speed": 2 + 0.1 * np.stack([k, k], -1), "side": np.tile(np.int8([1, -1]), (9, 1))}
+    impacts |= {"time_slope": 0 * late, "speed_slope": 0 * late}
+    data = {key: value if isinstance(value, tuple) else ("point", value) for key, value in column.items()}
+    data |= {key: (("point", "impact"), value) for key, value in impacts.items()}
+    data |= {"x": (("point", "period"), x), "v": (("point", "period"), -x)}
+    data = xr.Dataset(data, attrs={"parameter": "amplitude"})
+    segments = (Segment(0, change - 1, label, ("RL",)), Segment(change, 8, "P112", ("RLR",)))
+    kinds = {"EP": 0, "SN": 3, "PD": 6, "fast": 8}
+    special = [
+        special_of(FREE, "amplitude", (0, 9), place, data.isel(point=place), kind, 0.0) for kind, place in kinds.items()
+    ]
+    return Branch("amplitude", (0.0, 9.0), FREE, data, segments, tuple(special), ("", ""), {})
+
+
+def kept(ax, kind):
+    return [line for line in ax.lines if line.get_gid() == kind]
+
+
+def test_stable_parts_of_a_branch_are_solid_and_thick_and_unstable_ones_dashed_and_thin():
+    one = branch(change=9)
+    ax = Figure().subplots()
+    assert plot.branch(one, "speed", ax) is ax
+    solid, dashed = kept(ax, "branch")
+    np.testing.assert_array_equal(solid.get_xydata(), np.stack([one.values, one.data["least_speed"]], -1)[:4])
+    np.testing.assert_array_equal(dashed.get_xydata(), np.stack([one.values, one.data["least_speed"]], -1)[3:])
+    assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
+    assert solid.get_linewidth() > 2 * dashed.get_linewidth() and solid.get_color() == dashed.get_color()
+    assert "A = F" in ax.get_xlabel() and "omega_0" in ax.get_ylabel() and "/" in ax.get_ylabel()
+    solid, dashed = kept(plot.branch(one, "clearance", Figure().subplots(), "red"), "branch")
+    assert np.isnan(numbers(solid)[1]).tolist() == [True, True, False, False] and solid.get_color() == "red"
+
+
+def test_a_line_breaks_where_an_impact_crosses_phase_0_and_where_an_itinerary_changes_with_a_jump():
+    """At phase 0 the mass is on the wall at 1; before the crossing the state is the one ahead of the impact."""
+    x, v = (numbers(kept(plot.branch(branch(), variable, Figure().subplots()), "branch")[1]) for variable in "xv")
+    across = [2.5, 3.0, *3 * [3.2], 3.5, 4.0, 4.0, 4.0, 4.5, 4.5, 5.0]
+    np.testing.assert_allclose(x[0], across)
+    np.testing.assert_allclose(x[1], [0.3, 0.4, 1.0, np.nan, 1.0, 0.5, 0.6, 0.6, np.nan, 1.7, 1.7, 1.8])
+    fast, slow = 2.44, -0.7 * 2.44
+    np.testing.assert_allclose(v[1], [-0.3, -0.4, fast, np.nan, slow, -0.5, -0.6, -0.6, np.nan, -1.7, -1.7, -1.8])
+    ax = plot.branch(branch(change=9), "x", Figure().subplots())
+    assert np.isnan(numbers(kept(ax, "branch")[1])[1]).sum() == 1
+    first, second = kept(plot.branch(branch(periods=2, change=9), "v", Figure().subplots()), "branch")[2:]
+    assert np.isnan(numbers(first)[1]).sum() == 1 and not np.isnan(numbers(second)[1]).any()
+
+
+def test_special_points_have_a_marker_a_kind_and_branches_share_a_legend():
+    ax, one = Figure().subplots(), branch()
+    plot.branch(one, "x", ax)
+    marks = kept(ax, "special")
+    np.testing.assert_allclose([line.get_xydata()[0] for line in marks], [[2.5, 0.3], [4.0, 0.6], [5.0, 1.8]])
+    assert len({line.get_marker() for line in marks}) == 3
+    plot.branch(one, "x", ax)
+    plot.branch(branch("P121"), "x", ax)
+    told = ax.get_legend_handles_labels()[1]
+    assert sorted(told) == sorted(
+        ["P111, P112", "stable", "unstable", "SN: saddle-node", "PD: period doubling", "fast", "P121, P112"]
+    )
+    colours = [line.get_color() for line in kept(ax, "branch")]
+    assert len(set(colours[:4])) == 1 and len(set(colours)) == 2
+    walls = [line for line in ax.lines if line.get_color() == style.WALL and len(line.get_xdata())]
+    assert [line.get_ydata()[0] for line in walls] == [1.0]  # once; that at -1 is far off
+
+
+def test_special_points_are_told_along_the_top():
+    ax, one = Figure().subplots(), branch()
+    assert plot.mark_points([one, one], plot.branch(one, "v", ax)) is ax
+    (top,) = ax.child_axes
+    assert [each.get_text() for each in top.get_xticklabels()] == ["SN 2.500", "PD 4.000", "fast 5.000"]
+    ax = plot.branch(one, "v", Figure().subplots())
+    ax.set_xlim(0.0, 200.0)
+    (tick,) = plot.mark_points([one], ax).child_axes[0].get_xticklabels()
+    assert tick.get_text() == "SN 2.5\nPD 4.0\nfast 5.0"
+
+
+def test_a_faint_diagram_is_paler_and_finer():
+    plain, faint = (plot.diagram(swept(), "x", Figure().subplots(), faint).lines[0] for faint in (False, True))
+    assert sum(to_rgb(faint.get_color())) > sum(to_rgb(plain.get_color()))
+    assert faint.get_markersize() < plain.get_markersize()
 
 
 def test_neighbouring_colours_differ_in_grey():

@@ -73,11 +73,16 @@ def test_the_data_hold_the_orbits(orbited):
         assert units == ["length", "length w0", "rad", "1", "length w0"]
 
 
+def unbranched(*changes):
+    """Figure 4's file with these changes, without its branches."""
+    return msgspec.structs.replace(scenefile.read(FIG4, changes), branch=None)
+
+
 @pytest.fixture(scope="module")
 def beside():
     """Attractors and orbits of one scene beside a sweep."""
     changes = [f"sweep.{key}=5" for key in ("count", "settle", "keep")] + ["attractors.starts=50"]
-    return study.study(scenefile.read(FIG4, [*changes, "orbits={max_period=1, starts=20, at={amplitude=4.65}}"]))
+    return study.study(unbranched(*changes, "orbits={max_period=1, starts=20, at={amplitude=4.65}}"))
 
 
 def test_orbits_among_the_attractors_are_left_to_them(beside):
@@ -108,14 +113,14 @@ def test_a_state_at_another_phase_is_told_with_it(beside):
 
 
 def test_orbits_with_another_parameter_than_the_sweep_s_stay_out_of_the_diagram():
-    file = scenefile.read(FIG4, ["orbits={at={damping=0.1}}"])
+    file = unbranched("orbits={at={damping=0.1}}")
     found = study.Found(file, file.scene.make(), None, (), ())
     assert found.mark(file.orbits) is None and found.mark(file.attractors) == 4.65
     assert (found.there(file.orbits).damping, found.there(file.attractors).amplitude) == (0.1, 4.65)
 
 
 def test_a_scene_without_such_orbits_says_so():
-    file = scenefile.read(FIG4, ["orbits={}"])
+    file = unbranched("orbits={}")
     found = study.Found(msgspec.structs.replace(file, sweep=None, attractors=None), file.scene.make(), None, None, ())
     assert "200 starts (seed 0): none found" in report.table(found, "name")
     assert report.summary(found, {})["orbits"] == [] and picture.picture(found).startswith(b"\x89PNG")

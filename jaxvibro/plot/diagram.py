@@ -3,17 +3,19 @@
 import numpy as np
 from matplotlib.markers import TICKLEFT, TICKRIGHT
 
-from .style import COLOURS, COORDINATES, WALL, axes, label, plain
+from .style import COLOURS, COORDINATES, WALL, axes, label, paler, plain
 
 SIZE = 1.2  # points, of the first leg's dots; later ones are smaller, so that where legs agree both are seen
+FAINT = 0.7  # of that size
 MARKERS = "osD^vP*X"
 
 
-def diagram(swept, variable="x", ax=None):
+def diagram(swept, variable="x", ax=None, faint=False):
     """Draw one variable, "x" or "v", of a Dataset of `sweep`: the Axes.
 
     A dimension besides the values' and `period` (lane, or leg with its names) makes a leg of each of its entries, with
     a colour and a size of dot of its own. Fixed walls are lines where x is drawn, unless they are far from all dots.
+    faint: smaller and paler dots, to be drawn over.
     """
     ax, name = axes(ax), swept.attrs["swept"]
     step, *lanes = (dim for dim in swept[variable].dims if dim != "period")
@@ -21,7 +23,7 @@ def diagram(swept, variable="x", ax=None):
     for k, leg in enumerate(legs):
         across = np.broadcast_to(leg[name].values[:, None], leg[variable].shape)
         up = leg[variable].transpose(step, "period").values
-        _dots(ax, across, up, k, _named(leg, lanes) + f"from {across[0, 0]:g} to {across[-1, 0]:g}")
+        _dots(ax, across, up, k, _named(leg, lanes) + f"from {across[0, 0]:g} to {across[-1, 0]:g}", faint)
     if variable == "x":
         _walls(ax, swept.attrs)
     ax.set(xlabel=label(name), ylabel=COORDINATES[variable])
@@ -43,9 +45,10 @@ def _walls(ax, attrs):
             ax.axhline(place, color=WALL, linewidth=0.8, zorder=0)
 
 
-def _dots(ax, across, up, place, text):
+def _dots(ax, across, up, place, text, faint):
     size, colour = SIZE / (1 + place), COLOURS[place % len(COLOURS)]
-    style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": colour}
+    style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": paler(colour) if faint else colour}
+    size *= FAINT if faint else 1.0
     ax.plot(across.ravel(), up.ravel(), markersize=size, rasterized=True, label="_" + text, **style)
     ax.plot([], [], markersize=7 / (1 + 0.4 * place), label=text, **style)
 

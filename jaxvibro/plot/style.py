@@ -1,6 +1,7 @@
 """Colours, names and units that all pictures share."""
 
 import matplotlib.pyplot as plt
+from matplotlib.colors import to_rgb
 
 # Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
@@ -29,6 +30,11 @@ def label(name):
 def plain(text):
     """A text of the user's as matplotlib shows it letter by letter, formula signs included."""
     return text.replace("$", r"\$")
+
+
+def paler(colour):
+    """A colour half way to white."""
+    return tuple(0.5 + 0.5 * part for part in to_rgb(colour))
 
 
 def axes(ax):

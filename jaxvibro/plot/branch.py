@@ -1,0 +1,123 @@
+"""Branches of periodic orbits against their parameter, and the special points on them."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from ..branch import MEANINGS
+from ..scene import SIDES
+from .lines import columns_of, lines
+from .style import COLOURS, COORDINATES, WALL, axes, label, plain
+
+ORDER = tuple(COLOURS[k] for k in (2, 7, 5, 3, 0, 6, 1))  # yellow is too pale for a line
+WIDTHS = {True: 2.0, False: 0.9}  # of a stable and of an unstable part, points
+STYLES = {True: "-", False: (0, (4, 2))}
+MARKERS = {"SN": "o", "SB": "D", "BP": "s", "PD": "^", "GR": "v"}
+FILLED = COLOURS[4]  # of special points: attractors are white or black
+OTHERS = "XP*pdh<>"  # of monitors
+CLOSE = 0.02  # of the parameter's range: special points whose values share a tick
+LABELS = {
+    **COORDINATES,
+    "clearance": r"least clearance$\,/\,d$",
+    "speed": r"least impact speed$\,/\,(d\,\omega_0)$",
+}
+
+
+def branch(one, variable="x", ax=None, colour=None):
+    """Draw one variable of a `Branch` against its parameter: the Axes.
+
+    variable: "x" or "v" at phase 0 of each drive period; "clearance" or "speed", the least of an orbit. colour: of its
+    lines; None takes the next of the house's, or that of a branch with the same labels in these Axes.
+
+    Stable parts are solid and thick, unstable ones dashed and thin. A line breaks where an impact crosses phase 0: the
+    velocity jumps there, though the branch goes on. Each kind of special point has a marker of its own, the ends none.
+    """
+    ax, text = axes(ax), name(one)
+    known = {line.get_label().lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"}
+    colour = colour or known.get(text, ORDER[len(known) % len(ORDER)])
+    values, columns, stable = lines(one, variable)
+    for first, last in _runs(stable):
+        look = {"color": colour, "linewidth": WIDTHS[stable[first]], "linestyle": STYLES[stable[first]], "zorder": 3}
+        for up in columns[first : last + 1].T:
+            told = text if text not in known else "_" + text
+            ax.plot(values[first : last + 1], up, label=told, gid="branch", solid_capstyle="butt", **look)
+            known[text] = colour
+    _stability(ax)
+    _points(ax, one, variable)
+    if variable == "x":
+        _walls(ax, one)
+    ax.set(xlabel=label(one.name), ylabel=LABELS[variable])
+    ax.margins(x=0.01)
+    return ax
+
+
+def name(one):
+    """The labels of a branch's stretches, each once, in their order: "P100, P111"."""
+    return ", ".join(dict.fromkeys(part.label for part in one.segments))
+
+
+def _runs(flags):
+    """(first, one past the last) of each run of equal flags."""
+    edges = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
+    return [(first, last) for first, last in pairwise(edges) if last > first]
+
+
+def _stability(ax):
+    """What the lines mean, once in a legend."""
+    if not any(line.get_gid() == "stability" for line in ax.lines):
+        for stable, text in ((True, "stable"), (False, "unstable")):
+            look = {"color": WALL, "linewidth": WIDTHS[stable], "linestyle": STYLES[stable]}
+            ax.plot([], [], label=text, gid="stability", **look)
+
+
+def _points(ax, one, variable):
+    columns = columns_of(one, variable)
+    known = [line.get_label() for line in ax.lines if line.get_gid() == "special"]
+    for kind in dict.fromkeys(each.kind for each in one.special if each.kind != "EP"):
+        here = one.points(kind)
+        up = columns[[each.place for each in here]]
+        across = np.broadcast_to(np.array([each.value for each in here])[:, None], up.shape)
+        text = plain(f"{kind}: {MEANINGS[kind]}" if kind in MEANINGS else kind)
+        told = text if text not in known else "_" + text
+        look = {"marker": _marker(kind), "markersize": 5.5, "markerfacecolor": FILLED, "markeredgecolor": "black"}
+        ax.plot(across.ravel(), up.ravel(), label=told, gid="special", linestyle="none", zorder=7, **look)
+
+
+def _marker(kind):
+    """A kind's marker: a monitor's is told by its name alone, so that it is the same in every picture."""
+    return MARKERS.get(kind) or OTHERS[sum(map(ord, kind)) % len(OTHERS)]
+
+
+def _walls(ax, one):
+    """Lines where the walls stand, each once: not those that move or that the parameter moves, nor those far off."""
+    low, high = ax.get_ylim()
+    near = (high - low) / 4
+    known = [line.get_ydata()[0] for line in ax.lines if line.get_color() == WALL and len(line.get_ydata())]
+    for side in SIDES:
+        wall = getattr(one.scene, side)
+        if wall is None or wall.motion is not None or one.name == f"{side}.position":
+            continue
+        place = float(wall.position)
+        if place not in known and low - near <= place <= high + near:
+            ax.axhline(place, color=WALL, linewidth=0.8, zorder=0)
+
+
+def mark_points(branches, ax):
+    """Tell kind and value of the special points of branches along the top of Axes in which they are drawn: the Axes.
+
+    Points of one value are told once, and those that lie too close to be told apart on one tick.
+    """
+    low, high = ax.get_xlim()
+    digits = max(0, 3 - int(np.floor(np.log10(high - low))))  # about a thousandth of the range
+    found = {(each.kind, f"{each.value:.{digits}f}"): each.value for one in branches for each in one.special}
+    ticks = []
+    for (kind, text), value in sorted(found.items(), key=lambda item: item[1]):
+        if kind == "EP" or not low <= value <= high:
+            continue
+        if ticks and value - ticks[-1][0] < CLOSE * (high - low):
+            ticks[-1][1] += f"\n{plain(kind)} {text}"
+        else:
+            ticks.append([value, f"{plain(kind)} {text}"])
+    top = ax.secondary_xaxis("top")
+    top.set_xticks([value for value, _ in ticks], [text for _, text in ticks], rotation=90, fontsize="x-small")
+    return ax

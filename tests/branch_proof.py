@@ -1,0 +1,293 @@
+"""Branches of random scenes against references: `python -m tests.branch_proof WHAT N [seed]`.
+
+specials: every SN, SB, BP, PD and GR of N random branches against tests/reference/special.py; grazings, steps, turned,
+walls: see the functions of these names.
+"""
+
+import sys
+import time
+
+import jax
+import numpy as np
+
+import jaxvibro as jv
+from jaxvibro import graze
+from jaxvibro.domain import scene_length
+from jaxvibro.follow import placed
+from tests.reference import special as reference
+from tests.reference.scene import Motion, Scene, Wall
+
+NAMES = ("amplitude", "frequency", "damping", "restitution", "right.position", "right.motion.amplitude")
+
+
+def scene_of(rng):
+    """A random scene: two walls or one, R per wall, perhaps a moving right wall."""
+    gamma, omega, amplitude = rng.uniform((0.02, 0.5, 0.3), (0.3, 3.2, 6.0))
+    if rng.random() < 0.15:
+        gamma = rng.uniform(0.3, 1.4)
+    left, right = -rng.uniform(0.3, 1.5), rng.uniform(-0.1, 1.5)
+    own = None if rng.random() < 0.5 else rng.uniform(0.3, 0.95)
+    kind = rng.integers(4)
+    motion = jv.Motion(rng.uniform(0.05, 0.25), rng.uniform(0, 6.28)) if kind == 2 else None
+    walls = (None if kind == 3 else jv.Wall(left, own), jv.Wall(right, None, motion))
+    if kind == 0:
+        walls = (jv.Wall(-1.0), jv.Wall(1.0))
+    return jv.make_scene(amplitude, omega, gamma, rng.uniform(0.5, 0.9), walls)
+
+
+def branches(rng, count, **settings):
+    """(branch, orbit) of so many random scenes that settle on an orbit that can be followed."""
+    found = 0
+    while found < count:
+        scene = scene_of(rng)
+        name = NAMES[rng.choice(len(NAMES), p=(0.5, 0.15, 0.1, 0.1, 0.1, 0.05))]
+        if name not in scene.names:
+            name = "amplitude"
+        start = jv.State(float(scene.right.position) - 0.1, 0.0)
+        try:
+            orbit = jv.find_orbit(scene, start)
+            if orbit.periods > 4 or orbit.impacts.count > 8:
+                continue
+            value = float(scene.parameter(name))
+            low, high = (0.0, 1.0) if "rest" in name else (0.5 * value - 0.2, 1.8 * value + 0.3)
+            branch = jv.follow(orbit, name, (low, high), **settings)
+        except (jv.OrbitError, jv.SceneError) as error:
+            print("  skipped:", str(error)[:100])
+            continue
+        found += 1
+        yield branch, orbit
+
+
+def plain(scene):
+    """The references' form of a scene."""
+
+    def wall(one):
+        if one is None:
+            return None
+        own = float(scene.restitution if one.restitution is None else one.restitution)
+        move = one.motion
+        moving = None if move is None else Motion(float(move.amplitude), float(move.phase), move.harmonic)
+        return Wall(float(one.position), own, moving)
+
+    return Scene(
+        float(scene.damping), float(scene.frequency), float(scene.amplitude), wall(scene.left), wall(scene.right)
+    )
+
+
+def error(point):
+    """How far a special point's value is from the reference's."""
+    spot = point.spot
+    touch = None
+    if point.kind == "GR":
+        along, z = placed(point.scene, point.name, spot)
+        touches = graze.touches(along, z, scene_length(point.scene))
+        if not any(one.own for one in touches):
+            one = touches[0]
+            begin = spot.times[one.row] if len(spot.times) else 0.0
+            touch = (one.row, begin + one.late, one.side)
+    rows = [part.tolist() for part in (spot.times, spot.speeds)]
+    sides = [int(side) for side in spot.sides]
+    true = reference.special(plain(point.scene), point.name, point.kind, point.value, *rows, sides, spot.periods, touch)
+    return abs(float(true - point.value))
+
+
+def specials(count, seed):
+    """Every special point of random branches against the reference."""
+    rng, worst, kinds = np.random.default_rng(seed), 0.0, {}
+    for number, (branch, orbit) in enumerate(branches(rng, count)):
+        began = time.perf_counter()
+        told = []
+        for point in branch.special:
+            if point.kind == "EP":
+                continue
+            try:
+                off = error(point)
+            except (ArithmeticError, ValueError, IndexError) as why:
+                told.append(f"{point.kind} {point.value:.6g} {point.label}: {type(why).__name__} {why}")
+                continue
+            kinds[point.kind] = kinds.get(point.kind, 0) + 1
+            worst = max(worst, off / (1.0 + abs(point.value)))
+            if off > 1e-11:
+                told.append(f"{point.kind} {point.value:.12g} {point.label} off by {off:.1e}")
+        ends = "; ".join(why.split(":")[0] for why in branch.reasons)
+        walls = "".join("-LR"[0 if one is None else 1] for one in (branch.scene.left, branch.scene.right))
+        size = f"{len(branch)} points, {len(branch.segments)} segments"
+        print(
+            f"{number} {walls} {branch.name} {orbit.label}: {size}; {ends};",
+            *told,
+            f"({time.perf_counter() - began:.1f} s)",
+            flush=True,
+        )
+    print("largest error over 1 + value", worst, kinds)
+
+
+def grazings(count, seed):
+    """GR points of random branches: each orbit that is said to meet there, and the branch itself, simulated 1e-6 on
+    either side; the itinerary that the strobe sees must be the one told, and where none is told there must be none."""
+    rng, seen, wrong = np.random.default_rng(seed), 0, 0
+    for branch, _ in branches(rng, 10 * count):
+        points = branch.points("GR")
+        for point in points:
+            seen += 1
+            for one in point.meets:
+                scene = one.scene
+                end, impacts = jv.strobe(scene, one.state, one.periods, 64)
+                sides = np.asarray(impacts.side)[np.asarray(impacts.side) != 0]
+                same = np.array_equal(sides, one.impacts.side)
+                back = max(abs(float(end.x) - one.state.x), abs(float(end.v) - one.state.v))
+                if not same or back > 1e-6 * (1.0 + abs(one.multipliers[0])):
+                    wrong += 1
+                    print("wrong:", branch.scene, point.value, one.label, one.itinerary, sides, back)
+            if len(point.meets) < 2:
+                print("fewer than two meet:", branch.scene, branch.name, point.value, point.itinerary, len(point.meets))
+        if seen >= count:
+            break
+    print(f"{seen} grazings, {wrong} orbits wrong")
+
+
+def steps(count, seed):
+    """First and largest step from 0.05 to 1, tolerance from 1e-8 to 1e-13: the same kinds, itineraries and values."""
+    ways = [(0.05, 0.05, 1e-10), (0.05, 0.2, 1e-8), (0.2, 0.5, 1e-13), (1.0, 1.0, 1e-9), (0.05, 1.0, 1e-11)]
+    differ, worst = 0, 0.0
+    rng = np.random.default_rng(seed)
+    for number, (branch, orbit) in enumerate(branches(rng, count)):
+        told = None
+        for first, largest, tolerance in ways:
+            one = jv.follow(orbit, branch.name, branch.bounds, "both", first, largest, tolerance)
+            kinds = [(each.kind, "".join(each.itinerary)) for each in one.special]
+            values = np.array([each.value for each in one.special])
+            if told is None:
+                told = kinds, values
+            elif [kind for kind, _ in kinds] != [kind for kind, _ in told[0]]:
+                differ += 1
+                print(number, branch.scene, branch.name, "differ", (first, largest), kinds, told[0], values, told[1])
+            else:
+                worst = max(worst, abs(values - told[1]).max())
+    print(f"{count} branches, {differ} differences, values within {worst:.1e}")
+
+
+def turned(count, seed):
+    """Branches followed forwards, then backwards from the end: the points of one on the other, no jump between them."""
+    rng, worst, jumps = np.random.default_rng(seed), 0.0, 0
+    for number, (branch, _) in enumerate(branches(rng, count, direction="forward")):
+        last = branch.orbit(len(branch) - 1)
+        if not last.impacts.count and len(branch.segments) == 1:
+            continue
+        try:
+            back = jv.follow(last, branch.name, branch.bounds, largest_step=0.07)
+        except jv.OrbitError as error:
+            print(number, "not begun:", error)
+            continue
+        far = [nearest(branch, back, place) for place in range(0, len(branch), max(1, len(branch) // 12))]
+        worst = max(worst, max(far))
+        if max(far) > 1e-9:
+            jumps += 1
+            print(
+                number,
+                branch.scene,
+                branch.name,
+                max(far),
+                branch.reasons,
+                back.reasons,
+                branch.segments,
+                back.segments,
+            )
+    print(f"{count} branches, {jumps} with a point that is not on the way back; worst {worst:.1e}")
+
+
+def nearest(branch, other, place):
+    """How far a point of a branch is from another branch: from the other's orbit at the same value nearest to it, by
+    Newton's method from the nearest points."""
+    one = branch.orbit(place)
+    row = branch.data.isel(point=place)
+    value, speeds = float(row[branch.name]), np.sort(row["speed"].values[row["side"].values != 0])
+    best = np.inf
+    kept = [k for k in range(len(other)) if int((other.data["side"].values[k] != 0).sum()) == len(speeds)]
+    scores = []
+    for k in kept:
+        theirs = np.sort(other.data["speed"].values[k][other.data["side"].values[k] != 0])
+        scores.append(abs(other.values[k] - value) + abs(theirs - speeds).sum())
+    for k in np.array(kept)[np.argsort(scores)[:6]]:
+        there = other.orbit(int(k))
+        guess = jv.State(there.state.x, there.state.v, there.state.phase)
+        scene = branch.scene.replace(**{branch.name: value})
+        try:
+            words = there.itinerary
+            near = jv.find_orbit(scene, guess, itinerary=words, settle=0)
+        except jv.OrbitError:
+            continue
+        if len(near.impacts.speed) == len(speeds):
+            best = min(best, abs(np.sort(near.impacts.speed) - speeds).max(initial=0.0))
+        if best < 1e-9:
+            break
+    del one
+    return best
+
+
+def walls(count, seed):
+    """Every reported point of random branches, simulated by certified flights: none passes through a wall."""
+    rng, points, wrong, kinds = np.random.default_rng(seed), 0, 0, {}
+    for number, (branch, _) in enumerate(branches(rng, count)):
+        for segment in branch.segments:
+            rows = branch.data.isel(point=slice(segment.first, segment.last + 1))
+            points += rows.sizes["point"]
+            wrong += passing(branch, rows, number)
+        for point in branch.special:
+            kinds[point.kind] = kinds.get(point.kind, 0) + 1
+    print(f"{points} points, {wrong} pass through a wall", kinds)
+
+
+def passing(branch, rows, number):
+    """How many rows of one itinerary are not confirmed: the flight after each impact meets the next wall, then."""
+    values = rows[branch.name].values
+    scene = branch.scene.replace(**{branch.name: values})
+    period = 2 * np.pi / np.broadcast_to(np.asarray(scene.frequency), values.shape)
+    times, speeds, sides = (rows[key].values[:, rows["side"].values[0] != 0] for key in ("time", "speed", "side"))
+    if not sides.shape[1]:
+        _, impacts = jv.strobe(scene, jv.State(rows["x"].values[:, 0], rows["v"].values[:, 0]), 1, 4)
+        deep = np.asarray(impacts.count) > 0
+        return int((deep[1:-1]).sum())
+    wrong = np.zeros(len(values), bool)
+    count = sides.shape[1]
+    for k in range(count):
+        following = (k + 1) % count
+        span = times[:, following] - times[:, k] + (rows.sizes["period"] * period if following <= k else 0.0)
+        phase = np.asarray(scene.frequency) * times[:, k]
+        x, v = leaving(scene, sides[:, k], speeds[:, k], phase)
+        whole = int(np.ceil((span / period).max() + 1e-6))
+        _, impacts = jv.strobe(scene, jv.State(x, v, phase, sides[:, k].astype(float)), whole, 16)
+        first, side = np.asarray(impacts.time)[:, 0], np.asarray(impacts.side)[:, 0]
+        off = (abs(first - span) > 1e-5 * period) | (side != sides[:, following])
+        slow = (speeds[:, k] < 1e-6) | (speeds[:, following] < 1e-6) | (rows["least_clearance"].values < 1e-9)
+        bad = off & ~slow
+        if bad.any():
+            places = np.flatnonzero(bad)[:3]
+            print(number, branch.name, branch.scene, "row", places, first[places], span[places], speeds[places])
+        wrong |= bad
+    return int(wrong.sum())
+
+
+def leaving(scene, sides, speeds, phase):
+    """x and v just after impacts."""
+    x, v = np.zeros(len(phase)), np.zeros(len(phase))
+    for side, wall in ((-1, scene.left), (1, scene.right)):
+        if wall is None:
+            continue
+        own = scene.restitution if wall.restitution is None else wall.restitution
+        place, pace = np.asarray(wall.position) + 0.0 * phase, 0.0 * phase
+        if wall.motion is not None:
+            angle = wall.motion.harmonic * phase + np.asarray(wall.motion.phase)
+            rate = wall.motion.harmonic * np.asarray(scene.frequency)
+            place = place + np.asarray(wall.motion.amplitude) * np.cos(angle)
+            pace = pace - np.asarray(wall.motion.amplitude) * rate * np.sin(angle)
+        hit = sides == side
+        x, v = np.where(hit, place, x), np.where(hit, pace - side * np.asarray(own) * speeds, v)
+    return x, v
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    what, number, *rest = sys.argv[1:]
+    {each.__name__: each for each in (specials, grazings, steps, turned, walls)}[what](
+        int(number), int(rest[0]) if rest else 0
+    )

@@ -1,0 +1,211 @@
+"""Branches of the oscillator: special points against references in 40 digits, grazings, ends, switching, saving."""
+
+import mpmath
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from jaxvibro.follow import placed
+from jaxvibro.look import looked
+from jaxvibro.told import Spot
+from tests import branch_proof
+from tests.reference import closed
+
+GAMMA, OMEGA, R = 0.05, 2.1, 0.7
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def orbit(scene):
+    return jv.find_orbit(scene, jv.State(0.9, -1.1))
+
+
+@pytest.fixture(scope="module")
+def branch(orbit):
+    return jv.follow(orbit, "amplitude", (0.0, 6.0))
+
+
+@pytest.fixture(scope="module")
+def lopsided(branch):
+    return jv.switch(branch.points("SB")[0])
+
+
+def kinds(branch):
+    return [(one.kind, one.label) for one in branch.special]
+
+
+def value(branch, kind):
+    (one,) = branch.points(kind)
+    return one.value
+
+
+def test_the_symmetric_branch(branch):
+    assert kinds(branch) == [("EP", "P100"), ("GR", "P111"), ("SN", "P111"), ("SB", "P111"), ("EP", "P111")]
+    with mpmath.workdps(30):
+        fold = float(closed.fold(GAMMA, OMEGA, R, 1, symmetric=True).amplitude)
+        touch = float(closed.grazing(GAMMA, OMEGA, 1))
+    assert abs(value(branch, "SN") - fold) < 1e-13
+    assert abs(value(branch, "GR") - touch) < 1e-13
+    assert abs(value(branch, "SB") - 3.543892249375) < 1e-12
+    assert [one.label for one in branch.segments] == ["P100", "P111"]
+    assert branch.values[0] == 0.0 and branch.values[-1] == 6.0
+    assert branch.reason == {
+        "first": "the parameter reached its bound 0",
+        "last": "the parameter reached its bound 6",
+    }
+    assert branch.table().splitlines()[2].split() == [
+        "GR",
+        "3.41646015636",
+        "P111",
+        "RL",
+        "inf,",
+        "inf",
+        "P100<",
+        "P111<",
+    ]
+
+
+def test_points_are_orbits_with_their_multipliers(branch):
+    last = branch.segments[1]
+    for place in range(last.first + 2, last.last, 17):
+        there = branch.scene.replace(amplitude=branch.values[place])
+        row = branch.data.isel(point=place)
+        with mpmath.workdps(30):
+            (true,) = (
+                one
+                for one in closed.orbits(GAMMA, OMEGA, branch.values[place], R, 1, symmetric=True)
+                if abs(float(one.speed) - float(row["speed"][0])) < 1e-6
+            )
+            roots = closed.multipliers(GAMMA, OMEGA, branch.values[place], R, true, symmetric=True)
+        assert abs(float(true.speed) - float(row["speed"][0])) < 1e-12
+        roots = sorted(map(complex, roots), key=lambda one: (-abs(one), -one.imag))
+        assert np.allclose(branch.multipliers[place], roots, rtol=1e-9, atol=1e-10)
+        assert branch.stable[place] == all(abs(one) < 1 for one in roots)
+        orbit = branch.orbit(place)
+        end, _ = jv.strobe(there, orbit.state)
+        assert abs(end.x - orbit.state.x) < 1e-12 * (1 + abs(roots[0]))
+
+
+def test_switching_and_passing_through_a_grazing(lopsided):
+    for one, twin in zip(lopsided, ("P112", "P121"), strict=True):
+        assert [kind for kind, _ in kinds(one)] == ["EP", "GR", "SN", "PD", "EP"]
+        assert [each.label for each in one.segments] == ["P111", twin]
+        assert abs(value(one, "GR") - 5.304177743857) < 1e-12
+        assert abs(value(one, "SN") - 4.525079701581) < 1e-12
+        assert abs(value(one, "PD") - 4.787450372300) < 1e-12
+        (grazing,) = one.points("GR")
+        assert sorted(each.label for each in grazing.meets) == ["P111", twin]
+        assert all(each.scene.amplitude < grazing.value for each in grazing.meets)
+        new = next(each for each in grazing.meets if each.label == twin)
+        # the speed and the multiplier near it: paper.md, section 6
+        assert abs(abs(new.multipliers[0]) * new.least_speed - 5.57) < 0.01
+        assert grazing.residual < 1e-12
+    up, down = lopsided
+    assert np.allclose(up.values, down.values, rtol=0, atol=1e-8)
+
+
+def test_a_monitor_a_stop_and_a_direction(orbit):
+    seen = {"half": lambda point: point.x[0] - 0.5, "slow": lambda point: point.speeds.min() - 1.0}
+    one = jv.follow(orbit, "amplitude", (0.0, 6.0), direction="backward", monitors=seen, stop="slow")
+    assert kinds(one)[0] == ("slow", "P111") and kinds(one)[-1] == ("EP", "P111")
+    (half,), (slow,) = one.points("half"), one.points("slow")
+    assert abs(half.spot.x - 0.5) < 1e-12 and abs(slow.spot.speeds.min() - 1.0) < 1e-12
+    assert one.reason == {"first": f"stopped at slow, {slow.value:.12g}", "last": "the start"}
+    assert one.values[-1] == 2.0
+
+
+def test_a_branch_is_saved_loaded_and_extended(branch, orbit, tmp_path):
+    short = jv.follow(orbit, "amplitude", (1.0, 5.0))
+    short.save(tmp_path / "short.nc")
+    with pytest.raises(FileExistsError):
+        short.save(tmp_path / "short.nc")
+    loaded = jv.load_branch(tmp_path / "short.nc")
+    assert loaded.table() == short.table() and loaded.segments == short.segments
+    assert np.array_equal(loaded.values, short.values) and np.array_equal(loaded.data["time"], short.data["time"], True)
+    whole = jv.extend(loaded, (0.0, 6.0))
+    assert kinds(whole) == kinds(branch)
+    assert np.allclose([one.value for one in whole.special], [one.value for one in branch.special], rtol=0, atol=1e-12)
+    assert [one.last for one in whole.segments][-1] == len(whole) - 1
+    assert np.array_equal(np.flatnonzero(np.diff(whole.data["segment"])), [whole.segments[0].last])
+    (tmp_path / "bad.nc").write_bytes(b"CDF nothing")
+    with pytest.raises(jv.SceneError, match=r"^path: must be a file of Branch.save"):
+        jv.load_branch(tmp_path / "bad.nc")
+
+
+def test_steps_and_tolerance_do_not_matter(branch, orbit):
+    for first, largest, tolerance in ((0.05, 0.05, 1e-8), (1.0, 1.0, 1e-13), (0.05, 0.5, 1e-9)):
+        one = jv.follow(orbit, "amplitude", (0.0, 6.0), "both", first, largest, tolerance)
+        assert kinds(one) == kinds(branch)
+        assert np.allclose([a.value for a in one.special], [a.value for a in branch.special], rtol=0, atol=1e-12)
+
+
+def test_what_cannot_be_followed_is_refused(orbit, branch):
+    with pytest.raises(jv.SceneError, match=r"^stiffness: is not a parameter of this scene"):
+        jv.follow(orbit, "stiffness", (0.0, 1.0))
+    for bounds in ((3.0, 6.0), (6.0, 0.0), (0.0, np.nan), 3.0):
+        with pytest.raises(jv.SceneError, match=r"^bounds: must "):
+            jv.follow(orbit, "amplitude", bounds)
+    with pytest.raises(jv.SceneError, match=r"^direction: must be one of both, forward, backward"):
+        jv.follow(orbit, "amplitude", (0.0, 6.0), direction="up")
+    with pytest.raises(jv.SceneError, match=r"^largest_step: must be a positive number"):
+        jv.follow(orbit, "amplitude", (0.0, 6.0), largest_step=0.0)
+    with pytest.raises(jv.SceneError, match=r"^orbit: must be an Orbit"):
+        jv.follow(orbit.state, "amplitude", (0.0, 6.0))
+    other = jv.Branch.orbit(branch, -1)
+    object.__setattr__(other, "scene", orbit.scene)
+    with pytest.raises(jv.OrbitError, match=r"the start is no orbit \(residual [0-9.e+-]+\)"):
+        jv.follow(other, "amplitude", (0.0, 6.0))
+    with pytest.raises(jv.SceneError, match=r"^special: must be of kind SB, BP, PD, GR"):
+        jv.switch(branch.points("SN")[0])
+    with pytest.raises(jv.SceneError, match=r"^bounds: must hold the branch's own"):
+        jv.extend(branch, (1.0, 6.0))
+
+
+def test_a_parameter_ends_at_its_domain(orbit):
+    one = jv.follow(orbit, "damping", (-1.0, 0.1))
+    assert one.values.min() == 0.0 and "the parameter's domain ends at 0" in one.reasons
+
+
+def test_clearances_see_a_short_hop():
+    """A flight that leaves slowly, falls back, passes the wall and turns, all within one of the samples' cells."""
+    for speed in (1e-3, 1e-2, 0.05, 0.2):
+        scene = jv.make_scene(1.0, 1.0, 0.02, 0.1, (None, 0.0))
+        spot = Spot(1.0, np.array([0.3]), np.array([speed]), np.array([1.0]), 1, 0.0, 0.0, 0.0)
+        seen = looked(*(each for each in _single(scene, spot)))
+        _, impacts = jv.strobe(scene, jv.State(0.0, -0.1 * speed, 0.3, 1.0), 1, 8)
+        assert (impacts.time[0] < 6.0) == (seen.clear.min() < 0)
+
+
+def _single(scene, spot):
+    along, z = placed(scene, "amplitude", spot)
+    return along, z[None]
+
+
+@pytest.mark.slow
+def test_a_cascade_of_doublings(lopsided):
+    values, labels = [], []
+    (point,) = lopsided[0].points("PD")
+    for label in ("P112", "P224", "P448", "P8-8-16"):
+        labels.append((point.label, label))
+        values.append(point.value)
+        (doubled,) = jv.switch(point, stop="PD")
+        (point,) = doubled.points("PD")
+    assert all(a == b for a, b in labels)
+    assert np.allclose(values[:2], [4.787450372300, 4.929889076576], rtol=0, atol=1e-11)
+    ratios = np.diff(values)[:-1] / np.diff(values)[1:]
+    assert np.allclose(ratios, [5.894322, 4.648941], rtol=0, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_special_points_of_random_scenes():
+    rng, met = np.random.default_rng(21), 0
+    for branch, _ in branch_proof.branches(rng, 6):
+        for point in branch.special:
+            if point.kind != "EP":
+                met += 1
+                assert branch_proof.error(point) < 1e-11 * (1.0 + abs(point.value))
+    assert met > 5

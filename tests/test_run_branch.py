@@ -1,0 +1,267 @@
+"""The table [branch] of a scene file: what a run of it tells, writes and draws; the branches that are walked for it."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import msgspec
+import numpy as np
+import pytest
+import xarray as xr
+
+import jaxvibro as jv
+from jaxvibro import command, picture, plot, scenefile, study, tree
+
+FIG4 = Path(__file__).parents[1] / "scenes" / "fig4.toml"
+FOLD, GRAZING, BREAKING = 0.508057896812, 3.416460156361, 3.543892249375
+SCENE = """
+[scene]
+amplitude = 4.65
+frequency = 2.1
+damping = 0.05
+restitution = 0.7
+[scene.left]
+position = -1.0
+[scene.right]
+position = 1.0
+[branch]
+parameter = "amplitude"
+bounds = [0.0, 4.0]
+start = {x = 0.9, v = -1.1}
+at = {amplitude = 2.0}
+"""
+
+
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory):
+    """What a file that asks for branches alone gives: its folder and its summary; and what was `Found`."""
+    out, found = tmp_path_factory.mktemp("branch"), []
+    plain = study.study
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys.modules[jv.run.__module__], "study", lambda *given: found.append(plain(*given)) or found[0])
+        (out / "branch.toml").write_text(SCENE)
+        done = jv.run(out / "branch.toml", out / "out")
+    return out, done, found[0]
+
+
+def test_special_points_are_told_with_their_values(followed):
+    told, table = followed[1].summary, followed[1].table
+    main, *others = told["branches"]
+    assert [(one["kind"], one["label"]) for one in main["special"]] == [
+        ("EP", "P100"),
+        ("GR", "P111"),
+        ("SN", "P111"),
+        ("SB", "P111"),
+        ("EP", "P111"),
+    ]
+    values = [one["value"] for one in main["special"]]
+    np.testing.assert_allclose(values, [0.0, GRAZING, FOLD, BREAKING, 4.0], atol=1e-11)
+    assert [part["label"] for part in main["segments"]] == ["P100", "P111"]
+    assert (main["parameter"], main["from"], main["to"]) == ("amplitude", 0.0, 4.0)
+    assert main["special"][1]["meets"] == ["P100<", "P111<"]
+    fold = main["special"][2]
+    assert fold["residual"] < 1e-13 and fold["itinerary"] == ["RL"]
+    np.testing.assert_allclose(fold["multipliers"][0], [1.0, 0.0], atol=1e-9)
+    assert [one["label"] for one in others] == ["P111", "P111"]
+    for one in others:
+        np.testing.assert_allclose([one["from"], one["to"]], [BREAKING, 4.0], atol=1e-11)
+        assert [each["kind"] for each in one["special"]] == ["EP", "EP"]
+    lines = [" ".join(line.split()) for line in table.splitlines()]
+    for line in (f"SN {FOLD:.12g} P111 RL 1, 0.178013 -", "1: P100 from 0 to 4, ", "2: P111 from 3.543892"):
+        assert any(each.startswith(line) for each in lines), line
+    assert sum(line.startswith("GR 3.4164601563") for line in lines) == 1
+    assert "last point: the parameter reached its bound 4" in lines
+
+
+def test_the_data_hold_the_branches(followed):
+    out, told = followed[0] / "out", followed[1].summary["branches"]
+    assert {one.name for one in out.iterdir()} == {"branch.png", "branch.nc", "branch.txt"}
+    with xr.open_dataset(out / "branch.nc", engine="scipy") as data:
+        sizes = [one["points"] for one in told]
+        assert data.sizes["branch_point"] == sum(sizes) and data.sizes["branch_period"] == 1
+        assert np.bincount(data["branch_number"]).tolist() == sizes
+        kinds, value = data["special_kind"].values, data["special_value"].values
+        assert kinds.tolist() == [each["kind"] for one in told for each in one["special"]]
+        for kind, wanted in (("SN", FOLD), ("GR", GRAZING), ("SB", BREAKING)):
+            np.testing.assert_allclose(value[kinds == kind], [wanted], atol=1e-11)
+        np.testing.assert_array_equal(data["branch_value"][data["special_point"].values], value)
+        np.testing.assert_array_equal(data["branch_number"][data["special_point"].values], data["special_branch"])
+        assert data["branch_value"].attrs["parameter"] == "amplitude"
+        assert data["branch_x"].attrs["units"] == "length"
+        first = data.isel(branch_point=data["branch_number"].values == 0)
+        np.testing.assert_array_equal(first["branch_x"], followed[2].branches[0].data["x"])
+        assert data["branch_last_reason"].values.tolist() == 3 * ["the parameter reached its bound 4"]
+
+
+@pytest.mark.filterwarnings("ignore:No artists with labels")
+def test_branches_are_drawn_alone_and_over_what_was_swept_along_their_parameter(followed, monkeypatch):
+    found, drawn = followed[2], []
+    monkeypatch.setattr(plot, "branch", lambda one, variable, ax: drawn.append(variable))
+    monkeypatch.setattr(plot, "diagram", lambda swept, variable, ax, faint: drawn.append((variable, faint)))
+
+    def picked(*changes, **others):
+        drawn.clear()
+        file = scenefile.read(FIG4, ["branch.bounds=[0.0, 4.0]", *changes])
+        picture.picture(replace(found, file=msgspec.structs.replace(file, attractors=None), **others))
+        return list(drawn)
+
+    picture.picture(found)
+    assert drawn == 3 * ["x"] + 3 * ["v"]
+    assert picked() == [("x", True), *3 * ["x"], ("v", True), *3 * ["v"]]
+    assert picked("branch.at.damping=0.06") == [("x", False), ("v", False)]
+    moved = ["sweep.parameter='right.position'", "sweep.legs.0.to=2", "sweep.legs.1.from=2"]
+    assert picked(*moved) == [("x", False), ("v", False)]
+
+
+def test_a_diagram_of_branches_says_where_it_is_and_takes_what_is_of_the_same_scene(followed):
+    found = followed[2]
+    assert (found.across, found.mark(found.file.branch)) == ("amplitude", 2.0)
+    at = [scenefile.read(FIG4, [f"orbits.at={given}"]).orbits for given in ("{amplitude=3}", "{damping=0.1}", "{}")]
+    assert [found.mark(each) for each in at] == [3.0, None, 4.65]
+    assert "A$" not in picture._heading(found) and "2.1" in picture._heading(found)
+
+
+def test_a_start_that_settles_on_no_orbit_is_one_clear_line(tmp_path, capsys):
+    (tmp_path / "lost.toml").write_text(SCENE)
+    changes = ["branch.at.amplitude=5.26", "branch.bounds=[0.0,6.0]", "branch.settle=100"]
+    words = [word for change in changes for word in ("--set", change)]
+    assert command.main(["run", str(tmp_path / "lost.toml"), "--out", str(tmp_path / "out"), *words]) == 2
+    err = capsys.readouterr().err.splitlines()[-1]
+    assert err.startswith(
+        "jaxvibro: branch.start: must settle on an orbit that can be followed (no orbit: the state does"
+    )
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_branch_has_defaults():
+    asked = scenefile.read(FIG4).branch
+    assert (asked.parameter, asked.bounds, asked.max_period, asked.at) == ("amplitude", (0.0, 6.0), 2, {"amplitude": 2})
+    assert (asked.start.x, asked.start.v, asked.settle, asked.largest_step) == (0.9, -1.1, 200, 0.1)
+    table = "branch = {parameter='frequency', bounds=[1, 3]}"
+    file = msgspec.to_builtins(msgspec.structs.replace(scenefile.read(FIG4), branch=None))
+    asked = scenefile.understood(scenefile.apply(file, table)).branch
+    assert (asked.start.x, asked.start.v, asked.at, asked.max_period) == (0.0, 0.0, {}, 1)
+
+
+KEYS = "(parameter, bounds, start, at, settle, max_period, largest_step)"
+# The change to scenes/fig4.toml, the key that the error names, and what it says.
+BAD = [
+    ("branch = 3", "branch", "must be a table; got 3"),
+    ("branch.name = 'amplitude'", "branch.name", f"is not a key here {KEYS}"),
+    ("branch.parameter = 'force'", "branch.parameter", "must be a parameter of the scene (amplitude, "),
+    ("branch.parameter = 3", "branch.parameter", "must be a text; got 3"),
+    ("branch.bounds = 3", "branch.bounds", "must be a list; got 3"),
+    ("branch.bounds = [1.0]", "branch.bounds", "must be a list of length 2; got [1.0]"),
+    ("branch.bounds = ['low', 1.0]", "branch.bounds[0]", "must be a number; got 'low'"),
+    ("branch.bounds = [6, 0]", "branch.bounds", "two finite numbers, the first smaller; got [6.0, 0.0]"),
+    ("branch.bounds = [2, 2]", "branch.bounds", "two finite numbers, the first smaller; got [2.0, 2.0]"),
+    ("branch.bounds = [0, inf]", "branch.bounds", "two finite numbers, the first smaller; got [0.0, inf]"),
+    ("branch.bounds = [nan, 6]", "branch.bounds", "two finite numbers, the first smaller; got [nan, 6.0]"),
+    ("branch.bounds = [3, 6]", "branch.at.amplitude", "must lie within branch.bounds, 3.0 and 6.0; got 2.0"),
+    ("branch.parameter = 'damping'\nbranch.bounds=[1, 2]", "branch.bounds", "must hold the scene's damping, 0.05"),
+    ("branch.at = 4.65", "branch.at", "must be a table; got 4.65"),
+    ("branch.at.force = 1.0", "branch.at.force", "is not a parameter of this scene (amplitude, "),
+    ("branch.at.damping = 'low'", "branch.at.damping", "must be a number; got 'low'"),
+    ("branch.at.amplitude = nan", "branch.at.amplitude", "must be finite; got nan"),
+    ("branch.at.frequency = 0", "branch.at.frequency", "must be greater than 0; got 0.0"),
+    ("branch.start.x = 1.01", "branch.start.x", "must lie between the walls, here at -1.0 and 1.0; got 1.01"),
+    ("branch.start.v = inf", "branch.start.v", "must be finite; got inf"),
+    ("branch.start = 3", "branch.start", "must be a table; got 3"),
+    ("branch.start.y = 3", "branch.start.y", "is not a key here (x, v)"),
+    ("branch.settle = -1", "branch.settle", "must be a whole number >= 0; got -1"),
+    ("branch.max_period = 0", "branch.max_period", "must be a whole number >= 1; got 0"),
+    ("branch.max_period = 33", "branch.max_period", "must be a whole number <= 32; got 33"),
+    ("branch.largest_step = 0", "branch.largest_step", "must be greater than 0; got 0.0"),
+    ("branch.largest_step = nan", "branch.largest_step", "must be finite; got nan"),
+]
+
+
+@pytest.mark.parametrize(("change", "key", "said"), BAD, ids=[f"{place}-{case[1]}" for place, case in enumerate(BAD)])
+def test_a_bad_branch_is_one_clear_line(change, key, said):
+    with pytest.raises(jv.SceneError) as caught:
+        scenefile.read(FIG4, [change])
+    line = str(caught.value)
+    assert caught.value.key == key and line.startswith(f"{key}: ") and said in line and "\n" not in line
+
+
+def test_a_branch_survives_writing(tmp_path):
+    file = scenefile.read(FIG4, ["branch.at.'right.restitution'=0.5", "branch.settle=0"])
+    scenefile.dump(file, tmp_path / "copy.toml")
+    assert scenefile.read(tmp_path / "copy.toml") == file
+
+
+PLAIN = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+
+
+def point(kind, value, right, left=(), periods=1):
+    """A special point of a branch, as far as `tree` looks at it."""
+    sides = np.array([1.0] * len(right) + [-1.0] * len(left))
+    spot = SimpleNamespace(speeds=np.array([*right, *left], float), sides=sides, periods=periods)
+    return SimpleNamespace(kind=kind, value=value, spot=spot, scene=PLAIN)
+
+
+class Walk(list):
+    """A branch, as far as `tree` looks at it; it has as many points as special ones."""
+
+    def __init__(self, label, *special):
+        super().__init__(special)
+        self.special, self.segments = special, [SimpleNamespace(label=label)]
+
+
+def walked(monkeypatch, first, ways, **given):
+    """(the branches, the special points that were switched at) where `switch` gives what `ways` says."""
+    asked = []
+
+    def switch(one, bounds, **settings):
+        asked.append(one)
+        found = ways[one.kind, one.value]
+        if found is None:
+            raise ValueError("no branches cross here")
+        return found
+
+    monkeypatch.setattr(tree, "follow", lambda orbit, name, bounds, **settings: first)
+    monkeypatch.setattr(tree, "switch", switch)
+    return tree.followed(None, "amplitude", (0.0, 9.0), **given), asked
+
+
+def test_each_special_point_is_left_once_and_mirror_images_are_two(monkeypatch):
+    sb, end = point("SB", 3.0, [1.0], [1.0]), point("EP", 0.0, [])
+    one, twin = point("PD", 5.0, [1.0, 2.0], [3.0]), point("PD", 5.0, [3.0], [2.0, 1.0])
+    halves = [
+        Walk("P112", point("EP", 3.0, [1.0], [1.0]), one, point("PD", 5.0 + 1e-12, [2.0, 1.0 + 1e-9], [3.0])),
+        Walk("P121", point("EP", 3.0, [1.0], [1.0]), twin),
+    ]
+    ways = {("SB", 3.0): halves, ("PD", 5.0): [Walk("P224", point("EP", 5.0, [1, 1, 2, 2], [3, 3], 2), end)]}
+    main = Walk("P100", end, sb, point("SN", 4.0, [2.0]), point("EP", 9.0, [9.0], [9.0]))
+    found, asked = walked(monkeypatch, main, ways)
+    assert asked == [sb] and [one.segments[0].label for one in found] == ["P100", "P112", "P121"]
+    counts = []
+    found, asked = walked(monkeypatch, main, ways, max_period=2, progress=counts.append)
+    assert asked == [sb, one, twin] and len(found) == 4 and counts == [3, 4, 4]  # the second P224 is the first here
+
+
+def test_a_branch_that_joins_two_special_points_is_walked_once(monkeypatch):
+    """A period doubling and its reverse: the doubled orbits come back at 6, and on to their start the other way."""
+    twice = {value: point("EP", value, [value, value], (), 2) for value in (5.0, 6.0)}
+    met = point("BP", 6.0, [6.0, 6.0], (), 2)
+    here, there = point("PD", 5.0, [5.0]), point("PD", 6.0, [6.0])
+    ways = {("PD", 5.0): [Walk("P202", twice[5.0], met, twice[5.0])]}
+    main = Walk("P101", point("EP", 0.0, [0.5]), here, there, point("EP", 9.0, [9.0]))
+    found, asked = walked(monkeypatch, main, {**ways, ("BP", 6.0): None}, max_period=2)
+    assert len(found) == 2 and asked[0] is here and there not in asked
+    closed = [Walk("P111", point("EP", 3.0, [1.0]), point("EP", 3.0, [1.0])) for _ in range(2)]
+    main = Walk("P111", point("EP", 0.0, [0.5]), point("BP", 3.0, [1.0]), point("EP", 9.0, [9.0]))
+    found, _ = walked(monkeypatch, main, {("BP", 3.0): closed})
+    assert len(found) == 2
+
+
+def test_there_are_64_branches_at_most_and_points_without_length_are_none(monkeypatch):
+    def half(k):
+        return Walk(
+            "P101", point("EP", k - 1.0, [0.5]), point("GR", float(k), [k + 1.0]), point("EP", k + 0.5, [k + 1])
+        )
+
+    ways = {("GR", float(k)): [half(k + 1), Walk("P101", point("EP", float(k), [1.0]))] for k in range(100)}
+    found, _ = walked(monkeypatch, half(0), ways)
+    assert len(found) == tree.MOST == 64
