@@ -9,6 +9,7 @@ import xarray as xr
 from . import itinerary as words
 from .branch import Branch, Segment, roots, special_of, spot_of
 from .meetings import is_symmetric
+from .orbit import MARGIN
 from .piece import Piece
 from .told import Spot, itinerary
 
@@ -22,15 +23,15 @@ class Ends(NamedTuple):
     last: str
 
 
-def assembled(scene, name, bounds, settings, back, on):
-    """The `Branch` of what was walked from a start backwards and onwards; either may be None."""
+def assembled(scene, name, bounds, settings, back, on, start="the start"):
+    """The `Branch` of what was walked from a start backwards and onwards; either may be None. start: what that end is
+    told to be."""
     pieces = [_turned(one) for one in reversed(back.pieces)] if back else []
     if back and on:
         pieces[-1] = _glued(pieces[-1], on.pieces[0])
         pieces += on.pieces[1:]
     elif on:
         pieces = on.pieces
-    start = "the start"
     reasons = Ends(back.reason if back else start, on.reason if on else start)
     data, segments, special = _told(scene, name, bounds, pieces)
     return Branch(name, bounds, scene, data, segments, special, tuple(reasons), settings)
@@ -139,7 +140,11 @@ def _rows(one, name, widest, place):
         "v": (("point", "period"), look.v, _attrs("velocity at phase 0 of each period", "length w0")),
         "multiplier_real": (("point", "multiplier"), found.real, _attrs("Floquet's, the larger first", "1")),
         "multiplier_imag": (("point", "multiplier"), found.imag, _attrs("Floquet's, the larger first", "1")),
-        "stable": ("point", (abs(found) < 1).all(axis=1).astype(np.int8), _attrs("1: both are smaller than 1", "1")),
+        "stable": (
+            "point",
+            (abs(found) < 1.0 - MARGIN).all(axis=1).astype(np.int8),
+            _attrs("1: both are smaller than 1", "1"),
+        ),
         "least_speed": ("point", speeds, _attrs("of the impacts, inf: none", "length w0")),
         "least_clearance": ("point", look.clear.min(axis=(1, 2)), _attrs("at turning points, inf: none", "length")),
         "residual": ("point", one.points.residual, _attrs("largest error left in the equations", "length")),

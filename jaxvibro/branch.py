@@ -102,6 +102,10 @@ class Branch:
     reasons: tuple[str, str]
     settings: dict
 
+    def __repr__(self):
+        values, kinds = self.values, " ".join(one.kind for one in self.special)
+        return f"Branch({self.name} from {values[0]:g} to {values[-1]:g}, {len(self)} points, {kinds})"
+
     def __len__(self):
         return self.data.sizes["point"]
 

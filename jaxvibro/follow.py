@@ -32,8 +32,8 @@ def follow(
     first_step, largest_step: along the branch, as the length of (times, speeds, parameter), the root mean square over
     the impacts, in the scene's units (1/w0; the distance of the farther wall). tolerance: of Newton's method, such a
     length; special points are always located to rounding. monitors: {label: function}, a special point of that label
-    where the function changes its sign; it takes a record with value, times, speeds, sides, x, v, multipliers,
-    clearance. stop: a label or labels at which the branch ends.
+    where the function changes its sign; it takes a record with value, times, speeds, sides (an entry an impact, none
+    at all on P100), x, v (an entry a period), multipliers and clearance. stop: a label or labels that end the branch.
 
     Unknowns are the impacts' times and speeds, and the parameter, by pseudo-arclength. Located are saddle-nodes (SN),
     symmetry breakings and other branch points (SB, BP), period doublings (PD) from the Jacobian of those equations, and

@@ -23,8 +23,9 @@ from .lanes import one_kernel
 from .look import Look, flight, looked
 
 TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
-ASIDE = 1e-5  # step, in scaled lengths, after which a branch that leaves a grazing is looked at
+ASIDE = 1e-5, 1e-7  # steps, in scaled lengths, after which a branch that leaves a grazing is looked at
 ENDS = 1e-5  # of a flight: a touch as near to its ends is that of the impact there
+FEW = 4  # touches at once, of which every choice is tried
 
 
 class Touch(NamedTuple):
@@ -161,48 +162,63 @@ def wall_sides(scene):
 
 def exits(along, z, length):
     """(the `Touch`es at a grazing, the `Exit`s that leave it), of the branch that came there itself too."""
-    there_are = touches(along, z, length)
+    met = touches(along, z, length)
     found = []
-    for included in product((False, True), repeat=len(there_are)):
-        built = _with(along, z, there_are, included)
-        for sign in (1.0, -1.0):
-            one = _exit(*built, sign, length, included)
-            if one is not None:
-                found.append(one)
-    return there_are, found
+    for included in _choices(met):
+        listed = _listed(along, z, met, included)
+        kept = [one for one in listed if one.kept]
+        new = along._replace(cycle=padded(along, [(one.time, one.speed, one.side) for one in kept]))
+        start = np.append(np.concatenate([new.cycle.times, new.cycle.speeds]), z[-1])
+        start = start if kept else free_start(new, z[-1])
+        out = _left_out(along, z, listed, kept)
+        ways = (_exit(new, start, out, sign, length, included) for sign in (1.0, -1.0))
+        found += [way for way in ways if way is not None]
+    return met, found
 
 
-def _with(along, z, there_are, included):
-    """(along, z, the touches left out as (row, wall, late)) with some of the touches as impacts."""
-    sides, rows = along.cycle.sides, len(along.cycle.sides)
-    hit = np.flatnonzero(sides != 0)
-    listed = [(int(k), 0.0, z[k], z[rows + k], int(sides[k]), True) for k in hit]
-    for touch, wanted in zip(there_are, included, strict=True):
-        if touch.own:
-            at = next(k for k, one in enumerate(listed) if one[0] == touch.row and one[1] == 0.0)
-            listed[at] = (*listed[at][:3], 0.0, listed[at][4], wanted)
-        else:
+def _choices(met):
+    """Which touches are to be impacts: every choice of a few; of many all, none, those that are and the others."""
+    if len(met) <= FEW:
+        return list(product((False, True), repeat=len(met)))
+    own = tuple(one.own for one in met)
+    return list(dict.fromkeys([own, tuple(not one for one in own), (False,) * len(met), (True,) * len(met)]))
+
+
+class _Hit(NamedTuple):
+    time: float
+    speed: float
+    side: int
+    kept: bool
+
+
+def _listed(along, z, met, included):
+    """All impacts and touches in order of travel, those kept that are no touches or are to be impacts."""
+    rows, wanted = len(along.cycle.sides), dict(zip(met, included, strict=True))
+    own = {touch.row: touch for touch in met if touch.own}
+    listed = []
+    for row in np.flatnonzero(along.cycle.sides != 0):
+        touch, side = own.get(int(row)), int(along.cycle.sides[row])
+        one = _Hit(z[row], 0.0 if touch else z[rows + row], side, wanted[touch] if touch else True)
+        listed.append(((int(row), 0.0), one))
+    for touch in met:
+        if not touch.own:
             begin = z[touch.row] if rows else 0.0
-            listed.append((touch.row, touch.late, begin + touch.late, 0.0, touch.side, wanted))
-    listed.sort(key=lambda one: one[:2])
-    kept = [one for one in listed if one[5]]
-    new = along._replace(cycle=padded(along, [each[2:5] for each in kept]))
-    start = np.append(np.concatenate([new.cycle.times, new.cycle.speeds]), z[-1]) if kept else free_start(new, z[-1])
-    walls, out = wall_sides(along.scene), []
+            listed.append(((touch.row, touch.late), _Hit(begin + touch.late, 0.0, touch.side, wanted[touch])))
+    return [one for _, one in sorted(listed)]
+
+
+def _left_out(along, z, listed, kept):
+    """(row, wall, time since that row's impact) of each touch that is no impact."""
+    walls, found = wall_sides(along.scene), []
     span = float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z[-1]).frequency)
-    before = None
-    for one in [*listed, *listed]:  # twice round: the one before the first is the last
-        if one[5]:
-            before = one
-    place = len(kept) - 1
+    place = len(kept) - 1  # what is before the first is after the last
     for one in listed:
-        if one[5]:
-            before, place = one, kept.index(one)
-        elif before is None:
-            out.append((0, walls.index(one[4]), one[2] % span))
+        if one.kept:
+            place = kept.index(one)
         else:
-            out.append((place, walls.index(one[4]), (one[2] - before[2]) % span))
-    return new, start, out
+            begin = kept[place].time if kept else 0.0
+            found.append((max(place, 0), walls.index(one.side), (one.time - begin) % span))
+    return found
 
 
 def padded(along, impacts):
@@ -229,6 +245,7 @@ def _opening(along, z, direction, row, wall, late):
 
 
 def _exit(along, z, out, sign, length, included):
+    """The `Exit` in one direction of a branch, None where it is none; out: the touches left out."""
     scale = scales(along, length)
     task = problem(along)
     tangent = sign * follow.tangent(task, z, scale, along)
@@ -242,11 +259,12 @@ def _exit(along, z, out, sign, length, included):
     zero = np.zeros(())
     point = Point(z, tangent, zero, zero, zero, np.True_, np.True_)
     control = Control(scale, *(np.float64(each) for each in (0.0, 1.0, 1e-12, -np.inf, np.inf)))
-    near = follow.step(task, point, ASIDE, control, along)
-    if not near.met:
-        return None
-    look = looked(along, near.z[None])
-    return Exit(along, point, near.z, look, included) if admissible(along, near.z, look)[0] else None
+    for aside in ASIDE:
+        near = follow.step(task, point, aside, control, along)
+        look = looked(along, near.z[None])
+        if near.met and admissible(along, near.z, look)[0]:
+            return Exit(along, point, near.z, look, included)
+    return None
 
 
 def admissible(along, zs, look):

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import brentq
 
+from .check import SceneError
 from .look import looked
 from .orbit import multipliers
 from .rows import at, between
@@ -41,7 +42,7 @@ def seen(along, z, look):
 
 def crossings(along, points, look, kind, function, control):
     """Where a user's monitor changes its sign."""
-    values = np.array([function(seen(along, z, at(look, k))) for k, z in enumerate(points.z)], float)
+    values = np.array([_value(kind, function, seen(along, z, at(look, k))) for k, z in enumerate(points.z)])
     for after in np.flatnonzero(values[:-1] * values[1:] < 0):
         size = float(points.step[after + 1])
 
@@ -49,8 +50,17 @@ def crossings(along, points, look, kind, function, control):
             one = between(along, points, after, length, control)
             if one is None:
                 raise ValueError(f"the monitor {kind} cannot be followed between two points")
-            return function(seen(along, one.z, at(looked(along, one.z[None]), 0)))
+            return _value(kind, function, seen(along, one.z, at(looked(along, one.z[None]), 0)))
 
         length = brentq(value, 0.0, size, xtol=1e-14, rtol=1e-14)
         one = between(along, points, int(after), length, control)
         yield int(after), length, kind, one.z, float(one.residual)
+
+
+def _value(kind, function, point):
+    """What a monitor says of a `Seen`. Raises SceneError where it fails."""
+    try:
+        return float(function(point))
+    except (ValueError, TypeError, IndexError, ArithmeticError) as error:
+        told = f"must give a number at every point of the branch ({type(error).__name__}: {error})"
+        raise SceneError(f"monitors.{kind}", told, point.value) from None

@@ -8,6 +8,8 @@ from . import itinerary as words
 from .scene import Scene
 from .state import Impacts, State
 
+MARGIN = 1e-9  # a multiplier as near to size 1 is a special point's, whose stability rounding would decide
+
 
 class OrbitError(ValueError):
     """There is no orbit to return. status: in a few words; residual: how far what was found is from an orbit, in the
@@ -29,8 +31,8 @@ class Orbit:
     label: P n p q. periods: n, the least number of drive periods. state: on it, at the section's phase: the phase asked
     for, unless an impact is within a thousandth of a period of it; then the middle of the longest flight. impacts: in n
     periods from there, without empty slots. itinerary: the walls hit, a word a period. multipliers: Floquet's, the
-    larger first, complex, shape (2,). stable: whether both are smaller than 1. residual: the largest error left in the
-    equations that were solved (lengths, lengths per t). least_speed, least_clearance: of the impacts, and of turning
+    larger first, complex, shape (2,). stable: both are smaller than 1, by more than rounding. residual: the largest
+    error left in the equations that were solved (lengths, lengths per t). least_speed, least_clearance: of the impacts, and of turning
     points towards a wall; inf where there are none. unknowns: "impacts" where their times and speeds were solved for,
     "state" where the state was. scene: whose orbit it is. mirror_of: in a tuple of `find_orbits` the place of its
     mirror image, its own where it is symmetric; else None.
@@ -54,8 +56,11 @@ class Orbit:
 def multipliers(trace, determinant):
     """The eigenvalues of a matrix with this trace and determinant, the larger first: complex, shape (2,).
 
-    The larger is found without cancellation, the smaller from the determinant.
+    The larger is found without cancellation, the smaller from the determinant. Both are infinite where the trace is not
+    finite: at an impact without speed.
     """
+    if not np.isfinite(trace):
+        return np.full(2, np.inf, complex)
     half = 0.5 * trace
     inside = half * half - determinant
     if inside < 0:
@@ -73,7 +78,7 @@ def described(scene, state, impacts, itinerary, roots, residual, unknowns):
         impacts=impacts,
         itinerary=itinerary,
         multipliers=roots,
-        stable=bool(np.all(abs(roots) < 1)),
+        stable=bool(np.all(abs(roots) < 1.0 - MARGIN)),
         residual=residual,
         least_speed=impacts.least_speed,
         least_clearance=impacts.least_clearance,

@@ -83,19 +83,20 @@ class _Part(NamedTuple):
 def _part(along, points, status, asked):
     """What a chunk of steps gives, cut at its end, with its special points put in."""
     control = asked.control
+    why, last = ENDS[status], []
+    if status == OUT:  # first, as what comes after the bound is not to be seen
+        points, why = _to_bound(along, points, asked)
     points, look = with_dips(along, points, looked(along, points.z), control)
     good = admissible(along, points.z, look)
     good[0] = True
-    size, why, last = len(points.z), ENDS[status], []
+    size = len(points.z)
     if not good.all():
         points, last = _to_graze(along, points, look, int(np.argmin(good)), asked)
         why = {"GR": GRAZE, "CH": REST}[last[0].kind] if last else STEP
-    elif status == OUT:
-        points, why = _to_bound(along, points, asked)
     loop = _met(along, points, asked)
     if loop is not None:
         points, last, why = _cut(along, points, *loop, control), [], CLOSED
-    if not (len(points.z) == size and why is None):
+    if len(points.z) != size or last or loop is not None:
         look = looked(along, points.z)
     marks = _events(along, points, look, control)
     for kind, function in asked.monitors.items():

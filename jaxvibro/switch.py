@@ -23,9 +23,9 @@ def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1
     """The branches that leave a special point besides the one it was found on: a tuple of `Branch`, each from the point
     on, to where it ends.
 
-    special: a `Special` of a branch. At SB and BP the two halves of the branch that crosses there; at PD the one of
-    twice the period (its other half has the same orbits, a period later); at GR those of the itineraries that the
-    branch did not go on with. bounds and the rest as in `follow`; bounds None takes the point's.
+    special: a `Special` of a branch. At SB and BP the two halves of the branch that crosses there, in no order; at PD
+    the one of twice the period (its other half has the same orbits, a period later); at GR those of the itineraries
+    that the branch did not go on with. bounds and the rest as in `follow`; bounds None takes the point's.
 
     Raises SceneError for a point of another kind, and arguments that cannot be.
     """
@@ -37,7 +37,8 @@ def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1
     settings = settled(first_step, largest_step, tolerance, monitors, stop)
     leaving = {"PD": _doubled, "GR": _grazing}.get(special.kind, _crossed)
     starts = leaving(special, *placed(special.scene, special.name, special.spot))
-    return tuple(_walked(special.scene, special.name, bounds, settings, *start) for start in starts)
+    told = f"it left {special.kind} at {special.value:.12g}"
+    return tuple(_walked(special.scene, special.name, bounds, settings, told, *start) for start in starts)
 
 
 def extend(branch, bounds):
@@ -81,9 +82,9 @@ def _onwards(branch, place, sign, bounds):
     return assembled(scene, branch.name, bounds, branch.settings, back, on)
 
 
-def _walked(scene, name, bounds, settings, along, start):
+def _walked(scene, name, bounds, settings, told, along, start):
     asked = asking(scene, name, bounds, scene_length(scene), (along, start.z), **settings)
-    return assembled(scene, name, bounds, settings, None, walked(along, start, asked))
+    return assembled(scene, name, bounds, settings, None, walked(along, start, asked), told)
 
 
 def _crossed(special, along, z):

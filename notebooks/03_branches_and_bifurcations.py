@@ -175,10 +175,10 @@ axes[0].set_ylabel("size of both multipliers")
 keep(figure, "multipliers")
 
 # %% [markdown]
-# At SN, SB and PD one of them goes through 1. Before the two grazings nothing of the kind is seen on the stable side:
-# P100 ends with 0.86, P111 with 0.42. The unstable side has a pole there. Near 5.304 the larger multiplier of P112 is
-# 5.57 / speed, with the speed of its slowest impact; at 3.416 two impacts lose their speed at once, and it is 48.2 /
-# speed^2.
+# At SN, SB and PD the size of one goes through 1. Before the two grazings nothing of the kind is seen on the stable
+# side: P100 ends with 0.86, P111 with 0.42. The unstable side has a pole there. Near 5.304 the larger multiplier of
+# P112 is 5.57 / speed, with the speed of its slowest impact; at 3.416 two impacts lose their speed at once, and it is
+# 48.2 / speed^2.
 #
 # The times and speeds of the impacts, which `follow` solves for, have no such pole. Those of P111 and P112 run into one
 # another with a corner, and the speed of the impact that comes in starts from 0 in a straight line:
@@ -201,8 +201,8 @@ keep(figure, "grazing")
 # %% [markdown]
 # ## Other questions to the same orbit
 #
-# Any number of the scene will do in place of the amplitude. Along the frequency, at A = 2, P111 is unstable between two
-# symmetry breakings, and stable below and above:
+# Any number of the scene will do in place of the amplitude. Along the frequency from 1 to 4, at A = 2, P111 is unstable
+# between two symmetry breakings, and stable below and above:
 
 # %%
 by_frequency = jv.follow(orbit, "frequency", (1.0, 4.0))

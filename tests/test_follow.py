@@ -90,7 +90,7 @@ def test_points_are_orbits_with_their_multipliers(branch):
         assert abs(end.x - orbit.state.x) < 1e-12 * (1 + abs(roots[0]))
 
 
-def test_switching_and_passing_through_a_grazing(lopsided):
+def test_switching_and_passing_through_a_grazing(branch, lopsided):
     for one, twin in zip(lopsided, ("P112", "P121"), strict=True):
         assert [kind for kind, _ in kinds(one)] == ["EP", "GR", "SN", "PD", "EP"]
         assert [each.label for each in one.segments] == ["P111", twin]
@@ -105,6 +105,10 @@ def test_switching_and_passing_through_a_grazing(lopsided):
         assert abs(abs(new.multipliers[0]) * new.least_speed - 5.57) < 0.01
         assert grazing.residual < 1e-12
     up, down = lopsided
+    assert up.reasons[0] == f"it left SB at {branch.points('SB')[0].value:.12g}"
+    assert repr(up) == f"Branch(amplitude from 3.54389 to 6, {len(up)} points, EP GR SN PD EP)"
+    assert not up.points("SN")[0].orbit.stable and not up.stable[0]
+    assert np.isinf(branch.points("GR")[0].orbit.multipliers).all()
     assert np.allclose(up.values, down.values, rtol=0, atol=1e-8)
 
 
@@ -159,6 +163,8 @@ def test_what_cannot_be_followed_is_refused(orbit, branch):
     object.__setattr__(other, "scene", orbit.scene)
     with pytest.raises(jv.OrbitError, match=r"the start is no orbit \(residual [0-9.e+-]+\)"):
         jv.follow(other, "amplitude", (0.0, 6.0))
+    with pytest.raises(jv.SceneError, match=r"^monitors.fast: must give a number at every point"):
+        jv.follow(orbit, "amplitude", (0.0, 6.0), "backward", monitors={"fast": lambda point: point.speeds.max() - 9.0})
     with pytest.raises(jv.SceneError, match=r"^special: must be of kind SB, BP, PD, GR"):
         jv.switch(branch.points("SN")[0])
     with pytest.raises(jv.SceneError, match=r"^bounds: must hold the branch's own"):
