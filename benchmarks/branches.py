@@ -11,6 +11,7 @@ from jaxvibro import look
 from jaxvibro.along import IMPACTS
 from jaxvibro.follow import started
 from jaxvibro.graze import scales
+from jaxvibro.lanes import OPTIONS
 
 LANES, STEPS, POINTS = 1_000, 32, 8
 FINE, COARSE = 0.005, 0.1  # largest steps
@@ -65,14 +66,14 @@ def many(orbit, rounds):
     assert zs.shape[1] == len(z)
     start = arclength.Place(zs, tangents, np.full(LANES, 0.05), np.zeros(LANES, np.int32))
 
-    def one(place):
+    def one(place, along):
         _, points = arclength.track(IMPACTS.function, IMPACTS.solve, place, control, along, STEPS)
         return points.kept, jax.vmap(lambda z: look.hitting(along, z, 1))(points.z)
 
-    call = jax.jit(jax.vmap(one))
-    jax.block_until_ready(call(start))
+    call = jax.jit(jax.vmap(one, in_axes=(0, None)), compiler_options=OPTIONS)
+    jax.block_until_ready(call(start, along))
     spent = []
     for _ in range(rounds):
-        seconds, (kept, _) = harness.clock(lambda: jax.block_until_ready(call(start)))
+        seconds, (kept, _) = harness.clock(lambda: jax.block_until_ready(call(start, along)))
         spent.append(1e6 * seconds / float(kept.sum()))
     return (f"{LANES:,} branches under vmap, with monitors, microseconds a point", "at most 6", spread(spent))

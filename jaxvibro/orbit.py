@@ -32,10 +32,10 @@ class Orbit:
     for, unless an impact is within a thousandth of a period of it; then the middle of the longest flight. impacts: in n
     periods from there, without empty slots. itinerary: the walls hit, a word a period. multipliers: Floquet's, the
     larger first, complex, shape (2,). stable: both are smaller than 1, by more than rounding. residual: the largest
-    error left in the equations that were solved (lengths, lengths per t). least_speed, least_clearance: of the impacts, and of turning
-    points towards a wall; inf where there are none. unknowns: "impacts" where their times and speeds were solved for,
-    "state" where the state was. scene: whose orbit it is. mirror_of: in a tuple of `find_orbits` the place of its
-    mirror image, its own where it is symmetric; else None.
+    error left in the equations that were solved (lengths, lengths per t). least_speed, least_clearance: of the impacts,
+    and of turning points towards a wall; inf where there are none. unknowns: "impacts" where their times and speeds
+    were solved for, "state" where the state was. scene: whose orbit it is. mirror_of: in a tuple of `find_orbits` the
+    place of its mirror image, its own where it is symmetric; else None.
     """
 
     label: str
