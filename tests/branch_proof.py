@@ -146,7 +146,8 @@ def grazings(count, seed):
 
 
 def steps(count, seed):
-    """First and largest step from 0.05 to 1, tolerance from 1e-8 to 1e-13: the same kinds, itineraries and values."""
+    """First and largest step from 0.05 to 1, tolerance from 1e-8 to 1e-13: the same kinds, itineraries and values, as
+    far as eight impacts: beyond, towards complete chatter, there is no end of special points."""
     ways = [(0.05, 0.05, 1e-10), (0.05, 0.2, 1e-8), (0.2, 0.5, 1e-13), (1.0, 1.0, 1e-9), (0.05, 1.0, 1e-11)]
     differ, worst = 0, 0.0
     rng = np.random.default_rng(seed)
@@ -154,15 +155,16 @@ def steps(count, seed):
         told = None
         for first, largest, tolerance in ways:
             one = jv.follow(orbit, branch.name, branch.bounds, "both", first, largest, tolerance)
-            kinds = [(each.kind, "".join(each.itinerary)) for each in one.special]
-            values = np.array([each.value for each in one.special])
+            few = [each for each in one.special if len(each.spot.times) <= 8 and each.kind not in ("EP", "CH")]
+            kinds = [(each.kind, each.label) for each in few]
+            values = np.array([each.value for each in few])
             if told is None:
                 told = kinds, values
-            elif [kind for kind, _ in kinds] != [kind for kind, _ in told[0]]:
+            elif kinds != told[0]:
                 differ += 1
-                print(number, branch.scene, branch.name, "differ", (first, largest), kinds, told[0], values, told[1])
+                print(number, branch.name, "differ", (first, largest), kinds, told[0])
             else:
-                worst = max(worst, abs(values - told[1]).max())
+                worst = max(worst, abs(values - told[1]).max(initial=0.0))
     print(f"{count} branches, {differ} differences, values within {worst:.1e}")
 
 
