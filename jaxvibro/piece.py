@@ -10,7 +10,7 @@ from continuation.locate import Located
 
 from .along import Along, problem
 from .dips import with_dips
-from .graze import Touch, admissible, exits, is_pressed, stilled, touched
+from .graze import TOUCH, Touch, admissible, exits, is_pressed, stilled, touched
 from .image import images
 from .look import Look, looked
 from .monitor import crossings
@@ -138,7 +138,7 @@ def _to_graze(along, points, look, bad, asked):
     cut = upto(points, bad)
     if found is None:
         return cut, []
-    z, residual = stilled(along, found[0], asked.length), found[1]
+    z, residual = found
     one = _placed(along, points, bad - 1, z, asked.control)
     met, ways = exits(along, z, asked.length)
     kind = "CH" if len(ways) < 2 and is_pressed(along, z, met) else "GR"
@@ -147,7 +147,8 @@ def _to_graze(along, points, look, bad, asked):
 
 
 def _first_touch(along, good, there, seen, low, high, asked):
-    """(z, residual) of the first touch between two lengths from a good point: there, seen: the point at the second."""
+    """(z, residual) of the first touch between two lengths from a good point, None where it is not found, or another is
+    before it. there, seen: the point at the second length."""
     task, rows = problem(along), len(along.cycle.sides)
     hit = np.flatnonzero(along.cycle.sides != 0)
     middle = 0.5 * (good.z + there.z)
@@ -168,7 +169,10 @@ def _first_touch(along, good, there, seen, low, high, asked):
             best = length, one
     if best is None:
         return None
-    return best[1].z, best[1].residual
+    z = stilled(along, best[1].z, asked.length)
+    view, slack = looked(along, z[None]), -TOUCH * asked.length
+    earlier = view.clear.min(initial=0.0) < slack or z[rows : 2 * rows].min(initial=0.0) < slack
+    return None if earlier else (z, best[1].residual)
 
 
 def _pinned(task, z, index, value, asked, along):
