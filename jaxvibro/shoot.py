@@ -27,9 +27,9 @@ def by_state(scene, state, periods):
         if step <= eps**0.7 * scale or not miss.any():
             break
         state, step = _stepped(state, told[-1][0], miss, matrix)
-    if step > eps**0.7 * scale and miss.any():
+    if miss.any() and (step > eps**0.7 * scale or abs(miss).max() > eps**0.4 * scale):
         raise OrbitError(newton.STATUS[newton.SLOW], float(abs(miss).max()), newton.ADVICE[newton.SLOW])
-    least = next(n for n in range(1, periods + 1) if periods % n == 0 and _near(points[n], points[0], scale))
+    least = next((n for n in range(1, periods) if periods % n == 0 and _near(points[n], points[0], scale)), periods)
     if least < periods:
         return by_state(scene, state, least)
     length = 2.0 * np.pi / float(scene.frequency)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 import pytest
@@ -259,6 +260,7 @@ def test_the_readme_s_lines_run_as_printed():
     (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
     names = {}
     exec(compile(block, "README.md", "exec"), names)
+    plt.close("all")
     assert names["impacts"].status == 0 and abs(names["state"].x) <= 1.0
 
 
