@@ -11,9 +11,14 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
+from continuation.arclength import Control
+from continuation.follow import pinned
 from jaxvibro import graze
+from jaxvibro.along import problem
+from jaxvibro.branch import spot_of
 from jaxvibro.domain import scene_length
 from jaxvibro.follow import placed
+from jaxvibro.graze import scales
 from tests.reference import special as reference
 from tests.reference.scene import Motion, Scene, Wall
 
@@ -198,31 +203,32 @@ def turned(count, seed):
 
 
 def nearest(branch, other, place):
-    """How far a point of a branch is from another branch: from the other's orbit at the same value nearest to it, by
-    Newton's method from the nearest points."""
-    one = branch.orbit(place)
+    """How far a point of a branch is from another branch: from the nearest rows of the other, Newton's method to the
+    point that has the value, or the speed, that changes most along the branch here."""
     row = branch.data.isel(point=place)
-    value, speeds = float(row[branch.name]), np.sort(row["speed"].values[row["side"].values != 0])
-    best = np.inf
-    kept = [k for k in range(len(other)) if int((other.data["side"].values[k] != 0).sum()) == len(speeds)]
-    scores = []
-    for k in kept:
-        theirs = np.sort(other.data["speed"].values[k][other.data["side"].values[k] != 0])
-        scores.append(abs(other.values[k] - value) + abs(theirs - speeds).sum())
-    for k in np.array(kept)[np.argsort(scores)[:6]]:
-        there = other.orbit(int(k))
-        guess = jv.State(there.state.x, there.state.v, there.state.phase)
-        scene = branch.scene.replace(**{branch.name: value})
-        try:
-            words = there.itinerary
-            near = jv.find_orbit(scene, guess, itinerary=words, settle=0)
-        except jv.OrbitError:
-            continue
-        if len(near.impacts.speed) == len(speeds):
-            best = min(best, abs(np.sort(near.impacts.speed) - speeds).max(initial=0.0))
-        if best < 1e-9:
+    hit = row["side"].values != 0
+    speeds, slopes = row["speed"].values[hit], row["speed_slope"].values[hit]
+    value, best = float(row[branch.name]), np.inf
+    count = (other.data["side"].values != 0).sum(axis=1)
+    theirs = np.sort(np.where(other.data["side"].values != 0, other.data["speed"].values, np.inf), axis=1)
+    apart = abs(theirs[:, : hit.sum()] - np.sort(speeds)).sum(axis=1) + abs(other.values - value)
+    apart = np.where(count == hit.sum(), apart, np.inf)
+    for k in np.argsort(apart)[:8]:
+        if not np.isfinite(apart[k]):
             break
-    del one
+        spot = spot_of(other.data.isel(point=int(k)), other.name)
+        along, z = placed(other.scene.replace(**{other.name: spot.value}), other.name, spot)
+        index, goal = len(z) - 1, value
+        if hit.any() and abs(slopes).max() > abs(float(row["value_slope"])):
+            most = int(np.argmax(abs(slopes)))
+            rank = int(np.argsort(np.argsort(speeds))[most])
+            index, goal = len(z) // 2 + int(np.argsort(spot.speeds)[rank]), speeds[most]
+        control = Control(scales(along, 1.0), *(np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf)))
+        found = pinned(problem(along), z, index, goal, control, along)
+        if found.met:
+            near = np.sort(found.z[len(z) // 2 : len(z) // 2 + len(speeds)])
+            off = max(abs(near - np.sort(speeds)).max(initial=0.0), abs(found.z[-1] - value))
+            best = min(best, off)
     return best
 
 
