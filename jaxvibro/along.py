@@ -61,15 +61,6 @@ def _flip(z, along):
     return ring.dense(ring.of(cycle.equations(built, given)[1]), -1.0)[:, :-1]
 
 
-def _flip(z, along):
-    built, given = frame(there(along, z[-1])), cycle_at(along, z)
-    return ring.dense(ring.of(cycle.equations(built, given)[1]), -1.0)[:, :-1]
-
-
-def _slopes(z, along):
-    return ring.dense(_impacts(z, along)[1])
-
-
 def _free(z, along):
     """(F, dF/dz): what a flight over the periods leaves to be periodic."""
 

@@ -7,9 +7,9 @@ import numpy as np
 import xarray as xr
 
 from . import itinerary as words
-from .branch import Branch, Segment, roots, special_of, spot_of
+from .branch import Branch, Segment, special_of, spot_of
 from .meetings import is_symmetric
-from .orbit import MARGIN
+from .orbit import MARGIN, roots
 from .piece import Piece
 from .told import Spot, itinerary
 

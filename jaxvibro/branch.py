@@ -14,6 +14,7 @@ from . import itinerary as words
 from .check import SceneError
 from .scene import Scene
 from .tables import SceneTable, table_of
+from .text import columns, pair
 from .told import Spot, itinerary, told
 from .whole import whole
 
@@ -171,10 +172,8 @@ class Branch:
             rows.append(
                 (one.kind, f"{one.value:.12g}", one.label, walls, pair(one.multipliers), " ".join(labels(one)) or "-")
             )
-        widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-        lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         ends = [f"{end} point: {why}" for end, why in self.reason.items()]
-        return "\n".join([*lines, *ends])
+        return "\n".join([columns(rows), *ends])
 
 
 def load_branch(path):
@@ -218,14 +217,6 @@ def labels(special):
     return found
 
 
-def pair(roots):
-    """Two multipliers as a text."""
-    first, second = roots
-    if first.imag:
-        return f"{first.real:.6g} +- {abs(first.imag):.6g}i"
-    return f"{first.real:.6g}, {second.real:.6g}"
-
-
 def spot_of(row, name):
     """The `Spot` of a row of a branch's data."""
     hit = row["side"].values != 0
@@ -247,15 +238,3 @@ def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=
     return Special(
         kind, name, spot.value, bounds, there, walls, found, residual, place, spot, slopes, tuple(joins), tuple(aside)
     )
-
-
-def roots(trace, determinant):
-    """Multipliers of some monodromy matrices, (points, 2), as `orbit.multipliers`: infinite where a speed is zero."""
-    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        half = 0.5 * trace
-        inside = half * half - determinant
-        larger = half + np.copysign(np.sqrt(np.maximum(inside, 0.0)), half)
-        real = np.stack([larger, np.where(larger != 0, determinant / larger, 0.0)], 1)
-        turned = half[:, None] + 1j * np.sqrt(np.maximum(-inside, 0.0))[:, None] * np.array([1.0, -1.0])
-        found = np.where((inside < 0)[:, None], turned, real)
-    return np.where(np.isfinite(found).all(axis=1)[:, None], found, np.inf)

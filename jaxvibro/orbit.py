@@ -54,19 +54,24 @@ class Orbit:
 
 
 def multipliers(trace, determinant):
-    """The eigenvalues of a matrix with this trace and determinant, the larger first: complex, shape (2,).
+    """The eigenvalues of a matrix with this trace and determinant: complex, shape (2,), see `roots`."""
+    return roots(np.reshape(trace, 1), np.reshape(determinant, 1))[0]
 
-    The larger is found without cancellation, the smaller from the determinant. Both are infinite where the trace is not
+
+def roots(trace, determinant):
+    """The eigenvalues of matrices with these traces and determinants, (points,): (points, 2), the larger first.
+
+    The larger is found without cancellation, the smaller from the determinant. Both are infinite where a number is not
     finite: at an impact without speed.
     """
-    if not np.isfinite(trace):
-        return np.full(2, np.inf, complex)
-    half = 0.5 * trace
-    inside = half * half - determinant
-    if inside < 0:
-        return half + 1j * np.sqrt(-inside) * np.array([1.0, -1.0])
-    larger = half + np.copysign(np.sqrt(inside), half)
-    return np.array([larger, determinant / larger if larger else 0.0], complex)
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        half = 0.5 * trace
+        inside = half * half - determinant
+        larger = half + np.copysign(np.sqrt(np.maximum(inside, 0.0)), half)
+        real = np.stack([larger, np.where(larger != 0, determinant / larger, 0.0)], 1)
+        turned = half[:, None] + 1j * np.sqrt(np.maximum(-inside, 0.0))[:, None] * np.array([1.0, -1.0])
+        found = np.where((inside < 0)[:, None], turned, real)
+    return np.where(np.isfinite(found).all(axis=1)[:, None], found, np.inf)
 
 
 def described(scene, state, impacts, itinerary, roots, residual, unknowns):

@@ -8,12 +8,13 @@ from . import __version__
 from .branch import MEANINGS, labels
 from .stretch import longest, stretches
 from .study import KEEP, SETTLE
+from .text import columns, pair
 
 
 def table(found, name):
     """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches."""
     scene = found.scene
-    parts = [f"jaxvibro {__version__}, {name}\n", _columns([(key, float(scene.parameter(key))) for key in scene.names])]
+    parts = [f"jaxvibro {__version__}, {name}\n", columns([(key, float(scene.parameter(key))) for key in scene.names])]
     if found.swept is not None:
         parts += ["", *_sweep(found)]
     if found.attractors is not None:
@@ -34,14 +35,14 @@ def _sweep(found):
     yield f"periods: drive periods after which the state comes back, -: not within {longest(found.swept)}"
     rows = [("leg", "from", "to", "values", "periods")]
     rows += [(one.leg, one.first, one.last, one.count, _periods(one.periods)) for one in stretches(found.swept)]
-    yield _columns(rows)
+    yield columns(rows)
 
 
 def _rest(swept):
     (one,), last = stretches(swept), swept.isel(step=0, leg=0, period=-1)
     yield f"from rest, after {SETTLE + KEEP} drive periods, at phase 0 of the drive"
     rows = [("x", f"{float(last['x']):.12f}"), ("v", f"{float(last['v']):.12f}"), ("periods", _periods(one.periods))]
-    yield _columns(rows)
+    yield columns(rows)
     yield f"periods: drive periods after which the state comes back, -: not within {longest(swept)}"
 
 
@@ -58,7 +59,7 @@ def _attractors(found):
         share, rate = f"{100 * one.share:.1f} %", f"{one.exponent:.4f}"
         walls, twin = _walls(one.itinerary), _mirror(place, one.mirror_of)
         rows.append((place, one.label, share, one.periods or "-", *state, walls, rate, twin))
-    yield _columns(rows)
+    yield columns(rows)
     yield "impacts: L left, R right, a word a period; exponent: the largest, per drive period"
     for place, one in enumerate(found.attractors, 1):
         yield f"{place}: {one.note}"
@@ -84,9 +85,9 @@ def _orbits(found):
     for place, one in enumerate(found.orbits, 1):
         state = [f"{getattr(one.state, key):.12f}" for key in ("x", "v", "phase")]
         least = (float(one.least_speed), float(one.least_clearance), f"{one.residual:.1e}")
-        told = (one.label, "stable" if one.stable else "unstable", _pair(one.multipliers))
+        told = (one.label, "stable" if one.stable else "unstable", pair(one.multipliers, 7))
         rows.append((place, *told, *state, _walls(one.itinerary), *least, _mirror(place, one.mirror_of)))
-    yield _columns(rows if turned else [row[:6] + row[7:] for row in rows])
+    yield columns(rows if turned else [row[:6] + row[7:] for row in rows])
     where = "at the phase (rad) given" if turned else "at phase 0"
     yield f"x and v {where}; impacts: L left, R right, a word a period; multipliers: Floquet's, the larger first"
 
@@ -104,25 +105,10 @@ def _branches(found):
     yield "multipliers: Floquet's, the larger first; meets: orbits that meet there, on which side of the value"
 
 
-def _pair(multipliers):
-    """Two real numbers, or two complex ones as one text."""
-    first, second = multipliers
-    if first.imag:
-        return f"{first.real:.7g} +- {abs(first.imag):.7g}i"
-    return f"{first.real:.7g}, {second.real:.7g}"
-
-
 def _mirror(place, twin):
     if twin is None:
         return "-"
     return "itself" if twin + 1 == place else f"{twin + 1}"
-
-
-def _columns(rows):
-    """Rows of texts and numbers in columns."""
-    texts = [[f"{entry:.6g}" if isinstance(entry, float) else str(entry) for entry in row] for row in rows]
-    widths = [max(map(len, column)) for column in zip(*texts, strict=True)]
-    return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in texts)
 
 
 def summary(found, files):

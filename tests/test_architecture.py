@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[1]
 FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROOT / package).rglob("*.py"))
 # A file imports only from files named before it; `plot` stands for all files of that folder.
 ORDER = [
-    *("gap", "check", "scene", "physical", "whole", "tables", "scenefile"),
+    *("gap", "text", "check", "scene", "physical", "whole", "tables", "scenefile"),
     *("lanes", "blocks", "flow", "path", "wall", "event", "impact", "frame", "flight"),
     *("log", "clearance", "entry", "journey", "state", "period", "replay", "slopes", "strobe", "monodromy", "simulate"),
     *("itinerary", "place", "section", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
