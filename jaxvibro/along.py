@@ -38,6 +38,7 @@ def cycle_at(along, z):
     return along.cycle._replace(times=z[:rows], speeds=z[rows : 2 * rows])
 
 
+@jax.jit
 def _impacts(z, along):
     """(F, its `ring.Ring`)."""
     given = cycle_at(along, z)
@@ -61,6 +62,7 @@ def _flip(z, along):
     return ring.dense(ring.of(cycle.equations(built, given)[1]), -1.0)[:, :-1]
 
 
+@jax.jit
 def _free(z, along):
     """(F, dF/dz): what a flight over the periods leaves to be periodic."""
 

@@ -55,6 +55,7 @@ class Flights(NamedTuple):
     after: jax.Array
 
 
+@jax.jit
 def flights(frame, cycle):
     """The `Flights` of a cycle."""
     sides, rows = cycle.sides, jnp.arange(len(cycle.sides))

@@ -148,6 +148,7 @@ def responses(frequency, damping, time):
     return doubled(series(frequency, damping), frequency, damping, time)[:2]
 
 
+@jax.jit
 def doubled(series, frequency, damping, time):
     """The `responses` over any time >= 0 from a `Series`, and cos - 1 and sin of the drive's angle."""
     fast, zero = rate(frequency, damping), lax.full_like(time, 0.0)

@@ -34,6 +34,7 @@ def of(slopes, by=None):
     return Ring(own, following, _pairs(by, len(e)), slopes.last)
 
 
+@jax.jit
 def bordered(ring, row, right):
     """The ring's equations, then one row, for times, speeds and parameter: `linear.Eliminated`.
 
@@ -111,6 +112,7 @@ def _reduced(blocks, edges, corner, last):
     return relation, corner, product, kept
 
 
+@jax.jit
 def _rotated(above, below):
     """Two and two rows turned so that the first two columns are upper triangular: ((0, 1), (2, 3)) after."""
     rows = [*above, *below]
