@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from . import itinerary as words
-from .branch import Branch, Segment, special_of, spot_of
+from .branch import Branch, Segment, row_of, special_of, spot_of
 from .meetings import is_symmetric
 from .orbit import MARGIN, roots
 from .piece import Piece
@@ -88,36 +88,37 @@ def _glued(one, other):
 
 def _told(scene, name, bounds, pieces):
     widest = max(int(np.sum(one.along.cycle.sides != 0)) for one in pieces)
-    parts = [_rows(one, name, widest, k) for k, one in enumerate(pieces)]
-    data = xr.concat(parts, "point").assign_attrs(parameter=name)
+    parts = [_columns(one, name, widest, k) for k, one in enumerate(pieces)]
+    whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    about = _about(name)
+    data = xr.Dataset({key: (about[key][0], each, about[key][1]) for key, each in whole.items()})
     segments, special, first = [], [], 0
     marked = set()
-    for one, part in zip(pieces, parts, strict=True):
-        size = part.sizes["point"]
-        spot = spot_of(part.isel(point=0), name)
-        walls = itinerary(spot, _frequency(scene, name, spot.value))
+    for one in pieces:
+        row, size = row_of(data, first), len(one.points.z)
+        walls = itinerary(spot_of(row, name), _frequency(scene, name, float(row[name])))
         segments.append(Segment(first, first + size - 1, words.label(walls), walls))
         for mark in one.marks:
             place = first + mark.place
             known = mark.kind == "GR" and place - 1 in marked  # the same grazing, met from the other piece
             if not known:
-                special.append(_special(scene, name, bounds, mark, place, part.isel(point=mark.place)))
+                special.append(_special(scene, name, bounds, mark, place, row_of(data, place)))
             if mark.kind == "GR":
                 marked.add(place)
         first += size
-    ends = [(0, parts[0].isel(point=0)), (first - 1, parts[-1].isel(point=-1))]
-    for place, row in ends:
-        if not any(abs(one.place - place) < 1 for one in special):
+    for place in (0, first - 1):
+        if not any(one.place == place for one in special):
+            row = row_of(data, place)
             special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
-    return data, tuple(segments), tuple(sorted(special, key=lambda one: one.place))
+    return data.assign_attrs(parameter=name), tuple(segments), tuple(sorted(special, key=lambda one: one.place))
 
 
 def _frequency(scene, name, value):
     return value if name == "frequency" else float(scene.frequency)
 
 
-def _rows(one, name, widest, place):
-    """A piece as a Dataset."""
+def _columns(one, name, widest, place):
+    """What a branch's data have of a piece: {name: array}, a row a point."""
     z, turn, look = one.points.z, one.points.tangent, one.look
     count, rows, size = int(np.sum(one.along.cycle.sides != 0)), len(one.along.cycle.sides), len(one.points.z)
 
@@ -130,38 +131,50 @@ def _rows(one, name, widest, place):
     slow = z[:, rows : rows + count] if rows else z[:, :0]
     quick = turn[:, rows : rows + count] if rows else slow
     found = roots(look.trace, look.determinant)
-    speeds = np.where(count, slow.min(axis=1, initial=np.inf), np.inf)
-    columns = {
-        name: ("point", z[:, -1], {"long_name": "the parameter"}),
-        "time": (("point", "impact"), impacts(z[:, :count] if rows else slow, np.nan), _attrs("since phase 0", "1/w0")),
-        "speed": (("point", "impact"), impacts(slow, np.nan), _attrs("abs(y- - v_b)", "length w0")),
-        "side": (("point", "impact"), impacts(sides, 0).astype(np.int8), _attrs("-1 left, 1 right, 0 none", "1")),
-        "x": (("point", "period"), look.x, _attrs("position at phase 0 of each period", "length")),
-        "v": (("point", "period"), look.v, _attrs("velocity at phase 0 of each period", "length w0")),
-        "multiplier_real": (("point", "multiplier"), found.real, _attrs("Floquet's, the larger first", "1")),
-        "multiplier_imag": (("point", "multiplier"), found.imag, _attrs("Floquet's, the larger first", "1")),
-        "stable": (
-            "point",
-            (abs(found) < 1.0 - MARGIN).all(axis=1).astype(np.int8),
-            _attrs("1: both are smaller than 1", "1"),
-        ),
-        "least_speed": ("point", speeds, _attrs("of the impacts, inf: none", "length w0")),
-        "least_clearance": ("point", look.clear.min(axis=(1, 2)), _attrs("at turning points, inf: none", "length")),
-        "residual": ("point", one.points.residual, _attrs("largest error left in the equations", "length")),
-        "time_slope": (
-            ("point", "impact"),
-            impacts(turn[:, :count] if rows else slow, np.nan),
-            _attrs("of the unit tangent", "1"),
-        ),
-        "speed_slope": (("point", "impact"), impacts(quick, np.nan), _attrs("of the unit tangent", "1")),
-        "value_slope": ("point", turn[:, -1], _attrs("of the unit tangent", "1")),
-        "segment": ("point", np.full(size, place), _attrs("which stretch of one itinerary", "1")),
+    return {
+        name: z[:, -1],
+        "time": impacts(z[:, :count] if rows else slow, np.nan),
+        "speed": impacts(slow, np.nan),
+        "side": impacts(sides, 0).astype(np.int8),
+        "x": look.x,
+        "v": look.v,
+        "multiplier_real": found.real,
+        "multiplier_imag": found.imag,
+        "stable": (abs(found) < 1.0 - MARGIN).all(axis=1).astype(np.int8),
+        "least_speed": slow.min(axis=1, initial=np.inf),
+        "least_clearance": look.clear.min(axis=(1, 2)),
+        "residual": one.points.residual,
+        "time_slope": impacts(turn[:, :count] if rows else slow, np.nan),
+        "speed_slope": impacts(quick, np.nan),
+        "value_slope": turn[:, -1],
+        "segment": np.full(size, place),
     }
-    return xr.Dataset(columns)
 
 
-def _attrs(meaning, units):
-    return {"long_name": meaning, "units": units}
+def _about(name):
+    """The dimensions, what it is and the units of each column."""
+
+    def told(meaning, units, *more):
+        return ("point", *more), {"long_name": meaning, "units": units}
+
+    return {
+        name: (("point",), {"long_name": "the parameter"}),
+        "time": told("since phase 0", "1/w0", "impact"),
+        "speed": told("abs(y- - v_b)", "length w0", "impact"),
+        "side": told("-1 left, 1 right, 0 none", "1", "impact"),
+        "x": told("position at phase 0 of each period", "length", "period"),
+        "v": told("velocity at phase 0 of each period", "length w0", "period"),
+        "multiplier_real": told("Floquet's, the larger first", "1", "multiplier"),
+        "multiplier_imag": told("Floquet's, the larger first", "1", "multiplier"),
+        "stable": told("1: both are smaller than 1", "1"),
+        "least_speed": told("of the impacts, inf: none", "length w0"),
+        "least_clearance": told("at turning points, inf: none", "length"),
+        "residual": told("largest error left in the equations", "length"),
+        "time_slope": told("of the unit tangent", "1", "impact"),
+        "speed_slope": told("of the unit tangent", "1", "impact"),
+        "value_slope": told("of the unit tangent", "1"),
+        "segment": told("which stretch of one itinerary", "1"),
+    }
 
 
 def _special(scene, name, bounds, mark, place, row):

@@ -139,7 +139,7 @@ class Branch:
         count = len(self)
         if not -count <= place < count:
             raise SceneError("place", f"must be a point of the branch, from 0 to {count - 1}", place)
-        spot = spot_of(self.data.isel(point=place), self.name)
+        spot = spot_of(row_of(self.data, place), self.name)
         return told(self.scene.replace(**{self.name: spot.value}), spot)
 
     def save(self, path, force=False):
@@ -189,7 +189,7 @@ def load_branch(path):
         scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
         segments = tuple(Segment(*one[:3], tuple(one[3])) for one in json.loads(attrs["segments"]))
         special = [
-            special_of(scene, name, bounds, place, data.isel(point=place), kind, residual, map(_spot, joins), aside)
+            special_of(scene, name, bounds, place, row_of(data, place), kind, residual, map(_spot, joins), aside)
             for kind, place, residual, joins, aside in json.loads(attrs["special"])
         ]
         reasons, settings = tuple(json.loads(attrs["reasons"])), json.loads(attrs["settings"])
@@ -217,24 +217,27 @@ def labels(special):
     return found
 
 
+def row_of(data, place):
+    """The numbers of one point of a branch's data, {name: array}."""
+    return {name: each.values[place] for name, each in data.variables.items()}
+
+
 def spot_of(row, name):
-    """The `Spot` of a row of a branch's data."""
-    hit = row["side"].values != 0
-    columns = (row[key].values[hit].astype(float) for key in ("time", "speed", "side"))
-    plain = (float(row[key].values[0]) for key in ("x", "v"))
-    return Spot(float(row[name].values), *columns, row.sizes["period"], *plain, float(row["residual"].values))
+    """The `Spot` of a `row_of` a branch's data."""
+    hit = row["side"] != 0
+    columns = (row[key][hit].astype(float) for key in ("time", "speed", "side"))
+    plain = (float(row[key][0]) for key in ("x", "v"))
+    return Spot(float(row[name]), *columns, len(row["x"]), *plain, float(row["residual"]))
 
 
 def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=()):
-    """The `Special` at a row of a branch's data."""
+    """The `Special` at a `row_of` a branch's data."""
     spot = spot_of(row, name)
-    found = (row["multiplier_real"] + 1j * row["multiplier_imag"]).values
+    found = row["multiplier_real"] + 1j * row["multiplier_imag"]
     there = scene.replace(**{name: spot.value})
     walls = itinerary(spot, float(there.frequency))
-    hit = row["side"].values != 0
-    slopes = np.concatenate(
-        [row["time_slope"].values[hit], row["speed_slope"].values[hit], [row["value_slope"].values]]
-    )
+    hit = row["side"] != 0
+    slopes = np.concatenate([row["time_slope"][hit], row["speed_slope"][hit], [row["value_slope"]]])
     return Special(
         kind, name, spot.value, bounds, there, walls, found, residual, place, spot, slopes, tuple(joins), tuple(aside)
     )

@@ -9,7 +9,7 @@ from continuation.follow import tangent
 from . import check
 from .along import problem
 from .assemble import assembled, merged
-from .branch import Branch, Special, spot_of
+from .branch import Branch, Special, row_of, spot_of
 from .domain import bounds_of, scene_length
 from .follow import asking, placed, point, settled
 from .graze import exits, padded, scales
@@ -65,16 +65,16 @@ def _is_at(branch, place, wide):
 
 def _onwards(branch, place, sign, bounds):
     """The branch beyond one of its ends, from there on, or, at its first point, up to there."""
-    row = branch.data.isel(point=place)
+    row = row_of(branch.data, place)
     spot = spot_of(row, branch.name)
     scene = branch.scene.replace(**{branch.name: spot.value})
     along, z = placed(scene, branch.name, spot)
     count, rows = len(spot.times), len(along.cycle.sides)
     ahead = np.zeros(len(z))
-    hit = row["side"].values != 0
+    hit = row["side"] != 0
     if rows:
-        ahead[:count], ahead[rows : rows + count] = row["time_slope"].values[hit], row["speed_slope"].values[hit]
-    ahead[-1] = row["value_slope"].values
+        ahead[:count], ahead[rows : rows + count] = row["time_slope"][hit], row["speed_slope"][hit]
+    ahead[-1] = row["value_slope"]
     start = point(z, tangent(problem(along), z, scales(along, scene_length(scene)), along, sign * ahead))
     asked = asking(scene, branch.name, bounds, scene_length(scene), (along, z), **branch.settings)
     done = walked(along, start, asked)

@@ -15,7 +15,7 @@ from continuation.arclength import Control
 from continuation.follow import pinned
 from jaxvibro import graze
 from jaxvibro.along import problem
-from jaxvibro.branch import spot_of
+from jaxvibro.branch import row_of, spot_of
 from jaxvibro.domain import scene_length
 from jaxvibro.follow import placed
 from jaxvibro.graze import scales
@@ -212,7 +212,7 @@ def nearest(branch, other, place):
     for k in np.argsort(apart)[:8]:
         if not np.isfinite(apart[k]):
             break
-        spot = spot_of(other.data.isel(point=int(k)), other.name)
+        spot = spot_of(row_of(other.data, k), other.name)
         along, z = placed(other.scene.replace(**{other.name: spot.value}), other.name, spot)
         index, goal = len(z) - 1, value
         if hit.any() and abs(slopes).max() > abs(float(row["value_slope"])):

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.attractors import Attractor
-from jaxvibro.branch import Branch, Segment, special_of
+from jaxvibro.branch import Branch, Segment, row_of, special_of
 from jaxvibro.plot import path, style
 
 SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, jv.Motion(0.3, 0.5, 2))))
@@ -165,7 +165,7 @@ def branch(label="P111", periods=1, change=7):
     segments = (Segment(0, change - 1, label, ("RL",)), Segment(change, 8, "P112", ("RLR",)))
     kinds = {"EP": 0, "SN": 3, "PD": 6, "fast": 8}
     special = [
-        special_of(FREE, "amplitude", (0, 9), place, data.isel(point=place), kind, 0.0) for kind, place in kinds.items()
+        special_of(FREE, "amplitude", (0, 9), place, row_of(data, place), kind, 0.0) for kind, place in kinds.items()
     ]
     return Branch("amplitude", (0.0, 9.0), FREE, data, segments, tuple(special), ("", ""), {})
 
