@@ -1,12 +1,14 @@
-"""The equations of a periodic orbit along one parameter of the scene, as `continuation` takes them.
+"""The equations of a periodic orbit along parameters of the scene, as `continuation` takes them.
 
-An orbit with impacts: z = (times, speeds, parameter), see `cycle`. One without: z = (x, v at the section, parameter).
+An orbit with impacts: z = (times, speeds, parameters), see `cycle`. One without: z = (x, v at the section, parameters).
+A branch has one parameter, a locus (see `crossing`) two.
 """
 
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from continuation.arclength import bordered
 from continuation.problem import Problem, Test
@@ -19,17 +21,24 @@ from .scene import Scene
 
 
 class Along(NamedTuple):
-    """What a branch is of. scene: its numbers but for the parameter; which: the scene's tree with True where the
-    parameter stands; cycle: sides, phase and periods; its times and speeds are not used."""
+    """What a branch is of. scene: its numbers but for the parameters; which: the scene's tree with 1 where the first
+    parameter stands, 2 the second, else 0; cycle: sides, phase and periods; its times and speeds are not used."""
 
     scene: Scene
     which: Scene
     cycle: Cycle
 
 
-def there(along, value):
-    """The scene at a value of the parameter."""
-    return jax.tree.map(lambda leaf, mark: jnp.where(mark, value, leaf), along.scene, along.which)
+def there(along, z):
+    """The scene at z."""
+    values = z[2 * len(along.cycle.sides) or 2 :]
+
+    def put(leaf, mark):
+        for k in range(len(values)):
+            leaf = jnp.where(mark == k + 1, values[k], leaf)
+        return leaf
+
+    return jax.tree.map(put, along.scene, along.which)
 
 
 def cycle_at(along, z):
@@ -39,27 +48,30 @@ def cycle_at(along, z):
 
 
 @jax.jit
-def _impacts(z, along):
+def impacts(z, along):
     """(F, its `ring.Ring`)."""
-    given = cycle_at(along, z)
+    given, free = cycle_at(along, z), 2 * len(along.cycle.sides)
 
-    def at(value):
-        return cycle.equations(frame(there(along, value)), given)
+    def at(values):
+        return cycle.equations(frame(there(along, jnp.concatenate([z[:free], values]))), given)
 
-    (value, slopes), (by, _) = jax.jvp(at, (z[-1],), (jnp.ones_like(z[-1]),))
-    return value, ring.of(slopes, by)
+    by = []
+    for unit in np.eye(len(z) - free):
+        (value, slopes), (change, _) = jax.jvp(at, (z[free:],), (jnp.asarray(unit, z.dtype),))
+        by.append(change)
+    return value, ring.of(slopes, jnp.stack(by, 1))
 
 
 def _plain(z, along):
     """(F, dF/dz); an empty row's unknowns are to be zero."""
-    value, slopes = _impacts(z, along)
+    value, slopes = impacts(z, along)
     empty = jnp.tile(along.cycle.sides == 0, 2)
-    return jnp.where(empty, z[:-1], value), ring.dense(slopes)
+    return jnp.where(empty, z[: len(value)], value), ring.dense(slopes)
 
 
 def _flip(z, along):
-    built, given = frame(there(along, z[-1])), cycle_at(along, z)
-    return ring.dense(ring.of(cycle.equations(built, given)[1]), -1.0)[:, :-1]
+    built, given = frame(there(along, z)), cycle_at(along, z)
+    return ring.dense(ring.of(cycle.equations(built, given)[1]), -1.0)
 
 
 @jax.jit
@@ -67,7 +79,7 @@ def _free(z, along):
     """(F, dF/dz): what a flight over the periods leaves to be periodic."""
 
     def values(z):
-        scene, turns = there(along, z[-1]), along.cycle
+        scene, turns = there(along, z), along.cycle
         span = turns.periods * 2.0 * jnp.pi / scene.frequency
         force = scene.amplitude * jnp.cos(turns.phase), scene.amplitude * jnp.sin(turns.phase)
         x, v = flow.flown(flow.responses(scene.frequency, scene.damping, span), *force, z[0], z[1])
@@ -76,7 +88,7 @@ def _free(z, along):
     return values(z), jax.jacfwd(values)(z)
 
 
-IMPACTS = Problem(_impacts, ring.bordered, _plain, (Test("PD", _flip),), one_kernel)
+IMPACTS = Problem(impacts, ring.bordered, _plain, (Test("PD", _flip),), one_kernel)
 FREE = Problem(_free, bordered, _free, (), one_kernel)
 
 

@@ -24,19 +24,22 @@ LONGEST = 0.1  # of a drive period: the largest change of a time in one of Newto
 
 class Cycle(NamedTuple):
     """Impacts in order of travel. times: since the drive was at the section's phase; speeds: abs(y- - v_b), both
-    (rows,); sides: -1, +1, 0 an empty row; phase: the section's, rad; periods: the number of drive periods."""
+    (rows,); sides: -1, +1, 0 an empty row; phase: the section's, rad; periods: the number of drive periods. turn: 1, or
+    -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None is 1."""
 
     times: jax.Array
     speeds: jax.Array
     sides: jax.Array
     phase: jax.Array
     periods: jax.Array
+    turn: jax.Array | None = None
 
 
 class Flights(NamedTuple):
     """The flight that follows each impact: its time; x, v, and the drive's cosine and sine at its start; x and v at its
-    end; the `flow.responses`' matrix; the row of the impact at its end; and of the impact at its start: the wall's
-    position, velocity, acceleration, R, the speed, and the accelerations of the mass before and after it."""
+    end; the `flow.responses`' matrix; the row of the impact at its end, and -1 where that is met as its mirror image,
+    else 1; and of the impact at its start: the wall's position, velocity, acceleration, R, the speed, and the
+    accelerations of the mass before and after it."""
 
     time: jax.Array
     x: jax.Array
@@ -47,6 +50,7 @@ class Flights(NamedTuple):
     end_v: jax.Array
     matrix: tuple[jax.Array, jax.Array, jax.Array]
     follows: jax.Array
+    sign: jax.Array
     pace: jax.Array
     bend: jax.Array
     bounce: jax.Array
@@ -61,6 +65,7 @@ def flights(frame, cycle):
     sides, rows = cycle.sides, jnp.arange(len(cycle.sides))
     last = jnp.sum(sides != 0) - 1
     follows = jnp.where(rows < last, rows + 1, 0)
+    sign = jnp.where(rows == last, 1.0 if cycle.turn is None else cycle.turn, 1.0)
     angle = cycle.phase + frame.frequency * cycle.times
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     zero = jnp.zeros_like(angle)
@@ -75,7 +80,7 @@ def flights(frame, cycle):
     end_x, end_v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, where, v)
     before, after = (accelerations(frame, where, each, cosine, sine)[0] for each in (pace + closing, v))
     return Flights(
-        time, where, v, cosine, sine, end_x, end_v, free, follows, pace, bend, bounce, closing, before, after
+        time, where, v, cosine, sine, end_x, end_v, free, follows, sign, pace, bend, bounce, closing, before, after
     )
 
 
@@ -94,15 +99,20 @@ def equations(frame, cycle, found=None):
     found: the cycle's `Flights` where they are known.
     """
     found, sides = flights(frame, cycle) if found is None else found, cycle.sides
-    hit, aim = sides != 0, sides[found.follows]
+    hit = sides != 0
+
+    def ahead(values):
+        return found.sign * values[found.follows]
+
+    aim = ahead(sides)
     p00, p01, p11 = found.matrix
     shear, lost, push = found.bend - found.after, found.bounce * found.closing, -found.bounce * sides
-    speed = found.end_v - found.pace[found.follows]
-    pull, _ = accelerations(frame, found.end_x, found.end_v, found.cosine[found.follows], found.sine[found.follows])
-    gap = found.end_x - found.x[found.follows]
+    speed = found.end_v - ahead(found.pace)
+    pull, _ = accelerations(frame, found.end_x, found.end_v, ahead(found.cosine), ahead(found.sine))
+    gap = found.end_x - ahead(found.x)
     excess = aim * speed - cycle.speeds[found.follows]
     own = (p00 * lost + p01 * shear, push * p01), (aim * (p11 * shear - p01 * lost), aim * push * p11)
-    following = speed, aim * (pull - found.bend[found.follows])
+    following = speed, aim * (pull - ahead(found.bend))
     values = jnp.where(jnp.tile(hit, 2), jnp.concatenate([gap, excess]), 0.0)
     return values, Slopes(own, following, jnp.sum(hit) - 1)
 

@@ -35,12 +35,13 @@ def bounds_of(scene, name, bounds):
     return float(given[0]), float(given[1])
 
 
-def marked(scene, name):
-    """(the scene with a number of its own at the parameter, the same tree with True there alone)."""
-    value = scene.parameter(name)
-    own = changed(scene, {name: value})
-    blank = jax.tree.map(lambda leaf: np.False_, own)
-    return own, changed(blank, {name: np.True_})
+def marked(scene, *names):
+    """(the scene with numbers of its own at the parameters, the same tree with 1 at the first, 2 at the second, else
+    0)."""
+    for name in names:
+        scene = changed(scene, {name: scene.parameter(name)})
+    marks = jax.tree.map(lambda leaf: np.int32(0), scene)
+    return scene, changed(marks, {name: np.int32(k) for k, name in enumerate(names, 1)})
 
 
 def scene_length(scene):

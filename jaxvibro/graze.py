@@ -17,7 +17,6 @@ from continuation.arclength import Control, Point
 
 from . import cycle, passes
 from .along import Along, cycle_at, problem, there
-from .cycle import Cycle
 from .frame import frame
 from .lanes import one_kernel
 from .look import Look, flight, looked
@@ -50,22 +49,22 @@ class Exit(NamedTuple):
 
 
 def scales(along, length):
-    """The weights of z: times as they are and speeds over the scene's length, their mean square over the impacts; the
-    parameter over the length where it is one."""
+    """The weights of z: times as they are and speeds over the scene's length, their mean square over the impacts;
+    parameters over the length where they are one."""
     rows = len(along.cycle.sides)
     share = 1.0 / max(1.0, np.sqrt(np.sum(along.cycle.sides != 0)))
     hit = np.asarray(along.cycle.sides != 0, float) * share
     own = np.concatenate([hit, hit / length]) if rows else np.ones(2) / length
-    return np.append(own, 1.0 / parameter_scale(along, length))
+    count = max(int(mark) for mark in jax.tree.leaves(along.which))
+    return np.append(own, [1.0 / _parameter_scale(along.which, k, length) for k in range(1, count + 1)])
 
 
-def parameter_scale(along, length):
-    """The scene's length where the parameter is a length, else 1."""
-    marks = along.which
+def _parameter_scale(marks, k, length):
+    """The scene's length where a parameter is a length, else 1."""
     walls = [wall for wall in (marks.left, marks.right) if wall is not None]
     lengths = [marks.amplitude, *(wall.position for wall in walls)]
     lengths += [wall.motion.amplitude for wall in walls if wall.motion is not None]
-    return length if any(bool(mark) for mark in lengths) else 1.0
+    return length if any(mark == k for mark in lengths) else 1.0
 
 
 @jax.jit
@@ -77,7 +76,7 @@ def _met(y, along, row, wall):
     """(distance, speed, acceleration) towards a wall of the flight after a row; y = (z, the time since its start)."""
     z, late = y[:-1], y[-1]
     if len(along.cycle.sides):
-        built = frame(there(along, z[-1]))
+        built = frame(there(along, z))
         found = cycle.flights(built, cycle_at(along, z))
     else:
         built, found = flight(along, z)
@@ -144,7 +143,7 @@ def is_pressed(along, z, there_are):
 
 def flight_times(along, z):
     """How long each flight is, (rows,); of an orbit without impacts its periods, (1,)."""
-    scene, turns = there(along, z[-1]), along.cycle
+    scene, turns = there(along, z), along.cycle
     span = float(turns.periods) * 2.0 * np.pi / float(scene.frequency)
     rows = len(turns.sides)
     if not rows:
@@ -210,7 +209,7 @@ def _listed(along, z, met, included):
 def _left_out(along, z, listed, kept):
     """(row, wall, time since that row's impact) of each touch that is no impact."""
     walls, found = wall_sides(along.scene), []
-    span = float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z[-1]).frequency)
+    span = float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z).frequency)
     place = len(kept) - 1  # what is before the first is after the last
     for one in listed:
         if one.kept:
@@ -227,7 +226,8 @@ def padded(along, impacts):
     columns = np.zeros((3, rows))
     for k, one in enumerate(impacts):
         columns[:, k] = one
-    return Cycle(*columns, *(np.asarray(each, float) for each in along.cycle[3:]))
+    times, speeds, sides = columns
+    return along.cycle._replace(times=times, speeds=speeds, sides=sides)
 
 
 def free_start(along, value):

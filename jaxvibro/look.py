@@ -61,7 +61,7 @@ def _each(along, zs, count, one, periods):
 
 def hitting(along, z, periods):
     """The `Look` at one point of orbits with impacts."""
-    built, given = frame(there(along, z[-1])), cycle_at(along, z)
+    built, given = frame(there(along, z)), cycle_at(along, z)
     found = cycle.flights(built, given)
     x, v = cycle.at(built, given, found, built.period * jnp.arange(periods))
     clear = passes.clearances(built, found, passes.samples(built, found))
@@ -79,7 +79,7 @@ def _free(along, z, periods):
 
 def flight(along, z):
     """(`Frame`, the one flight) of an orbit without impacts: over a little more than its periods."""
-    built, turns = frame(there(along, z[-1])), along.cycle
+    built, turns = frame(there(along, z)), along.cycle
     span = jnp.reshape(OVERLAP * turns.periods * built.period, 1)
     start = (jnp.reshape(each, 1) for each in (z[0], z[1], jnp.cos(turns.phase), jnp.sin(turns.phase)))
     return built, passes.Flight(span, *start)

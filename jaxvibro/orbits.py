@@ -7,12 +7,12 @@ periods, those with the nearest ends and some at random, is a guess of the impac
 from dataclasses import replace
 
 import jax.numpy as jnp
+import jax
 import numpy as np
 
 from continuation import newton
 
 from . import check, flow
-from .cycle import Cycle
 from .entry import CAP
 from .meetings import is_symmetric, meetings, mirrored
 from .orbit import OrbitError
@@ -160,7 +160,7 @@ def _distinct(scene, stretches):
             some = guesses[first : first + LANES]
             some += [some[-1]] * (LANES - len(some))
             cycles = [padded(scene, *guess, 0.0, periods) for guess in some]
-            found, solved = solutions(scene, Cycle(*(np.stack(each) for each in zip(*cycles, strict=True))))
+            found, solved = solutions(scene, jax.tree.map(lambda *each: np.stack(each), *cycles))
             good = (solved.status == newton.OK) & (found.speeds[:, :count] > 0).all(axis=1)
             for k in np.flatnonzero(good):
                 times, speeds, sides = (each[k, :count] for each in found[:3])

@@ -1,8 +1,8 @@
 """Linear systems of a cycle: two equations and two unknowns an impact, each row with its own unknowns and the next's.
 
-With one parameter more and one row more (a border) they are solved by Givens' rotations, impact by impact: the unknowns
-of one after the other are left to those of the first and the parameter, where the circle closes. Nothing is divided by
-the speeds, so that a branch can go through speed zero.
+With some parameters more and as many rows more (a border) they are solved by Givens' rotations, impact by impact: the
+unknowns of one after the other are left to those of the first and the parameters, where the circle closes. Nothing is
+divided by the speeds, so that a branch can go through speed zero.
 """
 
 from typing import NamedTuple
@@ -15,8 +15,8 @@ from continuation.linear import Eliminated, solve
 
 
 class Ring(NamedTuple):
-    """own: (rows, 2, 2), each row's derivative by its own time and speed; following: by the next row's; by: (rows, 2),
-    by the parameter; last: the row whose next is the first; those after it are empty."""
+    """own: (rows, 2, 2), each row's derivative by its own time and speed; following: by the next row's; by:
+    (rows, 2, p), by the parameters; last: the row whose next is the first; those after it are empty."""
 
     own: jax.Array
     following: jax.Array
@@ -25,30 +25,33 @@ class Ring(NamedTuple):
 
 
 def of(slopes, by=None):
-    """The `Ring` of the `Slopes` of `cycle.equations`, and of their derivative by the parameter, None for none."""
+    """The `Ring` of the `Slopes` of `cycle.equations`, and of their derivative by p parameters, (2 rows, p), None for
+    none."""
     own = jnp.stack([jnp.stack(pair, 1) for pair in slopes.own], 1)
     e, f = slopes.following
     zero = jnp.zeros_like(e)
     following = jnp.stack([jnp.stack([e, zero], 1), jnp.stack([f, zero - 1.0], 1)], 1)
-    by = jnp.zeros(2 * len(e), e.dtype) if by is None else by
+    by = jnp.zeros((2 * len(e), 0), e.dtype) if by is None else by
     return Ring(own, following, _pairs(by, len(e)), slopes.last)
 
 
 @jax.jit
-def bordered(ring, row, right):
-    """The ring's equations, then one row, for times, speeds and parameter: `linear.Eliminated`.
+def bordered(ring, border, right):
+    """The ring's equations, then the border's rows, for times, speeds and parameters: `linear.Eliminated`.
 
-    row: (2 rows + 1,); right: (2 rows + 1, k), empty rows zero.
+    border: (p, 2 rows + p), or (2 rows + 1,) for one parameter; right: (2 rows + p, k), empty rows zero.
     """
-    rows = len(ring.own)
-    blocks = jnp.concatenate([ring.own, ring.following, ring.by[:, :, None], _pairs(right, rows)], 2)
-    edges = jnp.concatenate([_pairs(row[:, None], rows)[..., 0], jnp.zeros((rows, blocks.shape[2] - 2))], 1)
-    corner = edges[0].at[4:].set(jnp.concatenate([row[-1:], right[-1]]))
+    rows, size = len(ring.own), ring.by.shape[2]
+    border = border.reshape(size, -1)
+    blocks = jnp.concatenate([ring.own, ring.following, ring.by, _pairs(right, rows)], 2)
+    edges = jnp.stack([border[:, :rows].T, border[:, rows : 2 * rows].T], 2)
+    blank = jnp.zeros((size, 2), blocks.dtype)
+    corner = jnp.concatenate([edges[0], blank, border[:, 2 * rows :], right[2 * rows :]], 1)
     relation, corner, product, kept = _reduced(blocks, edges, corner, ring.last)
-    table = jnp.concatenate([relation, corner[None]])
-    small = jnp.concatenate([table[:, :2] + table[:, 2:4], table[:, 4:5]], 1)
-    found = solve(small, table[:, 5:])
-    pairs = _back(kept, found.x[:2], found.x[2], ring.last)
+    table = jnp.concatenate([relation, corner])
+    small = jnp.concatenate([table[:, :2] + table[:, 2:4], table[:, 4 : 4 + size]], 1)
+    found = solve(small, table[:, 4 + size :])
+    pairs = _back(kept, found.x[:2], found.x[2:], ring.last)
     x = jnp.concatenate([pairs[:, 0], pairs[:, 1], found.x[2:]])
     return Eliminated(x, found.worst, product * found.determinant)
 
@@ -56,15 +59,15 @@ def bordered(ring, row, right):
 def determinant(ring, turn):
     """The determinant of the equations by times and speeds where what comes after the last impact is the first's times
     a number: 1 for the equations themselves, -1 for a cycle that changes its sign each time round."""
-    blocks = jnp.concatenate([ring.own, ring.following, ring.by[:, :, None]], 2)
-    edges = jnp.zeros((len(blocks), 5), blocks.dtype)
-    (a, b), _, product, _ = _reduced(blocks, edges, edges[0], ring.last)
+    blocks = jnp.concatenate([ring.own, ring.following], 2)
+    none = jnp.zeros((0, 4), blocks.dtype)
+    (a, b), _, product, _ = _reduced(blocks, jnp.zeros((len(blocks), 0, 2), blocks.dtype), none, ring.last)
     a, b = a[:2] + turn * a[2:4], b[:2] + turn * b[2:4]
     return product * (a[0] * b[1] - a[1] * b[0])
 
 
 def dense(ring, turn=1.0):
-    """The equations' derivative as a matrix (2 rows, 2 rows + 1), as `determinant` takes it; 1 for an empty unknown."""
+    """The equations' derivative as a matrix (2 rows, 2 rows + p), as `determinant` takes it; 1 for an empty unknown."""
     rows = len(ring.own)
     place = jnp.arange(rows)
     hit = place <= ring.last
@@ -76,8 +79,8 @@ def dense(ring, turn=1.0):
     following = jnp.where(hit[:, None, None], ring.following, 0.0)
     whole = near[:, None, None, :] * own[..., None] + after[:, None, None, :] * following[..., None]
     matrix = whole.transpose(1, 0, 2, 3).reshape(2 * rows, 2 * rows)
-    by = jnp.where(hit[:, None], ring.by, 0.0)
-    return jnp.concatenate([matrix, by.T.reshape(2 * rows, 1)], 1)
+    by = jnp.where(hit[:, None, None], ring.by, 0.0)
+    return jnp.concatenate([matrix, by.transpose(1, 0, 2).reshape(2 * rows, -1)], 1)
 
 
 def _pairs(flat, rows):
@@ -86,10 +89,10 @@ def _pairs(flat, rows):
 
 
 def _reduced(blocks, edges, corner, last):
-    """All unknowns eliminated but the first's: (the last relation, the border's row, the product of the pivots, and the
-    rows that give the others back).
+    """All unknowns eliminated but the first's: (the last relation, the border's rows, the product of the pivots, and
+    the rows that give the others back).
 
-    A row has columns of the first unknowns (2), of those after the present ones (2), of the parameter, right sides.
+    A row has columns of the first unknowns (2), of those after the present ones (2), of parameters, right sides.
     """
 
     def eliminate(carry, given):
@@ -99,15 +102,14 @@ def _reduced(blocks, edges, corner, last):
         above = jnp.concatenate([relation[:, 2:4], relation[:, :2], none, relation[:, 4:]], 1)
         below = jnp.concatenate([block[:, :2], none, block[:, 2:]], 1)
         top, rest = _rotated(above, below)
-        low = jnp.concatenate([corner[2:4] + edge[:2], corner[:2], none[0], corner[4:]])
+        low = jnp.concatenate([corner[:, 2:4] + edge, corner[:, :2], jnp.zeros_like(edge), corner[:, 4:]], 1)
         for k in (0, 1):
-            low = low - (low[k] / top[k, k]) * top[k]
-        pivots = top[0, 0] * top[1, 1]
+            low = low - (low[:, k : k + 1] / top[k, k]) * top[k]
         there = place <= last
-        new = rest[:, 2:], low[2:], product * pivots
+        new = rest[:, 2:], low[:, 2:], product * (top[0, 0] * top[1, 1])
         return jax.tree.map(lambda new, old: jnp.where(there, new, old), new, carry), top
 
-    carry = blocks[0], corner, jnp.ones_like(corner[0])
+    carry = blocks[0], corner, jnp.ones_like(blocks[0, 0, 0])
     (relation, corner, product), kept = lax.scan(eliminate, carry, (jnp.arange(1, len(blocks)), blocks[1:], edges[1:]))
     return relation, corner, product, kept
 
@@ -124,12 +126,13 @@ def _rotated(above, below):
     return jnp.stack(rows[:2]), jnp.stack(rows[2:])
 
 
-def _back(kept, first, parameter, last):
-    """All unknowns, (rows, 2, k), from the first's (2, k) and the parameter's (k,)."""
+def _back(kept, first, parameters, last):
+    """All unknowns, (rows, 2, k), from the first's (2, k) and the parameters' (p, k)."""
+    size = len(parameters)
 
     def back(after, given):
         place, top = given
-        right = top[:, 7:] - top[:, 2:4] @ first - top[:, 4:6] @ after - top[:, 6:7] * parameter
+        right = top[:, 6 + size :] - top[:, 2:4] @ first - top[:, 4:6] @ after - top[:, 6 : 6 + size] @ parameters
         speed = right[1] / top[1, 1]
         found = jnp.stack([(right[0] - top[0, 1] * speed) / top[0, 0], speed])
         there = place <= last

@@ -107,7 +107,7 @@ _known = jax.jit(_measured)
 
 
 def _described(scene, found, count, length):
-    times, speeds, sides, phase, periods = found.cycle
+    times, speeds, sides, phase, periods = found.cycle[:5]
     clear = float(found.calls[0][:count].min(initial=np.inf))
     rows = times[:count], sides[:count].astype(np.int8), speeds[:count]
     impacts = Impacts(*rows, count, float(rows[2].min()), clear, OK)
@@ -169,7 +169,7 @@ def _refuse_passing(scene, found, count):
 
 def _refuse_uncertain(scene, found, count, length):
     """Refuse what certified flights from each impact do not confirm."""
-    times, _, sides, phase, _ = found.cycle
+    times, _, sides, phase = found.cycle[:4]
     flights, follows = found.flights, found.flights.follows[:count]
     starts = State(
         flights.x[:count],
@@ -217,7 +217,7 @@ def guessed(scene, itinerary, state, fast):
     speeds = fast * rng.random(times.shape)
     sides = np.broadcast_to([1.0 if side == "R" else -1.0 for side in flat], times.shape)
     rows = [padded(scene, *each, state.phase, periods) for each in zip(times, speeds, sides, strict=True)]
-    found, solved = solutions(scene, Cycle(*(np.stack(each) for each in zip(*rows, strict=True))))
+    found, solved = solutions(scene, jax.tree.map(lambda *each: np.stack(each), *rows))
     why = OrbitError("no guess leads to a solution with this itinerary", np.nan, "give a state near the orbit")
     seen, orbits = set(), []
     for k in np.flatnonzero(solved.status == newton.OK):

@@ -42,7 +42,9 @@ def told(scene, spot):
     if len(spot.times):
         return by_section(scene, spot.times, spot.speeds, spot.sides, spot.periods, spot.residual)
     blank = np.zeros(0)
-    along = Along(scene, jax.tree.map(lambda leaf: np.False_, scene), Cycle(*[blank] * 3, *_numbers(0.0, spot.periods)))
+    along = Along(
+        scene, jax.tree.map(lambda leaf: np.int32(0), scene), Cycle(*[blank] * 3, *_numbers(0.0, spot.periods))
+    )
     look = looked(along, np.array([[spot.x, spot.v, spot.value]]))
     clear = float(look.clear.min(initial=np.inf))
     impacts = Impacts(blank, blank.astype(np.int8), blank, 0, np.inf, clear, OK)
