@@ -32,6 +32,8 @@ _HOMES = {
     "extend": "switch",
     "Branch": "branch",
     "load_branch": "branch",
+    "locus": "locus",
+    "Locus": "locus",
     "sweep": "sweep",
     "find_attractors": "attractors",
     "run": "run",

@@ -4,6 +4,7 @@ An orbit with impacts: z = (times, speeds, parameters), see `cycle`. One without
 A branch has one parameter, a locus (see `crossing`) two.
 """
 
+from functools import singledispatch
 from typing import NamedTuple
 
 import jax
@@ -27,6 +28,16 @@ class Along(NamedTuple):
     scene: Scene
     which: Scene
     cycle: Cycle
+
+    @property
+    def hits(self):
+        """The rows of impacts, whose speeds are to be positive."""
+        return np.flatnonzero(self.cycle.sides != 0)
+
+    @property
+    def slack(self):
+        """How deep behind a wall a flight may be, as a touch that is meant is found with a rounding."""
+        return 0.0
 
 
 def there(along, z):
@@ -92,6 +103,7 @@ IMPACTS = Problem(impacts, ring.bordered, _plain, (Test("PD", _flip),), one_kern
 FREE = Problem(_free, bordered, _free, (), one_kernel)
 
 
+@singledispatch
 def problem(along):
-    """The `Problem` of the orbits of an `Along`."""
+    """The `Problem` of what is followed: of the orbits of an `Along`."""
     return IMPACTS if len(along.cycle.sides) else FREE

@@ -11,6 +11,7 @@ from .branch import Branch, Segment, row_of, special_of, spot_of
 from .meetings import is_symmetric
 from .orbit import MARGIN, roots
 from .piece import Piece
+from .rows import joined, turned
 from .told import Spot, itinerary
 
 SAME = 1e-6  # of speeds and times over the period: two orbits as near are one
@@ -70,20 +71,17 @@ def _widened(data, widest):
 def _turned(one):
     """A piece from its end to its start."""
     last = len(one.points.z) - 1
-    points, look = (type(each)(*(leaf[::-1] for leaf in each)) for each in (one.points, one.look))
+    points = turned(one.points)
     marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
-    return Piece(one.along, points._replace(tangent=-points.tangent), look, marks, one.why)
+    return Piece(one.along, points._replace(tangent=-points.tangent), turned(one.look), marks, one.why)
 
 
 def _glued(one, other):
     """Two pieces of the same orbits, the second beginning where the first ends."""
     last = len(one.points.z) - 1
-
-    def both(first, second):
-        return type(first)(*(np.concatenate([a, b[1:]]) for a, b in zip(first, second, strict=True)))
-
     marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
-    return Piece(one.along, both(one.points, other.points), both(one.look, other.look), marks, other.why)
+    points, look = joined([one.points, other.points]), joined([one.look, other.look])
+    return Piece(one.along, points, look, marks, other.why)
 
 
 def _told(scene, name, bounds, pieces):
@@ -181,7 +179,7 @@ def _special(scene, name, bounds, mark, place, row):
     kind = mark.kind
     if kind == "BP" and is_symmetric(scene):
         spot = spot_of(row, name)
-        kind = "SB" if _is_own_image(spot, _frequency(scene, name, spot.value)) else kind
+        kind = "SB" if is_own_image(spot, _frequency(scene, name, spot.value)) else kind
     joins = [_joined(way) for way in mark.exits]
     return special_of(scene, name, bounds, place, row, kind, mark.residual, joins, mark.aside)
 
@@ -204,7 +202,7 @@ def _joined(way):
     )
 
 
-def _is_own_image(spot, frequency):
+def is_own_image(spot, frequency):
     """Whether an orbit is its own mirror image."""
     period = 2.0 * np.pi / frequency
     span = spot.periods * period

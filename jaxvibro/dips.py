@@ -52,6 +52,5 @@ def _dip(along, points, after, columns, control):
 
 def _values(along, zs, look):
     """Clearances, then speeds: (points, values)."""
-    rows, hit = len(along.cycle.sides), np.flatnonzero(along.cycle.sides != 0)
-    speeds = zs[:, rows + hit] if rows else zs[:, :0]
+    speeds = zs[:, len(along.cycle.sides) + along.hits]
     return np.concatenate([look.clear.reshape(len(zs), -1), speeds], axis=1)

@@ -270,7 +270,5 @@ def _exit(along, z, out, sign, length, included):
 def admissible(along, zs, look):
     """Which points keep to their walls and hit them with positive speed: (points,)."""
     zs = np.atleast_2d(zs)
-    rows = len(along.cycle.sides)
-    hit = np.flatnonzero(along.cycle.sides != 0)
-    fast = (zs[:, rows + hit] > 0).all(axis=1) if rows else np.full(len(zs), True)
-    return fast & (look.clear >= 0).all(axis=(1, 2)) & np.isfinite(zs).all(axis=1)
+    fast = (zs[:, len(along.cycle.sides) + along.hits] > 0).all(axis=1)
+    return fast & (look.clear >= -along.slack).all(axis=(1, 2)) & np.isfinite(zs).all(axis=1)

@@ -6,8 +6,8 @@ periods, those with the nearest ends and some at random, is a guess of the impac
 
 from dataclasses import replace
 
-import jax.numpy as jnp
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from continuation import newton

@@ -95,13 +95,13 @@ def _part(along, points, status, asked):
         why = {"GR": GRAZE, "CH": REST}[last[0].kind] if last else STEP
     loop = _met(along, points, asked)
     if loop is not None:
-        points, last, why = _cut(along, points, *loop, control), [], CLOSED
+        points, last, why = cut_at(along, points, *loop, control), [], CLOSED
     if len(points.z) != size or last or loop is not None:
         look = looked(along, points.z)
     marks = _events(along, points, look, control)
     for kind, function in asked.monitors.items():
         marks += crossings(along, points, look, kind, function, control)
-    points, placed = _inserted(along, points, sorted(marks, key=lambda one: one[:2]), control)
+    points, placed = inserted(along, points, sorted(marks, key=lambda one: one[:2]), control)
     placed += [one._replace(place=len(points.z) - 1) for one in last]
     stops = [one.place for one in placed if one.kind in asked.stop]
     if stops:
@@ -121,6 +121,18 @@ def _joined(along, parts):
 
 def _to_graze(along, points, look, bad, asked):
     """(the points up to the grazing before the first bad one, [its `Mark`]); without a mark where none is found."""
+    points, residual = to_touch(along, points, look, bad, asked)
+    if residual is None:
+        return points, []
+    z = points.z[-1]
+    met, ways = exits(along, z, asked.length)
+    kind = "CH" if len(ways) < 2 and is_pressed(along, z, met) else "GR"
+    return points, [Mark(0, kind, residual, tuple(met), tuple(ways))]
+
+
+def to_touch(along, points, look, bad, asked):
+    """(the points up to the touch before the first bad one, the largest error left there); those before, and None,
+    where none is found."""
     good, length = at(points, bad - 1), float(points.step[bad])
     there, seen, low, high = at(points, bad), at(look, bad), 0.0, length
     for _ in range(HALVES):
@@ -137,23 +149,18 @@ def _to_graze(along, points, look, bad, asked):
             high, there, seen = 0.5 * (low + high), middle, at(view, 0)
     cut = upto(points, bad)
     if found is None:
-        return cut, []
+        return cut, None
     z, residual = found
-    one = _placed(along, points, bad - 1, z, asked.control)
-    met, ways = exits(along, z, asked.length)
-    kind = "CH" if len(ways) < 2 and is_pressed(along, z, met) else "GR"
-    mark = Mark(0, kind, residual, tuple(met), tuple(ways))
-    return put(cut, bad, one), [mark]
+    return put(cut, bad, pointed(along, points, bad - 1, z, asked.control)), residual
 
 
 def _first_touch(along, good, there, seen, low, high, asked):
     """(z, residual) of the first touch between two lengths from a good point, None where it is not found, or another is
     before it. there, seen: the point at the second length."""
-    task, rows = problem(along), len(along.cycle.sides)
-    hit = np.flatnonzero(along.cycle.sides != 0)
+    task, rows, hit = problem(along), len(along.cycle.sides), along.hits
     middle = 0.5 * (good.z + there.z)
     square, found = asked.control.scale**2, []
-    for row in hit if rows else ():
+    for row in hit:
         if there.z[rows + row] <= 0:
             found.append(_pinned(task, middle, int(rows + row), 0.0, asked, along))
     if not found or not (there.z[rows + hit] <= 0).any():
@@ -181,7 +188,7 @@ def _pinned(task, z, index, value, asked, along):
     return Located(one.z if one.met else None, float(one.residual))
 
 
-def _placed(along, points, after, z, control):
+def pointed(along, points, after, z, control):
     """A `Point` with this z, its tangent and determinant taken on the branch there."""
     here = at(points, after)
     length = float(np.sum(control.scale**2 * here.tangent * (z - here.z)))
@@ -193,18 +200,24 @@ def _placed(along, points, after, z, control):
 
 def _to_bound(along, points, asked):
     """(the points, the last one on the bound that was passed, why)."""
-    control, last = asked.control, len(points.z) - 1
+    control = asked.control
     value = control.low if points.z[-1, -1] < control.low else control.high
-    (p, q) = points.z[-2:, -1]
+    points, there = to_value(along, points, len(points.z) - 1, -1, value, asked)
+    why = DOMAIN if value in asked.domain else BOUND
+    return points, why if there else STEP
+
+
+def to_value(along, points, last, index, value, asked):
+    """(the points up to where one of the numbers of z, before a place, has a value, whether it was found)."""
+    (p, q) = points.z[last - 1 : last + 1, index]
     share = (value - p) / (q - p)
-    guess = between(along, points, last - 1, share * float(points.step[-1]), control)
-    guess = points.z[-2] + share * (points.z[-1] - points.z[-2]) if guess is None else guess.z
-    found = _pinned(problem(along), guess, -1, value, asked, along)
+    guess = between(along, points, last - 1, share * float(points.step[last]), asked.control)
+    guess = points.z[last - 1] + share * (points.z[last] - points.z[last - 1]) if guess is None else guess.z
+    found = _pinned(problem(along), guess, index, value, asked, along)
     cut = upto(points, last)
     if found.z is None:
-        return cut, STEP
-    why = DOMAIN if value in asked.domain else BOUND
-    return put(cut, last, _placed(along, points, last - 1, found.z, control)), why
+        return cut, False
+    return put(cut, last, pointed(along, points, last - 1, found.z, asked.control)), True
 
 
 def _met(along, points, asked):
@@ -213,7 +226,7 @@ def _met(along, points, asked):
     return follow.passes_mark(problem(along), points, marks, asked.control, along) if marks else None
 
 
-def _cut(along, points, after, length, control):
+def cut_at(along, points, after, length, control):
     """The points up to a length after one of them."""
     one = between(along, points, after, length, control)
     cut = upto(points, after + 1)
@@ -226,11 +239,11 @@ def _events(along, points, look, control):
     return [(one.after, one.length, one.kind, one.z, one.residual) for one in found]
 
 
-def _inserted(along, points, marks, control):
+def inserted(along, points, marks, control):
     """(the points with those of the marks among them, the `Mark`s)."""
     placed, done = [], {}
     for shift, (after, length, kind, z, residual) in enumerate(marks):
-        one = _placed(along, points, after + shift, z, control)
+        one = pointed(along, points, after + shift, z, control)
         points = put(points, after + shift + 1, one._replace(step=np.float64(length - done.get(after, 0.0))))
         done[after] = length
         placed.append(Mark(after + shift + 1, kind, residual))

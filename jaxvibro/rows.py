@@ -31,6 +31,11 @@ def joined(parts):
     return jax.tree.map(lambda *each: np.concatenate([each[0], *(one[1:] for one in each[1:])]), *parts)
 
 
+def turned(points):
+    """The rows in the other order."""
+    return jax.tree.map(lambda leaf: leaf[::-1], points)
+
+
 def between(along, points, after, length, control):
     """The `Point` a length after one of them, None where Newton's method does not come there."""
     one = follow.step(problem(along), at(points, after), length, control, along)

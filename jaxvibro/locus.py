@@ -1,0 +1,305 @@
+"""`locus`: a curve of special points in two parameters, with its points of codimension two."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import jax
+import numpy as np
+import xarray as xr
+
+from continuation.arclength import Control
+from continuation.follow import tangent
+
+from . import check
+from . import itinerary as words
+from .along import problem
+from .assemble import is_own_image
+from .branch import Special, row_of
+from .curve import Grazing, Singular
+from .cycle import Cycle
+from .domain import bounds_of, domain, marked, scene_length
+from .follow import SMALLEST, placed, point, settled
+from .graze import TOUCH, padded, scales, touches
+from .meetings import is_symmetric
+from .orbit import roots
+from .piece import CLOSED
+from .rows import between, joined, turned
+from .scene import Scene
+from .text import columns
+from .told import Spot, itinerary, told
+from .track import Bounded, tracked
+
+KINDS = ("SN", "PD", "SB", "GR")
+MEANINGS = {
+    "CP": "cusp",
+    "GPD": "generalized period doubling",
+    "DSB": "degenerate symmetry breaking",
+    "GR": "end on a grazing",
+    "GG": "two grazings",
+    "RG": "resonant grazing",
+    "EP": "end",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Codim2:
+    """A special point of a locus.
+
+    kind: CP (cusp), GPD (generalized period doubling), DSB (degenerate symmetry breaking), GR (an SN, PD or SB ends on
+    a grazing), GG (two grazings), RG (resonant grazing), SN, PD, SB (a grazing meets such a locus), EP (end).
+    values: the two parameters by name; multipliers: the larger first; place: among the locus' points; residual: the
+    largest error left in the point's equations; label, itinerary: of the orbit; scene: at the values.
+    """
+
+    kind: str
+    values: dict
+    multipliers: np.ndarray
+    place: int
+    residual: float
+    itinerary: tuple[str, ...]
+    scene: Scene = field(repr=False)
+    spot: Spot = field(repr=False)
+
+    @property
+    def label(self):
+        """P n p q of the orbit."""
+        return words.label(self.itinerary)
+
+    @cached_property
+    def orbit(self):
+        """The `Orbit` at the point; an impact may have no speed."""
+        return told(self.scene, self.spot)
+
+
+@dataclass(frozen=True, eq=False)
+class Locus:
+    """A curve of special points in two parameters.
+
+    kind: of the points, SN, PD, SB or GR; names: of the parameters; bounds: of each; scene: at the start; data: an
+    xarray.Dataset with a row a point, in order along the curve (see `jaxvibro.locus`); special: points of codimension
+    two and ends, in order; reasons: why it ends, at its first and at its last point.
+    """
+
+    kind: str
+    names: tuple[str, str]
+    bounds: dict
+    scene: Scene = field(repr=False)
+    data: xr.Dataset = field(repr=False)
+    special: tuple[Codim2, ...]
+    reasons: tuple[str, str]
+
+    def __repr__(self):
+        ends = " ".join(one.kind for one in self.special)
+        return f"Locus({self.kind} of {self.label} in {self.names[0]} and {self.names[1]}, {len(self)} points, {ends})"
+
+    def __len__(self):
+        return self.data.sizes["point"]
+
+    @property
+    def values(self):
+        """The two parameters at each point, (points, 2)."""
+        return np.stack([self.data[name].values for name in self.names], axis=1)
+
+    @property
+    def label(self):
+        """P n p q of the orbits."""
+        return self.special[0].label
+
+    @property
+    def reason(self):
+        """Why each end is one: {"first": ..., "last": ...}."""
+        return dict(zip(("first", "last"), self.reasons, strict=True))
+
+    def points(self, kind):
+        """The special points of a kind, a tuple."""
+        return tuple(one for one in self.special if one.kind == kind)
+
+    def orbit(self, place):
+        """The `Orbit` at one of the points, by its place along the locus."""
+        count = len(self)
+        if not -count <= place < count:
+            raise check.SceneError("place", f"must be a point of the locus, from 0 to {count - 1}", place)
+        spot, values = _spot_of(self.data, place, self.names)
+        return told(self.scene.replace(**values), spot)
+
+    def table(self):
+        """The special points as a text, a line each, and why the locus ends."""
+        rows = [("kind", *self.names, "orbit", "itinerary")]
+        for one in self.special:
+            walls = " ".join(word or "." for word in one.itinerary)
+            rows.append((one.kind, *(f"{value:.12g}" for value in one.values.values()), one.label, walls))
+        ends = [f"{end} point: {why}" for end, why in self.reason.items()]
+        return "\n".join([columns(rows), *ends])
+
+
+def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1e-12):
+    """The curve of a special point in two parameters of its scene: a `Locus`.
+
+    special: a `Special` of a branch, SN, PD, SB or GR; names: two parameters; bounds: {name: (low, high)} of both.
+    first_step, largest_step, tolerance: as in `follow`, lengths of (times, speeds, parameters).
+
+    Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
+    point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
+    doublings (GPD), degenerate symmetry breakings (DSB), ends on a grazing (GR), grazings of two impacts or walls at
+    once (GG), and on a GR where loci of SN, PD, SB come to it, or SN and PD in one point (RG, resonant grazing).
+
+    The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
+    multiplier_imag, least_speed, least_clearance, residual.
+
+    Raises SceneError for points of other kinds and arguments that cannot be.
+    """
+    if not isinstance(special, Special) or special.kind not in KINDS:
+        given = special.kind if isinstance(special, Special) else special
+        raise check.SceneError("special", f"must be a special point of kind {', '.join(KINDS)}", given)
+    names = _names(special.scene, names)
+    if not isinstance(bounds, dict) or set(bounds) != set(names):
+        raise check.SceneError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
+    bounds = {name: bounds_of(special.scene, name, bounds[name]) for name in names}
+    given = settled(first_step, largest_step, tolerance, (), ())
+    curve, z = _started(special, names)
+    length = scene_length(special.scene)
+    own = [domain(special.scene, name) for name in names]
+    box = [(max(low, least), min(high, most)) for (low, high), (least, most) in zip(bounds.values(), own, strict=True)]
+    only = tuple(
+        tuple(each for each in pair if each not in bounds[name]) for pair, name in zip(own, names, strict=True)
+    )
+    numbers = (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])
+    control = Control(scales(curve, length), *(np.float64(each) for each in numbers))
+    asked = Bounded(control, min(first_step, largest_step), names, tuple(box), only, length)
+    ahead = tangent(problem(curve), z, control.scale, curve)
+    z = _settled_at(curve, z, ahead, control)
+    on = tracked(curve, point(z, ahead), asked)
+    back = None if on.why == CLOSED else tracked(curve, point(z, -ahead), asked)
+    return _told(special, names, bounds, curve, back, on)
+
+
+def _names(scene, names):
+    pair = tuple(names) if isinstance(names, tuple | list) else ()
+    if len(pair) != 2 or pair[0] == pair[1]:
+        raise check.SceneError("names", "must be two different parameters of the scene", names)
+    for name in pair:
+        check.is_known(name, scene.names, name)
+    return pair
+
+
+def _started(special, names):
+    """(`Grazing` or `Singular`, z) at a special point. Raises SceneError."""
+    scene, spot = special.scene, special.spot
+    impacts = _impacts(special)
+    values = [float(scene.parameter(name)) for name in names]
+    flat, which = marked(scene, *names)
+    half = _is_half(special, names)
+    if special.kind == "SB" and not half:
+        raise check.SceneError("names", "must keep the scene symmetric: an SB is no point of another", names)
+    turn, periods = (-1.0, 0.5 * spot.periods) if half else (1.0, float(spot.periods))
+    if half:
+        impacts = impacts[: len(impacts) // 2]
+    blank = np.zeros(0)
+    numbers = (np.asarray(each) for each in (0.0, periods, turn))
+    seed = Singular(flat, which, Cycle(blank, blank, blank, *numbers), np.asarray(1.0))
+    cycle = padded(seed, impacts)
+    z = np.concatenate([cycle.times, cycle.speeds, values])
+    if special.kind != "GR":
+        closing = 1.0 if special.kind == "SN" else -1.0
+        return Singular(flat, which, cycle, np.asarray(closing)), z
+    length = scene_length(scene)
+    pick = np.where((cycle.sides != 0) & (cycle.speeds <= TOUCH * length), 1.0, 0.0)
+    if pick.sum() != 1:
+        raise check.SceneError("special", "must be a grazing of one impact: here are", int(pick.sum()))
+    return Grazing(flat, which, cycle, pick, np.asarray(TOUCH * length)), z
+
+
+def _impacts(special):
+    """(time, speed, side) of each impact, and of each touch at a GR, in order."""
+    spot = special.spot
+    listed = [((k, 0.0), one) for k, one in enumerate(zip(spot.times, spot.speeds, spot.sides, strict=True))]
+    if special.kind == "GR":
+        along, z = placed(special.scene, special.name, spot)
+        for one in touches(along, z, scene_length(special.scene)):
+            if not one.own:
+                begin = z[one.row] if len(spot.times) else 0.0
+                listed.append(((one.row, one.late), (begin + one.late, 0.0, one.side)))
+    return [one for _, one in sorted(listed)]
+
+
+def _is_half(special, names):
+    """Whether an orbit is its own mirror image, and stays one whatever the parameters are."""
+    scene, spot = special.scene, special.spot
+    other = {name: float(scene.parameter(name)) * 0.99 + 0.001 for name in names}
+    if not (is_symmetric(scene) and is_symmetric(scene.replace(**other))):
+        return False
+    impacts = np.array(_impacts(special))
+    whole = spot._replace(times=impacts[:, 0], speeds=impacts[:, 1], sides=impacts[:, 2])
+    return len(impacts) % 2 == 0 and is_own_image(whole, float(scene.frequency))
+
+
+def _settled_at(curve, z, ahead, control):
+    """z after Newton's method."""
+    start = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point(z, ahead))
+    found = between(curve, start, 0, 0.0, control)
+    return z if found is None else found.z
+
+
+def _told(special, names, bounds, curve, back, on):
+    """The `Locus` of what was tracked both ways."""
+    one = on
+    if back is not None:
+        last = len(back.points.z) - 1
+        points, look = (joined([turned(a), b]) for a, b in ((back.points, on.points), (back.look, on.look)))
+        marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(back.marks))
+        marks += tuple(mark._replace(place=mark.place + last) for mark in on.marks)
+        one = on._replace(points=points, look=look, marks=marks)
+    data = _data(curve, names, one)
+    found = {mark.place: (mark.kind, mark.residual) for mark in one.marks}
+    for place in (0, len(one.points.z) - 1):
+        found.setdefault(place, ("EP", float(one.points.residual[place])))
+    points = tuple(_codim2(special.scene, names, data, place, *found[place]) for place in sorted(found))
+    reasons = ("the start" if back is None else back.reason, on.reason)
+    return Locus(special.kind, names, bounds, special.scene, data, points, reasons)
+
+
+def _data(curve, names, one):
+    z, look, rows = one.points.z, one.look, len(curve.cycle.sides)
+    count, turn = int(np.sum(curve.cycle.sides != 0)), float(curve.cycle.turn)
+    frequency = z[:, 2 * rows + names.index("frequency")] if "frequency" in names else float(curve.scene.frequency)
+    times, speeds, sides = z[:, :count], z[:, rows : rows + count], curve.cycle.sides[:count]
+    found, periods = roots(look.trace, look.determinant), float(curve.cycle.periods)
+    if turn < 0:  # the other half is its mirror image
+        late = np.reshape(periods * 2.0 * np.pi / frequency, (-1, 1))
+        times, speeds, sides = np.hstack([times, times + late]), np.hstack([speeds] * 2), np.append(sides, -sides)
+        with np.errstate(invalid="ignore"):
+            found = found * found
+        periods *= 2
+    speed = np.where(np.isin(np.arange(times.shape[1]) % count, curve.hits), speeds, np.inf).min(axis=1)
+    per_impact = {"time": (times, "since phase 0", "1/w0"), "speed": (speeds, "abs(y- - v_b)", "length w0")}
+    plain = {
+        "least_speed": (speed, "of the impacts but for that which grazes", "length w0"),
+        "least_clearance": (look.clear.min(axis=(1, 2)), "at turning points, inf: none", "length"),
+        "residual": (one.points.residual, "largest error left in the equations", "length"),
+    }
+    columns = {name: ("point", z[:, 2 * rows + k], {"long_name": "a parameter"}) for k, name in enumerate(names)}
+    columns |= {key: (("point", "impact"), each[0], _attrs(*each[1:])) for key, each in per_impact.items()}
+    sides = np.broadcast_to(sides.astype(np.int8), times.shape)
+    columns["side"] = (("point", "impact"), sides, _attrs("-1 left, 1 right", "1"))
+    for key, part in (("real", found.real), ("imag", found.imag)):
+        columns[f"multiplier_{key}"] = (("point", "multiplier"), part, _attrs("Floquet's, the larger first", "1"))
+    columns |= {key: ("point", each[0], _attrs(*each[1:])) for key, each in plain.items()}
+    return xr.Dataset(columns, attrs={"periods": int(periods)})
+
+
+def _attrs(meaning, units):
+    return {"long_name": meaning, "units": units}
+
+
+def _spot_of(data, place, names):
+    """(the `Spot` at a point of a locus, {name: value})."""
+    row, values = row_of(data, place), {name: float(data[name].values[place]) for name in names}
+    rows = (row[key].astype(float) for key in ("time", "speed", "side"))
+    return Spot(values[names[0]], *rows, data.attrs["periods"], np.nan, np.nan, float(row["residual"])), values
+
+
+def _codim2(scene, names, data, place, kind, residual):
+    row, (spot, values) = row_of(data, place), _spot_of(data, place, names)
+    scene = scene.replace(**values)
+    found = row["multiplier_real"] + 1j * row["multiplier_imag"]
+    return Codim2(kind, values, found, place, residual, itinerary(spot, float(scene.frequency)), scene, spot)
