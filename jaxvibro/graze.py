@@ -85,18 +85,18 @@ def _met(y, along, row, wall):
 
 
 def _bearing(along, row, wall, y):
-    """Distance and speed towards a wall, as a matrix of one column."""
-    return np.asarray(_contact(y, along, np.int32(row), np.int32(wall)))[:2, None]
+    """Distance and speed towards a wall."""
+    return np.asarray(_contact(y, along, np.int32(row), np.int32(wall)))[:2]
 
 
 def touched(along, z, row, wall, late):
     """The point near where the flight after a row touches a wall: `locate.Located` of z."""
-    bearing, one = partial(_bearing, along, row, wall), np.ones(1)
+    bearing = partial(_bearing, along, row, wall)
 
     def system(y):
         value, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), y[:-1], along))
-        more = [locate.bent(bearing, y, unit, one) for unit in np.eye(2)]
-        return np.concatenate([value, bearing(y)[:, 0]]), np.vstack([np.pad(slopes, ((0, 0), (0, 1))), more])
+        whole = np.vstack([np.pad(slopes, ((0, 0), (0, 1))), locate.differences(bearing, y)])
+        return np.concatenate([value, bearing(y)]), whole
 
     found = locate.newton(system, np.append(z, late))
     return found if found.z is None else found._replace(z=found.z[:-1])
@@ -240,7 +240,7 @@ def free_start(along, value):
 
 def _opening(along, z, direction, row, wall, late):
     """How fast the distance of a flight at a time grows in a direction of z."""
-    ends = (_bearing(along, row, wall, np.append(z + sign * locate.APART * direction, late))[0, 0] for sign in (1, -1))
+    ends = (_bearing(along, row, wall, np.append(z + sign * locate.APART * direction, late))[0] for sign in (1, -1))
     return float(np.subtract(*ends) / (2.0 * locate.APART))
 
 

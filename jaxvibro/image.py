@@ -2,6 +2,8 @@
 
 import numpy as np
 
+REPEATED = 1e-6  # times and speeds as near are one
+
 
 def images(along, cycle, value, near):
     """The points z near one of them that are the same orbit as a cycle at a value: its impacts counted from another."""
@@ -24,3 +26,16 @@ def images(along, cycle, value, near):
             z = np.zeros(2 * rows + 1)
             z[:count], z[rows : rows + count], z[-1] = late + shift, np.roll(speeds, -turn), value
             yield z
+
+
+def is_repeated(along, z):
+    """Whether an orbit is a shorter one, gone through more than once."""
+    count, rows, periods = int(np.sum(along.cycle.sides != 0)), len(along.cycle.sides), int(along.cycle.periods)
+    turns = np.column_stack([np.diff(z[:count], append=np.inf), z[rows : rows + count], along.cycle.sides[:count]])
+    near = REPEATED * (1.0 + abs(turns[:-1]).max(initial=0.0))
+    for part in range(1, count):
+        if count % part == 0 and periods % (count // part) == 0:
+            apart = abs(np.roll(turns, part, axis=0) - turns)
+            if apart[np.isfinite(apart)].max(initial=0.0) < near:
+                return True
+    return False

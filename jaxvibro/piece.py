@@ -11,14 +11,14 @@ from continuation.locate import Located
 from .along import Along, problem
 from .dips import with_dips
 from .graze import TOUCH, Touch, admissible, exits, is_pressed, stilled, touched
-from .image import images
+from .image import images, is_repeated
 from .look import Look, looked
 from .monitor import crossings
 from .rows import at, between, joined, put, upto
 
 MOST = 20_000  # points of a piece
 HALVES = 60  # of an interval in which a grazing is looked for
-BOUND, DOMAIN, CLOSED, STOPPED, STEP, GRAZE, REST, POINTS, NUMBER = range(9)
+BOUND, DOMAIN, CLOSED, STOPPED, STEP, GRAZE, REST, POINTS, NUMBER, HALVED = range(10)
 ENDS = {ON: None, OUT: BOUND, arclength.UNDERFLOW: STEP, arclength.NONFINITE: NUMBER}  # of a chunk of steps
 
 
@@ -49,7 +49,7 @@ class Mark(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """along: its orbits; points, look: a row a point; marks: in order; why: the end, one of BOUND to NUMBER."""
+    """along: its orbits; points, look: a row a point; marks: in order; why: the end, one of BOUND to HALVED."""
 
     along: Along
     points: Point
@@ -103,10 +103,12 @@ def _part(along, points, status, asked):
         marks += crossings(along, points, look, kind, function, control)
     points, placed = inserted(along, points, sorted(marks, key=lambda one: one[:2]), control)
     placed += [one._replace(place=len(points.z) - 1) for one in last]
-    stops = [one.place for one in placed if one.kind in asked.stop]
+    halved = [one.place for one in placed if one.kind == "BP" and is_repeated(along, points.z[one.place])]
+    stops = [one.place for one in placed if one.kind in asked.stop] + halved
     if stops:
-        points, why = upto(points, stops[0] + 1), STOPPED
-        placed = [one for one in placed if one.place <= stops[0]]
+        first = min(stops)
+        points, why = upto(points, first + 1), HALVED if first in halved else STOPPED
+        placed = [one for one in placed if one.place <= first]
     return _Part(points, looked(along, points.z) if marks or stops else look, tuple(placed), why)
 
 

@@ -23,9 +23,10 @@ def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1
     """The branches that leave a special point besides the one it was found on: a tuple of `Branch`, each from the point
     on, to where it ends.
 
-    special: a `Special` of a branch. At SB and BP the two halves of the branch that crosses there, in no order; at PD
-    the one of twice the period (its other half has the same orbits, a period later); at GR those of the itineraries
-    that the branch did not go on with. bounds and the rest as in `follow`; bounds None takes the point's.
+    special: a `Special` of a branch. At SB and BP the two halves of the branch that crosses there, the first along
+    greater times or speeds; at PD the one of twice the period (its other half has the same orbits, a period later); at
+    GR those of the itineraries that the branch did not go on with. bounds and the rest as in `follow`; bounds None
+    takes the point's.
 
     Raises SceneError for a point of another kind, and arguments that cannot be.
     """
@@ -35,10 +36,24 @@ def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1
         raise check.SceneError("special", f"must be of kind {', '.join(KINDS)}: no branch leaves others", special.kind)
     bounds = bounds_of(special.scene, special.name, special.bounds if bounds is None else bounds)
     settings = settled(first_step, largest_step, tolerance, monitors, stop)
+    return tuple(left(special, start, bounds, **settings) for start in starts(special))
+
+
+def starts(special):
+    """(`Along`, `Point`) at the start of each branch that leaves a special point of one of the `KINDS`.
+
+    Raises ValueError where the equations say that none cross there.
+    """
     leaving = {"PD": _doubled, "GR": _grazing}.get(special.kind, _crossed)
-    starts = leaving(special, *placed(special.scene, special.name, special.spot))
+    return leaving(special, *placed(special.scene, special.name, special.spot))
+
+
+def left(special, start, bounds, **settings):
+    """The `Branch` that leaves a special point by one of its `starts`."""
+    (along, begun), scene = start, special.scene
+    asked = asking(scene, special.name, bounds, scene_length(scene), (along, begun.z), **settings)
     told = f"it left {special.kind} at {special.value:.12g}"
-    return tuple(_walked(special.scene, special.name, bounds, settings, told, *start) for start in starts)
+    return assembled(scene, special.name, bounds, settings, None, walked(along, begun, asked), told)
 
 
 def extend(branch, bounds):
@@ -82,11 +97,6 @@ def _onwards(branch, place, sign, bounds):
     return assembled(scene, branch.name, bounds, branch.settings, back, on)
 
 
-def _walked(scene, name, bounds, settings, told, along, start):
-    asked = asking(scene, name, bounds, scene_length(scene), (along, start.z), **settings)
-    return assembled(scene, name, bounds, settings, None, walked(along, start, asked), told)
-
-
 def _crossed(special, along, z):
     """Both directions of the branch that crosses that on which the point was found."""
     scale, rows = scales(along, scene_length(special.scene)), len(along.cycle.sides)
@@ -94,13 +104,14 @@ def _crossed(special, along, z):
     known[:count], known[rows : rows + count] = special.slopes[:count], special.slopes[count:-1]
     known[-1] = special.slopes[-1]
     other = crossing.other(crossing.directions(problem(along), z, scale, along), known, scale)
-    return [(along, point(z, sign * other)) for sign in (1.0, -1.0)]
+    first = np.flatnonzero(abs(other) > 0.5 * abs(other).max())[0]  # a null vector has no sign of its own
+    return [(along, point(z, sign * np.sign(other[first]) * other)) for sign in (1.0, -1.0)]
 
 
 def _doubled(special, along, z):
     """The orbit as one of twice the period, and the direction in which its two halves become different."""
     task, rows, count = problem(along), len(along.cycle.sides), len(special.spot.times)
-    null = locate.null(np.asarray(locate.matrix(task, task.tests[0], z, along)))
+    null = locate.null(locate.matrices(task, task.tests[0], z, along)[0])
     spot, span = special.spot, special.spot.periods * 2.0 * np.pi / float(special.scene.frequency)
     late = np.concatenate([spot.times, spot.times + span])
     twice = along._replace(cycle=along.cycle._replace(periods=np.asarray(2.0 * spot.periods)))

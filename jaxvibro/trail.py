@@ -45,13 +45,13 @@ class Trail(NamedTuple):
 
 
 def trail(scene, state, periods, slots=SLOTS):
-    """Runs a state's lanes on, all of one scene: a `Trail` of the last periods, at most KEEP.
+    """Runs a state's lanes on: a `Trail` of the last periods, at most KEEP.
 
-    scene: a single one; state: leaves of shape (lanes,); periods: whole number >= 1, no compilation of its own.
+    scene: a single one, or a lane of a batch each; state: leaves of shape (lanes,); periods: whole number >= 1, no compilation of its own.
     """
     size, width = len(state.x), max(1, WIDTH * SLOTS // slots)
-    blocks = [_padded(state, first, width) for first in range(0, size, width)]
-    runs = [_run(scene, block, periods, _needed(scene, slots)) for block in blocks]
+    blocks = [_padded((scene, state), first, width) for first in range(0, size, width)]
+    runs = [_run(*block, periods, _needed(scene, slots)) for block in blocks]
     ends = jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *[run[0] for run in runs])
     worst = np.concatenate([run[1] for run in runs])[:size]
     count = min(periods, KEEP)
@@ -63,8 +63,8 @@ def trail(scene, state, periods, slots=SLOTS):
 def ends(scene, state, periods):
     """(state, status) of a state's lanes so many periods later; the same compiled run as `trail`'s."""
     size = len(state.x)
-    blocks = [_padded(state, first, WIDTH) for first in range(0, size, WIDTH)]
-    runs = [_run(scene, block, periods, _needed(scene, SLOTS))[:2] for block in blocks]
+    blocks = [_padded((scene, state), first, WIDTH) for first in range(0, size, WIDTH)]
+    runs = [_run(*block, periods, _needed(scene, SLOTS))[:2] for block in blocks]
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *runs)
 
 
@@ -72,12 +72,14 @@ def _needed(scene, slots):
     return 0 if scene.left is None and scene.right is None else slots
 
 
-def _padded(state, first, width):
+def _padded(lanes, first, width):
     def part(leaf):
+        if not np.shape(leaf):
+            return leaf
         some = leaf[first : first + width]
         return np.pad(some, (0, width - len(some)), mode="edge")
 
-    return jax.tree.map(part, state)
+    return jax.tree.map(part, lanes)
 
 
 @partial(jax.jit, static_argnames="slots", compiler_options=OPTIONS)

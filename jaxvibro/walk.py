@@ -17,6 +17,7 @@ REASONS = (
     "from {value:.12g} on the mass rests on a wall for a while",
     "it has too many points, the last at {value:.12g}",
     "a number is not finite after {value:.12g}",
+    "at {value:.12g} it is an orbit of a shorter period, repeated: that one's period doubling",
 )
 MOST = 200  # pieces of a branch
 SAME = 1e-7  # two grazings as near are one
@@ -38,10 +39,10 @@ def walked(along, start, asked):
         way = None
         if one.why == GRAZE:
             one, way = _onwards(one, scale)
-            place = np.append(np.sort(np.abs(one.points.z[-1])), len(along.cycle.sides))
-            if any(len(each) == len(place) and abs(each - place).max() < SAME for each in met):
+            here = _orbit(along, one.points.z[-1])
+            if any(len(each) == len(here) and abs(each - here).max() < SAME for each in met):
                 one, way = one._replace(why=CLOSED), None
-            met.append(place)
+            met.append(here)
         pieces.append(one)
         if way is None or len(pieces) == MOST:
             return Walked(pieces, _reason(one))
@@ -69,6 +70,17 @@ def _onwards(one, scale):
     chosen = max((way for way in mark.exits if not is_back(way)), key=exchanged, default=None)
     aside = tuple(not (way is chosen or is_back(way)) for way in mark.exits)
     return one._replace(marks=(*one.marks[:-1], mark._replace(aside=aside))), chosen
+
+
+def _orbit(along, z):
+    """What tells an orbit from others, from whichever impact it is counted, and with a touch as an impact or not: the
+    speeds at each wall and the parameter; without impacts the state."""
+    rows = len(along.cycle.sides)
+    if not rows:
+        return np.array([0.0, *z])
+    speeds = z[rows : 2 * rows]
+    fast = [np.sort(speeds[(along.cycle.sides == side) & (speeds > 0)]) for side in (-1, 1)]
+    return np.concatenate([[len(fast[0]), z[-1]], *fast])
 
 
 def _reason(one):

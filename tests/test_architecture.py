@@ -16,7 +16,7 @@ ORDER = [
     *("cycle", "passes", "orbit", "solve", "shoot", "find", "orbits"),
     *("ring", "along", "look", "rows", "graze", "dips", "image", "monitor", "piece", "walk"),
     *("told", "branch", "domain", "assemble", "follow", "switch", "tree"),
-    *("curve", "codim", "track", "locus"),
+    *("curve", "codim", "track", "locus", "loci", "diagram", "probe", "explore"),
     *("evidence", "attractors", "plot", "study", "stretch", "data", "report", "picture", "run"),
     *("cache", "starter", "command", "__main__"),
 ]

@@ -286,7 +286,7 @@ def test_henon(b):
 def test_the_two_cycle_of_henon(b):
     s = 1 - b
     (doubling,) = walk(HENON, np.zeros(3), b, high=2.0).met
-    null = locate.null(np.asarray(locate.matrix(HENON, HENON.tests[0], doubling, b)))
+    null = locate.null(locate.matrices(HENON, HENON.tests[0], doubling, b)[0])
     assert close(abs(null @ [1, -1]), np.sqrt(2), 1e-12)
     p = s * s + (1 + b) ** 2 / 4
     for found in leaving(HENON_TWICE, doubling, np.append(null, 0.0), b, high=2.7):

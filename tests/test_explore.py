@@ -1,0 +1,120 @@
+"""`explore`: whole diagrams, checked against closed forms, attractors from random starts, and other routes."""
+
+import mpmath
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from tests.reference import closed
+
+GAMMA, OMEGA, R = 0.05, 2.1, 0.7
+BOUNDS = (0.0, 6.0)
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, 1.0))
+
+
+@pytest.fixture(scope="module")
+def diagram(scene):
+    return jv.explore(scene, "amplitude", BOUNDS, max_period=2)
+
+
+def is_on(orbit, diagram):
+    """Whether an attractor's orbit is on a branch: between two points of it, within what lies between them."""
+    value = float(orbit.scene.parameter(diagram.name))
+    size = max(1.0, abs(orbit.impacts.speed).max(initial=0.0))
+    for branch in diagram.branches:
+        data, values = branch.data, branch.values
+        if data.sizes["period"] != orbit.periods:
+            continue
+        for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0):
+            rows = [np.sort(data["speed"].values[j][data["side"].values[j] != 0]) for j in (k, k + 1)]
+            mine = np.sort(orbit.impacts.speed)
+            share = (value - values[k]) / (values[k + 1] - values[k] or 1.0)
+            if len({len(rows[0]), len(rows[1]), len(mine)}) == 1:
+                line = (1.0 - share) * rows[0] + share * rows[1]
+                if abs(line - mine).max(initial=0.0) < 2e-2 * size:
+                    return True
+    return False
+
+
+def test_figure_4_by_itself(diagram):
+    assert diagram.complete and diagram.reason == "all that was found has been followed"
+    found = {part.label for branch in diagram.branches for part in branch.segments}
+    assert found == {"P100", "P111", "P112", "P121", "P223", "P224", "P232", "P242"}
+    assert len(diagram) == 5
+    with mpmath.workdps(30):
+        fold = float(closed.fold(GAMMA, OMEGA, R, 1, symmetric=True).amplitude)
+        touch = float(closed.grazing(GAMMA, OMEGA, 1))
+    values = {kind: [one.value for one in diagram.points(kind)] for kind in ("SN", "SB", "PD", "GR")}
+    assert abs(values["SN"][0] - fold) < 1e-12 and abs(values["GR"][0] - touch) < 1e-12
+    assert np.allclose(values["SB"], [3.543892249375], rtol=0, atol=1e-11)
+    assert np.allclose(values["SN"][1:3], 4.525079701581, rtol=0, atol=1e-11)
+    assert np.allclose(values["PD"][:2], 4.787450372300, rtol=0, atol=1e-11)
+    assert np.allclose(values["PD"][2:4], 4.929889076576, rtol=0, atol=1e-11)
+
+
+def test_the_same_again_in_two_parts_and_from_a_file(scene, diagram, tmp_path):
+    first = jv.explore(scene, "amplitude", BOUNDS, max_period=2, budget=3)
+    assert not first.complete and len(first) == 3 and first.reason == "the budget of 3 branches is spent"
+    first.save(tmp_path / "part")
+    with pytest.raises(FileExistsError):
+        first.save(tmp_path / "part")
+    seen = []
+    whole = jv.explore(scene, "amplitude", BOUNDS, 2, resume=jv.load_diagram(tmp_path / "part"), progress=seen.append)
+    assert whole.complete and seen == [4, 5]
+    for one, other in zip(whole.branches, diagram.branches, strict=True):
+        assert np.array_equal(one.values, other.values)
+        assert [each.value for each in one.special] == [each.value for each in other.special]
+    assert whole.table() == diagram.table()
+
+
+def test_what_random_starts_settle_on_is_on_it(scene, diagram):
+    for amplitude in (0.3, 1.5, 3.5, 4.65, 4.9, 5.6):
+        found = jv.find_attractors(scene.replace(amplitude=amplitude), 40, 3)
+        orbits = [one.orbit for one in found if one.periods and one.periods <= 2]
+        assert orbits and all(is_on(one, diagram) for one in orbits)
+
+
+def test_a_scene_of_one_wall_that_moves():
+    wall = jv.Wall(0.8, 0.6, jv.Motion(0.1, 0.5))
+    scene = jv.make_scene(1.0, 1.8, 0.1, 0.6, (None, wall))
+    diagram = jv.explore(scene, "amplitude", (0.2, 4.0), max_period=1)
+    assert diagram.complete
+    for amplitude in (0.5, 1.0, 2.0, 3.5):
+        found = jv.find_attractors(scene.replace(amplitude=amplitude), 40, 3)
+        assert all(is_on(one.orbit, diagram) for one in found if one.periods == 1)
+
+
+@pytest.mark.parametrize(
+    ("key", "given"),
+    [
+        ("bounds", {"bounds": (6.0, 0.0)}),
+        ("bounds", {"bounds": 3.0}),
+        ("force", {"name": "force"}),
+        ("max_period", {"max_period": 0}),
+        ("max_period", {"max_period": 33}),
+        ("seed", {"seed": -1}),
+        ("budget", {"budget": 0}),
+        ("largest_step", {"largest_step": 0.0}),
+        ("resume", {"resume": 3}),
+        ("resume", {"max_period": 1, "resume": "diagram"}),
+    ],
+)
+def test_bad_arguments(key, given, scene, diagram):
+    given = {"name": "amplitude", "bounds": BOUNDS, "max_period": 2} | given
+    if given.get("resume") == "diagram":
+        given["resume"] = diagram
+    with pytest.raises(jv.SceneError) as error:
+        jv.explore(scene, **given)
+    assert error.value.key == key
+
+
+def test_a_folder_without_a_diagram(tmp_path):
+    (tmp_path / "diagram.json").write_text("{}")
+    with pytest.raises(jv.SceneError, match="folder"):
+        jv.load_diagram(tmp_path)
+    with pytest.raises(FileNotFoundError):
+        jv.load_diagram(tmp_path / "none")
