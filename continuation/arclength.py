@@ -15,9 +15,9 @@ from .linear import solve as dense
 ON, OUT, UNDERFLOW, NONFINITE = range(4)
 STATUS = ("on", "out of bounds", "step underflow", "not finite")
 ROUNDS = 8  # of Newton's method in a step
-TURN, LARGEST_TURN = 0.12, 0.4  # angle between tangents that steps aim at; beyond which a step is refused
+TURN, LARGEST_TURN = 0.12, 0.3  # angle between tangents that steps aim at; beyond which a step is refused
 GROW, SHRINK = 2.0, 0.25  # the most that one step is longer or shorter than the last
-STRAY = 0.3  # of a step: so far may the branch lie from its tangent
+STRAY = 0.15  # of a step: so far may the branch lie from its tangent
 
 
 class Control(NamedTuple):

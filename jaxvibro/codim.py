@@ -3,7 +3,7 @@
 On a locus of SN a cusp (CP), where w F_uu v v is zero, v and w being the right and left null vectors of F_u; on one of
 PD or SB a generalized period doubling (GPD) or degenerate symmetry breaking (DSB), where w (F_uuu v v v + 3 F_uu v h)
 is, with F_u h = -F_uu v v (Kuznetsov, Elements of Applied Bifurcation Theory, 5.4); on one of GR a point of SN, PD or
-SB, or of resonant grazing (RG), where SN and PD are one. F is entire in times and speeds: central differences over nine
+SB, or of resonant grazing (RG), where SN and PD are one. F is entire in times and speeds: central differences over many
 points give these derivatives to rounding.
 """
 
@@ -22,9 +22,20 @@ from .cycle import Cycle
 from .frame import frame
 from .rows import between
 
-APART = 0.03  # between the nine points, times the fastest rate
-SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560])
-THIRD = np.array([-7 / 240, 3 / 10, -169 / 120, 61 / 30, 0, -61 / 30, 169 / 120, -3 / 10, 7 / 240])
+APART = 0.03  # between the nearest of the points of a difference, times the fastest rate
+PLACES = np.array([-8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8])
+
+
+def _weights(nine, order, power):
+    """Of a derivative at PLACES: of nine points, and of nine twice as far apart, so that the first error falls out."""
+    near, far = (
+        np.array([nine[k // n + 4] if k % n == 0 and abs(k) <= 4 * n else 0.0 for k in PLACES]) for n in (1, 2)
+    )
+    return (2.0**power * near - far / 2.0**order) / (2.0**power - 1.0)
+
+
+SECOND = _weights([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560], 2, 8)
+THIRD = _weights([-7 / 240, 3 / 10, -169 / 120, 61 / 30, 0, -61 / 30, 169 / 120, -3 / 10, 7 / 240], 3, 6)
 ORDERS = {"CP": 2, "GPD": 3, "DSB": 3}  # of the derivative that is zero there
 STEP = 1e-5  # of 1 + abs z: the points of a difference, for Newton's method
 SAME = 1e-7  # of z: two points as near are one
@@ -143,7 +154,10 @@ def _bent(curve, zs, order, reference, signed=False):
     second = np.einsum("s,ksi->ki", SECOND, _near(curve, zs, v, none, step)) / step**2
     if order == 2:
         return np.einsum("ki,ki->k", w, second), (v[0], w[0])
-    h = -np.linalg.solve(same, second[:, :, None])[:, :, 0]
+    try:
+        h = -np.linalg.solve(same, second[:, :, None])[:, :, 0]
+    except np.linalg.LinAlgError:  # at a fold too: Newton's method is lost
+        return np.full(len(zs), np.nan), reference
     third = np.einsum("s,ksi->ki", THIRD, _near(curve, zs, v, h, step)) / step**3
     return np.einsum("ki,ki->k", w, third), (v[0], w[0])
 
@@ -154,7 +168,7 @@ def _matrices(curve, zs):
 
 
 def _near(curve, zs, v, h, step):
-    """F at u + s v + s^2 / 2 h, s being -4 to 4 steps: (points, 9, rows of F)."""
+    """F at u + s v + s^2 / 2 h, s being PLACES steps: (points, 13, rows of F)."""
     return _by_lanes(_beside, curve, zs, v, h, np.full(len(zs), step))
 
 
@@ -179,7 +193,7 @@ def _closed(curve, zs):
 @jax.jit
 def _beside(curve, zs, vs, hs, steps):
     def one(z, v, h, step):
-        return jax.vmap(lambda k: _ahead(curve, z, v, h, k * step))(jnp.arange(-4.0, 5.0))
+        return jax.vmap(lambda k: _ahead(curve, z, v, h, k * step))(jnp.array(PLACES, z.dtype))
 
     return jax.vmap(one)(zs, vs, hs, steps)
 

@@ -210,7 +210,7 @@ def _started(special, names):
 
 
 def _impacts(special):
-    """(time, speed, side) of each impact, and of each touch at a GR, in order."""
+    """(time, speed, side) of each impact, and of each touch at a GR, in order, the first within the first period."""
     spot = special.spot
     listed = [((k, 0.0), one) for k, one in enumerate(zip(spot.times, spot.speeds, spot.sides, strict=True))]
     if special.kind == "GR":
@@ -219,7 +219,10 @@ def _impacts(special):
             if not one.own:
                 begin = z[one.row] if len(spot.times) else 0.0
                 listed.append(((one.row, one.late), (begin + one.late, 0.0, one.side)))
-    return [one for _, one in sorted(listed)]
+    listed = [one for _, one in sorted(listed)]
+    period = 2.0 * np.pi / float(special.scene.frequency)
+    late = period * np.floor(listed[0][0] / period)
+    return [(time - late, speed, side) for time, speed, side in listed]
 
 
 def _is_half(special, names):

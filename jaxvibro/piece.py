@@ -219,7 +219,9 @@ def to_value(along, points, last, index, value, asked):
     cut = upto(points, last)
     if found.z is None:
         return cut, False
-    return put(cut, last, pointed(along, points, last - 1, found.z, asked.control)), True
+    z = np.array(found.z)
+    z[index] = value  # but for a rounding it is
+    return put(cut, last, pointed(along, points, last - 1, z, asked.control)), True
 
 
 def _met(along, points, asked):
