@@ -4,12 +4,11 @@ import json
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from .branch import Branch, load_branch
 from .check import SceneError
 from .scene import Scene
 from .text import columns
+from .tree import is_same
 from .whole import whole
 
 INDEX = "diagram.json"
@@ -91,27 +90,3 @@ def load_diagram(folder):
         return Diagram(told["name"], tuple(told["bounds"]), branches[0].scene, branches, left, *plain)
     except (KeyError, ValueError, TypeError, IndexError) as error:
         raise SceneError("folder", f"must be a folder of Diagram.save ({error})", str(folder)) from None
-
-
-VALUE, SPEED = 1e-8, 1e-6  # two special points as near in the parameter and in the impacts' speeds are one
-
-
-def is_same(one, other):
-    """Whether two special points are one."""
-    return one.kind == other.kind and is_orbit(one, other)
-
-
-def is_orbit(one, other, times=1):
-    """Whether the orbit of a special point, this many times round, is that of another, counted from any impact.
-
-    Compared are the speeds at each wall; an impact of a grazing, without speed, may be there or not.
-    """
-    if times * one.spot.periods != other.spot.periods or not np.isclose(one.value, other.value, VALUE, VALUE):
-        return False
-    for side in (-1, 1):
-        here, there = (each.spot.speeds[each.spot.sides == side] for each in (one, other))
-        size = SPEED * max(here.max(initial=0.0), there.max(initial=0.0))
-        here, there = np.repeat(np.sort(here[here > size]), times), np.sort(there[there > size])
-        if len(here) != len(there) or not np.allclose(here, there, SPEED, size):
-            return False
-    return True

@@ -198,7 +198,7 @@ def point(kind, value, right, left=(), periods=1):
     """A special point of a branch, as far as `tree` looks at it."""
     sides = np.array([1.0] * len(right) + [-1.0] * len(left))
     spot = SimpleNamespace(speeds=np.array([*right, *left], float), sides=sides, periods=periods)
-    return SimpleNamespace(kind=kind, value=value, spot=spot, scene=PLAIN)
+    return SimpleNamespace(kind=kind, value=value, spot=spot, scene=PLAIN, name="amplitude", place=int(kind != "EP"))
 
 
 class Walk(list):
@@ -210,18 +210,19 @@ class Walk(list):
 
 
 def walked(monkeypatch, first, ways, **given):
-    """(the branches, the special points that were switched at) where `switch` gives what `ways` says."""
+    """(the branches, the special points that were left) where `ways` says which branches leave them."""
     asked = []
 
-    def switch(one, bounds, **settings):
+    def starts(one):
         asked.append(one)
-        found = ways[one.kind, one.value]
-        if found is None:
-            raise ValueError("no branches cross here")
-        return found
+        return ways[one.kind, one.value]
 
     monkeypatch.setattr(tree, "follow", lambda orbit, name, bounds, **settings: first)
-    monkeypatch.setattr(tree, "switch", switch)
+    monkeypatch.setattr(tree, "_starts", starts)
+    monkeypatch.setattr(tree, "left", lambda one, start, bounds, **settings: start)
+    monkeypatch.setattr(tree, "placed", lambda scene, name, spot: (None, None))
+    monkeypatch.setattr(tree, "is_repeated", lambda along, z: False)
+    monkeypatch.setattr(tree, "_is_taken", lambda start, one, found: False)
     return tree.followed(None, "amplitude", (0.0, 9.0), **given), asked
 
 
@@ -238,7 +239,7 @@ def test_each_special_point_is_left_once_and_mirror_images_are_two(monkeypatch):
     assert asked == [sb] and [one.segments[0].label for one in found] == ["P100", "P112", "P121"]
     counts = []
     found, asked = walked(monkeypatch, main, ways, max_period=2, progress=counts.append)
-    assert asked == [sb, one, twin] and len(found) == 4 and counts == [3, 4, 4]  # the second P224 is the first here
+    assert asked == [sb, one, twin] and len(found) == 4 and counts == [1, 2, 3, 4]  # the second P224 is the first here
 
 
 def test_a_branch_that_joins_two_special_points_is_walked_once(monkeypatch):
@@ -248,7 +249,7 @@ def test_a_branch_that_joins_two_special_points_is_walked_once(monkeypatch):
     here, there = point("PD", 5.0, [5.0]), point("PD", 6.0, [6.0])
     ways = {("PD", 5.0): [Walk("P202", twice[5.0], met, twice[5.0])]}
     main = Walk("P101", point("EP", 0.0, [0.5]), here, there, point("EP", 9.0, [9.0]))
-    found, asked = walked(monkeypatch, main, {**ways, ("BP", 6.0): None}, max_period=2)
+    found, asked = walked(monkeypatch, main, {**ways, ("BP", 6.0): []}, max_period=2)
     assert len(found) == 2 and asked[0] is here and there not in asked
     closed = [Walk("P111", point("EP", 3.0, [1.0]), point("EP", 3.0, [1.0])) for _ in range(2)]
     main = Walk("P111", point("EP", 0.0, [0.5]), point("BP", 3.0, [1.0]), point("EP", 9.0, [9.0]))
