@@ -1,4 +1,4 @@
-"""The data of a run as one Dataset, as it goes to a NetCDF file: those of sweep, attractors, orbits and branches."""
+"""The data of a run as one Dataset, as it goes to a NetCDF file: sweep, attractors, orbits, branches and loci."""
 
 import msgspec
 import numpy as np
@@ -17,6 +17,7 @@ def dataset(found):
     parts += [_attractors(found.attractors)] if found.attractors is not None else []
     parts += [_orbits(found.orbits)] if found.orbits else []
     parts += [_branches(found.branches), _special(found.branches)] if found.branches else []
+    parts += [_loci(found.loci), _codim2(found.loci)] if found.loci else []
     whole = xr.merge(parts, combine_attrs="drop_conflicts")
     attrs = {
         "title": "jaxvibro run",
@@ -122,6 +123,40 @@ def _special(branches):
             "special_multiplier_imag": (larger[0], roots.imag, larger[1]),
             "special_residual": column("largest error left in its equations", [one.residual for _, one in found]),
         }
+    )
+
+
+def _loci(loci):
+    """All loci's points, one after the other."""
+    number = np.repeat(np.arange(len(loci)), [len(one) for one in loci])
+    found = {"locus_number": ("locus_point", number, {"long_name": "place of the locus among the loci, from 0"})}
+    for name in loci[0].names:
+        column = np.concatenate([one.data[name].values for one in loci])
+        found[f"locus_{name}"] = "locus_point", column, {"long_name": "a parameter"}
+    whole = {
+        "kind": ("SN, PD, SB, GR", [one.kind for one in loci]),
+        "label": ("P n p q: periods, impacts left, right", [one.label for one in loci]),
+        "first_reason": ("why the locus ends at its first point", [one.reasons[0] for one in loci]),
+        "last_reason": ("why the locus ends at its last point", [one.reasons[1] for one in loci]),
+    }
+    found |= {f"locus_{key}": ("locus", each, {"long_name": meaning}) for key, (meaning, each) in whole.items()}
+    return xr.Dataset(found)
+
+
+def _codim2(loci):
+    """The special points of all loci, ends included."""
+    firsts = np.cumsum([0] + [len(one) for one in loci])
+    found = [(k, one) for k, locus in enumerate(loci) for one in locus.special]
+    told = {
+        "kind": ("CP, GPD, DSB, GR, GG, RG, SN, PD, SB, EP", [one.kind for _, one in found]),
+        "locus": ("place of its locus among the loci", [k for k, _ in found]),
+        "point": ("its place along locus_point", [firsts[k] + one.place for k, one in found]),
+        "label": ("P n p q: periods, impacts left, right", [one.label for _, one in found]),
+        "itinerary": ("walls hit, a word a period", [" ".join(one.itinerary) for _, one in found]),
+        "residual": ("largest error left in its equations", [one.residual for _, one in found]),
+    }
+    return xr.Dataset(
+        {f"codim2_{key}": ("codim2", np.array(each), {"long_name": meaning}) for key, (meaning, each) in told.items()}
     )
 
 

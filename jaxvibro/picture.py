@@ -1,4 +1,5 @@
-"""The picture of a run: the diagram of what was swept or followed, with attractors and orbits in it, or portraits."""
+"""The pictures of a run: the diagram of what was swept or followed, with attractors and orbits in it, or portraits; and
+the loci."""
 
 import math
 from functools import partial
@@ -9,7 +10,9 @@ from matplotlib.lines import Line2D
 
 from . import plot
 from .check import SceneError
+from .loci import image
 from .plot import style
+from .plot.locus import name as of_locus
 from .plot.orbit import title
 from .scene import SIDES
 from .simulate import simulate
@@ -27,6 +30,35 @@ def picture(found):
     """The picture of what was `Found`, as a PNG's bytes."""
     figure = _diagram(found) if found.across is not None else _portraits(found)
     figure.suptitle(_heading(found), fontsize="medium")
+    return _png(figure)
+
+
+def loci(found):
+    """The picture of the loci that were `Found`, as a PNG's bytes; mirror images on one curve are drawn as one."""
+    asked = found.file.locus
+    figure = Figure(figsize=(9.5, 6.5), layout="constrained")
+    ax = figure.subplots()
+    kept, twins = [], set()
+    for one in sorted(found.loci, key=lambda one: asked.kinds.index(one.kind)):
+        other = image(one, kept)
+        if other is None:
+            kept.append(one)
+            plot.locus(one, ax)
+        else:
+            twins.add(of_locus(other))
+    for which, name in zip("xy", asked.parameters, strict=True):
+        ax.set(**{f"{which}label": style.label(name), f"{which}lim": asked.bounds[name]})
+    entries = zip(*ax.get_legend_handles_labels(), strict=True)
+    entries = [(handle, f"{text} and mirror image" if text in twins else text) for handle, text in entries]
+    entries.sort(key=lambda one: one[0].get_gid() == "codimension two")
+    if entries:
+        look = {"frameon": False, "fontsize": "small", "handlelength": 4.0}
+        figure.legend(*zip(*entries, strict=True), loc="outside right upper", **look)
+    figure.suptitle(_described(found.there(found.file.followed), asked.parameters), fontsize="medium")
+    return _png(figure)
+
+
+def _png(figure):
     held = BytesIO()
     figure.savefig(held, format="png", dpi=DOTS)
     return held.getvalue()
@@ -129,18 +161,22 @@ def _at(found, asked):
 
 def _heading(found):
     """The scene in a line or two, but for what is swept."""
-    scene = _shared(found)
+    return f"{_described(_shared(found), [found.across])};  states at phase 0 of the drive"
+
+
+def _described(scene, without):
+    """A scene in a line or two, but for some parameters."""
     plain = [
-        f"{sign} = {float(scene.parameter(name)):g}" for name, sign in style.SYMBOLS.items() if name != found.across
+        f"{sign} = {float(scene.parameter(name)):g}" for name, sign in style.SYMBOLS.items() if name not in without
     ]
-    walls = [_wall(scene, side, found.across) for side in SIDES if getattr(scene, side) is not None]
-    return ",  ".join(plain) + "\n" + (",  ".join(walls) or "no walls") + ";  states at phase 0 of the drive"
+    walls = [_wall(scene, side, without) for side in SIDES if getattr(scene, side) is not None]
+    return ",  ".join(plain) + "\n" + (",  ".join(walls) or "no walls")
 
 
-def _wall(scene, side, swept):
+def _wall(scene, side, without):
     told, wall = f"{side} wall", getattr(scene, side)
-    if swept != f"{side}.position":
+    if f"{side}.position" not in without:
         told += f" at {float(wall.position):g}"
-    if wall.restitution is not None and swept != f"{side}.restitution":
+    if wall.restitution is not None and f"{side}.restitution" not in without:
         told += f" with $R$ = {float(wall.restitution):g}"
     return told if wall.motion is None else told + ", moving"

@@ -6,13 +6,14 @@ import msgspec
 
 from . import __version__
 from .branch import MEANINGS, labels
+from .locus import MEANINGS as ON_LOCI
 from .stretch import longest, stretches
 from .study import KEEP, SETTLE
 from .text import columns, pair
 
 
 def table(found, name):
-    """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches."""
+    """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci."""
     scene = found.scene
     parts = [f"jaxvibro {__version__}, {name}\n", columns([(key, float(scene.parameter(key))) for key in scene.names])]
     if found.swept is not None:
@@ -23,6 +24,8 @@ def table(found, name):
         parts += ["", *_orbits(found)]
     if found.branches is not None:
         parts += ["", *_branches(found)]
+    if found.loci is not None:
+        parts += ["", *_loci(found)]
     return "\n".join(parts) + "\n"
 
 
@@ -93,16 +96,36 @@ def _orbits(found):
 
 
 def _branches(found):
-    asked, (low, high) = found.file.branch, found.file.branch.bounds
-    start = f"from x = {asked.start.x:g}, v = {asked.start.v:g} at {_at(asked)}, max_period {asked.max_period}"
+    asked, (low, high) = found.file.followed, found.file.followed.bounds
+    if found.diagram is None:
+        start = f"from x = {asked.start.x:g}, v = {asked.start.v:g} at {_at(asked)}, max_period {asked.max_period}"
+    else:
+        start = f"from many starts at {_at(asked)}, max_period {asked.max_period} (seed {asked.seed})"
     yield f"branches of periodic orbits for {asked.parameter} from {low:g} to {high:g}, {start}: {len(found.branches)}"
+    if found.diagram is not None:
+        yield found.diagram.reason
     for place, one in enumerate(found.branches, 1):
         first, last = one.values[[0, -1]]
         yield f"\n{place}: {one.segments[0].label} from {first:.12g} to {last:.12g}, {len(one)} points"
         yield one.table()
-    told = ", ".join(f"{kind} {meaning}" for kind, meaning in MEANINGS.items())
-    yield f"\n{told}"
+    yield f"\n{_meanings(MEANINGS)}"
     yield "multipliers: Floquet's, the larger first; meets: orbits that meet there, on which side of the value"
+
+
+def _loci(found):
+    bounds = found.file.locus.bounds
+    where = " and ".join(f"{name} from {low:g} to {high:g}" for name, (low, high) in bounds.items())
+    yield f"loci of special points in {where}: {len(found.loci)}"
+    for place, one in enumerate(found.loci, 1):
+        yield f"\n{place}: {one.kind} of {one.label}, {len(one)} points"
+        yield one.table()
+    for one, why in found.refused:
+        yield f"\nnot followed: {one.kind} of {one.label} at {one.name} = {one.value:.12g}: {why}"
+    yield f"\n{_meanings(ON_LOCI)}; SN, PD, SB on a GR: such a locus ends there"
+
+
+def _meanings(meanings):
+    return ", ".join(f"{kind} {meaning}" for kind, meaning in meanings.items())
 
 
 def _mirror(place, twin):
@@ -122,6 +145,13 @@ def summary(found, files):
         told["orbits"] = [_orbit(one) for one in found.orbits]
     if found.branches is not None:
         told["branches"] = [_branch(one) for one in found.branches]
+    if found.diagram is not None:
+        told["explored"] = {"complete": found.diagram.complete, "reason": found.diagram.reason}
+    if found.loci is not None:
+        told["loci"] = [_locus(one) for one in found.loci]
+        told["not_followed"] = [
+            {"kind": one.kind, "label": one.label, "value": one.value, "reason": why} for one, why in found.refused
+        ]
     return told
 
 
@@ -165,16 +195,30 @@ def _branch(one):
     }
 
 
-def _point(one):
+def _locus(one):
     return {
         "kind": one.kind,
-        "value": one.value,
+        "label": one.label,
+        "parameters": list(one.names),
+        "points": len(one),
+        "reasons": list(one.reasons),
+        "special": [{"values": each.values, **_place(each)} for each in one.special],
+    }
+
+
+def _point(one):
+    return {"value": one.value, **_place(one), "meets": labels(one)}
+
+
+def _place(one):
+    """What special points of branches and of loci have in common."""
+    return {
+        "kind": one.kind,
         "label": one.label,
         "itinerary": list(one.itinerary),
         "multipliers": _pairs(one.multipliers),
         "residual": _finite(one.residual),
         "place": int(one.place),
-        "meets": labels(one),
     }
 
 

@@ -8,12 +8,13 @@ from pathlib import Path
 
 from . import report, scenefile
 from .data import dataset
-from .picture import picture
+from .picture import loci, picture
 from .study import study
 from .tables import SceneFile, SceneTable
 from .whole import whole
 
 ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}
+LOCI = {"loci": ".loci.png"}  # where they are asked for
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class Done:
 
 
 def run(path, out="out", changes=(), force=False, progress=False):
-    """Does what a scene file asks, and writes its picture, data and table into a folder: `Done`.
+    """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus] a picture of
+    the loci too: `Done`.
 
     path: of the scene file; its name without ending names the results. out: the folder, made where it is missing.
     changes: other values for this run, each "key=value" as in the file ("sweep.count=201"); "scene." may be left out.
@@ -38,11 +40,13 @@ def run(path, out="out", changes=(), force=False, progress=False):
     began = time.perf_counter()
     path, out = Path(path), Path(out)
     file = scenefile.read(path, [_full(change) for change in changes])
-    files = {kind: out / (path.stem + ending) for kind, ending in ENDINGS.items()}
+    endings = ENDINGS if file.locus is None else ENDINGS | LOCI
+    files = {kind: out / (path.stem + ending) for kind, ending in endings.items()}
     _refuse(path, out, files.values(), force)
     found = study(file, progress)
     table = report.table(found, path.name)
     contents = {"picture": picture(found), "data": dataset(found).to_netcdf(engine="scipy"), "table": table.encode()}
+    contents |= {"loci": loci(found)} if "loci" in files else {}
     _write({files[kind]: content for kind, content in contents.items()}, force)
     summary = report.summary(found, {kind: str(one) for kind, one in files.items()})
     return Done(summary | {"seconds": round(time.perf_counter() - began, 3)}, table)

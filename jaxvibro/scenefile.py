@@ -25,6 +25,8 @@ _KINDS = {
     "orbits": tables.OrbitsTable,
     "branch": tables.BranchTable,
     "branch.start": tables.StartTable,
+    "explore": tables.ExploreTable,
+    "locus": tables.LocusTable,
 }
 _WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
 
@@ -121,28 +123,34 @@ def _joined(path, name):
 def _told(found, message):
     """msgspec's complaint as a SceneError: it names the place; the value there is looked up."""
     complaint, place = re.fullmatch(r"(.*?)(?: - at `\$(.*)`)?", message).groups(default="")
-    value, path = _value(found, place), place.lstrip(".").removesuffix("[...]")
+    parts, value, path = [], found, ""
+    for name, number in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", place):
+        part = name or (_entry(found, parts, value, message) if number == "..." else int(number))
+        parts, value = [*parts, part], value[part]
+        path = f"{path}[{part}]" if isinstance(part, int) else _joined(path, part)
     if missing := re.search(r"missing required field `(.*)`", complaint):
         return SceneError(_joined(path, missing[1]), "must be given", None)
-    if place.endswith("[...]"):
-        name, value = next(item for item in value.items() if not _is_number(item[1]))
-        path = _joined(path, name)
     return SceneError(path, _rule(complaint), value)
 
 
-def _value(found, place):
-    """What stands at a place such as ".sweep.legs[0].from"."""
-    for name, number in re.findall(r"\.(\w+)|\[(\d+)\]", place):
-        found = found[name or int(number)]
+def _entry(found, parts, table, message):
+    """The key, below some others, of the entry that msgspec complains of but does not name: alone it is the same."""
+    for name, value in table.items():
+        alone = {name: value}
+        for depth in reversed(range(len(parts))):
+            alone = {**_below(found, parts[:depth]), parts[depth]: alone}
+        try:
+            msgspec.convert(alone, SceneFile)
+        except msgspec.ValidationError as error:
+            if str(error) == message:
+                return name
+    return next(iter(table))
+
+
+def _below(found, parts):
+    for part in parts:
+        found = found[part]
     return found
-
-
-def _is_number(value):
-    try:
-        msgspec.convert(value, float)
-    except msgspec.ValidationError:
-        return False
-    return True
 
 
 def _rule(complaint):

@@ -62,4 +62,15 @@ at = {amplitude = 3.0}    # values other than [scene]'s, if any
 # start = {x = 0.9, v = -1.1}   # what this settles on is where it begins,
 # at = {amplitude = 2.0}        # with these values
 # max_period = 1       # drive periods of the longest that a period doubling is followed to; 1: none
+
+# [explore]            # in place of [branch]: from many starts all over the parameter's range; it takes minutes
+# parameter = "amplitude"
+# bounds = [0.0, 6.0]
+# max_period = 2
+# budget = 20          # branches after which it stops
+
+# [locus]              # the special points of the branches, followed in two parameters
+# parameters = ["amplitude", "frequency"]
+# bounds = {amplitude = [0.0, 12.0], frequency = [1.2, 3.0]}
+# kinds = ["SN", "PD", "SB", "GR"]
 """

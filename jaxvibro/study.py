@@ -1,4 +1,5 @@
-"""What a scene file asks for, computed: a swept diagram, attractors, orbits, branches; else the motion from rest."""
+"""What a scene file asks for, computed: a swept diagram, attractors, orbits, branches and loci; else the motion from
+rest."""
 
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,10 @@ from tqdm import tqdm
 
 from .attractors import find_attractors
 from .check import SceneError
+from .diagram import Diagram
+from .explore import explore
 from .find import find_orbit
+from .loci import count, loci
 from .orbit import OrbitError
 from .orbits import find_orbits
 from .place import fit
@@ -28,8 +32,9 @@ class Found:
     """What came out. file: what was asked; scene: its scene.
 
     swept: the Dataset of `sweep` with a dimension `leg`, of one value and a leg "rest" where no study was asked for;
-    attractors, orbits, branches: as `find_attractors`, `find_orbits` and `followed` give them. Each is None where the
-    file does not ask for it.
+    attractors, orbits: as `find_attractors` and `find_orbits` give them; branches: as `followed` does, or those of the
+    `Diagram` of `explore`, which is in diagram; loci, refused: as `loci.loci` gives them. Each is None where the file
+    does not ask for it.
     """
 
     file: SceneFile
@@ -38,17 +43,20 @@ class Found:
     attractors: tuple | None
     orbits: tuple | None
     branches: tuple | None = None
+    diagram: Diagram | None = None
+    loci: tuple | None = None
+    refused: tuple | None = None
 
     @property
     def across(self):
         """The parameter of the diagram: that which is swept, or else followed; None where there is no diagram."""
-        asked = self.file.sweep or self.file.branch
+        asked = self.file.sweep or self.file.followed
         return None if asked is None else asked.parameter
 
     @property
     def base(self):
         """The scene of the diagram, but for its parameter."""
-        return self.scene if self.file.sweep is not None else self.there(self.file.branch)
+        return self.scene if self.file.sweep is not None else self.there(self.file.followed)
 
     def there(self, asked):
         """The scene that a table with values `at` is about; for None the file's own."""
@@ -64,7 +72,7 @@ class Found:
     @property
     def drawn(self):
         """The branches that belong into the diagram: none where another parameter is swept, or in another scene."""
-        asked = self.file.branch
+        asked = self.file.followed
         inside = self.branches and asked.parameter == self.across and self._is_inside(asked)
         return self.branches if inside else ()
 
@@ -91,9 +99,14 @@ def study(file, progress=False):
     Raises SceneError where the start of a branch settles on no orbit that can be followed.
     """
     scene = file.scene.make()
-    swept, attractors, orbits, branches = None, None, None, None
+    swept, attractors, orbits, branches, diagram, curves = None, None, None, None, None, (None, None)
     if file.branch is not None:  # first, as its start may turn out to be none
         branches = _branches(scene.replace(**file.branch.at), file.branch, progress)
+    if file.explore is not None:
+        diagram = _explored(scene.replace(**file.explore.at), file.explore, progress)
+        branches = diagram.branches
+    if file.locus is not None:
+        curves = _loci(branches, file.locus, progress)
     if file.sweep is not None:
         swept = _legs(scene, file.sweep, progress)
     if file.attractors is not None:
@@ -102,7 +115,7 @@ def study(file, progress=False):
         orbits = _orbits(scene.replace(**file.orbits.at), file.orbits, progress)
     if swept is attractors is orbits is branches is None:
         swept = _rest(scene)
-    return Found(file, scene, swept, attractors, orbits, branches)
+    return Found(file, scene, swept, attractors, orbits, branches, diagram, *curves)
 
 
 def _legs(scene, table, progress):
@@ -147,6 +160,30 @@ def _branches(scene, table, progress):
             raise SceneError("branch.start", rule, {"x": table.start.x, "v": table.start.v}) from None
         bar.update(len(found) - bar.n)
     return found
+
+
+def _explored(scene, table, progress):
+    settings = {"max_period": table.max_period, "seed": table.seed, "budget": table.budget}
+    with tqdm(desc="explore", unit=" branches", disable=not progress) as bar:
+        try:
+            return explore(
+                scene, table.parameter, table.bounds, **settings, progress=lambda number: bar.update(number - bar.n)
+            )
+        except SceneError as error:
+            raise SceneError(f"explore.{error.key}", error.rule, error.value, error.index) from None
+
+
+def _loci(branches, table, progress):
+    total = count(branches, table.bounds, table.kinds)
+    with tqdm(desc="loci", total=total, unit=" points", disable=not progress) as bar:
+        return loci(
+            branches,
+            table.parameters,
+            table.bounds,
+            table.kinds,
+            table.largest_step,
+            lambda number: bar.update(number - bar.n),
+        )
 
 
 def _is_on(orbit, attractor):

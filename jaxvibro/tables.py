@@ -16,6 +16,7 @@ Settle = Annotated[int, Meta(ge=0, le=MOST)]
 Periods = Annotated[int, Meta(ge=1, le=32)]  # half of what `trail` keeps
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
 Name = Annotated[str, Meta(min_length=1)]
+KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -121,6 +122,27 @@ class BranchTable(Table, kw_only=True):
     largest_step: float = 0.1
 
 
+class ExploreTable(Table, kw_only=True):
+    """[explore]: the periodic orbits along a parameter, found from many starts at values all over its range, the scene
+    having the values under `at`, and all branches that leave them."""
+
+    parameter: Name
+    bounds: tuple[float, float]
+    at: dict[str, float] = {}
+    max_period: Periods = 8
+    seed: Seed = 0
+    budget: Count | None = None
+
+
+class LocusTable(Table, kw_only=True):
+    """[locus]: the curves, in two parameters, of the special points of what [branch] or [explore] gives."""
+
+    parameters: tuple[Name, Name]
+    bounds: dict[str, tuple[float, float]]
+    kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = KINDS
+    largest_step: float = 0.1
+
+
 class SceneFile(Table):
     """All that a scene file says: the scene, and the studies that it asks for."""
 
@@ -129,6 +151,13 @@ class SceneFile(Table):
     attractors: AttractorsTable | None = None
     orbits: OrbitsTable | None = None
     branch: BranchTable | None = None
+    explore: ExploreTable | None = None
+    locus: LocusTable | None = None
+
+    @property
+    def followed(self):
+        """What gives branches: [branch] or [explore]; None without."""
+        return self.branch or self.explore
 
     def check(self):
         """This file, once scene and studies break no rule. Raises SceneError naming the key, dotted from the top."""
@@ -142,6 +171,10 @@ class SceneFile(Table):
                     known(changed(scene, asked.at), np.float64)
         if self.branch is not None:
             _check_branch(scene, self.branch)
+        if self.explore is not None:
+            _check_explore(scene, self)
+        if self.locus is not None:
+            _check_locus(scene, self)
         return self
 
 
@@ -200,13 +233,8 @@ def _check_leg(key, scene, sweep, leg):
 
 
 def _check_branch(scene, branch):
-    _check_name("branch.parameter", scene, branch.parameter)
+    scene = _check_followed("branch", scene, branch)
     low, high = branch.bounds
-    if not (np.isfinite(branch.bounds).all() and low < high):
-        rule = "must be [low, high], two finite numbers, the first smaller"
-        raise check.SceneError("branch.bounds", rule, list(branch.bounds))
-    with _under("branch.at."):
-        scene = known(changed(scene, branch.at), np.float64)
     value = float(scene.parameter(branch.parameter))
     if not low <= value <= high:
         if branch.parameter in branch.at:
@@ -215,8 +243,67 @@ def _check_branch(scene, branch):
         rule = f"must hold the scene's {branch.parameter}, {value}, or that in branch.at"
         raise check.SceneError("branch.bounds", rule, list(branch.bounds))
     _check_start("branch.start", scene, branch.start)
-    step = check.number("branch.largest_step", branch.largest_step, np.float64)
-    check.require("branch.largest_step", "must be greater than 0", step, step > 0)
+    _check_step("branch.largest_step", branch.largest_step)
+
+
+def _check_explore(scene, file):
+    if file.branch is not None:
+        raise check.SceneError("explore", "must not stand beside [branch]", file.explore.parameter)
+    _check_followed("explore", scene, file.explore)
+
+
+def _check_followed(key, scene, asked):
+    """The scene of a [branch] or [explore], once its parameter, bounds and values break no rule."""
+    _check_name(f"{key}.parameter", scene, asked.parameter)
+    _check_bounds(f"{key}.bounds", asked.bounds)
+    with _under(f"{key}.at."):
+        return known(changed(scene, asked.at), np.float64)
+
+
+def _check_locus(scene, file):
+    asked, source = file.locus, file.followed
+    names = list(asked.parameters)
+    if source is None:
+        raise check.SceneError("locus", "must come with [branch] or [explore], whose special points it follows", names)
+    for place, name in enumerate(names):
+        _check_name(f"locus.parameters[{place}]", scene, name)
+    if names[0] == names[1]:
+        raise check.SceneError("locus.parameters", "must be two different parameters", names)
+    if set(asked.bounds) != set(names):
+        given = ", ".join(asked.bounds) or "none"
+        raise check.SceneError("locus.bounds", f"must give [low, high] for {' and for '.join(names)}, no other", given)
+    for name in names:
+        _check_bounds(f"locus.bounds.{name}", asked.bounds[name])
+        _check_reach(f"locus.bounds.{name}", name, asked.bounds[name], scene, file)
+    for place, kind in enumerate(asked.kinds):
+        if kind not in KINDS or kind in asked.kinds[:place]:
+            rule = f"must be one of {', '.join(KINDS)}" if kind not in KINDS else "must differ from the others"
+            raise check.SceneError(f"locus.kinds[{place}]", rule, kind)
+    _check_step("locus.largest_step", asked.largest_step)
+
+
+def _check_reach(key, name, bounds, scene, file):
+    """Refuse bounds of a locus in which no special point of the branches can lie."""
+    table, source = "branch" if file.branch is not None else "explore", file.followed
+    (low, high), (least, most) = bounds, source.bounds
+    if name == source.parameter:
+        if high < least or most < low:
+            raise check.SceneError(key, f"must overlap {table}.bounds, {least} and {most}", list(bounds))
+        return
+    value = float(changed(scene, source.at).parameter(name))
+    if not low <= value <= high:
+        raise check.SceneError(key, f"must hold the {name} of [{table}], {value}", list(bounds))
+
+
+def _check_bounds(key, bounds):
+    low, high = bounds
+    if not (np.isfinite(bounds).all() and low < high):
+        raise check.SceneError(key, "must be [low, high], two finite numbers, the first smaller", list(bounds))
+
+
+def _check_step(key, step):
+    step = check.number(key, step, np.float64)
+    check.require(key, "must be greater than 0", step, step > 0)
 
 
 def _check_name(key, scene, name):

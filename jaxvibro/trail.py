@@ -47,7 +47,8 @@ class Trail(NamedTuple):
 def trail(scene, state, periods, slots=SLOTS):
     """Runs a state's lanes on: a `Trail` of the last periods, at most KEEP.
 
-    scene: a single one, or a lane of a batch each; state: leaves of shape (lanes,); periods: whole number >= 1, no compilation of its own.
+    scene: a single one, or a lane of a batch each; state: leaves of shape (lanes,); periods: whole number >= 1, no
+    compilation of its own.
     """
     size, width = len(state.x), max(1, WIDTH * SLOTS // slots)
     blocks = [_padded((scene, state), first, width) for first in range(0, size, width)]

@@ -229,6 +229,7 @@ DEGENERATE = {  # amplitude, and the other parameter
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind, name", DEGENERATE)
 def test_where_doubling_and_breaking_change_their_side(slowly, kind, name):
     bounds = {"amplitude": (0.0, 20.0), "frequency": (0.5, 4.0), "damping": (0.0, 1.2)}

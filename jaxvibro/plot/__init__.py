@@ -2,8 +2,9 @@
 
 from .branch import branch, mark_points
 from .diagram import diagram, mark
+from .locus import locus, region
 from .orbit import mark_orbits, orbit
 from .portrait import portrait
 from .trace import trace
 
-__all__ = ["branch", "diagram", "mark", "mark_orbits", "mark_points", "orbit", "portrait", "trace"]
+__all__ = ["branch", "diagram", "locus", "mark", "mark_orbits", "mark_points", "orbit", "portrait", "region", "trace"]

@@ -1,0 +1,154 @@
+"""Loci in the plane of their two parameters, and the regions between them."""
+
+from itertools import pairwise
+
+import numpy as np
+
+from ..check import SceneError
+from ..locus import MEANINGS
+from .style import COLOURS, axes, label, plain
+
+# Of each kind: a colour, and a style that tells it without colour.
+LOOKS = {
+    "SN": (COLOURS[0], "-"),
+    "PD": (COLOURS[7], (0, (6, 2))),
+    "SB": (COLOURS[5], (0, (7, 2, 1.5, 2))),
+    "GR": (COLOURS[2], (0, (1.2, 1.2))),
+}
+WIDTHS = (2.2, 1.4, 0.8)  # of the first, second and further loci of a kind, points
+MARKERS = {"CP": "*", "GPD": "^", "DSB": "D", "GR": "v", "GG": "s", "RG": "o", "SN": "<", "PD": ">", "SB": "d"}
+SIZES = {"RG": 9.0}  # points; of others 6: loci that end on a grazing may do so at an RG, whose ring then shows
+FILLED = COLOURS[4]
+HATCHES = ("///", "\\\\\\", "...", "xxx", "")
+LOCUS, REGION = "locus of", "region of"  # with the parameters, the group id of what is drawn
+
+
+def locus(one, ax=None, colour=None):
+    """Draw a `Locus` in the plane of its two parameters, the first across, the second up: the Axes.
+
+    colour: of its line; None takes that of its kind. Each kind has a colour and a style of line; of two loci of a kind
+    in the same Axes the second is thinner, and further ones thinner still. Each kind of codimension-two point has a
+    marker, ends have none.
+
+    Raises SceneError where the Axes hold loci of other parameters, or of these the other way round.
+    """
+    ax = _plane(axes(ax), one.names)
+    told, (own, style) = name(one), LOOKS[one.kind]
+    lines = _with_gid(ax.lines, LOCUS)
+    alike = [line for line in lines if line.get_label().lstrip("_") == told]
+    earlier = {line.get_label().lstrip("_") for line in lines} - {told}
+    rank = sum(each.startswith(f"{one.kind} ") for each in earlier)
+    look = {"color": colour or own, "linestyle": style, "linewidth": WIDTHS[min(rank, len(WIDTHS) - 1)]}
+    if alike:
+        look = {"linestyle": style, "color": colour or alike[0].get_color(), "linewidth": alike[0].get_linewidth()}
+    hidden = any(line.get_color() == look["color"] for line in alike)
+    ax.plot(*one.values.T, label=f"_{told}" if hidden else told, gid=_gid(LOCUS, one.names), zorder=3, **look)
+    _points(ax, one)
+    return ax
+
+
+def name(one):
+    """What a locus is called: "SN of P111"."""
+    return f"{one.kind} of {one.label}"
+
+
+def _points(ax, one):
+    known = [line.get_label() for line in ax.lines if line.get_gid() == "codimension two"]
+    for kind in dict.fromkeys(each.kind for each in one.special if each.kind != "EP"):
+        across, up = np.array([list(each.values.values()) for each in one.points(kind)]).T
+        text = f"{kind}: {MEANINGS.get(kind, f'end of a locus of {kind}')}"
+        told = f"_{text}" if text in known else text
+        look = {"marker": MARKERS[kind], "markersize": SIZES.get(kind, 6.0), "zorder": 7 - 0.1 * SIZES.get(kind, 6.0)}
+        look |= {"markerfacecolor": FILLED, "markeredgecolor": "black", "linestyle": "none"}
+        ax.plot(across, up, label=told, gid="codimension two", **look)
+
+
+def region(first, second, text, ax=None, colour=None):
+    """Shade the region between two `Locus` over the same two parameters, and write a text into it: the Axes.
+
+    A point is in the region if, on the line through it on which the second parameter is constant, its neighbours are
+    the one locus on one side and the other locus on the other. colour: of the shade; None takes grey, with another
+    hatching for each region in these Axes, told by the text in the legend too.
+
+    Raises SceneError where the two are not over the same parameters in the same order, where no such line meets both,
+    and as `locus` does.
+    """
+    if first.names != second.names:
+        raise SceneError("second", f"must be a locus in {' and '.join(first.names)}, as the first", second.names)
+    ax = _plane(axes(ax), first.names)
+    outlines = _outlines(first.values, second.values)
+    if not outlines:
+        raise SceneError("second", f"must share values of {first.names[1]} with the first", repr(second))
+    earlier = len({patch.get_label() for patch in _with_gid(ax.patches, REGION)} - {"_"})
+    look = {"facecolor": colour or "0.5", "edgecolor": colour or "0.35", "hatch": HATCHES[earlier % len(HATCHES)]}
+    for place, outline in enumerate(outlines):
+        told = plain(text) if place == 0 else "_"
+        patch = ax.fill(*outline.T, label=told, gid=_gid(REGION, first.names), alpha=0.22, zorder=1, **look)[0]
+        patch.set_linewidth(0.0)
+    across, up = _widest(outlines)
+    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.5}
+    ax.text(across, up, plain(text), ha="center", va="center", zorder=8, fontsize="small", bbox=box)
+    return ax
+
+
+def _outlines(first, second):
+    """The corners of each part of the region between two curves of points (across, up), a list of (corners, 2).
+
+    Between two heights at which neither curve has a point both are straight; there, of all their pieces from left to
+    right, each two neighbours of different curves have a part of the region between them.
+    """
+    heights = np.unique(np.concatenate([first[:, 1], second[:, 1]]))
+    parts, open_parts = [], []
+    for low, high in pairwise(heights):
+        pieces = [(*piece, curve) for curve, one in enumerate((first, second)) for piece in _pieces(one, low, high)]
+        pieces.sort(key=lambda piece: piece[0] + piece[1])
+        pairs = [(one, other) for one, other in pairwise(pieces) if one[2] != other[2]]
+        if len(pairs) != len(open_parts):
+            open_parts = [([], []) for _ in pairs]
+            parts += open_parts
+        for (left, right), (one, other) in zip(open_parts, pairs, strict=True):
+            left += [(one[0], low), (one[1], high)]
+            right += [(other[0], low), (other[1], high)]
+    return [np.array([*left, *reversed(right)]) for left, right in parts]
+
+
+def _pieces(curve, low, high):
+    """(across at the one height, at the other) of each piece of a curve that reaches from the one to the other."""
+    ends = np.sort(np.stack([curve[:-1, 1], curve[1:, 1]]), axis=0)
+    for place in np.flatnonzero((ends[0] <= low) & (high <= ends[1])):
+        (left, down), (right, up) = curve[place : place + 2]
+        yield tuple(left + (height - down) / (up - down) * (right - left) for height in (low, high))
+
+
+def _widest(outlines):
+    """A point in the middle of where the largest region is wide, not close to its ends."""
+    best, where = -np.inf, None
+    heights = np.concatenate(outlines)[:, 1]
+    largest = max(np.ptp(one[:, 0]) for one in outlines)
+    for one in outlines:
+        left, right = one[: len(one) // 2], one[len(one) // 2 :][::-1]
+        room = np.minimum(left[:, 1] - left[0, 1], left[-1, 1] - left[:, 1]) / np.ptp(heights)
+        size = np.minimum(abs(right[:, 0] - left[:, 0]) / largest, 2.0 * room)
+        place = int(np.argmax(size))
+        if size[place] > best:
+            best, where = size[place], (0.5 * (left[place, 0] + right[place, 0]), left[place, 1])
+    return where
+
+
+def _plane(ax, names):
+    """The Axes, their labels those of the two parameters. Raises SceneError where they hold others."""
+    held = {each.get_gid() for each in (*_with_gid(ax.lines, LOCUS), *_with_gid(ax.patches, REGION))}
+    there = {gid.removeprefix(LOCUS).removeprefix(REGION).strip() for gid in held}
+    if there - {", ".join(names)}:
+        rule = f"must be in the plane of what these Axes hold already ({', '.join(sorted(there))}, in this order)"
+        raise SceneError("one.names", rule, tuple(names))
+    ax.set(xlabel=label(names[0]), ylabel=label(names[1]))
+    return ax
+
+
+def _gid(what, names):
+    return f"{what} {', '.join(names)}"
+
+
+def _with_gid(artists, what):
+    return [each for each in artists if (each.get_gid() or "").startswith(what)]
