@@ -7,13 +7,12 @@ SB, or of resonant grazing (RG), where SN and PD are one. F is entire in times a
 points give these derivatives to rounding.
 """
 
-from typing import NamedTuple
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from continuation import locate
+from continuation.follow import Event
 
 from . import cycle, flow, ring
 from .along import cycle_at, problem, there
@@ -42,16 +41,6 @@ SAME = 1e-7  # of z: two points as near are one
 LANES = 132  # points of a compiled call
 
 
-class Event(NamedTuple):
-    """As `continuation.follow.Event`."""
-
-    after: int
-    length: float
-    kind: str
-    z: np.ndarray
-    residual: float
-
-
 def events(curve, points, control):
     """The `Event`s between points in a row."""
     found = []
@@ -60,7 +49,7 @@ def events(curve, points, control):
             one = _located(curve, kind, points, int(after), values, control)
             if one is not None and np.linalg.norm(control.scale * (one.z - points.z[0])) > SAME:
                 found.append(one)
-    return _told_apart(sorted(found, key=lambda one: one[:2]))
+    return _told_apart(sorted(found, key=lambda one: (one.after, one.length)))
 
 
 def _watched(curve, points):
@@ -89,7 +78,7 @@ def _located(curve, kind, points, after, values, control):
             continue
         along = float(np.sum(control.scale**2 * points.tangent[after] * (found.z - here)))
         if -0.05 * length <= along <= 1.05 * length:
-            return Event(after, min(max(along, 0.0), length), kind, found.z, found.residual)
+            return Event(kind, after, min(max(along, 0.0), length), found.z, found.residual)
     return None
 
 

@@ -16,7 +16,7 @@ from jax import lax
 from continuation.problem import Problem
 
 from . import cycle, ring
-from .along import cycle_at, impacts, problem, there
+from .along import Along, cycle_at, impacts, problem, there
 from .cycle import Cycle
 from .frame import frame
 from .lanes import one_kernel
@@ -48,15 +48,8 @@ class Singular(NamedTuple):
     cycle: Cycle
     closing: np.ndarray
 
-    @property
-    def hits(self):
-        """The rows of impacts, whose speeds are to be positive."""
-        return np.flatnonzero(self.cycle.sides != 0)
-
-    @property
-    def slack(self):
-        """How deep behind a wall a flight may be."""
-        return 0.0
+    hits = Along.hits
+    slack = Along.slack
 
 
 def _grazing(z, curve):

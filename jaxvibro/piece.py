@@ -239,8 +239,12 @@ def cut_at(along, points, after, length, control):
 
 def _events(along, points, look, control):
     values = {"PD": look.flip} if len(along.cycle.sides) else {}
-    found = follow.events(problem(along), points, values, control, along)
-    return [(one.after, one.length, one.kind, one.z, one.residual) for one in found]
+    return listed(follow.events(problem(along), points, values, control, along))
+
+
+def listed(events):
+    """`follow.Event`s as `inserted` takes them."""
+    return [(one.after, one.length, one.kind, one.z, one.residual) for one in events]
 
 
 def inserted(along, points, marks, control):

@@ -13,7 +13,22 @@ from .curve import Grazing
 from .dips import with_dips
 from .graze import admissible
 from .look import Look, looked
-from .piece import BOUND, CLOSED, DOMAIN, ENDS, GRAZE, MOST, POINTS, STEP, Mark, cut_at, inserted, to_touch, to_value
+from .piece import (
+    BOUND,
+    CLOSED,
+    DOMAIN,
+    ENDS,
+    GRAZE,
+    MOST,
+    POINTS,
+    STEP,
+    Mark,
+    cut_at,
+    inserted,
+    listed,
+    to_touch,
+    to_value,
+)
 from .rows import joined
 
 REASONS = {
@@ -78,7 +93,7 @@ def _part(curve, points, status, asked, begun):
     loop = follow.passes_mark(problem(curve), points, [begun], asked.control, curve)
     if loop is not None:
         points, last, end = cut_at(curve, points, *loop, asked.control), [], (CLOSED, "", 0.0)
-    points, marks = inserted(curve, points, events(curve, points, asked.control), asked.control)
+    points, marks = inserted(curve, points, listed(events(curve, points, asked.control)), asked.control)
     marks += [one._replace(place=len(points.z) - 1) for one in last]
     return points, looked(curve, points.z), marks, end
 
