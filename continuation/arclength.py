@@ -98,10 +98,11 @@ def corrected(function, solve, place, step, control, args):
 
 
 def track(function, solve, place, control, args, count):
-    """(the `Place` reached, the `Point` of each of so many attempted steps)."""
+    """(the `Place` reached, the `Point` of each of so many attempted steps); after its end nothing is attempted, and
+    the rest is blank."""
 
-    def attempt(place, _):
-        on = place.status == ON
+    def attempt(place):
+        on = place.status == ON  # of lanes under vmap, one may have ended before the others
         step = jnp.where(on, place.step, 0.0)
         point, stray = corrected(function, solve, place, step, control, args)
         bend = jnp.sum(control.scale * control.scale * place.tangent * point.tangent)
@@ -122,4 +123,16 @@ def track(function, solve, place, control, args, count):
         )
         return new, point._replace(kept=kept)
 
-    return lax.scan(attempt, place, length=count)
+    def advance(carry):
+        k, place, points = carry
+        place, point = attempt(place)
+        kept = [lax.dynamic_update_index_in_dim(*each, k, 0) for each in zip(points, point, strict=True)]
+        return k + 1, place, Point(*kept)
+
+    def going(carry):
+        k, place, _ = carry
+        return (k < count) & (place.status == ON)
+
+    wide, one = (jnp.zeros((count, *shape), place.z.dtype) for shape in (place.z.shape, ()))
+    blank = Point(wide, wide, one, one, one, one > 0, one > 0)
+    return lax.while_loop(going, advance, (0, place, blank))[1:]

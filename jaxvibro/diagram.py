@@ -39,8 +39,9 @@ class Diagram:
     def special(self):
         """The special points of all branches, but for ends, each orbit once, by value."""
         found = []
-        for branch in self.branches:
-            found += [one for one in branch.special if one.kind != "EP" and not any(is_same(one, two) for two in found)]
+        for one in (one for branch in self.branches for one in branch.special if one.kind != "EP"):
+            if not any(is_same(one, two) for two in found):
+                found.append(one)
         return tuple(sorted(found, key=lambda one: one.value))
 
     def points(self, kind):

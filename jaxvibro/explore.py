@@ -1,7 +1,8 @@
 """`explore`: the periodic orbits of a scene along a parameter, unattended: followed both ways and from point to point.
 
 What many starts at values all over the parameter's range settle on is looked at in turn. What lies on no branch so far
-is followed, and so is all that leaves the special points met; then the next is looked at.
+is followed, through folds and grazings, and so is all that leaves the branch points and period doublings met; then the
+next is looked at.
 """
 
 import numpy as np
@@ -17,6 +18,7 @@ from .domain import bounds_of, domain
 from .find import find_orbit
 from .follow import follow, placed, settled
 from .graze import scales
+from .mirror import stays_symmetric
 from .orbit import OrbitError
 from .probe import probes
 from .switch import FIRST
@@ -39,8 +41,10 @@ def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None,
     together; None is 400. resume: a `Diagram` that stopped at its budget, of the same scene, parameter and settings, to
     go on from. progress: called with the number of branches so far.
 
-    Every attractor that one of 256 starts settles on is on a branch. What lies on no branch that leaves these, as an
-    isolated unstable orbit, is not found. The same arguments give the same diagram.
+    Every attractor that one of 256 starts settles on is on a branch. What lies on no branch that leaves these is not
+    found: an isolated unstable orbit, or one that only meets them at a grazing, where a branch goes on with one other;
+    `Special.meets` has all, and `switch` follows them. In a symmetric scene a branch comes with its mirror image. The
+    same arguments give the same diagram.
 
     Raises SceneError for arguments that cannot be.
     """
@@ -55,7 +59,7 @@ def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None,
     steps = settled(FIRST, largest_step, 1e-10, (), ())
     settings = {"max_period": max_period, "seed": seed, "largest_step": largest_step}
     found, done = _resumed(resume, scene, name, bounds, settings)
-    tree = Tree(bounds, max_period, most, steps, found, done, progress)
+    tree = Tree(bounds, max_period, most, steps, found, done, stays_symmetric(scene, name), progress)
     tree.grow()
     for probe in probes(scene, name, bounds, max_period, seed):
         if not tree.is_spent and not any(_is_on(probe, branch) for branch in tree.found):

@@ -29,10 +29,12 @@ def images(along, cycle, value, near):
 
 
 def is_repeated(along, z):
-    """Whether an orbit is a shorter one, gone through more than once."""
-    count, rows, periods = int(np.sum(along.cycle.sides != 0)), len(along.cycle.sides), int(along.cycle.periods)
-    turns = np.column_stack([np.diff(z[:count], append=np.inf), z[rows : rows + count], along.cycle.sides[:count]])
-    near = REPEATED * (1.0 + abs(turns[:-1]).max(initial=0.0))
+    """Whether an orbit, but for impacts without speed, is a shorter one, gone through more than once."""
+    rows, periods = len(along.cycle.sides), int(along.cycle.periods)
+    speeds, sides = z[rows : 2 * rows], np.asarray(along.cycle.sides)
+    hit = (sides != 0) & (speeds > REPEATED * speeds.max(initial=0.0))
+    turns = np.column_stack([np.diff(z[:rows][hit], append=np.inf), speeds[hit], sides[hit]])
+    count, near = len(turns), REPEATED * (1.0 + abs(turns[:-1]).max(initial=0.0))
     for part in range(1, count):
         if count % part == 0 and periods % (count // part) == 0:
             apart = abs(np.roll(turns, part, axis=0) - turns)

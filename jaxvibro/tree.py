@@ -1,17 +1,19 @@
 """A branch and those that leave it, and those that leave these: `Tree`, `followed`."""
 
+from dataclasses import replace
+
 import numpy as np
 
-from .branch import row_of
 from .follow import follow, placed
 from .image import is_repeated
-from .switch import FIRST, KINDS, left, starts
+from .mirror import mirrored, stays_symmetric
+from .switch import FIRST, left, starts
 
 MOST = 64  # branches
 VALUE, SPEED = 1e-8, 1e-6  # two special points as near in the parameter and in the impacts' speeds are one
 OWN = ("SN", "PD", "SB", "BP")  # points that are on one branch alone, or where one ends
 ASIDE = 1e-3  # along its tangent a branch is told from one of repeated orbits
-ALIKE = 0.9  # the cosine between two directions that are one
+LEFT = ("SB", "BP", "PD")  # points that other branches leave; at a GR a branch goes on by itself
 
 
 def followed(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1):
@@ -20,24 +22,26 @@ def followed(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1)
     orbit, name, bounds, largest_step: as in `follow`. max_period: drive periods of the longest orbits that are switched
     to at a period doubling; 1: none are. progress: called with the number of branches so far.
 
-    Each special point is left once, in the order in which they are found, the first branch being that of the orbit; a
-    branch that has been walked from its other end is left out. There are at most 64.
+    Each SB, BP and PD is left once, in the order in which they are found, the first branch being that of the orbit; a
+    branch that has been walked from its other end is left out. In a symmetric scene a branch is followed by its mirror
+    image, unless it is its own. There are at most 64.
 
     Raises SceneError and OrbitError as `follow` does.
     """
     steps = {"largest_step": largest_step, "tolerance": 1e-10, "monitors": {}, "stop": ()}
-    tree = Tree(bounds, max_period, MOST, steps, [], [], progress)
+    tree = Tree(bounds, max_period, MOST, steps, [], [], stays_symmetric(orbit.scene, name), progress)
     tree.add(follow(orbit, name, bounds, largest_step=largest_step))
     tree.grow()
     return tuple(tree.found)
 
 
 class Tree:
-    """found: the branches so far; done: (branch, special point) of those that have been left, by their places."""
+    """found: the branches so far; done: (branch, special point) of those that have been left, by their places;
+    symmetric: whether the mirror image of an orbit is one."""
 
-    def __init__(self, bounds, max_period, most, steps, found, done, progress):
+    def __init__(self, bounds, max_period, most, steps, found, done, symmetric, progress):
         self.bounds, self.max_period, self.most, self.steps = bounds, max_period, most, steps
-        self.found, self.done, self.progress = found, done, progress
+        self.found, self.done, self.symmetric, self.progress = found, done, symmetric, progress
 
     @property
     def is_spent(self):
@@ -51,43 +55,49 @@ class Tree:
 
     def grow(self):
         """Leaves every special point of the branches that has not been left, in turn."""
-        met = [self.found[k].special[j] for k, j in self.done]
+        met = [one for k, j in self.done for one in self._images(self.found[k].special[j])]
         k = 0
         while k < len(self.found) and not self.is_spent:
             for j, point in enumerate(self.found[k].special):
                 if (k, j) in self.done or self.is_spent or not _is_left(point, self.max_period):
                     continue
-                if not any(is_same(point, other) for other in met if point.kind != "GR"):
-                    met.append(point)
+                if not any(is_same(point, other) for other in met):
+                    met += self._images(point)
                     self._leave(k, point)
                 self.done.append((k, j))
             k += 1
 
+    def _images(self, point):
+        """A special point, and in a symmetric scene its mirror image."""
+        return [point, _reflected(point)] if self.symmetric else [point]
+
     def _leave(self, k, point):
         if _is_reached(point, k, self.found):
             return
-        for start in _starts(point):
-            if point.kind == "GR" and _is_taken(start, point, self.found):
-                continue
+        begun = _starts(point)
+        if self.symmetric and point.kind == "SB":
+            begun = begun[:1]  # the other half is the mirror image
+        for start in begun:
             branch = left(point, start, self.bounds, **{"first_step": FIRST} | self.steps)
             if len(branch) > 1 and not any(_is_retraced(branch, other) for other in self.found):
                 self.add(branch)
 
     def add(self, branch):
-        """One branch more."""
+        """One branch more, and in a symmetric scene its mirror image."""
         self.found.append(branch)
+        if self.symmetric and not _is_own_mirror(branch):
+            self.found.append(mirrored(branch))
         if self.progress is not None:
             self.progress(len(self.found))
 
 
 def _is_left(point, max_period):
     """Whether branches are to be followed from a special point."""
-    if point.kind not in KINDS or (point.place == 0 and point.kind != "GR"):
+    if point.kind not in LEFT or point.place == 0:
         return False
     if point.kind == "PD":
         return 2 * point.spot.periods <= max_period
-    along, z = placed(point.scene, point.name, point.spot)
-    return point.kind == "GR" or not is_repeated(along, z)
+    return not is_repeated(*placed(point.scene, point.name, point.spot))
 
 
 def _starts(point):
@@ -102,7 +112,7 @@ def _starts(point):
 def _is_reached(point, source, found):
     """Whether another branch than its own has come through a point: what crosses there has been walked."""
     times = 2 if point.kind == "PD" else 1
-    return point.kind != "GR" and any(
+    return any(
         other.kind in ("SB", "BP", "EP") and is_orbit(point, other, times)
         for k, branch in enumerate(found)
         if k != source
@@ -117,45 +127,14 @@ def _is_retraced(branch, earlier):
     return branch.segments[-1].label == earlier.segments[-1].label and is_orbit(one, other)
 
 
-def _is_taken(start, point, found):
-    """Whether one of the branches comes to a grazing, or leaves it, by a start: its orbits a little on are on it."""
-    along, begun = start
-    count = len(begun.z) // 2 if len(along.cycle.sides) else 0
-    hits = np.flatnonzero(along.cycle.sides != 0)
-    sides = along.cycle.sides[hits]
-    slopes = begun.tangent[count + hits] if count else begun.tangent[:0]
-    way = np.sign(begun.tangent[-1])
-    for branch in found:
-        for other in branch.special:
-            if other.kind != "GR" or not is_orbit(point, other):
-                continue
-            for step in (-1, 1):
-                place = other.place + step
-                if 0 <= place < len(branch) and _is_along(branch, place, other.place, sides, slopes, way):
-                    return True
-    return False
+def _is_own_mirror(branch):
+    """Whether the mirror images of a branch's special points are all on it."""
+    return all(any(is_same(_reflected(one), other) for other in branch.special) for one in branch.special)
 
 
-def _is_along(branch, place, grazing, sides, slopes, way):
-    """Whether a point beside a grazing has the impacts, and lies in the direction, of a start there."""
-    row, near = row_of(branch.data, place), row_of(branch.data, grazing)
-    hit = row["side"] != 0
-    if branch.data["segment"].values[place] != branch.data["segment"].values[grazing]:
-        return _has(row["side"][hit], sides) and np.sign(row[branch.name] - near[branch.name]) == way
-    if not _has(row["side"][hit], sides):
-        return False
-    change, value = (row["speed"] - near["speed"])[hit], row[branch.name] - near[branch.name]
-    if not len(slopes):
-        return np.sign(value) == way
-    size = np.linalg.norm(slopes) * np.linalg.norm(change)
-    turns = [
-        np.roll(change, k) @ slopes for k in range(len(change)) if np.array_equal(np.roll(row["side"][hit], k), sides)
-    ]
-    return bool(turns) and max(turns) > ALIKE * size and np.sign(value) == way
-
-
-def _has(sides, others):
-    return len(sides) == len(others) and np.sum(sides) == np.sum(others)
+def _reflected(point):
+    """A special point with the impacts on the other walls: enough to tell its mirror image."""
+    return replace(point, spot=point.spot._replace(sides=-point.spot.sides))
 
 
 def is_same(one, other):

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 
 from .graze import scales
-from .piece import CLOSED, GRAZE, Piece, piece
+from .image import is_repeated
+from .piece import CLOSED, GRAZE, HALVED, Piece, piece
 
 REASONS = (
     "the parameter reached its bound {value:.12g}",
@@ -17,7 +18,7 @@ REASONS = (
     "from {value:.12g} on the mass rests on a wall for a while",
     "it has too many points, the last at {value:.12g}",
     "a number is not finite after {value:.12g}",
-    "at {value:.12g} it is an orbit of a shorter period, repeated: that one's period doubling",
+    "at {value:.12g} it is an orbit of a shorter period, repeated",
 )
 MOST = 200  # pieces of a branch
 SAME = 1e-7  # two grazings as near are one
@@ -42,6 +43,8 @@ def walked(along, start, asked):
             here = _orbit(along, one.points.z[-1])
             if any(len(each) == len(here) and abs(each - here).max() < SAME for each in met):
                 one, way = one._replace(why=CLOSED), None
+            elif is_repeated(along, one.points.z[-1]):
+                one, way = one._replace(why=HALVED), None
             met.append(here)
         pieces.append(one)
         if way is None or len(pieces) == MOST:

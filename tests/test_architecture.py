@@ -15,7 +15,7 @@ ORDER = [
     *("itinerary", "place", "section", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
     *("cycle", "passes", "orbit", "solve", "shoot", "find", "orbits"),
     *("ring", "along", "look", "rows", "graze", "dips", "image", "monitor", "piece", "walk"),
-    *("told", "branch", "domain", "assemble", "follow", "switch", "tree"),
+    *("told", "branch", "domain", "assemble", "follow", "switch", "mirror", "tree"),
     *("curve", "codim", "track", "locus", "loci", "diagram", "probe", "explore"),
     *("evidence", "attractors", "plot", "study", "stretch", "data", "report", "picture", "run"),
     *("cache", "starter", "command", "__main__"),

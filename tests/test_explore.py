@@ -64,7 +64,7 @@ def test_the_same_again_in_two_parts_and_from_a_file(scene, diagram, tmp_path):
         first.save(tmp_path / "part")
     seen = []
     whole = jv.explore(scene, "amplitude", BOUNDS, 2, resume=jv.load_diagram(tmp_path / "part"), progress=seen.append)
-    assert whole.complete and seen == [4, 5]
+    assert whole.complete and seen == [5]
     for one, other in zip(whole.branches, diagram.branches, strict=True):
         assert np.array_equal(one.values, other.values)
         assert [each.value for each in one.special] == [each.value for each in other.special]

@@ -1,7 +1,7 @@
 """The table [branch] of a scene file: what a run of it tells, writes and draws; the branches that are walked for it."""
 
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +12,7 @@ import xarray as xr
 
 import jaxvibro as jv
 from jaxvibro import command, picture, plot, scenefile, study, tree
+from jaxvibro.told import Spot
 
 FIG4 = Path(__file__).parents[1] / "scenes" / "fig4.toml"
 FOLD, GRAZING, BREAKING = 0.508057896812, 3.416460156361, 3.543892249375
@@ -194,11 +195,23 @@ def test_a_branch_survives_writing(tmp_path):
 PLAIN = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
 
 
-def point(kind, value, right, left=(), periods=1):
+@dataclass
+class Point:
     """A special point of a branch, as far as `tree` looks at it."""
+
+    kind: str
+    value: float
+    spot: Spot
+    place: int
+    scene: jv.scene.Scene = PLAIN
+    name: str = "amplitude"
+
+
+def point(kind, value, right, left=(), periods=1):
+    """The `Point` whose orbit has impacts of these speeds."""
     sides = np.array([1.0] * len(right) + [-1.0] * len(left))
-    spot = SimpleNamespace(speeds=np.array([*right, *left], float), sides=sides, periods=periods)
-    return SimpleNamespace(kind=kind, value=value, spot=spot, scene=PLAIN, name="amplitude", place=int(kind != "EP"))
+    spot = Spot(value, np.zeros(len(sides)), np.array([*right, *left], float), sides, periods, 0.0, 0.0, 0.0)
+    return Point(kind, value, spot, int(kind != "EP"))
 
 
 class Walk(list):
@@ -209,7 +222,13 @@ class Walk(list):
         self.special, self.segments = special, [SimpleNamespace(label=label)]
 
 
-def walked(monkeypatch, first, ways, **given):
+def reflected(branch):
+    """The mirror image of a `Walk`, as far as `tree` looks at it."""
+    twins = [replace(one, spot=one.spot._replace(sides=-one.spot.sides)) for one in branch.special]
+    return Walk(branch.segments[0].label, *twins)
+
+
+def walked(monkeypatch, first, ways, symmetric=False, **given):
     """(the branches, the special points that were left) where `ways` says which branches leave them."""
     asked = []
 
@@ -222,8 +241,9 @@ def walked(monkeypatch, first, ways, **given):
     monkeypatch.setattr(tree, "left", lambda one, start, bounds, **settings: start)
     monkeypatch.setattr(tree, "placed", lambda scene, name, spot: (None, None))
     monkeypatch.setattr(tree, "is_repeated", lambda along, z: False)
-    monkeypatch.setattr(tree, "_is_taken", lambda start, one, found: False)
-    return tree.followed(None, "amplitude", (0.0, 9.0), **given), asked
+    monkeypatch.setattr(tree, "stays_symmetric", lambda scene, name: symmetric)
+    monkeypatch.setattr(tree, "mirrored", reflected)
+    return tree.followed(SimpleNamespace(scene=PLAIN), "amplitude", (0.0, 9.0), **given), asked
 
 
 def test_each_special_point_is_left_once_and_mirror_images_are_two(monkeypatch):
@@ -257,12 +277,27 @@ def test_a_branch_that_joins_two_special_points_is_walked_once(monkeypatch):
     assert len(found) == 2
 
 
+def test_in_a_symmetric_scene_half_is_walked(monkeypatch):
+    sb, end = point("SB", 3.0, [1.0], [1.0]), point("EP", 9.0, [9.0], [9.0])
+    one = point("PD", 5.0, [1.0, 2.0], [3.0])
+    halves = [Walk("P112", point("EP", 3.0, [1.0], [1.0]), one, point("EP", 9.0, [1.0, 4.0], [9.0])), None]
+    ways = {("SB", 3.0): halves, ("PD", 5.0): [Walk("P224", point("EP", 5.0, [1, 1, 2, 2], [3, 3], 2))]}
+    main = Walk("P111", point("EP", 0.0, [], []), sb, end)
+    ways["PD", 5.0][0].append(None)  # two points long
+    found, asked = walked(monkeypatch, main, ways, symmetric=True, max_period=2)
+    assert asked == [sb, one]
+    assert [each.segments[0].label for each in found] == ["P111", "P112", "P112", "P224", "P224"]
+    for first, image in ((1, 2), (3, 4)):
+        pairs = zip(found[first].special, found[image].special, strict=True)
+        assert all(np.array_equal(here.spot.sides, -there.spot.sides) for here, there in pairs)
+
+
 def test_there_are_64_branches_at_most_and_points_without_length_are_none(monkeypatch):
     def half(k):
         return Walk(
-            "P101", point("EP", k - 1.0, [0.5]), point("GR", float(k), [k + 1.0]), point("EP", k + 0.5, [k + 1])
+            "P101", point("EP", k - 1.0, [0.5]), point("BP", float(k), [k + 1.0]), point("EP", k + 0.5, [k + 1])
         )
 
-    ways = {("GR", float(k)): [half(k + 1), Walk("P101", point("EP", float(k), [1.0]))] for k in range(100)}
+    ways = {("BP", float(k)): [half(k + 1), Walk("P101", point("EP", float(k), [1.0]))] for k in range(100)}
     found, _ = walked(monkeypatch, half(0), ways)
     assert len(found) == tree.MOST == 64

@@ -1,0 +1,65 @@
+"""`mirrored`, against the other half that `switch` follows by itself; which scenes stay symmetric."""
+
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from continuation import locate
+from jaxvibro.along import problem
+from jaxvibro.branch import row_of, spot_of
+from jaxvibro.follow import placed
+from jaxvibro.mirror import mirrored, stays_symmetric
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jv.make_scene(3.7, 2.1, 0.05, 0.7, (-1.0, 1.0))
+
+
+def halves(scene, name, bounds, wide):
+    """The two branches that leave the symmetric P111's SB."""
+    found = jv.find_orbits(scene, 1, 200, 0)
+    (orbit,) = (one for one in found if one.impacts.count and np.ptp(one.impacts.speed) < 1e-6)
+    return jv.switch(jv.follow(orbit, name, wide).points("SB")[0], bounds)
+
+
+def test_the_other_half_of_a_pitchfork(scene):
+    one, other = halves(scene, "amplitude", (3.0, 4.7), (3.0, 4.7))
+    image, period = mirrored(one), 2.0 * np.pi / 2.1
+    assert len(other) == len(image) > 10
+    assert np.allclose(image.values, other.values, rtol=0, atol=1e-9)
+    for key in ("x", "v", "multiplier_real", "least_clearance"):
+        assert np.allclose(image.data[key], other.data[key], rtol=0, atol=1e-8), key
+    rows = {}
+    for key in ("time", "speed", "side", "time_slope", "speed_slope"):
+        for each in (image, other):
+            late = np.mod(each.data["time"].values + 0.1, period)
+            value = late if key == "time" else each.data[key].values
+            rows.setdefault(key, []).append(np.take_along_axis(value, np.argsort(late, axis=1), axis=1))
+        assert np.allclose(*rows[key], rtol=0, atol=1e-6), key
+    assert [each.kind for each in image.special] == [each.kind for each in other.special]
+    for each, twin in zip(image.special, other.special, strict=True):
+        assert abs(each.value - twin.value) < 1e-9 and each.label == twin.label
+        assert [each.label for each in each.meets] == [each.label for each in twin.meets]
+
+
+def test_an_image_along_the_frequency(scene):
+    one, _ = halves(scene, "frequency", (2.08, 2.3), (1.9, 2.3))
+    image = mirrored(one)
+    for place in (1, 4, 7):
+        there, spot = scene.replace(frequency=image.values[place]), spot_of(row_of(image.data, place), "frequency")
+        end, impacts = jv.strobe(there, jv.State(spot.x, spot.v))
+        assert abs(end.x - spot.x) + abs(end.v - spot.v) < 1e-9
+        period = 2.0 * np.pi / image.values[place]
+        times = np.sort(np.mod(spot.times, period))
+        assert np.allclose(np.asarray(impacts.time)[:2], times, rtol=0, atol=1e-9)
+        along, z = placed(there, "frequency", spot)
+        row = row_of(image.data, place)
+        ahead = np.concatenate([row["time_slope"], row["speed_slope"], [row["value_slope"]]])
+        assert abs(np.asarray(locate.evaluated(problem(along), z, along)[1]) @ ahead).max() < 1e-9
+
+
+def test_which_scenes_stay_symmetric(scene):
+    assert stays_symmetric(scene, "amplitude") and stays_symmetric(scene, "damping", "frequency", "restitution")
+    assert not stays_symmetric(scene, "right.position") and not stays_symmetric(scene, "left.restitution")
+    assert not stays_symmetric(jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.5, 1.0)), "amplitude")
