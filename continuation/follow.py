@@ -13,6 +13,7 @@ from .arclength import ON, Place, Point
 CHUNK = 128  # steps attempted in a compiled call
 POLISHED = 1e-10  # a length: from a step as short the next leaves rounding alone
 SAME = 1e-6  # of the scaled lengths: two points as near are one
+BEGUN = 1e-8  # of the scaled lengths: a special point as near to a start is the start
 
 
 class Event(NamedTuple):
@@ -114,7 +115,7 @@ def events(problem, points, values, control, args):
         signs = _signs(each)
         for after in np.flatnonzero(signs[:-1] * signs[1:] < 0):
             event = _located(problem, kind, points, int(after), each, control, args)
-            if event is not None and np.linalg.norm(control.scale * (event.z - points.z[0])) > SAME:
+            if event is not None and np.linalg.norm(control.scale * (event.z - points.z[0])) > BEGUN:
                 found.append(event)
     return _told_apart(found, control)
 

@@ -123,6 +123,19 @@ def special(scene, name, kind, value, times, speeds, sides, periods, touch=None,
         return parameter
 
 
+def orbit(scene, name, value, times, speeds, sides, periods, digits=50):
+    """The (time, speed) of each impact, as mpfs, of the periodic orbit at exactly a value, given approximately.
+
+    The rest as in `special`. Raises ArithmeticError where Newton's method does not converge.
+    """
+    with workdps(3 * (digits + GUARD) + lost(with_value(scene, name, float(value)))):
+        h = mpf(10) ** -(digits + GUARD)
+        branch = Branch(exact(scene), name, [int(side) for side in sides], int(periods))
+        y = [mpf(float(each)) for pair in zip(times, speeds, strict=True) for each in pair]
+        found = newton(lambda z: branch.equations([*z, mpf(float(value))]), y, h)
+        return list(zip(found[::2], found[1::2], strict=True))
+
+
 def build(branch, kind, y, touch, h):
     """(equations, first guess) of a kind of special point; the guess begins with y."""
     if kind == "GR" and (touch or not branch.sides):
