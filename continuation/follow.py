@@ -12,6 +12,8 @@ from .arclength import ON, Place, Point
 
 CHUNK = 128  # steps attempted in a compiled call
 POLISHED = 1e-10  # a length: from a step as short the next leaves rounding alone
+FINE = 1e-4  # a length: a step as short is no jump to another branch
+HALVINGS, TRIED = 25, 6  # of an interval with a change of sign; after every so many Newton's method is tried
 SAME = 1e-6  # of the scaled lengths: two points as near are one
 BEGUN = 1e-8  # of the scaled lengths: a special point as near to a start is the start
 
@@ -110,39 +112,76 @@ def events(problem, points, values, control, args):
 
     One at the first point is left out: it belongs to the points before, or the branch was begun in it.
     """
-    found, watched = [], {"SN": points.tangent[:, -1], "BP": points.determinant} | values
+    found, watched = [], {"BP": points.determinant, "SN": points.tangent[:, -1]} | values
     for kind, each in watched.items():
         signs = _signs(each)
         for after in np.flatnonzero(signs[:-1] * signs[1:] < 0):
-            event = _located(problem, kind, points, int(after), each, control, args)
+            crossed = any(one.after == after for one in found if kind == "SN")  # it may turn there, without a fold
+            event = _located(problem, kind, points, int(after), each, control, args, 1 if crossed else HALVINGS)
             if event is not None and np.linalg.norm(control.scale * (event.z - points.z[0])) > BEGUN:
                 found.append(event)
     return _told_apart(found, control)
 
 
+def jump(problem, points, control, args):
+    """The place of the first point that lies on another branch than the one before it, None where none does: there the
+    determinant has another sign, and no branch point is between them."""
+    signs = _signs(points.determinant)
+    for after in np.flatnonzero((signs[:-1] * signs[1:] < 0) & (points.step[1:] > FINE)):
+        if _located(problem, "BP", points, int(after), points.determinant, control, args) is None:
+            return int(after) + 1
+    return None
+
+
 def _signs(values):
-    """The sign of each; a zero has that of the one before, so that the change is after it."""
+    """The sign of each; a zero has that of the one before, so that the change is after it; none is at the start."""
     signs = np.sign(values)
     for k in np.flatnonzero(signs == 0):
-        signs[k] = signs[k - 1] if k else -signs[1]
+        signs[k] = signs[k - 1] if k else signs[1]
     return signs
 
 
-def _located(problem, kind, points, after, values, control, args):
+def _located(problem, kind, points, after, values, control, args, halvings=HALVINGS):
     """The event between two points, None where Newton's method leads to none there."""
     here = jax.tree.map(lambda leaf: leaf[after], points)
-    length = float(points.step[after + 1])
-    share = values[after] / (values[after] - values[after + 1])
-    for guess in (share, 0.5, 0.25, 0.75):
-        near = step(problem, here, guess * length, control, args)
-        z = near.z if near.met else here.z + guess * length * here.tangent
-        found = _polished(problem, kind, z, args)
-        if found.z is None:
-            continue
-        along = float(np.sum(control.scale**2 * here.tangent * (found.z - here.z)))
-        if -0.05 * length <= along <= 1.05 * length:
-            return Event(kind, after, min(max(along, 0.0), length), found.z, found.residual)
+    low, high = 0.0, float(points.step[after + 1])
+    guess = high * values[after] / (values[after] - values[after + 1])
+    for halving in range(halvings):
+        near = step(problem, here, guess, control, args)
+        if halving % TRIED == 0:
+            event = _event(problem, kind, here, after, (low, high), near, guess, control, args)
+            if event is not None:
+                return event
+        if near.met and _signed(problem, kind, here, args) * _signed(problem, kind, near, args) > 0:
+            low = guess
+        else:
+            high = guess
+        guess = 0.5 * (low + high)
     return None
+
+
+def _event(problem, kind, here, after, between, near, guess, control, args):
+    """The event to which Newton's method leads from a guess, None where that is not between two lengths."""
+    z = near.z if near.met else here.z + guess * here.tangent
+    found = _polished(problem, kind, z, args)
+    if found.z is None:
+        return None
+    low, high = between
+    along = float(np.sum(control.scale**2 * here.tangent * (found.z - here.z)))
+    spare = 0.05 * (high - low)
+    return (
+        Event(kind, after, min(max(along, low), high), found.z, found.residual)
+        if low - spare <= along <= high + spare
+        else None
+    )
+
+
+def _signed(problem, kind, point, args):
+    """What changes its sign where there is an event of a kind."""
+    if kind in ("SN", "BP"):
+        return np.sign(point.tangent[-1] if kind == "SN" else point.determinant)
+    (test,) = (test for test in problem.tests if test.label == kind)
+    return np.linalg.slogdet(locate.matrices(problem, test, point.z, args)[0])[0]
 
 
 def _polished(problem, kind, z, args):

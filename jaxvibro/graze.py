@@ -23,6 +23,7 @@ from .look import Look, flight, looked
 
 TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
 ASIDE = 1e-5, 1e-7  # steps, in scaled lengths, after which a branch that leaves a grazing is looked at
+SURE, LOOSE = 1e-12, 1e-10  # Newton's tolerance there, with impacts added and with none: slow ones leave rounding
 ENDS = 1e-5  # of a flight: a touch as near to its ends is that of the impact there
 FEW = 4  # touches at once, of which every choice is tried
 
@@ -160,9 +161,10 @@ def wall_sides(scene):
 
 
 def exits(along, z, length):
-    """(the `Touch`es at a grazing, the `Exit`s that leave it), of the branch that came there itself too."""
+    """(the `Touch`es at a grazing; the `Exit`s that leave it, of the branch that came there itself too; whether each
+    way that opens is one of them: Newton's method may not converge there)."""
     met = touches(along, z, length)
-    found = []
+    found, sure = [], True
     for included in _choices(met):
         listed = _listed(along, z, met, included)
         kept = [one for one in listed if one.kept]
@@ -170,9 +172,11 @@ def exits(along, z, length):
         start = np.append(np.concatenate([new.cycle.times, new.cycle.speeds]), z[-1])
         start = start if kept else free_start(new, z[-1])
         out = _left_out(along, z, listed, kept)
-        ways = (_exit(new, start, out, sign, length, included) for sign in (1.0, -1.0))
-        found += [way for way in ways if way is not None]
-    return met, found
+        for sign in (1.0, -1.0):
+            way, clear = _exit(new, start, out, sign, length, included)
+            found += [way] if way else []
+            sure &= clear
+    return met, found, sure
 
 
 def _choices(met):
@@ -245,7 +249,8 @@ def _opening(along, z, direction, row, wall, late):
 
 
 def _exit(along, z, out, sign, length, included):
-    """The `Exit` in one direction of a branch, None where it is none; out: the touches left out."""
+    """(the `Exit` in one direction of a branch, None where it is none; whether that is sure). out: the touches left
+    out."""
     scale = scales(along, length)
     task = problem(along)
     tangent = sign * follow.tangent(task, z, scale, along)
@@ -255,16 +260,19 @@ def _exit(along, z, out, sign, length, included):
     rates = [tangent[rows + k] for k in slow]
     rates += [_opening(along, z, tangent, *each) for each in out]
     if any(rate < -1e-6 for rate in rates):
-        return None
+        return None, True
     zero = np.zeros(())
     point = Point(z, tangent, zero, zero, zero, np.True_, np.True_)
-    control = Control(scale, *(np.float64(each) for each in (0.0, 1.0, 1e-12, -np.inf, np.inf)))
+    tolerance = SURE if any(included) else LOOSE
+    control = Control(scale, *(np.float64(each) for each in (0.0, 1.0, tolerance, -np.inf, np.inf)))
+    met = False
     for aside in ASIDE:
         near = follow.step(task, point, aside, control, along)
         look = looked(along, near.z[None])
         if near.met and admissible(along, near.z, look)[0]:
-            return Exit(along, point, near.z, look, included)
-    return None
+            return Exit(along, point, near.z, look, included), True
+        met |= bool(near.met)
+    return None, met or min(rates, default=0.0) <= 0
 
 
 def admissible(along, zs, look):

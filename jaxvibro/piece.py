@@ -17,8 +17,9 @@ from .monitor import crossings
 from .rows import at, between, joined, put, upto
 
 MOST = 20_000  # points of a piece
+SMALLER = 0.25  # times the step that came to no point of the branch, to try again
 HALVES = 60  # of an interval in which a grazing is looked for
-BOUND, DOMAIN, CLOSED, STOPPED, STEP, GRAZE, REST, POINTS, NUMBER, HALVED = range(10)
+BOUND, DOMAIN, CLOSED, STOPPED, STEP, GRAZE, REST, POINTS, NUMBER, HALVED, CHATTER = range(11)
 ENDS = {ON: None, OUT: BOUND, arclength.UNDERFLOW: STEP, arclength.NONFINITE: NUMBER}  # of a chunk of steps
 
 
@@ -38,18 +39,19 @@ class Asked(NamedTuple):
 
 class Mark(NamedTuple):
     """A special point among those of a piece: its place there, kind, the largest error left; at a GR or CH its touches
-    and exits, and which exits the branch leaves aside."""
+    and exits, whether those are all, and which the branch leaves aside."""
 
     place: int
     kind: str
     residual: float
     touches: tuple[Touch, ...] = ()
     exits: tuple = ()
+    sure: bool = True
     aside: tuple[bool, ...] = ()
 
 
 class Piece(NamedTuple):
-    """along: its orbits; points, look: a row a point; marks: in order; why: the end, one of BOUND to HALVED."""
+    """along: its orbits; points, look: a row a point; marks: in order; why: the end, one of BOUND to CHATTER."""
 
     along: Along
     points: Point
@@ -60,39 +62,53 @@ class Piece(NamedTuple):
 
 def piece(along, start, asked):
     """The `Piece` that begins at a `Point`."""
-    task = problem(along)
-    control = asked.control
     place = Place(start.z, start.tangent, np.float64(asked.first), np.int32(ON))
-    parts, count = [], 0
-    for points, status in follow.stretches(task, place, control, along):
-        part = _part(along, points, status, asked)
-        parts.append(part)
-        count += len(part.points.z)
-        if part.why is not None or count > MOST:
-            break
+    parts = []
+    while place is not None:
+        place = _gone_on(along, place, asked, parts)
     return _joined(along, parts)
 
 
+def _gone_on(along, place, asked, parts):
+    """The `Place` to go on from with a smaller step, None at an end; what is met from a place on is added to parts."""
+    for points, status in follow.stretches(problem(along), place, asked.control, along):
+        part = _part(along, points, status, asked)
+        parts.append(part)
+        if part.why is not None or sum(len(one.points.z) for one in parts) > MOST:
+            return None
+        if part.again:
+            last = at(part.points, -1)
+            return Place(last.z, last.tangent, np.float64(part.again), np.int32(ON))
+    return None
+
+
 class _Part(NamedTuple):
+    """Of a `Piece`; again: the step to go on with from its end, where a longer one came to no point of the branch."""
+
     points: Point
     look: Look
     marks: tuple
     why: int | None
+    again: float | None
 
 
 def _part(along, points, status, asked):
     """What a chunk of steps gives, cut at its end, with its special points put in."""
     control = asked.control
-    why, last = ENDS[status], []
+    why, last, again = ENDS[status], [], None
     if status == OUT:  # first, as what comes after the bound is not to be seen
         points, why = _to_bound(along, points, asked)
     points, look = with_dips(along, points, looked(along, points.z), control)
     good = admissible(along, points.z, look)
     good[0] = True
-    size = len(points.z)
-    if not good.all():
-        points, last = _to_graze(along, points, look, int(np.argmin(good)), asked)
-        why = {"GR": GRAZE, "CH": REST}[last[0].kind] if last else STEP
+    size, bad = len(points.z), int(np.argmin(np.append(good, False)))
+    jump = follow.jump(problem(along), upto(points, bad + 1), control, along)
+    if jump is not None:
+        points, (why, again) = upto(points, jump), _retried(points.step[jump], control)
+    elif bad < size:
+        step = points.step[bad]
+        points, last = _to_graze(along, points, look, bad, asked)
+        why, again = ({"GR": GRAZE, "CH": REST}[last[0].kind], None) if last else _retried(step, control)
     loop = _met(along, points, asked)
     if loop is not None:
         points, last, why = cut_at(along, points, *loop, control), [], CLOSED
@@ -109,7 +125,13 @@ def _part(along, points, status, asked):
         first = min(stops)
         points, why = upto(points, first + 1), HALVED if first in halved else STOPPED
         placed = [one for one in placed if one.place <= first]
-    return _Part(points, looked(along, points.z) if marks or stops else look, tuple(placed), why)
+    return _Part(points, looked(along, points.z) if marks or stops else look, tuple(placed), why, again)
+
+
+def _retried(step, control):
+    """(why, again) of a `_Part` where a step came to no point of the branch."""
+    again = SMALLER * float(step)
+    return (STEP, None) if again < control.smallest else (None, again)
 
 
 def _joined(along, parts):
@@ -127,9 +149,9 @@ def _to_graze(along, points, look, bad, asked):
     if residual is None:
         return points, []
     z = points.z[-1]
-    met, ways = exits(along, z, asked.length)
+    met, ways, sure = exits(along, z, asked.length)
     kind = "CH" if len(ways) < 2 and is_pressed(along, z, met) else "GR"
-    return points, [Mark(0, kind, residual, tuple(met), tuple(ways))]
+    return points, [Mark(0, kind, residual, tuple(met), tuple(ways), sure)]
 
 
 def to_touch(along, points, look, bad, asked):

@@ -129,5 +129,5 @@ def _doubled(special, along, z):
 
 def _grazing(special, along, z):
     """Each branch that leaves a grazing and is not one that the point was found on."""
-    _, ways = exits(along, z, scene_length(special.scene))
+    _, ways, _ = exits(along, z, scene_length(special.scene))
     return [(way.along, way.point) for way, aside in zip(ways, special.aside, strict=True) if aside]

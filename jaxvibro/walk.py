@@ -6,7 +6,7 @@ import numpy as np
 
 from .graze import scales
 from .image import is_repeated
-from .piece import CLOSED, GRAZE, HALVED, Piece, piece
+from .piece import CHATTER, CLOSED, GRAZE, HALVED, STEP, Piece, piece
 
 REASONS = (
     "the parameter reached its bound {value:.12g}",
@@ -19,9 +19,11 @@ REASONS = (
     "it has too many points, the last at {value:.12g}",
     "a number is not finite after {value:.12g}",
     "at {value:.12g} it is an orbit of a shorter period, repeated",
+    "at {value:.12g} another impact is as good as without speed: towards complete chatter there is no end of grazings",
 )
 MOST = 200  # pieces of a branch
 SAME = 1e-7  # two grazings as near are one
+SLOW = 3e-5  # of the scene's length per t: below, the flights between impacts are lost in rounding
 
 
 class Walked(NamedTuple):
@@ -45,6 +47,8 @@ def walked(along, start, asked):
                 one, way = one._replace(why=CLOSED), None
             elif is_repeated(along, one.points.z[-1]):
                 one, way = one._replace(why=HALVED), None
+            elif _is_chatter(along, one.points.z[-1], asked.length):
+                one, way = one._replace(why=CHATTER), None
             met.append(here)
         pieces.append(one)
         if way is None or len(pieces) == MOST:
@@ -72,7 +76,14 @@ def _onwards(one, scale):
 
     chosen = max((way for way in mark.exits if not is_back(way)), key=exchanged, default=None)
     aside = tuple(not (way is chosen or is_back(way)) for way in mark.exits)
-    return one._replace(marks=(*one.marks[:-1], mark._replace(aside=aside))), chosen
+    why = one.why if chosen or mark.sure else STEP
+    return one._replace(marks=(*one.marks[:-1], mark._replace(aside=aside)), why=why), chosen
+
+
+def _is_chatter(along, z, length):
+    """Whether at a grazing yet another impact is very slow."""
+    speeds = z[len(along.cycle.sides) :][along.hits]
+    return bool(((speeds > 0) & (speeds < SLOW * length)).any())
 
 
 def _orbit(along, z):

@@ -211,7 +211,8 @@ def turned(count, seed):
     """Branches followed forwards, then backwards from the end: the points of one on the other, no jump between them."""
     rng, worst, jumps, points = np.random.default_rng(seed), 0.0, 0, 0
     for number, (branch, _) in enumerate(branches(rng, count, direction="forward")):
-        last = branch.orbit(len(branch) - 1)
+        crossed = {one.place for one in branch.special if one.kind in ("SB", "BP")}  # where no Newton's method is sure
+        last = branch.orbit(max({len(branch) - 1, len(branch) - 2} - crossed))
         if not last.impacts.count and len(branch.segments) == 1:
             continue
         try:
@@ -219,7 +220,6 @@ def turned(count, seed):
         except jv.OrbitError as error:
             print(number, "not begun:", error)
             continue
-        crossed = {one.place for one in branch.special if one.kind in ("SB", "BP")}  # where no Newton's method is sure
         places = [place for place in range(0, len(branch), max(1, len(branch) // 12)) if place not in crossed]
         far = max(nearest(branch, back, place) for place in places)
         worst, points = max(worst, far), points + len(places)
