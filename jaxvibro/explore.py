@@ -63,15 +63,15 @@ def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None,
     tree.grow()
     for probe in probes(scene, name, bounds, max_period, seed):
         if not tree.is_spent and not any(_is_on(probe, branch) for branch in tree.found):
-            _begin(tree, probe, name, bounds, steps)
+            _begin(tree, probe, scene, name, bounds, steps)
     told = SPENT.format(most) if tree.is_spent else DONE
     return Diagram(name, bounds, scene, tuple(tree.found), tuple(tree.done), not tree.is_spent, told, settings)
 
 
-def _begin(tree, probe, name, bounds, steps):
+def _begin(tree, probe, scene, name, bounds, steps):
     """Follows the orbit that a probe settled on, and all that leaves it."""
     try:
-        orbit = find_orbit(probe.scene, probe.state, periods=probe.periods, settle=0)
+        orbit = find_orbit(scene.replace(**{name: probe.value}), probe.state, periods=probe.periods, settle=0)
         branch = follow(orbit, name, bounds, **steps)
     except OrbitError:  # it rests on a wall, or had not settled
         return
@@ -105,18 +105,17 @@ def _is_on(probe, branch):
     """Whether what a probe settled on is an orbit of a branch."""
     if branch.data.sizes["period"] != probe.periods:
         return False
-    values = branch.values
+    values, points = branch.values, np.stack([branch.data[key].values for key in "xv"], axis=2)
+    size = NEAR * abs(points).max()
     for place in np.flatnonzero((values[:-1] - probe.value) * (values[1:] - probe.value) <= 0):
-        if _is_near(probe, branch, place) and _is_there(probe, branch, place):
+        if _is_near(probe, points[place : place + 2], size) and _is_there(probe, branch, place):
             return True
     return False
 
 
-def _is_near(probe, branch, place):
-    """Whether a probe's states are near those of one of two points of a branch, by the branch's own measure."""
-    points = np.stack([branch.data[key].values for key in "xv"], axis=2)
-    size = NEAR * abs(points).max()
-    turns = [np.roll(row, k, axis=0) for row in points[place : place + 2] for k in range(probe.periods)]
+def _is_near(probe, points, size):
+    """Whether a probe's states are as near to those of one of some points of a branch, counted from any period."""
+    turns = [np.roll(row, k, axis=0) for row in points for k in range(probe.periods)]
     return any(abs(turn - probe.points).max() < size for turn in turns)
 
 
@@ -124,7 +123,7 @@ def _is_there(probe, branch, place):
     """Whether Newton's method leads from a branch's point to the very orbit."""
     for k in (place, place + 1):
         spot = spot_of(row_of(branch.data, k), branch.name)
-        along, z = placed(branch.scene.replace(**{branch.name: spot.value}), branch.name, spot)
+        along, z = placed(branch.scene, branch.name, spot)
         numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
         found = pinned(problem(along), z, -1, probe.value, Control(scales(along, 1.0), *numbers), along)
         if found.met and _is_orbit(probe, along, found.z):

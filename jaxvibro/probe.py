@@ -7,7 +7,6 @@ import numpy as np
 
 from .domain import domain
 from .recurrence import returns
-from .scene import Scene
 from .starts import random_starts
 from .state import State
 from .trail import trail
@@ -18,10 +17,9 @@ SETTLED = 1e-7  # of the largest x and v: a return as near as this
 
 
 class Probe(NamedTuple):
-    """What a start settled on. scene, value: at which; state: at phase 0; periods after which it comes back; points: x
+    """What a start settled on. value: of the parameter; state: at phase 0; periods after which it comes back; points: x
     and v at the end of each, (periods, 2); speeds, sides: of the impacts in them."""
 
-    scene: Scene
     value: float
     state: State
     periods: int
@@ -35,9 +33,8 @@ def probes(scene, name, bounds, max_period, seed):
     low, high = np.clip(domain(scene, name), *bounds)
     rng = np.random.default_rng(seed)
     values = low + (high - low) * (np.arange(STARTS) + rng.random(STARTS)) / STARTS
-    begun = [random_starts(scene.replace(**{name: value}), 1, (seed, k)) for k, value in enumerate(values)]
-    state = jax.tree.map(lambda *each: np.concatenate(each), *begun)
-    found = trail(scene.replace(**{name: values}), state, SETTLE)
+    many = scene.replace(**{name: values})
+    found = trail(many, random_starts(many, STARTS, (seed, 1)), SETTLE)
     points = found.points
     apart, size = returns(points)[:max_period], SETTLED * abs(points).max(axis=(0, 2))
     listed = []
@@ -46,6 +43,5 @@ def probes(scene, name, bounds, max_period, seed):
         hit = found.side[-periods:, lane] != 0
         impacts = (part[-periods:, lane][hit] for part in (found.speed, found.side))
         state = State(*(float(leaf[lane]) for leaf in jax.tree.leaves(found.state)))
-        there = scene.replace(**{name: values[lane]})
-        listed.append(Probe(there, float(values[lane]), state, periods, points[-periods:, lane], *impacts))
+        listed.append(Probe(float(values[lane]), state, periods, points[-periods:, lane], *impacts))
     return sorted(listed, key=lambda one: (one.periods, one.value))
