@@ -212,6 +212,8 @@ def turned(count, seed):
     rng, worst, jumps, points = np.random.default_rng(seed), 0.0, 0, 0
     for number, (branch, _) in enumerate(branches(rng, count, direction="forward")):
         crossed = {one.place for one in branch.special if one.kind in ("SB", "BP")}  # where no Newton's method is sure
+        if "repeated" in branch.reasons[1]:
+            crossed.add(len(branch) - 1)
         last = branch.orbit(max({len(branch) - 1, len(branch) - 2} - crossed))
         if not last.impacts.count and len(branch.segments) == 1:
             continue

@@ -16,6 +16,7 @@ MARKERS = {"SN": "o", "SB": "D", "BP": "s", "PD": "^", "GR": "v"}
 FILLED = COLOURS[4]  # of special points: attractors are white or black
 OTHERS = "XP*pdh<>"  # of monitors
 CLOSE = 0.02  # of the parameter's range: special points whose values share a tick
+LINES = 3  # on one tick
 LABELS = {
     **COORDINATES,
     "clearance": r"least clearance$\,/\,d$",
@@ -105,19 +106,23 @@ def _walls(ax, one):
 def mark_points(branches, ax):
     """Tell kind and value of the special points of branches along the top of Axes in which they are drawn: the Axes.
 
-    Points of one value are told once, and those that lie too close to be told apart on one tick.
+    Points of one value are told once, and those that lie too close to be told apart on one tick: the first of them.
     """
     low, high = ax.get_xlim()
     digits = max(0, 3 - int(np.floor(np.log10(high - low))))  # about a thousandth of the range
     found = {(each.kind, f"{each.value:.{digits}f}"): each.value for one in branches for each in one.special}
-    ticks = []
+    ticks = []  # value, lines
     for (kind, text), value in sorted(found.items(), key=lambda item: item[1]):
         if kind == "EP" or not low <= value <= high:
             continue
-        if ticks and value - ticks[-1][0] < CLOSE * (high - low):
-            ticks[-1][1] += f"\n{plain(kind)} {text}"
-        else:
-            ticks.append([value, f"{plain(kind)} {text}"])
+        if not ticks or value - ticks[-1][0] >= CLOSE * (high - low) * min(LINES, len(ticks[-1][1])):
+            ticks.append((value, []))
+        ticks[-1][1].append(f"{plain(kind)} {text}")
     top = ax.secondary_xaxis("top")
-    top.set_xticks([value for value, _ in ticks], [text for _, text in ticks], rotation=90, fontsize="x-small")
+    top.set_xticks([value for value, _ in ticks], [_lines(each) for _, each in ticks], rotation=90, fontsize="x-small")
     return ax
+
+
+def _lines(told):
+    """What one tick says."""
+    return "\n".join(told if len(told) <= LINES else [*told[: LINES - 1], f"and {len(told) - LINES + 1} more"])
