@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import arclength, locate
-from .arclength import ON, Place, Point
+from .arclength import ON, OUT, Place, Point
 
 CHUNK = 128  # steps attempted in a compiled call
 POLISHED = 1e-10  # a length: from a step as short the next leaves rounding alone
@@ -82,17 +82,58 @@ def stretches(problem, place, control, args):
 
     place: where it starts. It ends when the status is not ON.
     """
-    zero = np.zeros_like(place.step)
-    start = step(problem, Point(place.z, place.tangent, *[zero] * 3, *[np.True_] * 2), 0.0, control, args)
-    start = start._replace(z=place.z, tangent=place.tangent, step=zero, kept=np.True_)
+    start = _first(problem, place, control, args)
     while True:
         place, points = jax.device_get(_track(problem, place, control, args, CHUNK))
-        kept = jax.tree.map(lambda leaf, keep=points.kept: leaf[keep], points)
-        kept = jax.tree.map(lambda first, rest: np.concatenate([np.asarray(first)[None], rest]), start, kept)
+        kept = _kept(start, points)
         yield kept, int(place.status)
         if place.status != ON:
             return
         start = jax.tree.map(lambda leaf: leaf[-1], kept)
+
+
+def together(problem, places, controls, args, goes_on):
+    """`stretches` of many branches, the lanes of one compiled call a chunk.
+
+    places, controls, args: lists, one of each a lane, alike in their shapes; goes_on: takes a lane's number and what
+    `stretches` yields, and says whether the lane is to go on. The lanes are filled up to a power of two.
+    """
+    starts = [_first(problem, *each) for each in zip(places, controls, args, strict=True)]
+    more = (1 << (len(places) - 1).bit_length()) - len(places)
+    idle = [places[-1]._replace(status=np.int32(OUT))] * more
+    places = jax.tree.map(lambda *each: np.stack(each), *places, *idle)
+    controls, args = (jax.tree.map(lambda *e: np.stack(e), *each, *each[-1:] * more) for each in (controls, args))
+    while (places.status == ON).any():
+        lanes = np.flatnonzero(places.status == ON)
+        places, points = jax.device_get(_track_lanes(problem, places, controls, args, CHUNK))
+        status = np.array(places.status)
+        for lane in lanes:
+            kept = _kept(starts[lane], jax.tree.map(lambda leaf, lane=lane: leaf[lane], points))
+            starts[lane] = jax.tree.map(lambda leaf: leaf[-1], kept)
+            if not goes_on(int(lane), kept, int(status[lane])):
+                status[lane] = OUT
+        places = places._replace(status=status)
+
+
+@partial(jax.jit, static_argnums=(0, 4))
+def _track_lanes(problem, places, controls, args, count):
+    def one(*lane):
+        return arclength.track(problem.function, problem.solve, *lane, count)
+
+    return jax.vmap(one)(places, controls, args)
+
+
+def _first(problem, place, control, args):
+    """The `Point` at the start of a branch."""
+    zero = np.zeros_like(place.step)
+    start = step(problem, Point(place.z, place.tangent, *[zero] * 3, *[np.True_] * 2), 0.0, control, args)
+    return start._replace(z=place.z, tangent=place.tangent, step=zero, kept=np.True_)
+
+
+def _kept(start, points):
+    """A start and the points of a chunk that were kept, in a row."""
+    kept = jax.tree.map(lambda leaf: leaf[points.kept], points)
+    return jax.tree.map(lambda first, rest: np.concatenate([np.asarray(first)[None], rest]), start, kept)
 
 
 @partial(jax.jit, static_argnums=(0, 1))

@@ -35,6 +35,16 @@ def bounds_of(scene, name, bounds):
     return float(given[0]), float(given[1])
 
 
+def values_of(scene, name, values):
+    """Values of a parameter as an array, checked: a row of one at least, with each of which the scene is one."""
+    check.is_known(name, scene.names, values)
+    found = check.real("values", values, np.float64)
+    if found.ndim != 1 or not len(found):
+        raise check.SceneError("values", f"must be a row of values of {name}, one at least", values)
+    scene.replace(**{name: found})
+    return found
+
+
 def marked(scene, *names):
     """(the scene with numbers of its own at the parameters, the same tree with 1 at the first, 2 at the second, else
     0)."""

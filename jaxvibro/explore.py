@@ -5,6 +5,8 @@ is followed, through folds and grazings, and so is all that leaves the branch po
 next is looked at.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from continuation.arclength import Control
@@ -21,6 +23,7 @@ from .graze import scales
 from .mirror import stays_symmetric
 from .orbit import OrbitError
 from .probe import probes
+from .scene import Scene
 from .switch import FIRST
 from .tree import Tree
 
@@ -48,6 +51,25 @@ def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None,
 
     Raises SceneError for arguments that cannot be.
     """
+    task = asked(scene, name, bounds, max_period, seed, budget, largest_step)
+    before = _resumed(resume, task)
+    (some,) = settled_on([task])
+    return explored(task, some, progress, *before)
+
+
+class Task(NamedTuple):
+    """What is to be explored. scene: at a value within the bounds; most: branches; steps, settings: by name."""
+
+    scene: Scene
+    name: str
+    bounds: tuple[float, float]
+    most: int
+    steps: dict
+    settings: dict
+
+
+def asked(scene, name, bounds, max_period, seed, budget, largest_step):
+    """The `Task` of these arguments. Raises SceneError."""
     check.is_single(scene)
     max_period, seed = check.whole("max_period", max_period, 1), check.whole("seed", seed, 0)
     if max_period > PERIODS:
@@ -58,10 +80,24 @@ def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None,
     bounds = bounds_of(scene, name, bounds)
     steps = settled(FIRST, largest_step, 1e-10, (), ())
     settings = {"max_period": max_period, "seed": seed, "largest_step": largest_step}
-    found, done = _resumed(resume, scene, name, bounds, settings)
-    tree = Tree(bounds, max_period, most, steps, found, done, stays_symmetric(scene, name), progress)
+    return Task(scene, name, bounds, most, steps, settings)
+
+
+def settled_on(tasks):
+    """What the starts of `Task`s that differ in their scenes settle on, the `Probe`s of each."""
+    one = tasks[0]
+    return probes(
+        [each.scene for each in tasks], one.name, one.bounds, one.settings["max_period"], one.settings["seed"]
+    )
+
+
+def explored(task, some, progress=None, found=(), done=()):
+    """The `Diagram` of a task and what its starts settle on; found, done: its branches so far, and points left."""
+    scene, name, bounds, most, steps, settings = task
+    symmetric = stays_symmetric(scene, name)
+    tree = Tree(bounds, settings["max_period"], most, steps, list(found), list(done), symmetric, progress)
     tree.grow()
-    for probe in probes(scene, name, bounds, max_period, seed):
+    for probe in some:
         if not tree.is_spent and not any(_is_on(probe, branch) for branch in tree.found):
             _begin(tree, probe, scene, name, bounds, steps)
     told = SPENT.format(most) if tree.is_spent else DONE
@@ -89,16 +125,17 @@ def _inside(scene, name, bounds):
     return value if low <= value <= high else 0.5 * (low + high)
 
 
-def _resumed(resume, scene, name, bounds, settings):
+def _resumed(resume, task):
+    """(branches, points left) of a `Diagram` to go on from, empty where there is none."""
     if resume is None:
-        return [], []
+        return (), ()
     if not isinstance(resume, Diagram):
         raise check.SceneError("resume", "must be a Diagram", resume)
-    same = resume.name == name and resume.bounds == bounds and resume.settings == settings
-    others = [key for key in scene.names if key != name]
-    if not same or any(float(scene.parameter(key)) != float(resume.scene.parameter(key)) for key in others):
+    same = (resume.name, resume.bounds, resume.settings) == (task.name, task.bounds, task.settings)
+    others = [key for key in task.scene.names if key != task.name]
+    if not same or any(float(task.scene.parameter(key)) != float(resume.scene.parameter(key)) for key in others):
         raise check.SceneError("resume", "must be of the same scene, parameter, bounds and settings", resume)
-    return list(resume.branches), list(resume.left)
+    return resume.branches, resume.left
 
 
 def _is_on(probe, branch):

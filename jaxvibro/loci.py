@@ -5,7 +5,8 @@ import numpy as np
 from .branch import labels
 from .check import SceneError
 from .itinerary import mirrored, same
-from .locus import KINDS, locus
+from .locus import locus
+from .outset import KINDS
 
 NEAR = 1e-6  # of a parameter's range: a point as near to a locus is on it
 NODES = 4  # of its points on each side, through which a locus is interpolated

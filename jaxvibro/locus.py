@@ -3,33 +3,21 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import jax
 import numpy as np
 import xarray as xr
 
-from continuation.arclength import Control
-from continuation.follow import tangent
-
 from . import check
 from . import itinerary as words
-from .along import problem
-from .assemble import is_own_image
-from .branch import Special, row_of
-from .curve import Grazing, Singular
-from .cycle import Cycle
-from .domain import bounds_of, domain, marked, scene_length
-from .follow import SMALLEST, placed, point, settled
-from .graze import TOUCH, padded, scales, touches
-from .meetings import is_symmetric
+from .branch import row_of
 from .orbit import roots
+from .outset import backward, begun, impacts_of, outset
 from .piece import CLOSED
-from .rows import between, joined, turned
+from .rows import joined, turned
 from .scene import Scene
 from .text import columns
 from .told import Spot, itinerary, told
-from .track import Bounded, tracked
+from .track import tracked
 
-KINDS = ("SN", "PD", "SB", "GR")
 MEANINGS = {
     "CP": "cusp",
     "GPD": "generalized period doubling",
@@ -148,104 +136,16 @@ def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1
 
     Raises SceneError for points of other kinds and arguments that cannot be.
     """
-    if not isinstance(special, Special) or special.kind not in KINDS:
-        given = special.kind if isinstance(special, Special) else special
-        raise check.SceneError("special", f"must be a special point of kind {', '.join(KINDS)}", given)
-    names = _names(special.scene, names)
-    if not isinstance(bounds, dict) or set(bounds) != set(names):
-        raise check.SceneError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
-    bounds = {name: bounds_of(special.scene, name, bounds[name]) for name in names}
-    given = settled(first_step, largest_step, tolerance, (), ())
-    curve, z = _started(special, names)
-    length = scene_length(special.scene)
-    own = [domain(special.scene, name) for name in names]
-    box = [(max(low, least), min(high, most)) for (low, high), (least, most) in zip(bounds.values(), own, strict=True)]
-    only = tuple(
-        tuple(each for each in pair if each not in bounds[name]) for pair, name in zip(own, names, strict=True)
-    )
-    numbers = (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])
-    control = Control(scales(curve, length), *(np.float64(each) for each in numbers))
-    asked = Bounded(control, min(first_step, largest_step), names, tuple(box), only, length)
-    ahead = tangent(problem(curve), z, control.scale, curve)
-    z = _settled_at(curve, z, ahead, control)
-    on = tracked(curve, point(z, ahead), asked)
-    back = None if on.why == CLOSED else tracked(curve, point(z, -ahead), asked)
-    return _told(special, names, bounds, curve, back, on)
+    way = outset(begun(special), names, bounds, first_step, largest_step, tolerance)
+    on = tracked(*way)
+    back = None if on.why == CLOSED else tracked(*backward(way))
+    return locus_of(special, way, back, on)
 
 
-def _names(scene, names):
-    pair = tuple(names) if isinstance(names, tuple | list) else ()
-    if len(pair) != 2 or pair[0] == pair[1]:
-        raise check.SceneError("names", "must be two different parameters of the scene", names)
-    for name in pair:
-        check.is_known(name, scene.names, name)
-    return pair
-
-
-def _started(special, names):
-    """(`Grazing` or `Singular`, z) at a special point. Raises SceneError."""
-    scene, spot = special.scene, special.spot
-    impacts = _impacts(special)
-    values = [float(scene.parameter(name)) for name in names]
-    flat, which = marked(scene, *names)
-    half = _is_half(special, names)
-    if special.kind == "SB" and not half:
-        raise check.SceneError("names", "must keep the scene symmetric: an SB is no point of another", names)
-    turn, periods = (-1.0, 0.5 * spot.periods) if half else (1.0, float(spot.periods))
-    if half:
-        impacts = impacts[: len(impacts) // 2]
-    blank = np.zeros(0)
-    numbers = (np.asarray(each) for each in (0.0, periods, turn))
-    seed = Singular(flat, which, Cycle(blank, blank, blank, *numbers), np.asarray(1.0))
-    cycle = padded(seed, impacts)
-    z = np.concatenate([cycle.times, cycle.speeds, values])
-    if special.kind != "GR":
-        closing = 1.0 if special.kind == "SN" else -1.0
-        return Singular(flat, which, cycle, np.asarray(closing)), z
-    length = scene_length(scene)
-    pick = np.where((cycle.sides != 0) & (cycle.speeds <= TOUCH * length), 1.0, 0.0)
-    if pick.sum() != 1:
-        raise check.SceneError("special", "must be a grazing of one impact: here are", int(pick.sum()))
-    return Grazing(flat, which, cycle, pick, np.asarray(TOUCH * length)), z
-
-
-def _impacts(special):
-    """(time, speed, side) of each impact, and of each touch at a GR, in order, the first within the first period."""
-    spot = special.spot
-    listed = [((k, 0.0), one) for k, one in enumerate(zip(spot.times, spot.speeds, spot.sides, strict=True))]
-    if special.kind == "GR":
-        along, z = placed(special.scene, special.name, spot)
-        for one in touches(along, z, scene_length(special.scene)):
-            if not one.own:
-                begin = z[one.row] if len(spot.times) else 0.0
-                listed.append(((one.row, one.late), (begin + one.late, 0.0, one.side)))
-    listed = [one for _, one in sorted(listed)]
-    period = 2.0 * np.pi / float(special.scene.frequency)
-    late = period * np.floor(listed[0][0] / period)
-    return [(time - late, speed, side) for time, speed, side in listed]
-
-
-def _is_half(special, names):
-    """Whether an orbit is its own mirror image, and stays one whatever the parameters are."""
-    scene, spot = special.scene, special.spot
-    other = {name: float(scene.parameter(name)) * 0.99 + 0.001 for name in names}
-    if not (is_symmetric(scene) and is_symmetric(scene.replace(**other))):
-        return False
-    impacts = np.array(_impacts(special))
-    whole = spot._replace(times=impacts[:, 0], speeds=impacts[:, 1], sides=impacts[:, 2])
-    return len(impacts) % 2 == 0 and is_own_image(whole, float(scene.frequency))
-
-
-def _settled_at(curve, z, ahead, control):
-    """z after Newton's method."""
-    start = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point(z, ahead))
-    found = between(curve, start, 0, 0.0, control)
-    return z if found is None else found.z
-
-
-def _told(special, names, bounds, curve, back, on):
-    """The `Locus` of what was tracked both ways."""
-    one = on
+def locus_of(special, way, back, on):
+    """The `Locus` of what was tracked along a `track.Way` and backward, None where the first closes."""
+    (curve, _, asked), one = way, on
+    names, bounds = asked.names, asked.bounds
     if back is not None:
         last = len(back.points.z) - 1
         points, look = (joined([turned(a), b]) for a, b in ((back.points, on.points), (back.look, on.look)))
@@ -263,17 +163,13 @@ def _told(special, names, bounds, curve, back, on):
 
 def _data(curve, names, one):
     z, look, rows = one.points.z, one.look, len(curve.cycle.sides)
-    count, turn = int(np.sum(curve.cycle.sides != 0)), float(curve.cycle.turn)
-    frequency = z[:, 2 * rows + names.index("frequency")] if "frequency" in names else float(curve.scene.frequency)
-    times, speeds, sides = z[:, :count], z[:, rows : rows + count], curve.cycle.sides[:count]
-    found, periods = roots(look.trace, look.determinant), float(curve.cycle.periods)
-    if turn < 0:  # the other half is its mirror image
-        late = np.reshape(periods * 2.0 * np.pi / frequency, (-1, 1))
-        times, speeds, sides = np.hstack([times, times + late]), np.hstack([speeds] * 2), np.append(sides, -sides)
+    times, speeds, sides, periods = impacts_of(curve, z)
+    found = roots(look.trace, look.determinant)
+    if float(curve.cycle.turn) < 0:  # of half the orbit
         with np.errstate(invalid="ignore"):
             found = found * found
-        periods *= 2
-    speed = np.where(np.isin(np.arange(times.shape[1]) % count, curve.hits), speeds, np.inf).min(axis=1)
+    own = np.arange(times.shape[1]) % int(np.sum(curve.cycle.sides != 0))
+    speed = np.where(np.isin(own, curve.hits), speeds, np.inf).min(axis=1)
     per_impact = {"time": (times, "since phase 0", "1/w0"), "speed": (speeds, "abs(y- - v_b)", "length w0")}
     plain = {
         "least_speed": (speed, "of the impacts but for that which grazes", "length w0"),
@@ -287,7 +183,7 @@ def _data(curve, names, one):
     for key, part in (("real", found.real), ("imag", found.imag)):
         columns[f"multiplier_{key}"] = (("point", "multiplier"), part, _attrs("Floquet's, the larger first", "1"))
     columns |= {key: ("point", each[0], _attrs(*each[1:])) for key, each in plain.items()}
-    return xr.Dataset(columns, attrs={"periods": int(periods)})
+    return xr.Dataset(columns, attrs={"periods": periods})
 
 
 def _attrs(meaning, units):

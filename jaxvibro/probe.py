@@ -28,13 +28,40 @@ class Probe(NamedTuple):
     sides: np.ndarray
 
 
-def probes(scene, name, bounds, max_period, seed):
-    """The `Probe`s that come back within so many periods, those of the shortest first."""
+def probes(scenes, name, bounds, max_period, seed):
+    """For each of some scenes the `Probe`s that come back within so many periods, those of the shortest first.
+
+    scenes: alike but for their numbers, a list; the starts of all are settled together.
+    """
+    starts = [_starts(scene, name, bounds, seed) for scene in scenes]
+    values, state = jax.tree.map(lambda *each: np.concatenate(each), *starts)
+    found = trail(_lanes(scenes).replace(**{name: values}), state, SETTLE)
+    rows = [slice(first, first + STARTS) for first in range(0, len(values), STARTS)]
+    return [
+        _listed(scene, name, values[some], found.lanes(some), max_period)
+        for scene, some in zip(scenes, rows, strict=True)
+    ]
+
+
+def _starts(scene, name, bounds, seed):
+    """(values of the parameter, the `State` of a random start at each)."""
     low, high = np.clip(domain(scene, name), *bounds)
     rng = np.random.default_rng(seed)
     values = low + (high - low) * (np.arange(STARTS) + rng.random(STARTS)) / STARTS
-    many = scene.replace(**{name: values})
-    found = trail(many, random_starts(many, STARTS, (seed, 1)), SETTLE)
+    return values, random_starts(scene.replace(**{name: values}), STARTS, (seed, 1))
+
+
+def _lanes(scenes):
+    """One scene for the starts of all: what differs has a number a start."""
+
+    def leaf(*each):
+        numbers = np.stack(each)
+        return each[0] if (numbers == numbers[0]).all() else np.repeat(numbers, STARTS)
+
+    return jax.tree.map(leaf, *scenes)
+
+
+def _listed(scene, name, values, found, max_period):
     points = found.points
     apart, size = returns(points)[:max_period], SETTLED * abs(points).max(axis=(0, 2))
     listed = []

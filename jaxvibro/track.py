@@ -9,7 +9,7 @@ from continuation.arclength import ON, Control, Place, Point
 
 from .along import problem
 from .codim import events
-from .curve import Grazing
+from .curve import Grazing, Singular
 from .dips import with_dips
 from .graze import admissible
 from .look import Look, looked
@@ -43,14 +43,24 @@ REASONS = {
 
 class Bounded(NamedTuple):
     """What a locus is asked for. control: of steps, with the second parameter's bounds; first: the first step; names;
-    box: (low, high) of each parameter; domain: the same by their meaning; length: the scene's."""
+    bounds: (low, high) of each parameter by name; box: the same within their domains; domain: the ends of these that
+    no bound is; length: the scene's."""
 
     control: Control
     first: float
     names: tuple[str, str]
+    bounds: dict
     box: tuple
     domain: tuple
     length: float
+
+
+class Way(NamedTuple):
+    """A locus in one direction, to be tracked. curve: its equations; start: a `Point` whose tangent leads away."""
+
+    curve: Grazing | Singular
+    start: Point
+    asked: Bounded
 
 
 class Tracked(NamedTuple):
@@ -63,24 +73,69 @@ class Tracked(NamedTuple):
     why: int
 
 
+class _Part(NamedTuple):
+    """A chunk of steps, cut at its end. end: (why, name, value), None where it goes on."""
+
+    points: Point
+    look: Look
+    marks: list[Mark]
+    end: tuple | None
+
+
 def tracked(curve, start, asked):
     """The `Tracked` from a `Point`, whose tangent leads away."""
-    place = Place(start.z, start.tangent, np.float64(asked.first), np.int32(ON))
-    parts, marks, count = [], [], 0
-    for points, status in follow.stretches(problem(curve), place, asked.control, curve):
-        points, look, met, end = _part(curve, points, status, asked, start.z)
-        marks += [one._replace(place=one.place + count) for one in met]
-        parts.append((points, look))
-        count += len(points.z) - 1
-        if end is not None or count > MOST:
+    parts = []
+    for points, status in follow.stretches(problem(curve), _place(start, asked), asked.control, curve):
+        parts.append(_part(curve, points, status, asked, start.z))
+        if _is_over(parts):
             break
-    points, look = (joined(list(each)) for each in zip(*parts, strict=True))
-    why, name, value = end or (POINTS, "", 0.0)
+    return _joined(parts)
+
+
+def together(ways):
+    """The `Tracked` of each of some `Way`s, those of one kind and size as the lanes of one compiled call."""
+    groups, found = {}, {}
+    for place, way in enumerate(ways):
+        groups.setdefault((problem(way.curve), len(way.start.z)), []).append(place)
+    for (task, _), places in groups.items():
+        found |= zip(places, _side_by_side(task, [ways[place] for place in places]), strict=True)
+    return [found[place] for place in range(len(ways))]
+
+
+def _side_by_side(task, ways):
+    parts = [[] for _ in ways]
+
+    def goes_on(lane, points, status):
+        curve, start, asked = ways[lane]
+        parts[lane].append(_part(curve, points, status, asked, start.z))
+        return not _is_over(parts[lane])
+
+    places = [_place(one.start, one.asked) for one in ways]
+    follow.together(task, places, [one.asked.control for one in ways], [one.curve for one in ways], goes_on)
+    return [_joined(each) for each in parts]
+
+
+def _place(start, asked):
+    return Place(start.z, start.tangent, np.float64(asked.first), np.int32(ON))
+
+
+def _is_over(parts):
+    return parts[-1].end is not None or sum(len(one.points.z) - 1 for one in parts) > MOST
+
+
+def _joined(parts):
+    """The `Tracked` of chunks of steps."""
+    marks, count = [], 0
+    for one in parts:
+        marks += [each._replace(place=each.place + count) for each in one.marks]
+        count += len(one.points.z) - 1
+    points, look = joined([one.points for one in parts]), joined([one.look for one in parts])
+    why, name, value = parts[-1].end or (POINTS, "", 0.0)
     return Tracked(points, look, tuple(marks), REASONS.get(why, REASONS[STEP]).format(name=name, value=value), why)
 
 
 def _part(curve, points, status, asked, begun):
-    """(points, `Look`, `Mark`s, (why, name, value) or None) of a chunk of steps, cut at its end."""
+    """The `_Part` of a chunk of steps."""
     points, end = _within(curve, points, status, asked)
     points, look = with_dips(curve, points, looked(curve, points.z), asked.control)
     good = admissible(curve, points.z, look)
@@ -95,7 +150,7 @@ def _part(curve, points, status, asked, begun):
         points, last, end = cut_at(curve, points, *loop, asked.control), [], (CLOSED, "", 0.0)
     points, marks = inserted(curve, points, listed(events(curve, points, asked.control)), asked.control)
     marks += [one._replace(place=len(points.z) - 1) for one in last]
-    return points, looked(curve, points.z), marks, end
+    return _Part(points, looked(curve, points.z), marks, end)
 
 
 def _within(curve, points, status, asked):

@@ -136,6 +136,27 @@ def test_lanes_of_branches_do_not_disturb_each_other():
     assert np.allclose(place.z, true_place.z, rtol=0, atol=1e-12, equal_nan=True)
 
 
+def test_branches_together_are_as_one_by_one():
+    a = [1.0, -0.5, 2.5]
+    starts = [np.array([-2.0, -8.0 + 2.0 * each]) for each in a]
+    places = [place_of(z, follow.tangent(CUSP, z, np.ones(2), each)) for z, each in zip(starts, a, strict=True)]
+    controls = [control_of(2, largest=0.02, low=-9.0, high=high) for high in (-8.5, 40.0, 20.0)]
+    taken = [[], [], []]
+
+    def goes_on(lane, *chunk):
+        taken[lane].append(chunk)
+        return lane != 1 or len(taken[lane]) < 2
+
+    follow.together(CUSP, places, controls, a, goes_on)
+    alone = [list(follow.stretches(CUSP, *each)) for each in zip(places, controls, a, strict=True)]
+    assert len(alone[0]) == 1 and len(alone[1]) > 2 and len(alone[2]) > len(taken[1]) == 2
+    for mine, theirs in zip(taken, (alone[0], alone[1][:2], alone[2]), strict=True):
+        for (points, status), (true, true_status) in zip(mine, theirs, strict=True):
+            assert status == true_status and points.kept.all()
+            for found, expected in zip(points[:4], true[:4], strict=True):
+                assert np.shape(found) == np.shape(expected) and close(found, expected, 1e-12)
+
+
 @pytest.mark.parametrize("scale", [np.ones(2), np.array([4.0, 0.2])])
 def test_a_point_with_one_number_given(scale):
     control = control_of(2, scale=scale, tolerance=1e-3)  # of steps alone

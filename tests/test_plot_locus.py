@@ -10,7 +10,8 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.locus import KINDS, MEANINGS
+from jaxvibro.locus import MEANINGS
+from jaxvibro.outset import KINDS
 from jaxvibro.plot import style
 
 PAIR = ("amplitude", "frequency")

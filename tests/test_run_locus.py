@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import loci, picture, plot, report, scenefile, study, tables
-from jaxvibro.locus import KINDS
+from jaxvibro.outset import KINDS
 from tests.reference import closed
 
 SCENES = Path(__file__).parents[1] / "scenes"

@@ -1,0 +1,158 @@
+"""Where a locus begins: a special point in plain numbers, the equations of its curve, and what is asked of it."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from continuation.arclength import Control
+from continuation.follow import tangent
+
+from . import check
+from .along import problem
+from .assemble import is_own_image
+from .branch import Special
+from .curve import Grazing, Singular
+from .cycle import Cycle
+from .domain import bounds_of, domain, marked, scene_length
+from .follow import SMALLEST, placed, point, settled
+from .graze import TOUCH, padded, scales, touches
+from .mirror import stays_symmetric
+from .rows import between
+from .scene import Scene
+from .told import Spot
+from .track import Bounded, Way
+
+KINDS = ("SN", "PD", "SB", "GR")
+
+
+class Begun(NamedTuple):
+    """A special point in plain numbers. kind; name: of the parameter of `spot.value`; scene: at the point; spot: its
+    orbit."""
+
+    kind: str
+    name: str
+    scene: Scene
+    spot: Spot
+
+
+def begun(special):
+    """The `Begun` of a `Special`. Raises SceneError for points of other kinds."""
+    if not isinstance(special, Special) or special.kind not in KINDS:
+        given = special.kind if isinstance(special, Special) else special
+        raise check.SceneError("special", f"must be a special point of kind {', '.join(KINDS)}", given)
+    return Begun(special.kind, special.name, special.scene, special.spot)
+
+
+def outset(start, names, bounds, first_step, largest_step, tolerance):
+    """The `track.Way` from a `Begun`, in two parameters. Raises SceneError for arguments that cannot be."""
+    names = named(start.scene, names)
+    if not isinstance(bounds, dict) or set(bounds) != set(names):
+        raise check.SceneError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
+    bounds = {name: bounds_of(start.scene, name, bounds[name]) for name in names}
+    given = settled(first_step, largest_step, tolerance, (), ())
+    curve, z = _placed(start, names)
+    length = scene_length(start.scene)
+    own = [domain(start.scene, name) for name in names]
+    box = [(max(low, least), min(high, most)) for (low, high), (least, most) in zip(bounds.values(), own, strict=True)]
+    only = tuple(
+        tuple(each for each in pair if each not in bounds[name]) for pair, name in zip(own, names, strict=True)
+    )
+    numbers = (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])
+    control = Control(scales(curve, length), *(np.float64(each) for each in numbers))
+    asked = Bounded(control, min(first_step, largest_step), names, bounds, tuple(box), only, length)
+    ahead = tangent(problem(curve), z, control.scale, curve)
+    return Way(curve, point(_settled_at(curve, z, ahead, control), ahead), asked)
+
+
+def backward(way):
+    """The `track.Way` in the other direction."""
+    return way._replace(start=point(way.start.z, -way.start.tangent))
+
+
+def named(scene, names):
+    """Two parameters of a scene by name. Raises SceneError."""
+    pair = tuple(names) if isinstance(names, tuple | list) else ()
+    if len(pair) != 2 or pair[0] == pair[1]:
+        raise check.SceneError("names", "must be two different parameters of the scene", names)
+    for name in pair:
+        check.is_known(name, scene.names, name)
+    return pair
+
+
+def _placed(start, names):
+    """(`Grazing` or `Singular`, z) at a `Begun`. Raises SceneError."""
+    scene, spot = start.scene, start.spot
+    impacts = _impacts(start)
+    values = [float(scene.parameter(name)) for name in names]
+    flat, which = marked(scene, *names)
+    half = _is_half(start, impacts, names)
+    if start.kind == "SB" and not half:
+        raise check.SceneError("names", "must keep the scene symmetric: an SB is no point of another", names)
+    turn, periods = (-1.0, 0.5 * spot.periods) if half else (1.0, float(spot.periods))
+    if half:
+        impacts = impacts[: len(impacts) // 2]
+    blank = np.zeros(0)
+    numbers = (np.asarray(each) for each in (0.0, periods, turn))
+    seed = Singular(flat, which, Cycle(blank, blank, blank, *numbers), np.asarray(1.0))
+    cycle = padded(seed, impacts)
+    z = np.concatenate([cycle.times, cycle.speeds, values])
+    if start.kind != "GR":
+        closing = 1.0 if start.kind == "SN" else -1.0
+        return Singular(flat, which, cycle, np.asarray(closing)), z
+    length = scene_length(scene)
+    pick = np.where((cycle.sides != 0) & (cycle.speeds <= TOUCH * length), 1.0, 0.0)
+    if pick.sum() != 1:
+        raise check.SceneError("special", "must be a grazing of one impact: here are", int(pick.sum()))
+    return Grazing(flat, which, cycle, pick, np.asarray(TOUCH * length)), z
+
+
+def _impacts(start):
+    """(time, speed, side) of each impact, and of each touch at a GR, in order, the first within the first period."""
+    spot = start.spot
+    listed = [((k, 0.0), one) for k, one in enumerate(zip(spot.times, spot.speeds, spot.sides, strict=True))]
+    if start.kind == "GR":
+        along, z = placed(start.scene, start.name, spot)
+        for one in touches(along, z, scene_length(start.scene)):
+            if not one.own:
+                begin = z[one.row] if len(spot.times) else 0.0
+                listed.append(((one.row, one.late), (begin + one.late, 0.0, one.side)))
+    listed = [one for _, one in sorted(listed)]
+    period = 2.0 * np.pi / float(start.scene.frequency)
+    late = period * np.floor(listed[0][0] / period)
+    return [(time - late, speed, side) for time, speed, side in listed]
+
+
+def _is_half(start, impacts, names):
+    """Whether an orbit is its own mirror image, and stays one whatever the parameters are."""
+    if len(impacts) % 2 or not stays_symmetric(start.scene, *names):
+        return False
+    times, speeds, sides = np.array(impacts).T
+    whole = start.spot._replace(times=times, speeds=speeds, sides=sides)
+    return is_own_image(whole, float(start.scene.frequency))
+
+
+def impacts_of(curve, zs):
+    """(times, speeds, sides, periods) of the whole orbits at points of a curve, (points, n + 1): times and speeds are
+    (points, impacts), sides (impacts,); half an orbit is followed by its mirror image."""
+    rows, count = len(curve.cycle.sides), int(np.sum(curve.cycle.sides != 0))
+    times, speeds, sides = zs[:, :count], zs[:, rows : rows + count], curve.cycle.sides[:count]
+    periods = float(curve.cycle.periods)
+    if float(curve.cycle.turn) < 0:
+        late = periods * 2.0 * np.pi / _frequencies(curve, zs)
+        times, speeds, sides = np.hstack([times, times + late]), np.hstack([speeds] * 2), np.append(sides, -sides)
+        periods *= 2
+    return times, speeds, sides, int(periods)
+
+
+def _frequencies(curve, zs):
+    """(points, 1), or one number where the frequency is no parameter of the curve."""
+    place = int(curve.which.frequency)
+    return zs[:, [2 * len(curve.cycle.sides) + place - 1]] if place else float(curve.scene.frequency)
+
+
+def _settled_at(curve, z, ahead, control):
+    """z after Newton's method."""
+    at = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point(z, ahead))
+    found = between(curve, at, 0, 0.0, control)
+    return z if found is None else found.z
