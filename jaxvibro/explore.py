@@ -17,11 +17,9 @@ from .along import problem
 from .branch import row_of, spot_of
 from .diagram import Diagram
 from .domain import bounds_of, domain
-from .find import find_orbit
-from .follow import follow, placed, settled
+from .follow import placed, settled, through
 from .graze import scales
 from .mirror import stays_symmetric
-from .orbit import OrbitError
 from .probe import probes
 from .scene import Scene
 from .switch import FIRST
@@ -106,11 +104,10 @@ def explored(task, some, progress=None, found=(), done=()):
 
 def _begin(tree, probe, scene, name, bounds, steps):
     """Follows the orbit that a probe settled on, and all that leaves it."""
-    try:
-        orbit = find_orbit(scene.replace(**{name: probe.value}), probe.state, periods=probe.periods, settle=0)
-        branch = follow(orbit, name, bounds, **steps)
-    except OrbitError:  # it rests on a wall, or had not settled
+    found = _settled_at(probe, *placed(scene, name, probe.spot))
+    if found is None:  # it had not settled
         return
+    branch = through(scene.replace(**{name: probe.spot.value}), name, bounds, found, "both", steps)
     if not tree.has(branch):
         tree.add(branch)
         tree.grow()
@@ -140,11 +137,11 @@ def _resumed(resume, task):
 
 def _is_on(probe, branch):
     """Whether what a probe settled on is an orbit of a branch."""
-    if branch.data.sizes["period"] != probe.periods:
+    if branch.data.sizes["period"] != probe.spot.periods:
         return False
-    values, points = branch.values, np.stack([branch.data[key].values for key in "xv"], axis=2)
+    gaps, points = branch.values - probe.spot.value, np.stack([branch.data[key].values for key in "xv"], axis=2)
     size = NEAR * abs(points).max()
-    for place in np.flatnonzero((values[:-1] - probe.value) * (values[1:] - probe.value) <= 0):
+    for place in np.flatnonzero(gaps[:-1] * gaps[1:] <= 0):
         if _is_near(probe, points[place : place + 2], size) and _is_there(probe, branch, place):
             return True
     return False
@@ -152,28 +149,29 @@ def _is_on(probe, branch):
 
 def _is_near(probe, points, size):
     """Whether a probe's states are as near to those of one of some points of a branch, counted from any period."""
-    turns = [np.roll(row, k, axis=0) for row in points for k in range(probe.periods)]
+    turns = [np.roll(row, k, axis=0) for row in points for k in range(len(row))]
     return any(abs(turn - probe.points).max() < size for turn in turns)
 
 
 def _is_there(probe, branch, place):
-    """Whether Newton's method leads from a branch's point to the very orbit."""
-    for k in (place, place + 1):
-        spot = spot_of(row_of(branch.data, k), branch.name)
-        along, z = placed(branch.scene, branch.name, spot)
-        numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
-        found = pinned(problem(along), z, -1, probe.value, Control(scales(along, 1.0), *numbers), along)
-        if found.met and _is_orbit(probe, along, found.z):
-            return True
-    return False
+    """Whether Newton's method leads from one of a branch's two points to the very orbit."""
+    spots = (spot_of(row_of(branch.data, k), branch.name) for k in (place, place + 1))
+    return any(_settled_at(probe, *placed(branch.scene, branch.name, spot)) is not None for spot in spots)
+
+
+def _settled_at(probe, along, z):
+    """(along, z) at a probe's value, None where Newton's method does not come to its orbit from z."""
+    numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
+    found = pinned(problem(along), z, -1, probe.spot.value, Control(scales(along, 1.0), *numbers), along)
+    return (along, found.z) if found.met and _is_orbit(probe, along, found.z) else None
 
 
 def _is_orbit(probe, along, z):
-    rows, size = len(along.cycle.sides), ON * max(1.0, abs(probe.points).max())
+    rows, size, (_, _, speeds, sides, *_) = len(along.cycle.sides), ON * max(1.0, abs(probe.points).max()), probe.spot
     if not rows:
-        return not len(probe.speeds) and abs(z[:2] - probe.points[0]).max() < size
+        return not len(speeds) and abs(z[:2] - probe.points[0]).max() < size
     for side in (-1, 1):
-        here, there = z[rows : 2 * rows][along.cycle.sides == side], probe.speeds[probe.sides == side]
+        here, there = z[rows : 2 * rows][along.cycle.sides == side], speeds[sides == side]
         if len(here) != len(there) or abs(np.sort(here) - np.sort(there)).max(initial=0.0) > size:
             return False
     return True

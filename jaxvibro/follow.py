@@ -52,15 +52,18 @@ def follow(
         raise check.SceneError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     bounds = bounds_of(orbit.scene, name, bounds)
     given = settled(first_step, largest_step, tolerance, monitors, stop)
-    along, z = started(orbit, name)
-    length = scene_length(orbit.scene)
-    scale = scales(along, length)
-    asked = asking(orbit.scene, name, bounds, length, (along, z), **given)
-    ahead = tangent(problem(along), z, scale, along)
+    return through(orbit.scene, name, bounds, started(orbit, name), direction, given)
+
+
+def through(scene, name, bounds, start, direction, settings):
+    """The `Branch` through (`Along`, z) at the scene's value of the parameter; settings: those that are `settled`."""
+    (along, z), length = start, scene_length(scene)
+    asked = asking(scene, name, bounds, length, start, **settings)
+    ahead = tangent(problem(along), z, scales(along, length), along)
     on = walked(along, point(z, ahead), asked) if direction != "backward" else None
     closed = on is not None and on.pieces[-1].why == CLOSED
     back = walked(along, point(z, -ahead), asked) if direction != "forward" and not closed else None
-    return assembled(orbit.scene, name, bounds, given, back, on)
+    return assembled(scene, name, bounds, settings, back, on)
 
 
 def point(z, tangent):

@@ -34,13 +34,14 @@ class Look(NamedTuple):
 def looked(along, zs):
     """The `Look` at points, shape (points, n + 1)."""
     rows, periods = len(along.cycle.sides), int(along.cycle.periods)
-    parts = []
+    parts, wide = [], 1 << (periods - 1).bit_length()  # so that fewer sizes are compiled
     for first in range(0, len(zs), LANES):
         some = zs[first : first + LANES]
         padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
-        found = jax.device_get(_seen(hitting if rows else _free, along, padded, np.int32(len(some)), periods))
+        found = jax.device_get(_seen(hitting if rows else _free, along, padded, np.int32(len(some)), wide))
         parts.append([each[: len(some)] for each in found])
-    return Look(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    look = Look(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    return look._replace(x=look.x[:, :periods], v=look.v[:, :periods])
 
 
 @partial(jax.jit, static_argnums=(0, 4))

@@ -6,9 +6,11 @@ import jax
 import numpy as np
 
 from .domain import domain
+from .entry import OK
+from .impact import STUCK
 from .recurrence import returns
 from .starts import random_starts
-from .state import State
+from .told import Spot
 from .trail import trail
 
 STARTS = 256  # at as many values
@@ -17,15 +19,10 @@ SETTLED = 1e-7  # of the largest x and v: a return as near as this
 
 
 class Probe(NamedTuple):
-    """What a start settled on. value: of the parameter; state: at phase 0; periods after which it comes back; points: x
-    and v at the end of each, (periods, 2); speeds, sides: of the impacts in them."""
+    """What a start settled on. spot: the orbit, about; points: x and v at the end of each period, (periods, 2)."""
 
-    value: float
-    state: State
-    periods: int
+    spot: Spot
     points: np.ndarray
-    speeds: np.ndarray
-    sides: np.ndarray
 
 
 def probes(scenes, name, bounds, max_period, seed):
@@ -62,13 +59,18 @@ def _lanes(scenes):
 
 
 def _listed(scene, name, values, found, max_period):
-    points = found.points
+    points, length = found.points, 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
     apart, size = returns(points)[:max_period], SETTLED * abs(points).max(axis=(0, 2))
     listed = []
-    for lane in np.flatnonzero((apart < size).any(axis=0) & (found.status == 0)):
+    for lane in np.flatnonzero((apart < size).any(axis=0) & (found.status == OK)):
         periods = int(np.argmax(apart[:, lane] < size[lane])) + 1
+        if (abs(found.contact[-periods:, lane]) == STUCK).any():  # it rests on a wall
+            continue
         hit = found.side[-periods:, lane] != 0
-        impacts = (part[-periods:, lane][hit] for part in (found.speed, found.side))
-        state = State(*(float(leaf[lane]) for leaf in jax.tree.leaves(found.state)))
-        listed.append(Probe(float(values[lane]), state, periods, points[-periods:, lane], *impacts))
-    return sorted(listed, key=lambda one: (one.periods, one.value))
+        late = found.time[-periods:, lane] + length[lane] * np.arange(periods)[:, None]
+        impacts = (
+            part[hit] for part in (late, found.speed[-periods:, lane], found.side[-periods:, lane].astype(float))
+        )
+        begin = points[-1, lane].tolist()
+        listed.append(Probe(Spot(float(values[lane]), *impacts, periods, *begin, 0.0), points[-periods:, lane]))
+    return sorted(listed, key=lambda one: (one.spot.periods, one.spot.value))

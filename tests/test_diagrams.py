@@ -42,8 +42,8 @@ def test_what_the_starts_of_all_values_settle_on(scene):
     scenes = [scene.replace(damping=gamma) for gamma in (0.3, 0.05)]
     tasks = [asked(each, "amplitude", BOUNDS, 1, 0, None, 0.1) for each in scenes]
     for mine, theirs in zip(settled_on(tasks), map(settled_on, ([one] for one in tasks)), strict=True):
-        assert [one.value for one in mine] == [one.value for one in theirs[0]] and len(mine) > 100
-        assert [one.periods for one in mine] == [one.periods for one in theirs[0]]
+        assert [one.spot.value for one in mine] == [one.spot.value for one in theirs[0]] and len(mine) > 100
+        assert [one.spot.periods for one in mine] == [one.spot.periods for one in theirs[0]]
         assert max(abs(one.points - two.points).max() for one, two in zip(mine, theirs[0], strict=True)) < 1e-6
 
 
