@@ -23,7 +23,7 @@ REASONS = (
 )
 MOST = 200  # pieces of a branch
 SAME = 1e-7  # two grazings as near are one
-SLOW = 3e-5  # of the scene's length per t: below, the flights between impacts are lost in rounding
+SLOW = 1e-4  # of the scene's length per t: below, the flights between impacts are lost in rounding
 
 
 class Walked(NamedTuple):

@@ -18,7 +18,7 @@ from jaxvibro import cache, command, scenefile, starter, tables
 from jaxvibro.run import ENDINGS
 
 ROOT = Path(__file__).parents[1]
-FIG4 = ROOT / "scenes" / "fig4.toml"
+SCENE_FILE = ROOT / "scenes" / "branches.toml"
 QUICK = [f"sweep.{key}=5" for key in ("count", "settle", "keep")] + ["attractors.starts=5"]
 QUICK += ["branch.bounds=[1.9, 2.1]", "branch.settle=30"]
 
@@ -28,9 +28,9 @@ def called(*arguments):
     return command.main([str(one) for one in arguments])
 
 
-def quick(out, *arguments, scene=FIG4):
+def quick(out, *arguments, scene=SCENE_FILE):
     """The same for a small run of a scene file."""
-    changes = [word for change in QUICK for word in ("--set", change)] if scene == FIG4 else []
+    changes = [word for change in QUICK for word in ("--set", change)] if scene == SCENE_FILE else []
     return called("run", scene, "--out", out, *changes, *arguments)
 
 
@@ -38,21 +38,21 @@ def quick(out, *arguments, scene=FIG4):
 def done(tmp_path_factory):
     """The folder of a small run of figure 4, and its summary."""
     out = tmp_path_factory.mktemp("out")
-    return out, jv.run(FIG4, out, QUICK, force=True)
+    return out, jv.run(SCENE_FILE, out, QUICK, force=True)
 
 
 def test_a_run_writes_picture_data_and_table(done):
     out, (summary, table) = done[0], (done[1].summary, done[1].table)
-    assert {one.name for one in out.iterdir()} == {"fig4.png", "fig4.nc", "fig4.txt"}
-    assert summary["files"] == {kind: str(out / f"fig4{end}") for kind, end in ENDINGS.items()}
-    assert (out / "fig4.png").read_bytes().startswith(b"\x89PNG")
-    assert (out / "fig4.txt").read_text() == table
+    assert {one.name for one in out.iterdir()} == {"branches.png", "branches.nc", "branches.txt"}
+    assert summary["files"] == {kind: str(out / f"branches{end}") for kind, end in ENDINGS.items()}
+    assert (out / "branches.png").read_bytes().startswith(b"\x89PNG")
+    assert (out / "branches.txt").read_text() == table
     assert all(word in table for word in ("sweep of amplitude", "down", "up", "attractors at amplitude = 4.65", "P111"))
 
 
 def test_the_data_hold_sweep_attractors_and_job(done):
     out, told = done[0], done[1].summary
-    with xr.open_dataset(out / "fig4.nc", engine="scipy") as data:
+    with xr.open_dataset(out / "branches.nc", engine="scipy") as data:
         sizes = {"step": 5, "leg": 2, "period": 5, "attractor": len(told["attractors"])}
         assert {key: data.sizes[key] for key in sizes} == sizes
         assert data["leg"].values.tolist() == ["down", "up"]
@@ -60,12 +60,12 @@ def test_the_data_hold_sweep_attractors_and_job(done):
         assert (data["status"].values == 0).all()
         assert data["attractor_label"].values.tolist() == [one["label"] for one in told["attractors"]]
         job = scenefile.tomllib.loads(data.attrs["job"])
-    assert scenefile.understood(job) == scenefile.read(FIG4, QUICK)
+    assert scenefile.understood(job) == scenefile.read(SCENE_FILE, QUICK)
 
 
 def test_legs_side_by_side_are_the_sweeps_they_stand_for(done):
-    file = scenefile.read(FIG4, QUICK)
-    with xr.open_dataset(done[0] / "fig4.nc", engine="scipy") as data:
+    file = scenefile.read(SCENE_FILE, QUICK)
+    with xr.open_dataset(done[0] / "branches.nc", engine="scipy") as data:
         for leg in file.sweep.legs:
             start = jv.State(leg.start.x, leg.start.v)
             alone = jv.sweep(file.scene.make(), "amplitude", file.sweep.values(leg), start, settle=5, keep=5)
@@ -75,7 +75,7 @@ def test_legs_side_by_side_are_the_sweeps_they_stand_for(done):
 def test_json_is_all_that_stdout_gets_and_gives_the_job_back(tmp_path, capsys):
     assert quick(tmp_path, "--json") == 0
     told = json.loads(capsys.readouterr().out)
-    assert msgspec.convert(told["job"], tables.SceneFile) == scenefile.read(FIG4, QUICK)
+    assert msgspec.convert(told["job"], tables.SceneFile) == scenefile.read(SCENE_FILE, QUICK)
     assert all(Path(path).exists() for path in told["files"].values())
     assert {one["leg"] for one in told["stretches"]} == {"down", "up"}
     assert sum(one["count"] for one in told["stretches"]) == 10
@@ -92,31 +92,31 @@ def test_set_changes_the_job(tmp_path, capsys):
 def test_a_run_says_where_and_shows_progress_on_stderr(tmp_path, capsys):
     assert quick(tmp_path) == 0
     out, err = capsys.readouterr()
-    assert str(tmp_path / "fig4.png") in out and "P111" in out
+    assert str(tmp_path / "branches.png") in out and "P111" in out
     assert "sweep: 100%" in err and "attractors: 100%" in err
 
 
 def test_nothing_is_overwritten_without_force(tmp_path, capsys):
-    (tmp_path / "fig4.nc").write_text("mine")
+    (tmp_path / "branches.nc").write_text("mine")
     assert quick(tmp_path) == 2
-    assert "fig4.nc is there already; --force overwrites it" in capsys.readouterr().err
-    assert (tmp_path / "fig4.nc").read_text() == "mine" and len(list(tmp_path.iterdir())) == 1
+    assert "branches.nc is there already; --force overwrites it" in capsys.readouterr().err
+    assert (tmp_path / "branches.nc").read_text() == "mine" and len(list(tmp_path.iterdir())) == 1
     assert quick(tmp_path, "--force") == 0
-    assert (tmp_path / "fig4.nc").read_bytes().startswith(b"CDF")
+    assert (tmp_path / "branches.nc").read_bytes().startswith(b"CDF")
 
 
 def test_a_run_never_overwrites_its_own_scene(tmp_path, capsys):
     scene = tmp_path / "mine.txt"
-    scene.write_bytes(FIG4.read_bytes())
+    scene.write_bytes(SCENE_FILE.read_bytes())
     assert called("run", scene, "--out", tmp_path, "--force") == 2
     assert "mine.txt is in the way" in capsys.readouterr().err
-    assert scene.read_bytes() == FIG4.read_bytes()
+    assert scene.read_bytes() == SCENE_FILE.read_bytes()
 
 
 @pytest.mark.parametrize(("error", "code"), [(KeyboardInterrupt, 130), (OSError(28, "No space left"), 2)])
 @pytest.mark.parametrize("where", ["write_bytes", "replace"])
 def test_an_interrupted_write_leaves_all_as_it_was(tmp_path, monkeypatch, capsys, error, code, where):
-    before = {name: (tmp_path / name).write_text("mine") for name in ("fig4.png", "fig4.nc", "fig4.txt")}
+    before = {name: (tmp_path / name).write_text("mine") for name in ("branches.png", "branches.nc", "branches.txt")}
     plain = getattr(Path if where == "write_bytes" else os, where)
     calls = []
 
@@ -146,7 +146,7 @@ def test_a_scene_that_asks_nothing_is_followed_from_rest(tmp_path, capsys):
 def test_init_writes_a_scene_that_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert called("init") == 0
-    assert scenefile.read("scene.toml") == msgspec.structs.replace(scenefile.read(FIG4, TO_STARTER), branch=None)
+    assert scenefile.read("scene.toml") == msgspec.structs.replace(scenefile.read(SCENE_FILE, TO_STARTER), branch=None)
     assert called("init") == 2
     assert "scene.toml is there already" in capsys.readouterr().err
     assert called("init", "--force", "scene.toml") == 0
@@ -205,7 +205,7 @@ def test_bad_command_lines_get_one_line(tmp_path, monkeypatch, capsys, arguments
     Path("taken").write_text("= no TOML")
     whole = not arguments or arguments[0] in ("run", "walk", "init")
     words = [word.replace("FILE", "taken") for word in arguments]
-    assert called(*([] if whole else ["run", FIG4]), *words) == 2
+    assert called(*([] if whole else ["run", SCENE_FILE]), *words) == 2
     out, err = capsys.readouterr()
     assert out == "" and err.count("\n") == 1
     assert says in err

@@ -14,7 +14,7 @@ import jaxvibro as jv
 from jaxvibro import command, picture, plot, scenefile, study, tree
 from jaxvibro.told import Spot
 
-FIG4 = Path(__file__).parents[1] / "scenes" / "fig4.toml"
+SCENE_FILE = Path(__file__).parents[1] / "scenes" / "branches.toml"
 FOLD, GRAZING, BREAKING = 0.508057896812, 3.416460156361, 3.543892249375
 SCENE = """
 [scene]
@@ -103,7 +103,7 @@ def test_branches_are_drawn_alone_and_over_what_was_swept_along_their_parameter(
 
     def picked(*changes, **others):
         drawn.clear()
-        file = scenefile.read(FIG4, ["branch.bounds=[0.0, 4.0]", *changes])
+        file = scenefile.read(SCENE_FILE, ["branch.bounds=[0.0, 4.0]", *changes])
         picture.picture(replace(found, file=msgspec.structs.replace(file, attractors=None), **others))
         return list(drawn)
 
@@ -118,7 +118,9 @@ def test_branches_are_drawn_alone_and_over_what_was_swept_along_their_parameter(
 def test_a_diagram_of_branches_says_where_it_is_and_takes_what_is_of_the_same_scene(followed):
     found = followed[2]
     assert (found.across, found.mark(found.file.branch)) == ("amplitude", 2.0)
-    at = [scenefile.read(FIG4, [f"orbits.at={given}"]).orbits for given in ("{amplitude=3}", "{damping=0.1}", "{}")]
+    at = [
+        scenefile.read(SCENE_FILE, [f"orbits.at={given}"]).orbits for given in ("{amplitude=3}", "{damping=0.1}", "{}")
+    ]
     assert [found.mark(each) for each in at] == [3.0, None, 4.65]
     assert "A$" not in picture._heading(found) and "2.1" in picture._heading(found)
 
@@ -136,17 +138,17 @@ def test_a_start_that_settles_on_no_orbit_is_one_clear_line(tmp_path, capsys):
 
 
 def test_a_branch_has_defaults():
-    asked = scenefile.read(FIG4).branch
+    asked = scenefile.read(SCENE_FILE).branch
     assert (asked.parameter, asked.bounds, asked.max_period, asked.at) == ("amplitude", (0.0, 6.0), 2, {"amplitude": 2})
     assert (asked.start.x, asked.start.v, asked.settle, asked.largest_step) == (0.9, -1.1, 200, 0.1)
     table = "branch = {parameter='frequency', bounds=[1, 3]}"
-    file = msgspec.to_builtins(msgspec.structs.replace(scenefile.read(FIG4), branch=None))
+    file = msgspec.to_builtins(msgspec.structs.replace(scenefile.read(SCENE_FILE), branch=None))
     asked = scenefile.understood(scenefile.apply(file, table)).branch
     assert (asked.start.x, asked.start.v, asked.at, asked.max_period) == (0.0, 0.0, {}, 1)
 
 
 KEYS = "(parameter, bounds, start, at, settle, max_period, largest_step)"
-# The change to scenes/fig4.toml, the key that the error names, and what it says.
+# The change to scenes/branches.toml, the key that the error names, and what it says.
 BAD = [
     ("branch = 3", "branch", "must be a table; got 3"),
     ("branch.name = 'amplitude'", "branch.name", f"is not a key here {KEYS}"),
@@ -181,13 +183,13 @@ BAD = [
 @pytest.mark.parametrize(("change", "key", "said"), BAD, ids=[f"{place}-{case[1]}" for place, case in enumerate(BAD)])
 def test_a_bad_branch_is_one_clear_line(change, key, said):
     with pytest.raises(jv.SceneError) as caught:
-        scenefile.read(FIG4, [change])
+        scenefile.read(SCENE_FILE, [change])
     line = str(caught.value)
     assert caught.value.key == key and line.startswith(f"{key}: ") and said in line and "\n" not in line
 
 
 def test_a_branch_survives_writing(tmp_path):
-    file = scenefile.read(FIG4, ["branch.at.'right.restitution'=0.5", "branch.settle=0"])
+    file = scenefile.read(SCENE_FILE, ["branch.at.'right.restitution'=0.5", "branch.settle=0"])
     scenefile.dump(file, tmp_path / "copy.toml")
     assert scenefile.read(tmp_path / "copy.toml") == file
 

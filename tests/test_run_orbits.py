@@ -11,7 +11,7 @@ import xarray as xr
 import jaxvibro as jv
 from jaxvibro import data, picture, plot, report, scenefile, study
 
-FIG4 = Path(__file__).parents[1] / "scenes" / "fig4.toml"
+SCENE_FILE = Path(__file__).parents[1] / "scenes" / "branches.toml"
 SCENE = """
 [scene]
 amplitude = 4.65
@@ -75,7 +75,7 @@ def test_the_data_hold_the_orbits(orbited):
 
 def unbranched(*changes):
     """Figure 4's file with these changes, without its branches."""
-    return msgspec.structs.replace(scenefile.read(FIG4, changes), branch=None)
+    return msgspec.structs.replace(scenefile.read(SCENE_FILE, changes), branch=None)
 
 
 @pytest.fixture(scope="module")
