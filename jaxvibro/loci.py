@@ -21,7 +21,7 @@ def loci(branches, names, bounds, kinds=KINDS, largest_step=0.1, progress=None):
     found, refused = [], []
     begun = [one for branch in branches for one in branch.special if one.kind in kinds and _is_within(one, bounds)]
     for count, one in enumerate(begun, 1):
-        if not any(_leads_through(other, one) for other in found):
+        if not any(leads_through(other, one) for other in found):
             try:
                 found.append(locus(one, names, bounds, largest_step=largest_step))
             except SceneError as error:
@@ -40,7 +40,7 @@ def _is_within(special, bounds):
     return all(low <= float(special.scene.parameter(name)) <= high for name, (low, high) in bounds.items())
 
 
-def _leads_through(one, special):
+def leads_through(one, special):
     """Whether a locus leads through a special point of a branch."""
     if one.kind != special.kind or one.label not in _labels(special):
         return False

@@ -10,6 +10,7 @@ from matplotlib.lines import Line2D
 
 from . import plot
 from .check import SceneError
+from .coexistence import coexistences
 from .loci import image
 from .plot import style
 from .plot.locus import name as of_locus
@@ -46,6 +47,8 @@ def loci(found):
             plot.locus(one, ax)
         else:
             twins.add(of_locus(other))
+    for pair in coexistences(found.branches, kept):
+        plot.region(*pair, ax)
     for which, name in zip("xy", asked.parameters, strict=True):
         ax.set(**{f"{which}label": style.label(name), f"{which}lim": asked.bounds[name]})
     entries = zip(*ax.get_legend_handles_labels(), strict=True)

@@ -16,7 +16,7 @@ ORDER = [
     *("cycle", "passes", "orbit", "solve", "shoot", "find", "orbits"),
     *("ring", "along", "look", "rows", "graze", "dips", "image", "monitor", "piece", "walk"),
     *("told", "branch", "domain", "assemble", "follow", "switch", "mirror", "tree"),
-    *("curve", "codim", "track", "outset", "locus", "family", "loci"),
+    *("curve", "codim", "track", "outset", "locus", "family", "loci", "coexistence"),
     *("diagram", "probe", "explore", "diagrams"),
     *("evidence", "attractors", "plot", "study", "stretch", "data", "report", "picture", "run"),
     *("cache", "starter", "command", "__main__"),

@@ -1,6 +1,7 @@
 """The table [locus] of a scene file: what a run of it tells, writes and draws; which special points are followed."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import loci, picture, plot, report, scenefile, study, tables
+from jaxvibro.coexistence import coexistences
 from jaxvibro.outset import KINDS
 from tests.reference import closed
 
@@ -115,13 +117,13 @@ def test_the_picture_has_its_bounds_and_draws_mirror_images_once(followed, monke
     draw = plot.locus
     monkeypatch.setattr(plot, "locus", lambda each, ax: axes.append(each.label) or draw(each, ax))
     monkeypatch.setattr(picture, "_png", lambda figure: figures.append(figure))
-    picture.loci(SimpleNamespace(file=found.file, loci=twins, there=found.there))
+    picture.loci(SimpleNamespace(branches=(), file=found.file, loci=twins, there=found.there))
     assert axes == ["P112", "P111"]
     (figure,) = figures
     assert isinstance(figure, Figure) and figure.axes[0].get_ylim() == (LOW, HIGH)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["SN of P112 and mirror image", "SN of P111"]
     assert "0.05" in figure.get_suptitle() and "2.1" not in figure.get_suptitle()
-    picture.loci(SimpleNamespace(file=found.file, loci=(), there=found.there))
+    picture.loci(SimpleNamespace(branches=(), file=found.file, loci=(), there=found.there))
     assert figures[1].axes[0].get_xlim() == (0.0, 12.0) and not figures[1].legends
 
 
@@ -272,3 +274,16 @@ def test_a_locus_survives_writing(tmp_path):
     with pytest.raises(jv.SceneError) as caught:
         scenefile.read(tmp_path / "other.toml", ["locus.bounds.'right.position'=[1, 'far']"])
     assert caught.value.key == "locus.bounds.right.position[1]"
+
+
+def test_where_two_motions_exist_together(followed):
+    _, _, found = followed
+    ((first, second, told),) = coexistences(found.branches, found.loci)
+    assert told == "P100 and P111" and {first.kind, second.kind} == {"SN", "GR"}
+    assert coexistences(found.branches, [first]) == []
+
+
+def test_no_stable_motions_no_region(followed):
+    one = next(each for each in followed[2].branches if each.points("SN"))
+    unstable = replace(one, data=one.data.assign(stable=0 * one.data["stable"]))
+    assert coexistences([unstable], followed[2].loci) == []
