@@ -82,6 +82,12 @@ def plain(scene):
     )
 
 
+def called(point):
+    """The parameter as the references call it: there "restitution" is that of both walls, of their own or not."""
+    shared = [key for key in ("left", "right") if (wall := getattr(point.scene, key)) and wall.restitution is None]
+    return f"{shared[0]}.restitution" if point.name == "restitution" and len(shared) == 1 else point.name
+
+
 def error(point):
     """How far a special point's value is from the reference's."""
     spot = point.spot
@@ -95,7 +101,9 @@ def error(point):
             touch = (one.row, begin + one.late, one.side)
     rows = [part.tolist() for part in (spot.times, spot.speeds)]
     sides = [int(side) for side in spot.sides]
-    true = reference.special(plain(point.scene), point.name, point.kind, point.value, *rows, sides, spot.periods, touch)
+    true = reference.special(
+        plain(point.scene), called(point), point.kind, point.value, *rows, sides, spot.periods, touch
+    )
     return abs(float(true - point.value))
 
 
@@ -161,7 +169,7 @@ def is_simulated(point, spot):
 
 def is_orbit(point, spot):
     """Whether the reference has the orbit of a `Spot`, its impacts having a speed; and no flight passes a wall."""
-    given = plain(point.scene), point.name, spot.value, spot.times, spot.speeds, spot.sides, spot.periods
+    given = plain(point.scene), called(point), spot.value, spot.times, spot.speeds, spot.sides, spot.periods
     exact = reference.orbit(*given)
     apart = max(abs(float(time - mine)) for (time, _), mine in zip(exact, spot.times, strict=True))
     fast = min(speed for _, speed in exact) > 0

@@ -17,6 +17,7 @@ def scene():
     return jv.make_scene(2.0, OMEGA, 0.05, R, (-1.0, 1.0))
 
 
+@pytest.mark.slow
 def test_as_explore_gives_them(scene):
     values = [0.3, 0.05]
     seen = []

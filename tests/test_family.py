@@ -37,6 +37,7 @@ def are_the_same(one, other):
     return True
 
 
+@pytest.mark.slow
 def test_a_grazing_for_amplitudes_at_two_of_which_there_is_none(touch):
     """P100 touches at A = sqrt(D): least at resonance, so that most amplitudes are passed twice, the first time above;
     below the least and where the bound of the frequency comes first there is no such point."""

@@ -163,6 +163,7 @@ def test_steps_and_order_do_not_matter(loci, points):
                 assert error(locus, place) < 1e-11
 
 
+@pytest.mark.slow
 def test_a_fold_or_a_doubling_comes_quadratically_to_a_grazing(lone):
     """Simpson and Ghosh: SN below the grazing, on the side where sin(2 pi n r / omega) < 0; PD on the other side."""
     for kind, frequency in (("SN", 1.7), ("PD", 2.3)):

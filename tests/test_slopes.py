@@ -45,6 +45,7 @@ def test_a_batch_given_as_arrays_sums_over_a_shared_number(scene):
     assert np.isclose(jax.grad(total)(2.0), difference(total, 2.0), rtol=1e-7)
 
 
+@pytest.mark.slow
 def test_second_and_third_derivatives(scene):
     z, along = jnp.array([0.9, -1.1]), jnp.array([0.6, 0.8])
     second = jax.hessian(end_of(scene))(z)
