@@ -264,7 +264,18 @@ def test_the_readme_s_lines_run_as_printed():
     assert names["impacts"].status == 0 and abs(names["state"].x) <= 1.0
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/scene.md", "CONTRIBUTING.md"])
+@pytest.mark.slow
+def test_the_lines_on_loci_print_what_is_told(capsys):
+    block, told = re.findall(r"```(?:python)?\n(.*?)```", (ROOT / "docs" / "loci.md").read_text(), re.DOTALL)
+    exec(compile(block, "loci.md", "exec"), {})
+    assert [line.split() for line in capsys.readouterr().out.splitlines()] == [
+        line.split() for line in told.splitlines()
+    ]
+
+
+@pytest.mark.parametrize(
+    "page", ["README.md", *(f"docs/{name}.md" for name in ("scene", "branches", "loci")), "CONTRIBUTING.md"]
+)
 def test_links_lead_somewhere(page):
     path = ROOT / page
     links = re.findall(r"\]\((?!https?:)([^)]+)\)", path.read_text())
