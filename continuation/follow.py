@@ -148,8 +148,9 @@ def watched(problem, points, args):
     return {test.label: np.asarray(_values(problem, test, padded, args))[: len(points.z)] for test in problem.tests}
 
 
-def events(problem, points, values, control, args):
-    """The `Event`s between points in a row, in order; values: {label: of the problem's tests at each point}.
+def events(problem, points, values, control, args, known=None):
+    """The `Event`s between points in a row, in order; values: {label: of the problem's tests at each point}; known: of
+    `jump`, the branch points between these and more points.
 
     One at the first point is left out: it belongs to the points before, or the branch was begun in it.
     """
@@ -158,20 +159,27 @@ def events(problem, points, values, control, args):
         signs = _signs(each)
         for after in np.flatnonzero(signs[:-1] * signs[1:] < 0):
             crossed = any(one.after == after for one in found if kind == "SN")  # it may turn there, without a fold
-            event = _located(problem, kind, points, int(after), each, control, args, 1 if crossed else HALVINGS)
+            event = (known or {}).get(int(after)) if kind == "BP" else None
+            if event is None:
+                event = _located(problem, kind, points, int(after), each, control, args, 1 if crossed else HALVINGS)
             if event is not None and np.linalg.norm(control.scale * (event.z - points.z[0])) > BEGUN:
                 found.append(event)
     return _told_apart(found, control)
 
 
 def jump(problem, points, control, args):
-    """The place of the first point that lies on another branch than the one before it, None where none does: there the
-    determinant has another sign, and no branch point is between them."""
-    signs = _signs(points.determinant)
+    """(the place of the first point that lies on another branch than the one before it, None where none does; the
+    branch points up to there, {place of the point before: `Event`}).
+
+    At a jump the determinant has another sign, and no branch point is between the two.
+    """
+    signs, found = _signs(points.determinant), {}
     for after in np.flatnonzero((signs[:-1] * signs[1:] < 0) & (points.step[1:] > FINE)):
-        if _located(problem, "BP", points, int(after), points.determinant, control, args) is None:
-            return int(after) + 1
-    return None
+        event = _located(problem, "BP", points, int(after), points.determinant, control, args)
+        if event is None:
+            return int(after) + 1, found
+        found[int(after)] = event
+    return None, found
 
 
 def _signs(values):

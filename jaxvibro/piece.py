@@ -102,7 +102,7 @@ def _part(along, points, status, asked):
     good = admissible(along, points.z, look)
     good[0] = True
     size, bad = len(points.z), int(np.argmin(np.append(good, False)))
-    jump = follow.jump(problem(along), upto(points, bad + 1), control, along)
+    jump, known = follow.jump(problem(along), upto(points, bad + 1), control, along)
     if jump is not None:
         points, (why, again) = upto(points, jump), _retried(points.step[jump], control)
     elif bad < size:
@@ -114,7 +114,7 @@ def _part(along, points, status, asked):
         points, last, why = cut_at(along, points, *loop, control), [], CLOSED
     if len(points.z) != size or last or loop is not None:
         look = looked(along, points.z)
-    marks = _events(along, points, look, control)
+    marks = _events(along, points, look, control, known)
     for kind, function in asked.monitors.items():
         marks += crossings(along, points, look, kind, function, control)
     points, placed = inserted(along, points, sorted(marks, key=lambda one: one[:2]), control)
@@ -259,9 +259,9 @@ def cut_at(along, points, after, length, control):
     return cut if one is None else put(cut, after + 1, one)
 
 
-def _events(along, points, look, control):
+def _events(along, points, look, control, known):
     values = {"PD": look.flip} if len(along.cycle.sides) else {}
-    return listed(follow.events(problem(along), points, values, control, along))
+    return listed(follow.events(problem(along), points, values, control, along, known))
 
 
 def listed(events):
