@@ -339,3 +339,26 @@ def test_where_a_branch_ends():
     assert found.status == arclength.NONFINITE
     assert close(found.z[:, 0], found.z[:, 1], 1e-15)
     assert 0.5 - 1e-6 < found.z[-1, 1] < 0.5
+
+
+def row_of(what, zs, args, step):
+    """Points so far apart as if in a row, each with the tangent towards greater parameters; (points, control)."""
+    control = control_of(2)
+    none = np.zeros(())
+    rows = []
+    for z in np.asarray(zs, float):
+        ahead = follow.tangent(what, z, control.scale, args)
+        begun = arclength.Point(z, ahead, none, none, none, np.True_, np.True_)
+        rows.append(follow.step(what, begun, 0.0, control, args)._replace(step=np.float64(step)))
+    return arclength.Point(*(np.stack(each) for each in zip(*rows, strict=True))), control
+
+
+def test_a_jump_to_another_branch_is_told_from_a_crossing():
+    _, middle, upper = np.sort(np.roots([-1.0, 0.0, 0.5, 0.01]).real)  # the sheets at p = 0.5: two meet in a fold
+    points, control = row_of(PITCHFORK, [[upper - 0.001, 0.499], [middle, 0.5]], 0.01, 0.8)
+    assert follow.jump(PITCHFORK, points, control, 0.01) == (1, {})
+    points, control = row_of(PITCHFORK, [[upper - 0.001, 0.499], [upper, 0.5]], 0.01, 0.01)
+    assert follow.jump(PITCHFORK, points, control, 0.01) == (None, {})
+    points, control = row_of(PITCHFORK, [[0.0, -0.2], [0.0, 0.2]], 0.0, 0.4)
+    place, known = follow.jump(PITCHFORK, points, control, 0.0)
+    assert place is None and list(known) == [0] and known[0].kind == "BP" and close(known[0].z, [0, 0], 1e-12)

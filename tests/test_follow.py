@@ -230,3 +230,25 @@ def test_special_points_of_other_scenes(name):
     assert " ".join(one.kind for one in branch.special) == kinds
     for point in branch.special:
         assert point.kind == "EP" or branch_proof.error(point) < 1e-12
+
+
+BACK = {  # a step of 0.1 once led to another branch; an exit from a grazing was once missed on the way back
+    "a sharp turn": ((2.48299889, 0.90275811, 0.2033876, 0.71709371), (0.2177246, -0.0025649), (1.0415, 4.7694)),
+    "a short piece": ((4.7154301, 2.08888252, 0.88295762, 0.59638251), (0.0496024, 1.5237424), (2.1577, 8.7878)),
+}
+WALLS = {
+    "a sharp turn": (-0.44174891, jv.Wall(0.43310777, None, jv.Motion(0.08727396, 1.16054328))),
+    "a short piece": (jv.Wall(-0.44342655, 0.34285064), 1.14221593),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BACK)
+def test_a_branch_goes_back_by_the_way_it_came(name):
+    numbers, state, bounds = BACK[name]
+    scene = jv.make_scene(*numbers, WALLS[name])
+    branch = jv.follow(jv.find_orbit(scene, jv.State(*state)), "amplitude", bounds, "forward")
+    back = jv.follow(branch.orbit(len(branch) - 2), "amplitude", bounds, largest_step=0.07)
+    met = [[one.value for one in each.special if one.kind != "EP"] for each in (branch, back)]
+    assert len(met[0]) > 3
+    assert max(min(abs(value - other) for other in met[1]) for value in met[0]) < 1e-9
