@@ -158,7 +158,7 @@ def events(problem, points, values, control, args, known=None):
     for kind, each in watched.items():
         signs = _signs(each)
         for after in np.flatnonzero(signs[:-1] * signs[1:] < 0):
-            crossed = any(one.after == after for one in found if kind == "SN")  # it may turn there, without a fold
+            crossed = kind == "SN" and any(one.after == after for one in found)  # it may turn there, without a fold
             event = (known or {}).get(int(after)) if kind == "BP" else None
             if event is None:
                 event = _located(problem, kind, points, int(after), each, control, args, 1 if crossed else HALVINGS)
@@ -218,11 +218,9 @@ def _event(problem, kind, here, after, between, near, guess, control, args):
     low, high = between
     along = float(np.sum(control.scale**2 * here.tangent * (found.z - here.z)))
     spare = 0.05 * (high - low)
-    return (
-        Event(kind, after, min(max(along, low), high), found.z, found.residual)
-        if low - spare <= along <= high + spare
-        else None
-    )
+    if not low - spare <= along <= high + spare:
+        return None
+    return Event(kind, after, min(max(along, low), high), found.z, found.residual)
 
 
 def _signed(problem, kind, point, args):

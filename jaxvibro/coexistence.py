@@ -16,10 +16,11 @@ def coexistences(branches, loci):
     found = []
     for branch in branches:
         for first, last in pairwise(one for one in branch.special if one.kind != "EP"):
-            pair = [next((one for one in loci if leads_through(one, point)), None) for point in (first, last)]
             told = _labels(branch, first.place - BESIDE, last.place + BESIDE)
-            known = any(one[:2] == tuple(pair) for one in found)
-            if told and None not in pair and not known and _is_fold(branch, first.place, last.place):
+            if told is None or not _is_fold(branch, first.place, last.place):
+                continue
+            pair = tuple(next((one for one in loci if leads_through(one, point)), None) for point in (first, last))
+            if None not in pair and not any(one[:2] == pair for one in found):
                 found.append((*pair, told))
     return found
 

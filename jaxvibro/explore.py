@@ -9,16 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation.arclength import Control
-from continuation.follow import pinned
-
 from . import check
-from .along import problem
 from .branch import row_of, spot_of
 from .diagram import Diagram
 from .domain import bounds_of, domain
-from .follow import placed, settled, through
-from .graze import scales
+from .follow import brought, placed, settled, through
 from .mirror import stays_symmetric
 from .probe import probes
 from .scene import Scene
@@ -161,8 +156,7 @@ def _is_there(probe, branch, place):
 
 def _settled_at(probe, along, z):
     """(along, z) at a probe's value, None where Newton's method does not come to its orbit from z."""
-    numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
-    found = pinned(problem(along), z, -1, probe.spot.value, Control(scales(along, 1.0), *numbers), along)
+    found = brought(along, z, probe.spot.value)
     return (along, found.z) if found.met and _is_orbit(probe, along, found.z) else None
 
 

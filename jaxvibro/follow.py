@@ -97,9 +97,14 @@ def started(orbit, name):
     residual = float(abs(np.asarray(locate.evaluated(problem(along), z, along)[0])).max())
     if not residual < NO_ORBIT * scene_length(orbit.scene):
         raise OrbitError("the start is no orbit", residual, "give an Orbit of find_orbit, with its own scene")
-    numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
-    found = pinned(problem(along), z, -1, value, Control(scales(along, 1.0), *numbers), along)
+    found = brought(along, z, value)
     return along, found.z if found.met else z
+
+
+def brought(along, z, value):
+    """The `Point` near z at a value of the parameter, to rounding: `met` says whether there is one."""
+    numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
+    return pinned(problem(along), z, -1, value, Control(scales(along, 1.0), *numbers), along)
 
 
 def placed(scene, name, spot):

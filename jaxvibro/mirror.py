@@ -73,13 +73,9 @@ def _reflected(scene, name, spot):
         return spot
     late = spot.times + np.pi / _frequency(scene, name, spot.value)
     turned = spot._replace(times=late, sides=-spot.sides)
-    look = looked(*_one(placed(scene, name, turned)))
+    along, z = placed(scene, name, turned)
+    look = looked(along, z[None])
     return turned._replace(x=float(look.x[0, 0]), v=float(look.v[0, 0]))
-
-
-def _one(start):
-    along, z = start
-    return along, z[None]
 
 
 def _segment(branch, data, one):
