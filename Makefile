@@ -24,11 +24,13 @@ endif
 
 INSTALL := $(UV) pip install --quiet --python $(BIN)/python
 LOCKED := --require-hashes --no-build
+# Two at a time: most of a test is compiling, on one core.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist worksteal
 THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
 
-.PHONY: help run test test-slow bench notebooks format lock clean
+.PHONY: help run paper test test-slow bench notebooks format lock clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -37,13 +39,16 @@ help: ## list the targets
 run: $(VENV)/.run ## compute figure 4 and its attractors into out/
 	$(BIN)/jaxvibro run scenes/fig4.toml --out out --force
 
+paper: $(VENV)/.run ## recompute the paper's figures and judge its claims, into out/paper/
+	$(BIN)/jaxvibro paper --out out/paper
+
 test: $(VENV)/.dev ## lint and the tests that take seconds
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/python -m pytest -m "not slow"
+	$(PYTEST) -m "not slow"
 
 test-slow: $(VENV)/.dev ## the tests that take minutes
-	$(BIN)/python -m pytest -m slow
+	$(PYTEST) -m slow
 
 bench: $(VENV)/.dev ## error against cost, ours and others, into docs/benchmarks.md
 	$(BIN)/python -m benchmarks.run $(if $(LIMIT),--limit "$(LIMIT)")

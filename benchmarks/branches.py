@@ -1,5 +1,7 @@
 """What a branch costs: a point of P111 with multipliers and all monitors, one by one and under vmap; and SciPy's."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,6 +17,7 @@ from jaxvibro.lanes import OPTIONS
 
 LANES, STEPS, POINTS = 1_000, 32, 8
 FINE, COARSE = 0.005, 0.1  # largest steps
+POINT = {"SN": 60, "PD": 150, "SB": 150, "GR": 40}  # microseconds asked of a point of a locus
 
 
 def compare(rounds):
@@ -36,7 +39,26 @@ def compare(rounds):
         ("SciPy's arclength shooting over ours, a point", "at least 500", spread(ratios)),
         ("first call of follow, s", "(to be printed)", f"{first:.1f}"),
         many(orbit, rounds),
+        *loci(orbit, rounds),
     ]
+
+
+def loci(orbit, rounds):
+    """Lines for a point of a locus, amplitude and frequency: all of `jaxvibro.locus` over the number of its points."""
+    branch = jaxvibro.follow(orbit, "amplitude", (0.0, 6.0))
+    lopsided = jaxvibro.switch(branch.points("SB")[0])[1]
+    bounds = {"amplitude": (0.0, 12.0), "frequency": (1.2, 3.0)}
+    found = []
+    asked = [(branch, "SN"), (branch, "SB"), (branch, "GR"), (lopsided, "SN"), (lopsided, "PD"), (lopsided, "GR")]
+    for start, kind in asked:
+        (point, *_), spent = start.points(kind), []
+        locus = jaxvibro.locus(point, tuple(bounds), bounds, largest_step=FINE)
+        for _ in range(rounds):
+            seconds, locus = harness.clock(partial(jaxvibro.locus, point, tuple(bounds), bounds, largest_step=FINE))
+            spent.append(1e6 * seconds / len(locus))
+        what = f"a point of the locus of {kind} of {locus.label}, all included, microseconds"
+        found.append((what, f"at most {POINT[kind]}", spread(spent)))
+    return found
 
 
 def spread(values):

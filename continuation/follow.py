@@ -1,6 +1,5 @@
 """A branch from its start on: chunks of steps, the events in them located, and what ends it."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -9,6 +8,7 @@ import numpy as np
 
 from . import arclength, locate
 from .arclength import ON, OUT, Place, Point
+from .kept import kept
 
 CHUNK = 128  # steps attempted in a compiled call
 POLISHED = 1e-10  # a length: from a step as short the next leaves rounding alone
@@ -47,7 +47,7 @@ def oriented(slopes, scale, along=None):
     return sign * filled / np.linalg.norm(scale * filled)
 
 
-@partial(jax.jit, static_argnums=(0, 4))
+@kept(static_argnums=(0, 4))
 def _track(problem, place, control, args, count):
     return problem.run(_tracked, place, control, args, problem=problem, count=count)
 
@@ -56,11 +56,16 @@ def _tracked(place, control, args, problem, count):
     return arclength.track(problem.function, problem.solve, place, control, args, count)
 
 
+def fetched(results):
+    """Results of compiled code as NumPy's arrays: `jax.device_get` takes some 15 microseconds a leaf, this one."""
+    return jax.tree.map(np.asarray, results)
+
+
 def step(problem, point, length, control, args):
     """The branch's `Point` a length away along the tangent of one: `met` says whether Newton's method came there."""
     place = Place(point.z, point.tangent, np.float64(length), np.int32(ON))
     once = control._replace(smallest=np.float64(np.inf))  # the same compiled code, which ends after one step
-    return jax.tree.map(lambda leaf: leaf[0], jax.device_get(_track(problem, place, once, args, CHUNK)[1]))
+    return jax.tree.map(lambda leaf: leaf[0], fetched(_track(problem, place, once, args, CHUNK)[1]))
 
 
 def pinned(problem, z, index, value, control, args):
@@ -84,7 +89,7 @@ def stretches(problem, place, control, args):
     """
     start = _first(problem, place, control, args)
     while True:
-        place, points = jax.device_get(_track(problem, place, control, args, CHUNK))
+        place, points = fetched(_track(problem, place, control, args, CHUNK))
         kept = _kept(start, points)
         yield kept, int(place.status)
         if place.status != ON:
@@ -105,7 +110,7 @@ def together(problem, places, controls, args, goes_on):
     controls, args = (jax.tree.map(lambda *e: np.stack(e), *each, *each[-1:] * more) for each in (controls, args))
     while (places.status == ON).any():
         lanes = np.flatnonzero(places.status == ON)
-        places, points = jax.device_get(_track_lanes(problem, places, controls, args, CHUNK))
+        places, points = fetched(_track_lanes(problem, places, controls, args, CHUNK))
         status = np.array(places.status)
         for lane in lanes:
             kept = _kept(starts[lane], jax.tree.map(lambda leaf, lane=lane: leaf[lane], points))
@@ -115,7 +120,7 @@ def together(problem, places, controls, args, goes_on):
         places = places._replace(status=status)
 
 
-@partial(jax.jit, static_argnums=(0, 4))
+@kept(static_argnums=(0, 4))
 def _track_lanes(problem, places, controls, args, count):
     def one(*lane):
         return arclength.track(problem.function, problem.solve, *lane, count)
@@ -136,7 +141,7 @@ def _kept(start, points):
     return jax.tree.map(lambda first, rest: np.concatenate([np.asarray(first)[None], rest]), start, kept)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@kept(static_argnums=(0, 1))
 def _values(problem, test, zs, args):
     return jax.vmap(lambda z: jnp.linalg.det(test.matrix(z, args)))(zs)
 

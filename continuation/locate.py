@@ -9,9 +9,10 @@ is by differences, and nothing is compiled but the problem's own functions.
 from functools import partial
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jax import lax
+
+from .kept import kept
 
 ROUNDS = 12  # of Newton's steps
 APART = 1e-5  # of 1 + abs z: the points of a difference
@@ -26,7 +27,7 @@ class Located(NamedTuple):
     residual: float
 
 
-@partial(jax.jit, static_argnums=0)
+@kept(static_argnums=0)
 def evaluated(problem, z, args):
     """(F, dF/dz) of a `problem.Problem`."""
     return problem.run(problem.plain, z, args)
@@ -59,7 +60,7 @@ def differences(function, z):
     return np.stack([along(k) for k in range(len(z))], axis=-1)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@kept(static_argnums=(0, 1))
 def _matrices(problem, test, zs, args):
     return problem.run(_each, zs, args, test=test)
 

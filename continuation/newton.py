@@ -63,5 +63,5 @@ def newton(function, start, longest=jnp.inf, most=30, solve=solve):
     small = step <= eps**0.5 * (1.0 + jnp.max(abs(unknowns)))
     stalled = jnp.where(worst < eps**0.25, SINGULAR, SLOW)  # at a double root the steps shrink by a factor alone
     status = jnp.where(worst < SINGULAR_BELOW * eps, SINGULAR, jnp.where(small, OK, stalled))
-    status = jnp.where(jnp.isfinite(residual), status, NONFINITE)
+    status = jnp.where(jnp.isfinite(residual), status, jnp.asarray(NONFINITE, int))
     return Solved(unknowns, residual, step, worst, status)

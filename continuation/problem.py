@@ -12,13 +12,18 @@ from .arclength import bordered
 ON_CIRCLE = 1e-6  # so far from the unit circle, or from the real line, is a multiplier not on it
 
 
+def always(slopes):
+    """True."""
+    return True
+
+
 class Test(NamedTuple):
     """An event where a square matrix becomes singular. label: of the event; matrix: of (z, args); holds: (dF/du) ->
     whether it is one, where the matrix may be singular for another reason."""
 
     label: str
     matrix: Callable
-    holds: Callable = lambda slopes: True
+    holds: Callable = always
 
 
 def plainly(function, *arrays, **static):

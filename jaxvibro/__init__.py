@@ -23,6 +23,7 @@ _HOMES = {
     "simulate": "simulate",
     "return_map": "section",
     "Return": "section",
+    "sections": "visits",
     "find_orbit": "find",
     "find_orbits": "orbits",
     "Orbit": "orbit",
@@ -41,7 +42,11 @@ _HOMES = {
     "load_diagram": "diagram",
     "sweep": "sweep",
     "find_attractors": "attractors",
+    "spectrum": "spectrum",
+    "basins": "basins",
+    "manifold": "manifold",
     "run": "run",
+    "paper": "paper",
 }
 
 __all__ = ["__version__", "plot", *_HOMES]

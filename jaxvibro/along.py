@@ -61,16 +61,23 @@ def cycle_at(along, z):
 @jax.jit
 def impacts(z, along):
     """(F, its `ring.Ring`)."""
+    return varied(z, along)[:2]
+
+
+def varied(z, along):
+    """(F, its `ring.Ring`, how the ring's own and following change with each parameter)."""
     given, free = cycle_at(along, z), 2 * len(along.cycle.sides)
 
     def at(values):
-        return cycle.equations(frame(there(along, jnp.concatenate([z[:free], values]))), given)
+        value, slopes = cycle.equations(frame(there(along, jnp.concatenate([z[:free], values]))), given)
+        return value, ring.of(slopes)
 
-    by = []
+    by, more = [], []
     for unit in np.eye(len(z) - free):
-        (value, slopes), (change, _) = jax.jvp(at, (z[free:],), (jnp.asarray(unit, z.dtype),))
+        (value, slopes), (change, bent) = jax.jvp(at, (z[free:],), (jnp.asarray(unit, z.dtype),))
         by.append(change)
-    return value, ring.of(slopes, jnp.stack(by, 1))
+        more.append(slopes._replace(own=bent.own, following=bent.following))
+    return value, slopes._replace(by=ring.pairs(jnp.stack(by, 1), len(given.sides))), more
 
 
 def _plain(z, along):

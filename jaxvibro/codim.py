@@ -7,18 +7,25 @@ SB, or of resonant grazing (RG), where SN and PD are one. F is entire in times a
 points give these derivatives to rounding.
 """
 
+from typing import NamedTuple
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from continuation import locate
-from continuation.follow import Event
+from continuation.follow import Event, fetched
+from continuation.kept import kept
+from continuation.linear import solve
 
 from . import cycle, flow, ring
 from .along import cycle_at, problem, there
 from .curve import Grazing
 from .cycle import Cycle
 from .frame import frame
+from .lanes import one_kernel
+from .look import looked
 from .rows import between
 
 APART = 0.03  # between the nearest of the points of a difference, times the fastest rate
@@ -33,18 +40,27 @@ def _weights(nine, order, power):
     return (2.0**power * near - far / 2.0**order) / (2.0**power - 1.0)
 
 
-SECOND = _weights([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560], 2, 8)
-THIRD = _weights([-7 / 240, 3 / 10, -169 / 120, 61 / 30, 0, -61 / 30, 169 / 120, -3 / 10, 7 / 240], 3, 6)
+# places and weights of the second and the third derivative: to rounding, and for a sign alone
+THIRTEEN = (
+    PLACES,
+    _weights([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560], 2, 8),
+    _weights([-7 / 240, 3 / 10, -169 / 120, 61 / 30, 0, -61 / 30, 169 / 120, -3 / 10, 7 / 240], 3, 6),
+)
+SEVEN = (
+    np.arange(-3, 4),
+    np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90]),
+    np.array([1 / 8, -1, 13 / 8, 0, -13 / 8, 1, -1 / 8]),
+)
 ORDERS = {"CP": 2, "GPD": 3, "DSB": 3}  # of the derivative that is zero there
 STEP = 1e-5  # of 1 + abs z: the points of a difference, for Newton's method
 SAME = 1e-7  # of z: two points as near are one
 LANES = 132  # points of a compiled call
 
 
-def events(curve, points, control):
-    """The `Event`s between points in a row."""
+def events(curve, points, look, control):
+    """The `Event`s between points in a row, of which the `Look` is known."""
     found = []
-    for kind, values in _watched(curve, points).items():
+    for kind, values in _watched(curve, points, look).items():
         for after in np.flatnonzero(values[:-1] * values[1:] < 0):
             one = _located(curve, kind, points, int(after), values, control)
             if one is not None and np.linalg.norm(control.scale * (one.z - points.z[0])) > SAME:
@@ -52,15 +68,15 @@ def events(curve, points, control):
     return _told_apart(sorted(found, key=lambda one: (one.after, one.length)))
 
 
-def _watched(curve, points):
+def _watched(curve, points, look):
     """{kind: values at points that change their sign there}."""
     if not isinstance(curve, Grazing):
         if float(curve.closing) > 0:
             turned = np.sum(points.tangent[1:, -2:] * points.tangent[:-1, -2:], axis=1)
             return {"CP": np.cumprod(np.append(1.0, np.sign(turned)))}
-        return {_doubling(curve, "GPD", "DSB"): _bends(curve, points.z, 3)}
-    same, opposite = _matrices(curve, points.z)
-    return {"SN": np.linalg.det(same), _doubling(curve, "PD", "SB"): np.linalg.det(opposite)}
+        bend = _bent(curve, points.z, 3, False)
+        return {_doubling(curve, "GPD", "DSB"): bend.value * np.sign(bend.across)}
+    return {"SN": look.fold, _doubling(curve, "PD", "SB"): look.flip}
 
 
 def _doubling(curve, whole, half):
@@ -100,97 +116,84 @@ def _polished(curve, kind, z):
 
 
 def _measured(curve, kind, zs, reference=None):
-    """(what is zero at an event, at some points; the null vectors that give it its sign, as `_bent`)."""
+    """(what is zero at an event, at some points; the null vectors that give it its sign, as `_Bend`)."""
     if kind in ORDERS:
-        return _bent(curve, zs, ORDERS[kind], reference)
-    same, opposite = _matrices(curve, zs)
-    return np.linalg.det(same if kind == "SN" else opposite), None
+        bend = _bent(curve, zs, ORDERS[kind], True, reference)
+        return bend.value, (bend.v[0], bend.w[0])
+    look = looked(curve, zs)
+    return look.fold if kind == "SN" else look.flip, None
 
 
 def _told_apart(found):
     """Events in order; SN and PD of a GR in one point are a resonant grazing."""
-    kept = []
+    apart = []
     for one in found:
-        if kept and np.linalg.norm(one.z - kept[-1].z) < SAME * (1.0 + np.linalg.norm(one.z)):
-            kept[-1] = kept[-1]._replace(kind="RG")
+        if apart and np.linalg.norm(one.z - apart[-1].z) < SAME * (1.0 + np.linalg.norm(one.z)):
+            apart[-1] = apart[-1]._replace(kind="RG")
         else:
-            kept.append(one)
-    return kept
+            apart.append(one)
+    return apart
 
 
-def _bends(curve, zs, order):
-    """The derivative of second or third order along the null vectors, its sign being that of a normal form's."""
-    return _bent(curve, zs, order, None, True)[0]
+class _Bend(NamedTuple):
+    """value: the derivative of second or third order along the null vectors v and w; across: by how much the closing
+    changes along them, whose sign makes that of the third derivative a normal form's."""
+
+    value: np.ndarray
+    v: np.ndarray
+    w: np.ndarray
+    across: np.ndarray
 
 
-def _bent(curve, zs, order, reference, signed=False):
-    """(the derivative at each point, (v, w) at the first); reference: the (v, w) that give these their signs."""
-    same, opposite = _matrices(curve, zs)
-    matrix = same if float(curve.closing) > 0 else opposite
-    if not np.isfinite(matrix).all():  # where Newton's method is lost
-        return np.full(len(zs), np.nan), reference
-    left, _, right = np.linalg.svd(matrix)
-    w, v = left[:, :, -1], right[:, -1]
-    if signed:
-        across = 0.5 * (same - opposite)  # by the closing
-        sign = np.sign(np.einsum("ki,kij,kj->k", w, across, v))
-        w = w * sign[:, None]
-    elif reference is not None:
-        v, w = (one * np.sign(one @ given)[:, None] for one, given in zip((v, w), reference, strict=True))
-    none = np.zeros_like(v)
-    rate = float(flow.rate(*(jnp.max(getattr(curve.scene, key)) for key in ("frequency", "damping"))))
-    step = APART / rate
-    second = np.einsum("s,ksi->ki", SECOND, _near(curve, zs, v, none, step)) / step**2
-    if order == 2:
-        return np.einsum("ki,ki->k", w, second), (v[0], w[0])
-    try:
-        h = -np.linalg.solve(same, second[:, :, None])[:, :, 0]
-    except np.linalg.LinAlgError:  # at a fold too: Newton's method is lost
-        return np.full(len(zs), np.nan), reference
-    third = np.einsum("s,ksi->ki", THIRD, _near(curve, zs, v, h, step)) / step**3
-    return np.einsum("ki,ki->k", w, third), (v[0], w[0])
+def _bent(curve, zs, order, fine, reference=None):
+    """The `_Bend` at each point. fine: to rounding, else to seven digits or so; reference: the (v, w) that give these
+    their signs."""
+    reference = tuple(np.zeros((2, 2 * len(curve.cycle.sides)))) if reference is None else reference
+    parts = []
+    for first in range(0, len(zs), LANES):
+        some = zs[first : first + LANES]
+        padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
+        found = fetched(_bending(curve, padded, reference, np.int32(len(some)), order, fine))
+        parts.append([each[: len(some)] for each in found])
+    return _Bend(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
-def _matrices(curve, zs):
-    """F_u closed as itself, and as its opposite, at each point."""
-    return _by_lanes(_closed, curve, zs)
+@kept(static_argnums=(4, 5))
+def _bending(curve, zs, reference, count, order, fine):
+    return one_kernel(_each, curve, zs, reference, count, order=order, fine=fine)
 
 
-def _near(curve, zs, v, h, step):
-    """F at u + s v + s^2 / 2 h, s being PLACES steps: (points, 13, rows of F)."""
-    return _by_lanes(_beside, curve, zs, v, h, np.full(len(zs), step))
+def _each(curve, zs, reference, count, order, fine):
+    def bend(k, found):
+        new = _bend(curve, lax.dynamic_index_in_dim(zs, k, keepdims=False), reference, order, fine)
+        return jax.tree.map(lambda whole, part: lax.dynamic_update_index_in_dim(whole, part, k, 0), found, new)
+
+    line, plane = (jnp.zeros((len(zs), *shape), zs.dtype) for shape in ((), reference[0].shape))
+    return lax.fori_loop(0, count, bend, _Bend(line, plane, plane, line))
 
 
-def _by_lanes(function, curve, *arrays):
-    """The results for each row of arrays, by calls of one shape."""
-    size, parts = len(arrays[0]), []
-    for first in range(0, size, LANES):
-        some = np.minimum(np.arange(first, first + LANES), size - 1)
-        parts.append(jax.device_get(function(curve, *(each[some] for each in arrays))))
-    return jax.tree.map(lambda *each: np.concatenate(each)[:size], *parts)
+def _bend(curve, z, reference, order, fine):
+    built = frame(there(curve, z))
+    found = ring.of(cycle.equations(built, cycle_at(curve, z))[1])
+    w, v = (each / jnp.sqrt(jnp.sum(each * each)) for each in ring.nulls(found, curve.closing))
+    v, w = (jnp.where(jnp.sum(one * given) < 0, -one, one) for one, given in zip((v, w), reference, strict=True))
+    across = ring.product(w, found, v, 1.0) - ring.product(w, found, v, -1.0)
+    step = APART / flow.rate(built.frequency, built.damping)
+    places, *weights = THIRTEEN if fine else SEVEN
+
+    def derivative(order, h):
+        beside = jax.vmap(lambda k: _ahead(curve, built, z, v, h, k * step))(jnp.array(places, z.dtype))
+        return jnp.sum(jnp.array(weights[order - 2], z.dtype)[:, None] * beside, 0) / step**order
+
+    last = derivative(2, jnp.zeros_like(v))
+    if order == 3:
+        last = derivative(3, -solve(ring.dense(found), last).x)
+    return _Bend(jnp.sum(w * last), v, w, across)
 
 
-@jax.jit
-def _closed(curve, zs):
-    def one(z):
-        found = ring.of(cycle.equations(frame(there(curve, z)), cycle_at(curve, z))[1])
-        return ring.dense(found), ring.dense(found, -1.0)
-
-    return jax.vmap(one)(zs)
-
-
-@jax.jit
-def _beside(curve, zs, vs, hs, steps):
-    def one(z, v, h, step):
-        return jax.vmap(lambda k: _ahead(curve, z, v, h, k * step))(jnp.array(PLACES, z.dtype))
-
-    return jax.vmap(one)(zs, vs, hs, steps)
-
-
-def _ahead(curve, z, v, h, s):
+def _ahead(curve, built, z, v, h, s):
     """F of the impacts moved by s v + s^2 / 2 h, the first impact of the next time round by what its closing says."""
     given, rows = curve.cycle, len(curve.cycle.sides)
-    built = frame(there(curve, z))
     last = jnp.sum(given.sides != 0)
     place = jnp.arange(rows + 1)
     again, source = place == last, jnp.where(place < last, place, 0)

@@ -16,6 +16,9 @@ _RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are look
 periodic [orbits], stable and unstable; a [branch] of them is followed along a parameter, with the branches that leave
 it; a scene with none of these is followed from rest. Writes DIR/NAME.png, NAME.nc and NAME.txt, for a scene file
 NAME.toml."""
+_PAPER = """Recomputes figures 2 to 8 and 12 of Cheng and Xu (2007) and judges every claim of theirs by numbers. Writes
+DIR/report.html, DIR/report.md and, for each NAME, DIR/NAME.png and DIR/NAME.json. What an earlier run has done is kept:
+an interrupted one goes on where it stopped."""
 _SET = """another value for this run, both as in the scene file: --set sweep.count=201. The "scene." may go:
 --set amplitude=3. A text keeps its quotes: --set 'sweep.parameter="frequency"'. May be given more than once."""
 
@@ -64,6 +67,13 @@ def _parser():
     run.add_argument("--force", action="store_true", help="overwrite what is there")
     run.add_argument("--json", action="store_true", help="print a summary for machines, and only that, on stdout")
     run.set_defaults(does=_run)
+
+    paper = commands.add_parser("paper", help="recompute the paper", description=_PAPER, allow_abbrev=False)
+    paper.add_argument("names", metavar="NAME", nargs="*", help="fig2 to fig8, fig12, walls, formulas; default: all")
+    paper.add_argument("--scenes", metavar="DIR", help="folder of the scene files; default: those of the package")
+    paper.add_argument("--out", metavar="DIR", default="out/paper", help="folder to write into; default: out/paper")
+    paper.add_argument("--force", action="store_true", help="compute again what is there already")
+    paper.set_defaults(does=_paper)
     return parser
 
 
@@ -75,7 +85,7 @@ def _init(given):
 
 def _run(given):
     cache.prepare()
-    done = _loaded()(given.scene, given.out, given.changes, given.force, progress=True)
+    done = _loaded("run")(given.scene, given.out, given.changes, given.force, progress=True)
     if given.json:
         print(json.dumps(done.summary, indent=2, allow_nan=False))
         return
@@ -84,12 +94,20 @@ def _run(given):
         print(f"{kind:8}{path}")
 
 
-def _loaded():
-    """`jaxvibro.run`, once all that it needs is loaded. Until then an interrupt ends the process at once: one in the
-    middle of loading compiled modules would end in a crash."""
+def _paper(given):
+    cache.prepare()
+    done = _loaded("paper")(given.names, given.out, given.scenes, given.force, progress=True)
+    print(done.told)
+    for kind, path in (("page", done.page), ("text", done.text)):
+        print(f"{kind:8}{path}")
+
+
+def _loaded(name):
+    """A function of the package, once all that it needs is loaded. Until then an interrupt ends the process at once:
+    one in the middle of loading compiled modules would end in a crash."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
-        return jv.run
+        return getattr(jv, name)
     finally:
         signal.signal(signal.SIGINT, before)
 

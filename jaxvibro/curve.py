@@ -11,12 +11,11 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
 from continuation.problem import Problem
 
 from . import cycle, ring
-from .along import Along, cycle_at, impacts, problem, there
+from .along import Along, cycle_at, impacts, problem, there, varied
 from .cycle import Cycle
 from .frame import frame
 from .lanes import one_kernel
@@ -60,21 +59,23 @@ def _grazing(z, curve):
 
 
 def _singular(z, curve):
-    """The determinant is taken over the length of its gradient: it is then about the distance from its zero."""
-    value, slopes = impacts(z, curve)
+    """w J v, w and v being J's null vectors where it is singular, over the length of its gradient w J' v: it is then
+    about the distance from its zero. As second derivatives commute, that by times and speeds is w times the derivative
+    of the equations' slopes along v (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 4.1.2)."""
+    value, slopes, changes = varied(z, curve)
+    left, right = ring.nulls(slopes, curve.closing)
+    built, free = frame(there(curve, z)), len(left)
 
-    def measure(z):
-        built = frame(there(curve, z))
-        return ring.determinant(ring.of(cycle.equations(built, cycle_at(curve, z))[1]), curve.closing)
+    def along(unknowns):
+        there = cycle_at(curve, unknowns)._replace(closing=curve.closing)
+        return ring.of(cycle.equations(built, there)[1])
 
-    def add(k, found):
-        unit = jnp.where(jnp.arange(len(z)) == k, 1.0, 0.0)
-        size, slope = jax.jvp(measure, (z,), (unit,))
-        return size, lax.dynamic_update_index_in_dim(found[1], slope, k, 0)
-
-    last, more = lax.fori_loop(0, len(z), add, (jnp.zeros_like(z[0]), jnp.zeros_like(z)))
+    own, bent = jax.jvp(along, (z[:free],), (right,))
+    bent = own._replace(own=bent.own, following=bent.following)
+    by = jnp.stack([ring.product(left, each, right, curve.closing) for each in changes])
+    more = jnp.concatenate([ring.across(left, bent), by])
     size = jnp.sqrt(jnp.sum(more * more))
-    return _with(value, last / size), (slopes, more / size)
+    return _with(value, ring.product(left, slopes, right, curve.closing) / size), (slopes, more / size)
 
 
 def _with(value, last):

@@ -25,7 +25,8 @@ LONGEST = 0.1  # of a drive period: the largest change of a time in one of Newto
 class Cycle(NamedTuple):
     """Impacts in order of travel. times: since the drive was at the section's phase; speeds: abs(y- - v_b), both
     (rows,); sides: -1, +1, 0 an empty row; phase: the section's, rad; periods: the number of drive periods. turn: 1, or
-    -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None is 1."""
+    -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None is 1. closing: what a
+    change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1."""
 
     times: jax.Array
     speeds: jax.Array
@@ -33,6 +34,7 @@ class Cycle(NamedTuple):
     phase: jax.Array
     periods: jax.Array
     turn: jax.Array | None = None
+    closing: jax.Array | None = None
 
 
 class Flights(NamedTuple):
@@ -65,7 +67,8 @@ def flights(frame, cycle):
     sides, rows = cycle.sides, jnp.arange(len(cycle.sides))
     last = jnp.sum(sides != 0) - 1
     follows = jnp.where(rows < last, rows + 1, 0)
-    sign = jnp.where(rows == last, 1.0 if cycle.turn is None else cycle.turn, 1.0)
+    one = jnp.ones((), cycle.times.dtype)
+    sign = jnp.where(rows == last, one if cycle.turn is None else cycle.turn, one)
     angle = cycle.phase + frame.frequency * cycle.times
     cosine, sine = jnp.cos(angle), jnp.sin(angle)
     zero = jnp.zeros_like(angle)
@@ -74,7 +77,8 @@ def flights(frame, cycle):
     (bounce,) = picked(sides, frame.walls, [[wall.restitution + zero] for wall in frame.walls])
     closing = sides * cycle.speeds
     v = pace - bounce * closing
-    time = cycle.times[follows] - cycle.times + jnp.where(rows == last, cycle.periods * frame.period, 0.0)
+    again = jnp.where(rows == last, cycle.periods * frame.period, 0.0)
+    time = _following(cycle, cycle.times, follows) - cycle.times + again
     time = jnp.where(sides != 0, jnp.maximum(time, 0.0), 0.0)
     free, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, time)
     end_x, end_v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, where, v)
@@ -82,6 +86,14 @@ def flights(frame, cycle):
     return Flights(
         time, where, v, cosine, sine, end_x, end_v, free, follows, sign, pace, bend, bounce, closing, before, after
     )
+
+
+def _following(cycle, values, follows):
+    """The values of the impacts that follow."""
+    found = values[follows]
+    if cycle.closing is None:
+        return found
+    return found + jnp.where(follows == 0, cycle.closing - 1.0, 0.0) * (found - lax.stop_gradient(found))
 
 
 class Slopes(NamedTuple):
@@ -102,7 +114,7 @@ def equations(frame, cycle, found=None):
     hit = sides != 0
 
     def ahead(values):
-        return found.sign * values[found.follows]
+        return found.sign * _following(cycle, values, found.follows)
 
     aim = ahead(sides)
     p00, p01, p11 = found.matrix
@@ -110,7 +122,7 @@ def equations(frame, cycle, found=None):
     speed = found.end_v - ahead(found.pace)
     pull, _ = accelerations(frame, found.end_x, found.end_v, ahead(found.cosine), ahead(found.sine))
     gap = found.end_x - ahead(found.x)
-    excess = aim * speed - cycle.speeds[found.follows]
+    excess = aim * speed - _following(cycle, cycle.speeds, found.follows)
     own = (p00 * lost + p01 * shear, push * p01), (aim * (p11 * shear - p01 * lost), aim * push * p11)
     following = speed, aim * (pull - ahead(found.bend))
     values = jnp.where(jnp.tile(hit, 2), jnp.concatenate([gap, excess]), 0.0)

@@ -13,14 +13,14 @@ OK, FULL, CAP, INVALID, NONFINITE = range(5)
 WIDE = 0.4  # of the exponents: lengths whose squares and products stay finite
 
 
-def enter(frame, state):
-    """(path, fault): a path with no time to go yet, and OK, INVALID or NONFINITE.
+def enter(frame, state, rules=is_valid):
+    """(path, fault): a path with no time to go yet, and OK, INVALID or NONFINITE; rules: what the scene must keep.
 
     A start on a wall that moves into it stays free, so that its first event is that impact. One that moves away has
     landed; one without speed is decided by the press, then by its change (`impact.settle`).
     """
     cosine, sine = jnp.cos(state.phase), jnp.sin(state.phase)
-    valid, finite = is_valid(frame)
+    valid, finite = rules(frame)
     for number in (state.x, state.v, cosine, state.contact):
         finite &= jnp.isfinite(number)
     largest = jnp.maximum(frame.size, jnp.maximum(abs(state.x), abs(state.v)))

@@ -17,6 +17,7 @@ from .lanes import choose, least, most, negative, positive
 
 TERMS = 7  # of the polynomial
 SHORTER = 0.99  # a horizon at which a quadratic still bends away in spite of rounding
+NOISE = 16.0  # of the polynomial's value, in roundings of its first two terms
 MARGIN = 1.05  # the root must be the only one, and the other wall out of reach, this much further
 
 
@@ -34,13 +35,6 @@ class Bound(NamedTuple):
     slope: jax.Array
     bend: jax.Array
     cubic: jax.Array
-
-
-class Root(NamedTuple):
-    """A root of the polynomial, and the last of Newton's steps towards it."""
-
-    time: jax.Array
-    step: jax.Array
 
 
 def landing(dtype):
@@ -125,23 +119,24 @@ def halley(progress, guess):
 
 
 def newton(progress, time):
-    """One more step, and the time after it: a `Root`."""
+    """A root from one that is near, by one of Newton's steps."""
     value, slope = horner(progress.terms, time)
-    step = value / slope
-    return Root(time - step, step)
+    return time - value / slope
 
 
 def slack(progress, guess, root):
     """A bound on the error of a root that is the first contact, -1 where that is not certain.
 
-    Certain: G rises at a fifth of its slope at least up to MARGIN times the root, so that there is no other before.
+    Certain: G rises at a fifth of its slope at least up to MARGIN times the root, so that there is no other before, and
+    the true one is as near as what is left of the polynomial there says, but for rounding.
     """
     g, rest = progress.terms, progress.rest
-    far = root.time * MARGIN
+    far = root * MARGIN
     rise = negative(6.0 * g[6]) - 7.0 * rest
     for k in (5, 4, 3, 2):
         rise = rise * far + negative(float(k) * g[k])
     rise = rise * far + g[1]
-    cube = root.time * root.time * root.time
-    error = (rest * (cube * cube) + 2.0 * lax.abs(bend(progress, root.time)) * (root.step * root.step)) / lax.abs(rise)
-    return choose((guess >= 0) & (g[1] > 0) & (far <= 1.0) & (rise > 0.2 * g[1]) & (root.time >= 0), error, -1.0)
+    cube, (left, _) = root * root * root, horner(g, root)
+    noise = NOISE * rounding(rest.dtype) * (g[1] * root - g[0])
+    error = (rest * (cube * cube) + positive(lax.abs(left) - noise)) / lax.abs(rise)
+    return choose((guess >= 0) & (g[1] > 0) & (far <= 1.0) & (rise > 0.2 * g[1]) & (root >= 0), error, -1.0)

@@ -14,6 +14,7 @@ import numpy as np
 
 from continuation import follow, locate
 from continuation.arclength import Control, Point
+from continuation.kept import kept
 
 from . import cycle, passes
 from .along import Along, cycle_at, problem, there
@@ -68,7 +69,7 @@ def _parameter_scale(marks, k, length):
     return length if any(mark == k for mark in lengths) else 1.0
 
 
-@jax.jit
+@kept
 def _contact(y, along, row, wall):
     return one_kernel(_met, y, along, row, wall)
 

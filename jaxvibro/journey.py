@@ -38,9 +38,10 @@ class Cap(NamedTuple):
     steps: jax.Array
 
 
-def begin(frame, path, slots, end):
-    """A `Journey` that has not begun; end: when the time to go is used up."""
-    return Journey(path, *log.empty(path.x, slots, end), clearance.nothing(path.x) if frame.walls else None)
+def begin(frame, path, slots, end, watched=True):
+    """A `Journey` that has not begun; end: when the time to go is used up; watched: with closest calls."""
+    calls = clearance.nothing(path.x) if frame.walls and watched else None
+    return Journey(path, *log.empty(path.x, slots, end), calls)
 
 
 def cap(frame, periods):
@@ -51,13 +52,13 @@ def cap(frame, periods):
 
 def run(frame, journey, cap, again=None):
     """The journey when no lane has time to go; again: gives the lanes that have ended a period their next."""
-    walls = bool(frame.walls)
+    walls, watched = bool(frame.walls), journey.calls is not None
 
     def turn(journey):
         step = micro(frame, journey.path)
         stuck = lax.abs(journey.path.contact) == STUCK
         book = log.write(journey.log, step.side, stuck, step.strike, step.path.rest)
-        calls = clearance.note(frame, journey.path, step, journey.calls) if walls else None
+        calls = clearance.note(frame, journey.path, step, journey.calls) if watched else None
         journey = journey._replace(path=step.path, log=book, calls=calls)
         journey = again(journey) if again else journey
         over = (journey.log.count >= cap.impacts) | (journey.log.steps > cap.steps)
@@ -71,7 +72,9 @@ def run(frame, journey, cap, again=None):
         over = (need & GOING) == 0
         pours, measures = over | ((need & FULL) != 0), over | ((need & CROWDED) != 0)
         book, slots = lax.cond(pours, log.pour, lambda *same: same, journey.log, slots)
-        calls = lax.cond(measures, lambda calls: clearance.measure(frame, calls), lambda same: same, journey.calls)
+        calls = journey.calls
+        if watched:
+            calls = lax.cond(measures, lambda calls: clearance.measure(frame, calls), lambda same: same, calls)
         return journey._replace(log=book, slots=slots, calls=calls)
 
     def pending(journey):
@@ -80,12 +83,13 @@ def run(frame, journey, cap, again=None):
     def going(journey):
         return jnp.any(journey.path.rest > 0)
 
-    return lax.while_loop(pending, leg, journey) if walls else lax.while_loop(going, turn, journey)
+    return lax.while_loop(pending if watched else going, leg if walls else turn, journey)
 
 
 def _need(journey):
     """What some lane needs: a sum of GOING, FULL and CROWDED."""
     need = choose(journey.path.rest > 0, jnp.int8(GOING), jnp.int8(0))
     need |= choose(log.is_full(journey.log), jnp.int8(FULL), jnp.int8(0))
-    need |= choose(clearance.is_crowded(journey.calls), jnp.int8(CROWDED), jnp.int8(0))
+    if journey.calls is not None:
+        need |= choose(clearance.is_crowded(journey.calls), jnp.int8(CROWDED), jnp.int8(0))
     return lax.reduce(need, jnp.int8(0), lax.bitwise_or, tuple(range(need.ndim)))

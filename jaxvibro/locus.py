@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
@@ -13,7 +14,7 @@ from .orbit import roots
 from .outset import backward, begun, impacts_of, outset
 from .piece import CLOSED
 from .rows import joined, turned
-from .scene import Scene
+from .scene import Scene, changed
 from .text import columns
 from .told import Spot, itinerary, told
 from .track import tracked
@@ -199,6 +200,7 @@ def _spot_of(data, place, names):
 
 def _codim2(scene, names, data, place, kind, residual):
     row, (spot, values) = row_of(data, place), _spot_of(data, place, names)
-    scene = scene.replace(**values)
+    there = {name: jnp.asarray(value, scene.dtype) for name, value in values.items()}
+    scene = changed(scene, there)  # in its domain: not checked again
     found = row["multiplier_real"] + 1j * row["multiplier_imag"]
     return Codim2(kind, values, found, place, residual, itinerary(spot, float(scene.frequency)), scene, spot)

@@ -1,12 +1,14 @@
 """What is to be known of each of many points of a branch: clearances, multipliers, the states at the section."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+
+from continuation.follow import fetched
+from continuation.kept import kept
 
 from . import cycle, flow, passes, ring
 from .along import cycle_at, there
@@ -20,7 +22,7 @@ OVERLAP = 1.0625  # of its periods, that the flight of an orbit without impacts 
 class Look(NamedTuple):
     """clear, late: (points, flights, walls), the least distance at a turning point towards the wall, and its time since
     the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods), at the
-    section's phase; flip: (points,), zero where the period doubles."""
+    section's phase; fold, flip: (points,), determinants, zero where a branch folds and where the period doubles."""
 
     clear: np.ndarray
     late: np.ndarray
@@ -28,6 +30,7 @@ class Look(NamedTuple):
     determinant: np.ndarray
     x: np.ndarray
     v: np.ndarray
+    fold: np.ndarray
     flip: np.ndarray
 
 
@@ -38,13 +41,13 @@ def looked(along, zs):
     for first in range(0, len(zs), LANES):
         some = zs[first : first + LANES]
         padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
-        found = jax.device_get(_seen(hitting if rows else _free, along, padded, np.int32(len(some)), wide))
+        found = fetched(_seen(hitting if rows else _free, along, padded, np.int32(len(some)), wide))
         parts.append([each[: len(some)] for each in found])
     look = Look(*(np.concatenate(each) for each in zip(*parts, strict=True)))
     return look._replace(x=look.x[:, :periods], v=look.v[:, :periods])
 
 
-@partial(jax.jit, static_argnums=(0, 4))
+@kept(static_argnums=(0, 4))
 def _seen(one, along, zs, count, periods):
     """Point by point in one kernel: as fast here as many lanes at once, and compiled in half the time."""
     return one_kernel(_each, along, zs, count, one=one, periods=periods)
@@ -66,8 +69,8 @@ def hitting(along, z, periods):
     found = cycle.flights(built, given)
     x, v = cycle.at(built, given, found, built.period * jnp.arange(periods))
     clear = passes.clearances(built, found, passes.samples(built, found))
-    flip = ring.determinant(ring.of(cycle.equations(built, given, found)[1]), -1.0)
-    return Look(*clear, *cycle.invariants(built, found, given.sides), x, v, flip)
+    measures = ring.determinants(ring.of(cycle.equations(built, given, found)[1]))
+    return Look(*clear, *cycle.invariants(built, found, given.sides), x, v, *measures)
 
 
 def _free(along, z, periods):
@@ -75,7 +78,7 @@ def _free(along, z, periods):
     (p00, p01, p11), _, _ = flow.doubled(built.series, built.frequency, built.damping, found.time / OVERLAP)
     x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
     clear = passes.clearances(built, found, passes.samples(built, found))
-    return Look(*clear, (p00 + p11)[0], (p00 * p11 + p01 * p01)[0], x, v, jnp.ones_like(z[0]))
+    return Look(*clear, (p00 + p11)[0], (p00 * p11 + p01 * p01)[0], x, v, *[jnp.ones_like(z[0])] * 2)
 
 
 def flight(along, z):

@@ -13,13 +13,14 @@ from .branch import row_of, special_of, spot_of
 from .follow import placed
 from .look import looked
 from .meetings import is_symmetric
+from .scene import changed
 from .told import itinerary
 
 
 def stays_symmetric(scene, *names):
     """Whether a scene is symmetric, and stays so whatever the parameters of these names are."""
     other = {name: float(scene.parameter(name)) * 0.99 + 0.001 for name in names}
-    return is_symmetric(scene) and is_symmetric(scene.replace(**other))
+    return is_symmetric(scene) and is_symmetric(changed(scene, other))
 
 
 def mirrored(branch):

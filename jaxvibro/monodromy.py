@@ -73,9 +73,28 @@ def _matrices(tree, periods, slots, least, *leaves):
 
 def _block(scene, state, periods, slots):
     """M of a block of lanes, by rows."""
-    (end, impacts), freed = period.through(scene, state, periods, slots)
-    built, zero = frame(scene), lax.full_like(freed, 0.0)
-    rows = (impacts.time, impacts.side.astype(freed.dtype), impacts.speed)
+    end, impacts, rests, matrix = passage(scene, state, periods, slots)
+    stays = abs(end.contact) == STUCK
+    lost = (impacts.status >= CAP) | ((impacts.count > slots) & ~stays)
+    return [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in matrix]
+
+
+def passage(scene, state, periods, slots):
+    """(end, impacts, rests, product) of a block of lanes: where `strobe` leads, unwatched, and what M is made of.
+
+    rests: whether the mass is on a wall at some time, which makes M zero whatever the product is. product: of P and Q,
+    four entries by rows, of no meaning with a status from CAP on, or with more impacts than slots. state.x has the
+    lanes' shape, other numbers are scalars or of that shape. To be called within one kernel.
+    """
+    (end, impacts), freed = period.through(scene, state, periods, slots, watched=False)
+    rests = (abs(end.contact) == STUCK) | (abs(state.contact) == STUCK) | (freed >= 0)
+    return end, impacts, rests, _product(scene, state, impacts, lax.full_like(freed, 0.0), periods, slots)
+
+
+def _product(scene, state, impacts, zero, periods, slots):
+    """P of each flight and Q of each impact, multiplied, by rows; zero: of every lane."""
+    built = frame(scene)
+    rows = (impacts.time, impacts.side.astype(zero.dtype), impacts.speed)
     rows = [jnp.moveaxis(each, -1, 0) for each in rows]
     most = lax.min(jnp.max(impacts.count), jnp.int32(slots)) if built.walls else jnp.int32(0)
 
@@ -98,11 +117,7 @@ def _block(scene, state, periods, slots):
 
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     start = (jnp.int32(0), zero, cosine, sine, (zero + 1.0, zero, zero, zero + 1.0))
-    matrix = lax.while_loop(lambda carry: carry[0] <= most, turn, start)[-1]
-    stays = abs(end.contact) == STUCK
-    rests = stays | (abs(state.contact) == STUCK) | (freed >= 0)
-    lost = (impacts.status >= CAP) | ((impacts.count > slots) & ~stays)
-    return [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in matrix]
+    return lax.while_loop(lambda carry: carry[0] <= most, turn, start)[-1]
 
 
 def _times(left, right):

@@ -46,10 +46,10 @@ def _seen(scene, state, periods, slots):
     return through(scene, state, periods, slots)[0]
 
 
-def through(scene, state, periods, slots):
+def through(scene, state, periods, slots, watched=True):
     """((State, Impacts), when the mass was last released from a wall, -1: never): numbers are scalars or of one shape.
 
-    state.x is of that shape.
+    state.x is of that shape. watched: whether to measure the least clearance, a fifth of the work; inf if not.
     """
     built = frame(scene)
     path, fault = stage(enter, built, state)
@@ -58,7 +58,7 @@ def through(scene, state, periods, slots):
     end = built.period if periods == 1 else built.period + lax.full_like(path.x, 0.0)
     limit = journey.cap(built, periods)
     again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
-    told = journey.run(built, journey.begin(built, path, slots, end), limit, again)
+    told = journey.run(built, journey.begin(built, path, slots, end, watched), limit, again)
     return finish(told, state, fault), told.log.freed
 
 

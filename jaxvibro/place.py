@@ -1,7 +1,8 @@
 """Where the walls are at a phase of the drive, and the state that a moved wall leaves behind."""
 
-import jax
 import jax.numpy as jnp
+
+from continuation.kept import kept
 
 from .impact import STUCK
 from .scene import SIDES
@@ -10,7 +11,7 @@ from .state import State
 SIGNS = (-1.0, 1.0)
 
 
-@jax.jit
+@kept
 def places(scene, phase):
     """Position and velocity of the left and of the right wall at a phase: ((x, v), (x, v)).
 

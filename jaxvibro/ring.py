@@ -32,7 +32,7 @@ def of(slopes, by=None):
     zero = jnp.zeros_like(e)
     following = jnp.stack([jnp.stack([e, zero], 1), jnp.stack([f, zero - 1.0], 1)], 1)
     by = jnp.zeros((2 * len(e), 0), e.dtype) if by is None else by
-    return Ring(own, following, _pairs(by, len(e)), slopes.last)
+    return Ring(own, following, pairs(by, len(e)), slopes.last)
 
 
 @jax.jit
@@ -43,7 +43,7 @@ def bordered(ring, border, right):
     """
     rows, size = len(ring.own), ring.by.shape[2]
     border = border.reshape(size, -1)
-    blocks = jnp.concatenate([ring.own, ring.following, ring.by, _pairs(right, rows)], 2)
+    blocks = jnp.concatenate([ring.own, ring.following, ring.by, pairs(right, rows)], 2)
     edges = jnp.stack([border[:, :rows].T, border[:, rows : 2 * rows].T], 2)
     blank = jnp.zeros((size, 2), blocks.dtype)
     corner = jnp.concatenate([edges[0], blank, border[:, 2 * rows :], right[2 * rows :]], 1)
@@ -51,23 +51,65 @@ def bordered(ring, border, right):
     table = jnp.concatenate([relation, corner])
     small = jnp.concatenate([table[:, :2] + table[:, 2:4], table[:, 4 : 4 + size]], 1)
     found = solve(small, table[:, 4 + size :])
-    pairs = _back(kept, found.x[:2], found.x[2:], ring.last)
-    x = jnp.concatenate([pairs[:, 0], pairs[:, 1], found.x[2:]])
+    back = _back(kept, found.x[:2], found.x[:2], found.x[2:], ring.last)
+    x = jnp.concatenate([back[:, 0], back[:, 1], found.x[2:]])
     return Eliminated(x, found.worst, product * found.determinant)
 
 
-def determinant(ring, turn):
-    """The determinant of the equations by times and speeds where what comes after the last impact is the first's times
-    a number: 1 for the equations themselves, -1 for a cycle that changes its sign each time round."""
+def determinants(ring):
+    """The determinants of the equations by times and speeds: as they are, and where what comes after the last impact is
+    the first's times -1, for a cycle that changes its sign each time round."""
     blocks = jnp.concatenate([ring.own, ring.following], 2)
     none = jnp.zeros((0, 4), blocks.dtype)
-    (a, b), _, product, _ = _reduced(blocks, jnp.zeros((len(blocks), 0, 2), blocks.dtype), none, ring.last)
-    a, b = a[:2] + turn * a[2:4], b[:2] + turn * b[2:4]
-    return product * (a[0] * b[1] - a[1] * b[0])
+    relation, _, product, _ = _reduced(blocks, jnp.zeros((len(blocks), 0, 2), blocks.dtype), none, ring.last)
+    closed = (relation[:, :2] + turn * relation[:, 2:4] for turn in (1.0, -1.0))
+    return tuple(product * (a[0] * b[1] - a[1] * b[0]) for a, b in closed)
+
+
+def nulls(ring, turn):
+    """(w, v), (2 rows,) each, for which w J and J v are zero where J is singular: the equations by times and speeds,
+    what comes after the last impact being the first's times turn. Elsewhere w J v measures how far that is: its
+    derivative is w J' v, but for what is as small as w J v."""
+    place = jnp.arange(len(ring.own))
+    order = jnp.where(place <= ring.last, ring.last - place, place)
+    before = jnp.where(place < ring.last, order - 1, ring.last)
+    own, following = (each.transpose(0, 2, 1)[at] for each, at in ((ring.own, order), (ring.following, before)))
+    left = _null(ring._replace(own=own, following=following), turn)[order]
+    return _flat(left), _flat(_null(ring, turn))
+
+
+def _null(ring, turn):
+    """(rows, 2): of all equations but one, the one that is least independent of the others, this is a solution."""
+    rows = len(ring.own)
+    blocks = jnp.concatenate([ring.own, ring.following, jnp.zeros((rows, 2, 1), ring.own.dtype)], 2)
+    edges, corner = (jnp.zeros(shape, blocks.dtype) for shape in ((rows, 0, 2), (0, 5)))
+    relation, _, _, kept = _reduced(blocks, edges, corner, ring.last)
+    (a, b), (c, d) = relation[:, :2] + turn * relation[:, 2:4]
+    longer = a * a + b * b > c * c + d * d
+    first = jnp.stack([jnp.where(longer, -b, -d), jnp.where(longer, a, c)])
+    first = (first / jnp.sqrt(jnp.sum(first * first)))[:, None]
+    return _back(kept, first, turn * first, jnp.zeros((0, 1), blocks.dtype), ring.last)[:, :, 0]
+
+
+def product(left, ring, right, turn):
+    """w J v, J as in `nulls`."""
+    w, v = (pairs(each, len(ring.own)) for each in (left, right))
+    place = jnp.arange(len(v))
+    after = jnp.where(place == ring.last, turn, 1.0)[:, None] * v[jnp.where(place < ring.last, place + 1, 0)]
+    moved = jnp.einsum("kij,kj->ki", ring.own, v) + jnp.einsum("kij,kj->ki", ring.following, after)
+    return jnp.sum(w * moved)
+
+
+def across(left, ring):
+    """w J, (2 rows,), J being the equations themselves."""
+    w, place = pairs(left, len(ring.own)), jnp.arange(len(ring.own))
+    by_next = jnp.einsum("ki,kij->kj", w, ring.following)[jnp.where(place == 0, ring.last, place - 1)]
+    found = jnp.einsum("ki,kij->kj", w, ring.own) + by_next
+    return _flat(jnp.where((place <= ring.last)[:, None], found, 0.0))
 
 
 def dense(ring, turn=1.0):
-    """The equations' derivative as a matrix (2 rows, 2 rows + p), as `determinant` takes it; 1 for an empty unknown."""
+    """The equations' derivative as a matrix (2 rows, 2 rows + p), closed as in `nulls`; 1 for an empty unknown."""
     rows = len(ring.own)
     place = jnp.arange(rows)
     hit = place <= ring.last
@@ -83,9 +125,14 @@ def dense(ring, turn=1.0):
     return jnp.concatenate([matrix, by.transpose(1, 0, 2).reshape(2 * rows, -1)], 1)
 
 
-def _pairs(flat, rows):
+def pairs(flat, rows):
     """Numbers by times, then speeds, (2 rows, k), as (rows, 2, k)."""
     return jnp.stack([flat[:rows], flat[rows : 2 * rows]], 1)
+
+
+def _flat(pairs):
+    """(rows, 2) by times, then speeds, (2 rows,)."""
+    return jnp.concatenate([pairs[:, 0], pairs[:, 1]])
 
 
 def _reduced(blocks, edges, corner, last):
@@ -126,8 +173,8 @@ def _rotated(above, below):
     return jnp.stack(rows[:2]), jnp.stack(rows[2:])
 
 
-def _back(kept, first, parameters, last):
-    """All unknowns, (rows, 2, k), from the first's (2, k) and the parameters' (p, k)."""
+def _back(kept, first, again, parameters, last):
+    """All unknowns, (rows, 2, k), from the first's (2, k), these as they come again, and the parameters' (p, k)."""
     size = len(parameters)
 
     def back(after, given):
@@ -138,5 +185,5 @@ def _back(kept, first, parameters, last):
         there = place <= last
         return jnp.where(there, found, after), jnp.where(there, found, 0.0)
 
-    _, others = lax.scan(back, first, (jnp.arange(1, len(kept) + 1), kept), reverse=True)
+    _, others = lax.scan(back, again, (jnp.arange(1, len(kept) + 1), kept), reverse=True)
     return jnp.concatenate([first[None], others])

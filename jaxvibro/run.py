@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from . import report, scenefile
+from .check import SceneError
 from .data import dataset
 from .picture import loci, picture
 from .study import study
@@ -15,6 +16,7 @@ from .whole import whole
 
 ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}
 LOCI = {"loci": ".loci.png"}  # where they are asked for
+FOR_PAPER = ("spectrum", "basins", "panels")  # tables that `paper` knows
 
 
 @dataclass(frozen=True)
@@ -40,6 +42,9 @@ def run(path, out="out", changes=(), force=False, progress=False):
     began = time.perf_counter()
     path, out = Path(path), Path(out)
     file = scenefile.read(path, [_full(change) for change in changes])
+    for name in FOR_PAPER:
+        if getattr(file, name):
+            raise SceneError(name, "is a table for `jaxvibro paper`, not for a run", path.name)
     endings = ENDINGS if file.locus is None else ENDINGS | LOCI
     files = {kind: out / (path.stem + ending) for kind, ending in endings.items()}
     _refuse(path, out, files.values(), force)

@@ -8,6 +8,7 @@ import msgspec
 
 from . import tables
 from .check import SceneError
+from .rules import checked
 from .tables import SceneFile, table_of
 from .whole import whole
 
@@ -27,6 +28,9 @@ _KINDS = {
     "branch.start": tables.StartTable,
     "explore": tables.ExploreTable,
     "locus": tables.LocusTable,
+    "spectrum": tables.SpectrumTable,
+    "spectrum.start": tables.StartTable,
+    "basins": tables.BasinsTable,
 }
 _WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
 
@@ -100,7 +104,7 @@ def understood(found):
         file = msgspec.convert(found, SceneFile)
     except msgspec.ValidationError as error:
         raise _told(found, str(error)) from None
-    return file.check()
+    return checked(file)
 
 
 def _refuse_unknown(kind, place, table):

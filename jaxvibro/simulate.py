@@ -6,6 +6,8 @@ import numpy as np
 import xarray as xr
 from jax import lax
 
+from continuation.kept import kept
+
 from . import check, journey
 from .entry import CAP, OK, enter
 from .frame import frame
@@ -57,7 +59,7 @@ def _sampled(scene, state, periods, samples):
     return jnp.append(x, told.path.x), jnp.append(v, told.path.v), angles, impacts
 
 
-_trace = jax.jit(_sampled, static_argnums=(2, 3))
+_trace = kept(_sampled, static_argnums=(2, 3))
 
 
 def _dataset(scene, x, v, angle, impacts):

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from continuation import newton
+from continuation.kept import kept
 
 from . import cycle, passes
 from . import itinerary as words
@@ -42,7 +43,7 @@ class Solution(NamedTuple):
     determinant: jax.Array
 
 
-@jax.jit
+@kept
 def solution(scene, guess):
     """The `Solution` that Newton's method reaches from a cycle."""
     solved = one_kernel(cycle.solved, scene, guess)
@@ -103,7 +104,7 @@ def by_section(scene, times, speeds, sides, periods, residual):
     return _described(scene, jax.device_get(_known(scene, given, solved)), len(times), length)
 
 
-_known = jax.jit(_measured)
+_known = kept(_measured)
 
 
 def _described(scene, found, count, length):
@@ -195,7 +196,7 @@ def solutions(scene, guesses):
     return jax.device_get(_many(scene, guesses))
 
 
-@jax.jit
+@kept
 @partial(jax.vmap, in_axes=(None, 0))
 def _many(scene, guess):
     solved = cycle.solved(scene, guess)

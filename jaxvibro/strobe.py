@@ -1,15 +1,18 @@
 """The stroboscopic map: the state one or more drive periods later, and the impacts on the way."""
 
-from functools import partial
-
 import jax
+
+from continuation.kept import kept
 
 from . import check, period, slopes
 from .blocks import LEAST
 from .lanes import OPTIONS
 from .state import real_state
 
-_at_once = jax.jit(partial(period.strobe, least=LEAST), static_argnums=(2, 3), compiler_options=OPTIONS)
+
+@kept(static_argnums=(2, 3), compiler_options=OPTIONS)
+def _at_once(scene, state, periods, slots):
+    return period.strobe(scene, state, periods, slots, least=LEAST)
 
 
 def strobe(scene, state, periods=1, slots=32):

@@ -1,13 +1,14 @@
 """The swept diagram: a parameter goes through its values, and the state at the end of one starts the next."""
 
 import math
-from functools import partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax import lax
+
+from continuation.kept import kept
 
 from . import check
 from .entry import CAP, OK
@@ -19,6 +20,7 @@ from .strobe import strobe
 
 CHUNK = 16  # values between two reports of progress
 EQUATION = "x'' + 2 damping x' + x = amplitude cos(frequency t), y+ - v_b = -restitution (y- - v_b) at a wall"
+MEANING = {"flag_values": list(range(len(STATUS))), "flag_meanings": " ".join(STATUS)}
 UNITS = "lengths in that of the walls, time t in 1/w0"
 
 
@@ -60,16 +62,20 @@ def _checked(scene, name, values, state):
     spare = max(0, len(scene.shape) - (values.ndim - 1))
     aligned = values.reshape(values.shape[0], *[1] * spare, *values.shape[1:])
     scene.replace(**{name: aligned})
-    keys = ("x", "v", "phase", "contact")
-    parts = [check.number(f"state.{key}", getattr(state, key), scene.dtype) for key in keys]
-    given = zip((f"state.{key}" for key in keys), parts, strict=True)
-    check.shapes_agree([("scene", np.empty(scene.shape)), (name, values[0]), *given])
-    state = State(*parts)
-    _check_start(scene.replace(**{name: aligned[0]}), state)
+    state = started(state, scene.dtype, [("scene", np.empty(scene.shape)), (name, values[0])])
+    check_start(scene.replace(**{name: aligned[0]}), state)
     return values, state
 
 
-def _check_start(first, state):
+def started(state, dtype, beside):
+    """The state, its numbers finite arrays of this type that broadcast with the named arrays beside it."""
+    keys = ("x", "v", "phase", "contact")
+    parts = [check.number(f"state.{key}", getattr(state, key), dtype) for key in keys]
+    check.shapes_agree([*beside, *zip((f"state.{key}" for key in keys), parts, strict=True)])
+    return State(*parts)
+
+
+def check_start(first, state):
     """Refuse a free start beyond a wall; one in contact with a wall is that wall's."""
     (low, _), (high, _) = jax.tree.map(np.asarray, places(first, state.phase))
     size = np.maximum(*(np.where(np.isfinite(place), abs(place), 0.0) for place in (low, high)))
@@ -102,7 +108,7 @@ def _run(scene, values, start, name, settle, keep, chunk, progress):
     return np.moveaxis(x, 1, 2), np.moveaxis(v, 1, 2), status
 
 
-@partial(jax.jit, static_argnames=("name", "keep"), compiler_options=OPTIONS)
+@kept(static_argnames=("name", "keep"), compiler_options=OPTIONS)
 def _chunk(scene, values, count, start, state, settle, *, name, keep):
     """The state after the first `count` of the values, and x, v (values, keep, lanes), status (values, lanes)."""
     size = values.shape
@@ -149,22 +155,21 @@ def _dataset(scene, name, values, state, parts):
         name: ([step, *lanes][: whole.ndim], whole, {"long_name": name}),
         "period": ("period", np.arange(x.shape[-1]), {"long_name": "drive periods after those left out"}),
     }
-    attrs = {"equation": EQUATION, "units": UNITS, "swept": name, **_static(scene)}
-    for key, value in (_others(scene, name) | {"phase": state.phase}).items():
+    attrs = {"equation": EQUATION, "units": UNITS, "swept": name, **static(scene)}
+    for key, value in (others(scene, name) | {"phase": state.phase}).items():
         if np.ndim(value):
             coords[key] = (lanes, np.broadcast_to(value, status.shape[1:]))
         else:
             attrs[key] = float(value)
-    meaning = {"flag_values": list(range(len(STATUS))), "flag_meanings": " ".join(STATUS)}
     variables = {
         "x": ([step, *lanes, "period"], x, {"long_name": "position on Sigma", "units": "length"}),
         "v": ([step, *lanes, "period"], v, {"long_name": "velocity on Sigma", "units": "length w0"}),
-        "status": ([step, *lanes], status, {"long_name": "worst status at this value", **meaning}),
+        "status": ([step, *lanes], status, {"long_name": "worst status at this value", **MEANING}),
     }
     return xr.Dataset(variables, coords, attrs)
 
 
-def _others(scene, name):
+def others(scene, name):
     """The parameters that are not swept; of the walls' restitutions those that the walls have of their own."""
     follows = [f"{side}.restitution" for side, wall in _walls(scene).items() if wall.restitution is None]
     return {key: scene.parameter(key) for key in scene.names if key != name and key not in follows}
@@ -174,7 +179,7 @@ def _walls(scene):
     return {side: wall for side, wall in zip(SIDES, (scene.left, scene.right), strict=True) if wall is not None}
 
 
-def _static(scene):
+def static(scene):
     """What of the scene is no parameter: its walls, and the harmonics of those that move."""
     moving = {side: wall.motion.harmonic for side, wall in _walls(scene).items() if wall.motion is not None}
     return {"walls": " ".join(_walls(scene)) or "none"} | {f"{side}.motion.harmonic": m for side, m in moving.items()}

@@ -1,13 +1,12 @@
 """The tables of a scene file: what may stand in them, and the scene that they describe."""
 
-from contextlib import contextmanager
 from typing import Annotated
 
 import numpy as np
 from msgspec import Meta, Struct, field
 
 from . import check
-from .scene import SIDES, Motion, Scene, Wall, changed, known, make_scene
+from .scene import Motion, Wall, make_scene
 
 MOST = 1_000_000
 MOST_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
@@ -143,6 +142,41 @@ class LocusTable(Table, kw_only=True):
     largest_step: float = 0.1
 
 
+class SpectrumTable(Table, kw_only=True):
+    """[spectrum]: both Lyapunov exponents at so many values of a parameter, each from the same start."""
+
+    parameter: Name
+    first: float = field(name="from")
+    last: float = field(name="to")
+    count: Count
+    start: StartTable = StartTable(0.0, 0.0)
+    settle: Settle = 1000
+    error: float = 2e-3
+
+    @property
+    def values(self):
+        """The parameter's values: float64, shape (count,)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.linspace(self.first, self.last, self.count)
+
+
+class BasinsTable(Table, kw_only=True):
+    """[basins]: which attractor each start of a grid settles on, the scene having the values under `at`."""
+
+    x: tuple[float, float]
+    v: tuple[float, float]
+    count: Annotated[int, Meta(ge=2, le=4001)]
+    phase: float = 0.0
+    starts: Count = 200
+    seed: Seed = 0
+    at: dict[str, float] = {}
+
+    @property
+    def grid(self):
+        """The positions and the velocities: float64, shape (count,) each."""
+        return tuple(np.linspace(*ends, self.count) for ends in (self.x, self.v))
+
+
 class SceneFile(Table):
     """All that a scene file says: the scene, and the studies that it asks for."""
 
@@ -153,29 +187,20 @@ class SceneFile(Table):
     branch: BranchTable | None = None
     explore: ExploreTable | None = None
     locus: LocusTable | None = None
+    spectrum: SpectrumTable | None = None
+    basins: BasinsTable | None = None
+    panels: dict[str, list[float]] = {}
 
     @property
     def followed(self):
         """What gives branches: [branch] or [explore]; None without."""
         return self.branch or self.explore
 
-    def check(self):
-        """This file, once scene and studies break no rule. Raises SceneError naming the key, dotted from the top."""
-        scene = _plain(self.scene)
-        if self.sweep is not None:
-            _check_sweep(scene, self.sweep)
-        for name in ("attractors", "orbits"):
-            asked = getattr(self, name)
-            if asked is not None:
-                with _under(f"{name}.at."):
-                    known(changed(scene, asked.at), np.float64)
-        if self.branch is not None:
-            _check_branch(scene, self.branch)
-        if self.explore is not None:
-            _check_explore(scene, self)
-        if self.locus is not None:
-            _check_locus(scene, self)
-        return self
+    @property
+    def panel_values(self):
+        """The values of the scene's parameters in each panel, a list of dicts; [{}] where there are no [panels]."""
+        rows = zip(*self.panels.values(), strict=True) if self.panels else [()]
+        return [dict(zip(self.panels, row, strict=True)) for row in rows]
 
 
 def table_of(scene):
@@ -193,135 +218,3 @@ def table_of(scene):
 
     plain = {key: float(getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
     return SceneTable(**plain, left=table(scene.left), right=table(scene.right))
-
-
-def _plain(table):
-    """The scene of a table in NumPy's float64, checked, whether jax has double precision on or not."""
-    left, right = (wall and wall.wall() for wall in (table.left, table.right))
-    with _under("scene."):
-        return known(Scene(table.amplitude, table.frequency, table.damping, table.restitution, left, right), np.float64)
-
-
-@contextmanager
-def _under(prefix):
-    """Names the keys of a scene's errors as the file does."""
-    try:
-        yield
-    except check.SceneError as error:
-        raise check.SceneError(prefix + error.key, error.rule, error.value, error.index) from None
-
-
-def _check_sweep(scene, sweep):
-    _check_name("sweep.parameter", scene, sweep.parameter)
-    met = set()
-    for place, leg in enumerate(sweep.legs):
-        if leg.name in met:
-            raise check.SceneError(f"sweep.legs[{place}].name", "must differ from the other legs' names", leg.name)
-        met.add(leg.name)
-        _check_leg(f"sweep.legs[{place}]", scene, sweep, leg)
-    if sweep.count * sweep.keep * len(sweep.legs) > MOST_STATES:
-        rule = f"must keep at most {MOST_STATES:,} states: count times keep times the number of legs"
-        raise check.SceneError("sweep.keep", rule, sweep.keep)
-
-
-def _check_leg(key, scene, sweep, leg):
-    for name, value in (("from", leg.first), ("to", leg.last)):
-        check.number(f"{key}.{name}", value, np.float64)
-    with _under(f"{key} from {leg.first} to {leg.last}: "):
-        known(changed(scene, {sweep.parameter: sweep.values(leg)}), np.float64)
-    _check_start(f"{key}.start", changed(scene, {sweep.parameter: leg.first}), leg.start)
-
-
-def _check_branch(scene, branch):
-    scene = _check_followed("branch", scene, branch)
-    low, high = branch.bounds
-    value = float(scene.parameter(branch.parameter))
-    if not low <= value <= high:
-        if branch.parameter in branch.at:
-            rule = f"must lie within branch.bounds, {low} and {high}"
-            raise check.SceneError(f"branch.at.{branch.parameter}", rule, value)
-        rule = f"must hold the scene's {branch.parameter}, {value}, or that in branch.at"
-        raise check.SceneError("branch.bounds", rule, list(branch.bounds))
-    _check_start("branch.start", scene, branch.start)
-    _check_step("branch.largest_step", branch.largest_step)
-
-
-def _check_explore(scene, file):
-    if file.branch is not None:
-        raise check.SceneError("explore", "must not stand beside [branch]", file.explore.parameter)
-    _check_followed("explore", scene, file.explore)
-
-
-def _check_followed(key, scene, asked):
-    """The scene of a [branch] or [explore], once its parameter, bounds and values break no rule."""
-    _check_name(f"{key}.parameter", scene, asked.parameter)
-    _check_bounds(f"{key}.bounds", asked.bounds)
-    with _under(f"{key}.at."):
-        return known(changed(scene, asked.at), np.float64)
-
-
-def _check_locus(scene, file):
-    asked, source = file.locus, file.followed
-    names = list(asked.parameters)
-    if source is None:
-        raise check.SceneError("locus", "must come with [branch] or [explore], whose special points it follows", names)
-    for place, name in enumerate(names):
-        _check_name(f"locus.parameters[{place}]", scene, name)
-    if names[0] == names[1]:
-        raise check.SceneError("locus.parameters", "must be two different parameters", names)
-    if set(asked.bounds) != set(names):
-        given = ", ".join(asked.bounds) or "none"
-        raise check.SceneError("locus.bounds", f"must give [low, high] for {' and for '.join(names)}, no other", given)
-    for name in names:
-        _check_bounds(f"locus.bounds.{name}", asked.bounds[name])
-        _check_reach(f"locus.bounds.{name}", name, asked.bounds[name], scene, file)
-    for place, kind in enumerate(asked.kinds):
-        if kind not in KINDS or kind in asked.kinds[:place]:
-            rule = f"must be one of {', '.join(KINDS)}" if kind not in KINDS else "must differ from the others"
-            raise check.SceneError(f"locus.kinds[{place}]", rule, kind)
-    _check_step("locus.largest_step", asked.largest_step)
-
-
-def _check_reach(key, name, bounds, scene, file):
-    """Refuse bounds of a locus in which no special point of the branches can lie."""
-    table, source = "branch" if file.branch is not None else "explore", file.followed
-    (low, high), (least, most) = bounds, source.bounds
-    if name == source.parameter:
-        if high < least or most < low:
-            raise check.SceneError(key, f"must overlap {table}.bounds, {least} and {most}", list(bounds))
-        return
-    value = float(changed(scene, source.at).parameter(name))
-    if not low <= value <= high:
-        raise check.SceneError(key, f"must hold the {name} of [{table}], {value}", list(bounds))
-
-
-def _check_bounds(key, bounds):
-    low, high = bounds
-    if not (np.isfinite(bounds).all() and low < high):
-        raise check.SceneError(key, "must be [low, high], two finite numbers, the first smaller", list(bounds))
-
-
-def _check_step(key, step):
-    step = check.number(key, step, np.float64)
-    check.require(key, "must be greater than 0", step, step > 0)
-
-
-def _check_name(key, scene, name):
-    if name not in scene.names:
-        raise check.SceneError(key, f"must be a parameter of the scene ({', '.join(scene.names)})", name)
-
-
-def _check_start(key, scene, start):
-    for name in ("x", "v"):
-        check.number(f"{key}.{name}", getattr(start, name), np.float64)
-    low, high = (_place_at_phase_0(side, getattr(scene, side)) for side in SIDES)
-    rule = f"must lie between the walls, here at {low} and {high}"
-    check.require(f"{key}.x", rule, start.x, low <= start.x <= high)
-
-
-def _place_at_phase_0(side, wall):
-    if wall is None:
-        return -np.inf if side == "left" else np.inf
-    if wall.motion is None:
-        return float(wall.position)
-    return float(wall.position + wall.motion.amplitude * np.cos(wall.motion.phase))

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation import follow
+from continuation import follow, locate
 from continuation.arclength import ON, Control, Place, Point
 
 from .along import problem
@@ -137,7 +137,9 @@ def _joined(parts):
 def _part(curve, points, status, asked, begun):
     """The `_Part` of a chunk of steps."""
     points, end = _within(curve, points, status, asked)
+    points = points._replace(residual=_left(curve, points, asked.control.tolerance))
     points, look = with_dips(curve, points, looked(curve, points.z), asked.control)
+    seen = points
     good = admissible(curve, points.z, look)
     good[0] = True
     last = []
@@ -148,9 +150,18 @@ def _part(curve, points, status, asked, begun):
     loop = follow.passes_mark(problem(curve), points, [begun], asked.control, curve)
     if loop is not None:
         points, last, end = cut_at(curve, points, *loop, asked.control), [], (CLOSED, "", 0.0)
-    points, marks = inserted(curve, points, listed(events(curve, points, asked.control)), asked.control)
+    look, seen = look if points is seen else looked(curve, points.z), points
+    points, marks = inserted(curve, points, listed(events(curve, points, look, asked.control)), asked.control)
     marks += [one._replace(place=len(points.z) - 1) for one in last]
-    return _Part(points, looked(curve, points.z), marks, end)
+    return _Part(points, look if points is seen else looked(curve, points.z), marks, end)
+
+
+def _left(curve, points, tolerance):
+    """The residual of each point: the error before Newton's last step, but where that is large the one after it."""
+    left = points.residual.copy()
+    for k in np.flatnonzero(left > tolerance * (1.0 + abs(points.z[:, -2:]).max(axis=1))):
+        left[k] = abs(np.asarray(locate.evaluated(problem(curve), points.z[k], curve)[0])).max()
+    return left
 
 
 def _within(curve, points, status, asked):

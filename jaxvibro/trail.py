@@ -1,12 +1,13 @@
 """Trails: many states run on for any number of periods, in blocks of one compiled shape; the last periods are kept."""
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+
+from continuation.kept import kept
 
 from .entry import CAP, FULL, OK
 from .lanes import OPTIONS, WIDTH
@@ -51,7 +52,7 @@ def trail(scene, state, periods, slots=SLOTS):
     compilation of its own.
     """
     size, width = len(state.x), max(1, WIDTH * SLOTS // slots)
-    blocks = [_padded((scene, state), first, width) for first in range(0, size, width)]
+    blocks = [padded((scene, state), first, width) for first in range(0, size, width)]
     runs = [_run(*block, periods, _needed(scene, slots)) for block in blocks]
     ends = jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *[run[0] for run in runs])
     worst = np.concatenate([run[1] for run in runs])[:size]
@@ -64,7 +65,7 @@ def trail(scene, state, periods, slots=SLOTS):
 def ends(scene, state, periods):
     """(state, status) of a state's lanes so many periods later; the same compiled run as `trail`'s."""
     size = len(state.x)
-    blocks = [_padded((scene, state), first, WIDTH) for first in range(0, size, WIDTH)]
+    blocks = [padded((scene, state), first, WIDTH) for first in range(0, size, WIDTH)]
     runs = [_run(*block, periods, _needed(scene, SLOTS))[:2] for block in blocks]
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *runs)
 
@@ -73,7 +74,9 @@ def _needed(scene, slots):
     return 0 if scene.left is None and scene.right is None else slots
 
 
-def _padded(lanes, first, width):
+def padded(lanes, first, width):
+    """So many of a tree's lanes, the last one again where there are fewer; numbers that all share stay."""
+
     def part(leaf):
         if not np.shape(leaf):
             return leaf
@@ -83,7 +86,7 @@ def _padded(lanes, first, width):
     return jax.tree.map(part, lanes)
 
 
-@partial(jax.jit, static_argnames="slots", compiler_options=OPTIONS)
+@kept(static_argnames="slots", compiler_options=OPTIONS)
 def _run(scene, state, periods, slots):
     """(state, status, the kept periods as a ring: period i is row i modulo KEEP)."""
     lanes = state.x.shape

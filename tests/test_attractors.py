@@ -202,6 +202,7 @@ def test_many_impacts_in_a_period_are_all_counted():
     assert any(one.kind == "periodic" for one in found)
 
 
+@pytest.mark.slow
 def test_walls_that_move_oppositely_keep_the_symmetry():
     left, right = (jv.Wall(place, motion=jv.Motion(0.2)) for place in (-1.0, 1.0))
     found = jv.find_attractors(scene(1.0, walls=(left, right)), starts=64)
@@ -209,6 +210,7 @@ def test_walls_that_move_oppositely_keep_the_symmetry():
     assert {one.label for one in found} == {"P100", "P111"}
 
 
+@pytest.mark.slow
 def test_single_precision():
     found = jv.find_attractors(scene(4.65, dtype=jnp.float32), starts=64)
     assert sorted(one.label for one in found) == ["P111", "P111", "P112", "P121"]

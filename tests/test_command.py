@@ -273,8 +273,22 @@ def test_the_lines_on_loci_print_what_is_told(capsys):
     ]
 
 
+@pytest.mark.slow
+def test_the_lines_on_motions_run_as_printed():
+    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "motions.md").read_text(), re.DOTALL)
+    names = {}
+    exec(compile(block, "motions.md", "exec"), names)
+    plt.close("all")
+    assert (names["basins"]["label"] >= 0).all() and names["saddle"].multipliers[0].real > 1
+
+
 @pytest.mark.parametrize(
-    "page", ["README.md", *(f"docs/{name}.md" for name in ("scene", "branches", "loci")), "CONTRIBUTING.md"]
+    "page",
+    [
+        "README.md",
+        *(f"docs/{name}.md" for name in ("scene", "branches", "loci", "motions", "paper")),
+        "CONTRIBUTING.md",
+    ],
 )
 def test_links_lead_somewhere(page):
     path = ROOT / page

@@ -186,6 +186,7 @@ def test_a_fold_or_a_doubling_comes_quadratically_to_a_grazing(lone):
         assert np.allclose(np.diff(logs, axis=0)[:, 1] / np.diff(logs, axis=0)[:, 0], 2.0, rtol=0, atol=0.01)
 
 
+@pytest.mark.slow
 def test_resonant_grazings_of_one_wall(lone):
     (point,) = lone[1.7].points("GR")
     bounds = {"amplitude": (0.0, 20.0), "frequency": (0.6, 3.2)}

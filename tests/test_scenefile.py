@@ -44,7 +44,11 @@ def test_reading_needs_no_double_precision_until_the_scene_is_made():
 # The change to scenes/fig4.toml, the key that the error names, and what it says.
 BAD = [
     ("scene.amplitud = 3", "scene.amplitud", f"is not a key here {KEYS_OF_SCENE}; got 3"),
-    ("scen = 3", "scen", "is not a key here (scene, sweep, attractors, orbits, branch, explore, locus); got 3"),
+    (
+        "scen = 3",
+        "scen",
+        "is not a key here (scene, sweep, attractors, orbits, branch, explore, locus, spectrum, basins, panels); got 3",
+    ),
     ("scene.left.stiffness = 3", "scene.left.stiffness", "is not a key here (position, restitution, motion)"),
     ("scene.left.motion = {amplitude=0, size=1}", "scene.left.motion.size", "is not a key here"),
     ("sweep.steps = 3", "sweep.steps", "is not a key here (parameter, count, settle, keep, legs)"),

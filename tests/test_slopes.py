@@ -82,6 +82,7 @@ def test_a_mass_at_rest_goes_with_its_wall():
     assert np.allclose(v, [0.0, -0.5 * np.sin(angle), -0.5 * 0.05 * np.cos(angle)], rtol=0, atol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_release_forgets_the_start_and_keeps_the_scene():
     # sticks on a wall, is released, hits and is released again within a period: the last release counts
     scene = jv.make_scene(3.0, 2.0, 0.1, 0.0, (None, 1.0))

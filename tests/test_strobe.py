@@ -56,6 +56,18 @@ def test_no_contact_is_missed_or_invented(walls):
     assert first_flights(2_000, *walls, 1, seed=9)[1:] == (0, 0, 0)
 
 
+def test_a_flight_that_stops_bending_before_a_wall_does_not_land_early():
+    # Newton's last step is long here where the clearance's second derivative vanishes: it landed half way to the wall
+    scene = jv.make_scene(4.65, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    shift = np.linspace(-1e-6, 1e-6, 2001)
+    end, impacts = jv.strobe(scene, jv.State(-0.862, 2.718 + shift))
+    assert (impacts.count == 2).all()
+    for found, expected in ((end.x, -0.396212), (end.v, 1.834946)):
+        assert abs(found - expected).max() < 1e-4
+        assert abs(np.diff(found, 2)).max() < 1e-13  # smooth in the start
+    assert (impacts.least_clearance > 0.25).all()
+
+
 def test_forced_response_comes_back():
     scene = jv.make_scene(1.3, 1.7, 0.1, 0.7, (-3.0, 2.0))
     x, v = closed.forced(0.1, 1.7, 1.3, 0.0)

@@ -1,10 +1,29 @@
 """Pictures with matplotlib. Each takes Axes, a new figure's where none are given, and returns them; none is shown."""
 
+from .basins import basins
 from .branch import branch, mark_points
 from .diagram import diagram, mark
 from .locus import locus, region
+from .manifolds import manifold
 from .orbit import mark_orbits, orbit
 from .portrait import portrait
+from .section import section
+from .spectrum import spectrum
 from .trace import trace
 
-__all__ = ["branch", "diagram", "locus", "mark", "mark_orbits", "mark_points", "orbit", "portrait", "region", "trace"]
+__all__ = [
+    "basins",
+    "branch",
+    "diagram",
+    "locus",
+    "manifold",
+    "mark",
+    "mark_orbits",
+    "mark_points",
+    "orbit",
+    "portrait",
+    "region",
+    "section",
+    "spectrum",
+    "trace",
+]

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+from matplotlib.font_manager import FontProperties
 
 from ..branch import MEANINGS
 from ..scene import SIDES
@@ -15,8 +16,8 @@ STYLES = {True: "-", False: (0, (4, 2))}
 MARKERS = {"SN": "o", "SB": "D", "BP": "s", "PD": "^", "GR": "v"}
 FILLED = COLOURS[4]  # of special points: attractors are white or black
 OTHERS = "XP*pdh<>"  # of monitors
-CLOSE = 0.02  # of the parameter's range: special points whose values share a tick
 LINES = 3  # on one tick
+TICKS = "x-small"  # their size
 LABELS = {
     **COORDINATES,
     "clearance": r"least clearance$\,/\,d$",
@@ -109,18 +110,27 @@ def mark_points(branches, ax):
     Points of one value are told once, and those that lie too close to be told apart on one tick: the first of them.
     """
     low, high = ax.get_xlim()
+    close = _line(ax) * (high - low)
     digits = max(0, 3 - int(np.floor(np.log10(high - low))))  # about a thousandth of the range
     found = {(each.kind, f"{each.value:.{digits}f}"): each.value for one in branches for each in one.special}
     ticks = []  # value, lines
     for (kind, text), value in sorted(found.items(), key=lambda item: item[1]):
         if kind == "EP" or not low <= value <= high:
             continue
-        if not ticks or value - ticks[-1][0] >= CLOSE * (high - low) * min(LINES, len(ticks[-1][1])):
+        if not ticks or value - ticks[-1][0] >= close * min(LINES, len(ticks[-1][1])):
             ticks.append((value, []))
         ticks[-1][1].append(f"{plain(kind)} {text}")
     top = ax.secondary_xaxis("top")
-    top.set_xticks([value for value, _ in ticks], [_lines(each) for _, each in ticks], rotation=90, fontsize="x-small")
+    top.set_xticks([value for value, _ in ticks], [_lines(each) for _, each in ticks], rotation=90, fontsize=TICKS)
+    for text, (_, each) in zip(top.get_xticklabels(), ticks, strict=True):
+        text.set_horizontalalignment("left" if len(each) > 1 else "center")  # the first line at the tick
     return ax
+
+
+def _line(ax):
+    """The width of a line of such a text, of the Axes' width."""
+    across = ax.figure.get_figwidth() * ax.get_position().width
+    return 1.3 * FontProperties(size=TICKS).get_size_in_points() / (72.0 * across)
 
 
 def _lines(told):

@@ -1,0 +1,103 @@
+"""Figure 3: phase portraits of what the scene settles on at five amplitudes."""
+
+from typing import NamedTuple
+
+import numpy as np
+from tqdm import tqdm
+
+from .. import plot
+from ..attractors import find_attractors
+from ..find import find_orbit
+from ..orbit import Orbit
+from ..simulate import simulate
+from ..state import State
+from .claim import number, statement
+from .closed import forced, grazing
+from .panels import Drawn, panels, png, sheet, styled, trim
+
+NAMES = "abcde"
+CLAIMED = ("P100", "P111", "P111", "P112", "P121")  # in the order of the panels
+SYMMETRIC = 1  # the panel said to be symmetric
+SAMPLES, ROAMED = 400, 60  # of a drive period; periods drawn of a chaotic motion
+ROUNDING = 1e-9  # of an attractor's speeds
+
+CAPTION = (
+    "Phase portraits at five amplitudes: the motion that the paper names where it lasts, else that which most starts "
+    "settle on; where chaotic, 60 drive periods. Dots are the states at phase 0."
+)
+
+
+def drawn(file, progress):
+    """Figure 3 and its claims."""
+    found = []
+    for each in tqdm(panels(file), "portraits", disable=not progress):
+        scene, asked = each.scene.make(), each.attractors
+        found.append((scene, _lasting(scene, find_attractors(scene, asked.starts, asked.seed))))
+    claims = [_there(k, *one) for k, one in enumerate(found)]
+    claims.insert(SYMMETRIC + 1, _symmetric(*found[SYMMETRIC]))
+    with styled():
+        return Drawn(_picture(found), CAPTION, tuple(claims))
+
+
+class Motion(NamedTuple):
+    """What lasts: its label, a state on it, its drive periods (0: chaotic), its `Orbit` or None, share of starts."""
+
+    label: str
+    state: State
+    periods: int
+    orbit: Orbit | None
+    share: float
+
+
+def _lasting(scene, attractors):
+    """The `Motion`s that last: the attractors that starts settle on, and P100 where it is stable, as its basin may be
+    too small for them."""
+    found = [
+        Motion(one.label, one.state, one.periods, one.orbit, one.share)
+        for one in attractors
+        if one.kind != "unresolved"
+    ]
+    w = float(scene.frequency)
+    amplitude, damping = float(scene.amplitude), float(scene.damping)
+    if amplitude < grazing(w, damping) and not any(one.label == "P100" for one in found):
+        orbit = find_orbit(scene, State(*forced(amplitude, w, damping)), periods=1, settle=0)
+        found.append(Motion(orbit.label, orbit.state, 1, orbit, 0.0))
+    return found
+
+
+def _there(k, scene, motions):
+    """That the motion claimed lasts."""
+    told = ", ".join(f"{one.label} ({100 * one.share:.0f} % of the starts)" for one in motions)
+    text = f"{CLAIMED[k]} at A = {float(scene.amplitude):g} (number of such attractors)"
+    alike = float(sum(_is_meant(k, one) for one in motions))
+    return statement(f"3{NAMES[k]}", text, (alike, 0.0), low=1.0, reason=f"What lasts there is {told}.")
+
+
+def _is_meant(k, motion):
+    label = CLAIMED[k]
+    return motion.label in (label, f"P{label[1]}{label[3]}{label[2]}")
+
+
+def _symmetric(scene, motions):
+    """That the motion is symmetric: both walls are hit at one speed."""
+    one = next((each for each in motions if each.orbit is not None and _is_meant(SYMMETRIC, each)), None)
+    gap = np.nan
+    if one is not None:
+        impacts = one.orbit.impacts
+        speeds = [np.asarray(impacts.speed)[np.asarray(impacts.side) == side] for side in (-1, 1)]
+        gap = abs(float(speeds[0].mean() - speeds[1].mean()))
+    reason = "The symmetry is broken before: see SB in figure 4."
+    text = f"symmetric at A = {float(scene.amplitude):g} (difference of the impacts' speeds)"
+    return number(f"3{NAMES[SYMMETRIC]}", text, "0.00", (gap, ROUNDING), reason)
+
+
+def _picture(found):
+    figure, places = sheet(2, 3, 2.2)
+    for k, (ax, (scene, motions)) in enumerate(zip(places.flat, found, strict=False)):
+        one = next((each for each in motions if _is_meant(k, each)), motions[0])
+        plot.portrait(simulate(scene, one.state, one.periods or ROAMED, SAMPLES), scene, ax)
+        ax.set_title(f"({NAMES[k]}) $A$ = {float(scene.amplitude):g}: {one.label}", loc="left")
+    for ax in places.flat[len(found) :]:
+        ax.set_axis_off()
+    trim(places, shared=False, ticks=4)
+    return png(figure)

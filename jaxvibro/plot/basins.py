@@ -1,0 +1,87 @@
+"""Basins of attraction: each start in the colour of what it ends on, and the attractors' own points."""
+
+import numpy as np
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from ..capture import OUTSIDE, UNRESOLVED
+from .style import COORDINATES, WALL, axes, plain
+
+# Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too; chaos is white.
+PALE = ("#FCEFB4", "#A9DCF5", "#F2AE72", "#72AD91", "#A9719A", "#4C79AD", "#94502F", "#3F5750")
+CHAOS, UNKNOWN = "#FFFFFF", "#303030"
+# Of mirror images the second has the turned shape, of a motion that is its own image the shape has no direction.
+PAIRS = (("<", ">"), ("^", "v"), ("$\\subset$", "$\\supset$"), ("P", "X"))
+SINGLE = ("o", "s", "D", "p", "h", "8")
+
+
+def basins(dataset, ax=None, legend=True):
+    """Draw a Dataset of `jaxvibro.basins`, velocity against position: the Axes.
+
+    Each attractor has a colour, the lightest the first, and a shape for its points; of two mirror images the shapes
+    mirror each other. Chaos is white, its points are dots. Starts on no attractor are nearly black, those beyond a wall
+    grey. legend: below the picture, with the shares of the starts.
+    """
+    ax = axes(ax)
+    colours, shapes = _looks(dataset)
+    listed = [WALL, UNKNOWN, *colours]
+    norm = BoundaryNorm(np.arange(OUTSIDE - 0.5, len(colours)), len(listed))
+    edges = [_edges(dataset[name].values) for name in ("x", "v")]
+    drawn = ax.pcolorfast(*edges, dataset["label"].values, cmap=ListedColormap(listed), norm=norm, zorder=0)
+    drawn.set_rasterized(True)
+    for place, shape in enumerate(shapes):
+        points = [dataset[name].values[place] for name in ("point_x", "point_v")]
+        ax.plot(*points, **_mark(shape, colours[place]), gid="attractor", zorder=3)
+    ax.set(xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
+    ax.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])
+    if legend:
+        handles = _entries(dataset, colours, shapes)
+        ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
+    return ax
+
+
+def _edges(values):
+    """The edges of cells around values."""
+    half = 0.5 * np.diff(values)
+    return np.concatenate([values[:1] - half[:1], values[:-1] + half, values[-1:] + half[-1:]])
+
+
+def _looks(dataset):
+    """(colours, shapes) of the attractors, a shape "." where chaotic."""
+    colours, shapes = [], [None] * dataset.sizes["attractor"]
+    pairs, single, pale = iter(PAIRS * 8), iter(SINGLE * 8), iter(PALE * 8)
+    for place, (kind, twin) in enumerate(zip(dataset["kind"].values, dataset["mirror_of"].values, strict=True)):
+        colours.append(CHAOS if kind == "chaotic" else next(pale))
+        if kind != "periodic":
+            shapes[place] = "."
+        elif shapes[place] is None and twin > place:
+            shapes[place], shapes[twin] = next(pairs)
+        elif shapes[place] is None:
+            shapes[place] = next(single)
+    return colours, shapes
+
+
+def _mark(shape, colour):
+    if shape == ".":
+        return {"linestyle": "none", "marker": ".", "markersize": 1.5, "color": "black"}
+    return {"linestyle": "none", "marker": shape, "markersize": 9, "color": colour, "markeredgecolor": "black"}
+
+
+def _entries(dataset, colours, shapes):
+    """The legend: an entry for each attractor, and for starts on none."""
+    found = []
+    for place, shape in enumerate(shapes):
+        if dataset["kind"].values[place] == "unresolved":
+            continue
+        told = f"{plain(str(dataset['name'].values[place]))}: {100 * float(dataset['fraction'][place]):.1f} %"
+        if shape == ".":
+            found.append(Patch(facecolor=colours[place], edgecolor="black", label=told))
+        else:
+            found.append(Line2D([], [], label=told, **_mark(shape, colours[place])))
+    label = dataset["label"].values
+    if (label == UNRESOLVED).any():
+        found.append(Patch(facecolor=UNKNOWN, label="not certain"))
+    if (label == OUTSIDE).any():
+        found.append(Patch(facecolor=WALL, label="beyond a wall"))
+    return found

@@ -1,0 +1,28 @@
+"""Sections of a motion: its states on Sigma, or its impacts on a wall."""
+
+import numpy as np
+
+from ..check import SceneError
+from .style import COLOURS, COORDINATES, axes
+
+WALLS = ("left", "right")
+
+
+def section(dataset, which="sigma", ax=None, colour=None):
+    """Draw one section in a Dataset of `sections`: the Axes.
+
+    which: "sigma", velocity against position at the drive's phase; "left" or "right", of the impacts on that wall the
+    velocity after them against the phase of the drive.
+    """
+    ax = axes(ax)
+    look = {"linestyle": "none", "marker": ".", "markersize": 2.0, "color": colour or COLOURS[0], "rasterized": True}
+    if which == "sigma":
+        ax.plot(dataset["x"].values, dataset["v"].values, **look)
+        ax.set(xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
+        return ax
+    if which not in WALLS:
+        raise SceneError("which", 'must be "sigma", "left" or "right"', which)
+    ax.plot(dataset[f"{which}_phase"].values / np.pi, dataset[f"{which}_velocity"].values, **look)
+    ax.set(xlabel=r"phase of the drive at the impact $\,/\,\pi$", xlim=(0.0, 2.0))
+    ax.set_ylabel(COORDINATES["v"].replace("velocity", "velocity after it"))
+    return ax

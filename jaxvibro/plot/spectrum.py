@@ -1,0 +1,45 @@
+"""The Lyapunov spectrum against a parameter, chaotic ranges shaded."""
+
+import numpy as np
+
+from .style import COLOURS, WALL, axes, label
+
+SURE = 3.0  # standard errors by which the first exponent must exceed 0, for a value to be shaded as chaotic
+BAND = 2.0  # standard errors to either side
+SHADE, PALE = "0.85", 0.35
+NAMES = ("first exponent", "second exponent")
+STYLES = (("-", 1.3, COLOURS[0]), ("--", 1.0, COLOURS[7]))  # told apart in grey by dashes and width
+
+
+def spectrum(found, ax=None):
+    """Draw a Dataset of `jaxvibro.spectrum`: the Axes.
+
+    Both exponents per drive period against the parameter, solid and dashed, with bands of two standard errors, which
+    are seen where the errors are; a line at zero; grey behind the values where the first exponent is positive beyond
+    doubt. An exponent of -inf is a tick at the lower edge; where there is none, the line has a gap.
+    """
+    ax, name = axes(ax), found.attrs["swept"]
+    order = np.argsort(found[name].values, kind="stable")
+    found = found.isel({name: order})
+    across, exponent, error = found[name].values, found["exponent"].values, found["error"].values
+    ax.axhline(0.0, color=WALL, linewidth=0.8, zorder=0)
+    for first, last in _ranges(across, exponent[:, 0] > SURE * error[:, 0]):
+        ax.axvspan(first, last, color=SHADE, linewidth=0, zorder=-1, label="_chaotic")
+    for k, (dashes, width, colour) in enumerate(STYLES):
+        line = np.where(np.isfinite(exponent[:, k]), exponent[:, k], np.nan)
+        spread = np.where(np.isfinite(error[:, k]), BAND * error[:, k], 0.0)
+        ax.fill_between(across, line - spread, line + spread, color=colour, alpha=PALE, linewidth=0)
+        ax.plot(across, line, dashes, linewidth=width, color=colour, label=NAMES[k])
+        deep = across[np.isneginf(exponent[:, k])]
+        ticks = {"linestyle": "none", "marker": "v", "markersize": 4, "color": colour, "clip_on": False}
+        ax.plot(deep, np.zeros(len(deep)), transform=ax.get_xaxis_transform(), label="_-inf", **ticks)
+    ax.set(xlabel=label(name), ylabel="Lyapunov exponents per drive period")
+    ax.margins(x=0.01)
+    return ax
+
+
+def _ranges(across, holds):
+    """Where neighbouring values hold: from half way to the one before to half way to the one after."""
+    edges = np.concatenate([across[:1], 0.5 * (across[1:] + across[:-1]), across[-1:]])
+    turns = np.flatnonzero(np.diff(np.concatenate([[0], holds.astype(int), [0]])))
+    return [(edges[first], edges[last]) for first, last in zip(turns[::2], turns[1::2], strict=True)]

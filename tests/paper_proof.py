@@ -1,0 +1,64 @@
+"""Whether an interrupted `jaxvibro paper` goes on to the same numbers: `python -m tests.paper_proof [TIMES] [SEED]`.
+
+It is begun and killed or interrupted at so many random moments, then left to end; then done once without a stop. All
+claims must have the same values, bit for bit. The folder is a temporary one.
+"""
+
+import json
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+LONGEST = 45.0  # seconds until it is stopped
+COMMAND = [sys.executable, "-m", "jaxvibro", "paper", "--out"]
+
+
+def proof(times, seed):
+    draw = np.random.default_rng(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        stopped, whole = (Path(folder) / name for name in ("stopped", "whole"))
+        for count in range(times):
+            done = _stopped(stopped, draw.uniform(3.0, LONGEST), draw.choice([signal.SIGINT, signal.SIGKILL]))
+            print(f"stop {count + 1}: {done} figures done, files left over: {_left(stopped)}", flush=True)
+        for out in (stopped, whole):
+            began = time.perf_counter()
+            subprocess.run([*COMMAND, str(out)], check=True, capture_output=True)
+            print(f"{out.name}: {time.perf_counter() - began:.0f} s to the end", flush=True)
+        first, second = (_claims(out) for out in (stopped, whole))
+        differ = [name for name in second if first.get(name) != second[name]]
+        print(f"{len(second)} figures, {sum(map(len, second.values()))} claims; with other numbers: {differ or 'none'}")
+
+
+def _stopped(out, after, how):
+    """Begins it, stops it after some seconds: how many figures are there."""
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    run = subprocess.Popen([*COMMAND, str(out)], preexec_fn=_heard, **quiet)
+    try:
+        run.wait(after)
+    except subprocess.TimeoutExpired:
+        run.send_signal(how)
+        run.wait()
+    return len(list(out.glob("*.json")))
+
+
+def _heard():
+    """An interrupt is heard, also where this was begun in a shell's background."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+
+
+def _left(out):
+    return [path.name for path in out.glob(".*")]
+
+
+def _claims(out):
+    return {path.name: json.loads(path.read_text())["claims"] for path in sorted(out.glob("*.json"))}
+
+
+if __name__ == "__main__":
+    given = [int(one) for one in sys.argv[1:3]]
+    proof(*given, *(20, 1)[len(given) :])
