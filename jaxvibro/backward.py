@@ -5,6 +5,8 @@ In -t the motion (x, -v, -phase) obeys the same equations with damping -gamma, t
 flight grows like exp(2 gamma t), which the bound on its derivatives has to allow for.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 
@@ -48,7 +50,7 @@ def _through(scene, state):
     path, fault = stage(enter, built, state, rules=_rules)
     path = path._replace(rest=choose(fault == OK, built.period, 0.0))
     told = journey.begin(built, path, 0, built.period)
-    return finish(journey.run(built, told, journey.cap(built, 1)), state, fault)
+    return finish(built, journey.run(built, told, journey.cap(built, 1)), state, fault)
 
 
 def reversed_frame(scene):
@@ -71,12 +73,12 @@ def reversed_frame(scene):
 
 def _reversed(wall):
     sine = None if wall.sine is None else -wall.sine
-    return type(wall)(wall.position, 1.0 / wall.restitution, wall.swing, wall.cosine, sine, wall.sign, wall.harmonic)
+    return replace(wall, restitution=1.0 / wall.restitution, sine=sine)
 
 
 def _rules(frame):
     """`is_valid` of the reversed scene."""
-    walls = tuple(type(w)(w.position, 0.0 * w.position, w.swing, w.cosine, w.sine, w.sign) for w in frame.walls)
+    walls = tuple(replace(wall, restitution=0.0 * wall.position) for wall in frame.walls)
     valid, finite = is_valid(frame._replace(damping=-frame.damping, walls=walls))
     for wall in frame.walls:
         valid &= wall.restitution >= 1

@@ -31,5 +31,5 @@ def _carried(scene, state, angle):
     path, fault = enter(built, state)
     span = choose(fault == OK, angle / built.frequency, 0.0)
     told = journey.begin(built, path._replace(rest=span), 0, span)
-    end, impacts = finish(journey.run(built, told, journey.cap(built, 1)), state, fault)
+    end, impacts = finish(built, journey.run(built, told, journey.cap(built, 1)), state, fault)
     return end, jnp.asarray(impacts.status)

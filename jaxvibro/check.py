@@ -45,6 +45,22 @@ def is_known(name, names, value):
         raise SceneError(name, f"is not a parameter of this scene ({', '.join(names)})", value)
 
 
+def is_of_one_kind(side, wall):
+    """Refuse a wall that is neither rigid nor soft."""
+    if wall.stiffness is not None and wall.restitution is not None:
+        raise SceneError(f"{side}.restitution", "a wall with stiffness has none", wall.restitution)
+    if wall.stiffness is None and wall.damping is not None:
+        raise SceneError(f"{side}.damping", "a wall without stiffness has none", wall.damping)
+
+
+def is_rigid(scene, what):
+    """Refuse a soft wall where only rigid ones are known."""
+    for side in ("left", "right"):
+        wall = getattr(scene, side)
+        if wall is not None and wall.soft:
+            raise SceneError(f"{side}.stiffness", f"{what} is for rigid walls only", wall.stiffness)
+
+
 def is_single(scene):
     """Refuse a batch of scenes."""
     if scene.shape:
@@ -130,12 +146,17 @@ def check_scene(scene):
 
 _FRACTION = ("must lie between 0 and 1", lambda value: (value >= 0) & (value <= 1))
 _POSITIVE = ("must be greater than 0", lambda value: value > 0)
+_NOT_NEGATIVE = ("must not be negative", lambda value: value >= 0)
 _RULES = {
     "frequency": _POSITIVE,
-    "damping": ("must not be negative", lambda value: value >= 0),
+    "damping": _NOT_NEGATIVE,
     "restitution": _FRACTION,
     "left.restitution": _FRACTION,
     "right.restitution": _FRACTION,
+    "left.stiffness": _POSITIVE,
+    "right.stiffness": _POSITIVE,
+    "left.damping": _NOT_NEGATIVE,
+    "right.damping": _NOT_NEGATIVE,
     "mass": _POSITIVE,
     "stiffness": _POSITIVE,
     "length": _POSITIVE,

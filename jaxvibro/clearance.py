@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from . import event, impact
+from .contact import is_inside
 from .lanes import choose, least, mask, merge, most, stage
 from .path import Motion, accelerations, jet, moved, place
 from .wall import course, less, picked
@@ -109,6 +110,8 @@ def _mark(frame, path, flown, time):
     or, where x - x_b turns twice within the step, a parabola's.
     """
     free = lax.abs(path.contact) != impact.STUCK
+    if frame.soft:
+        free &= ~is_inside(path.contact)
     mark, nearest = (lax.full_like(time, value) for value in (0.0, jnp.inf))
     still = all(wall.swing is None for wall in frame.walls)
     for walls in [frame.walls] if still else [(wall,) for wall in frame.walls]:  # still walls see the same speed

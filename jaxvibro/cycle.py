@@ -16,8 +16,9 @@ from continuation.newton import newton
 
 from . import flow
 from .frame import frame
+from .meet import Meeting, jump, meeting, stayed
 from .path import accelerations
-from .wall import course, picked
+from .stay import product
 
 LONGEST = 0.1  # of a drive period: the largest change of a time in one of Newton's steps
 
@@ -40,8 +41,7 @@ class Cycle(NamedTuple):
 class Flights(NamedTuple):
     """The flight that follows each impact: its time; x, v, and the drive's cosine and sine at its start; x and v at its
     end; the `flow.responses`' matrix; the row of the impact at its end, and -1 where that is met as its mirror image,
-    else 1; and of the impact at its start: the wall's position, velocity, acceleration, R, the speed, and the
-    accelerations of the mass before and after it."""
+    else 1; and the `meet.Meeting` at its start."""
 
     time: jax.Array
     x: jax.Array
@@ -53,12 +53,7 @@ class Flights(NamedTuple):
     matrix: tuple[jax.Array, jax.Array, jax.Array]
     follows: jax.Array
     sign: jax.Array
-    pace: jax.Array
-    bend: jax.Array
-    bounce: jax.Array
-    closing: jax.Array
-    before: jax.Array
-    after: jax.Array
+    met: Meeting
 
 
 @jax.jit
@@ -70,22 +65,15 @@ def flights(frame, cycle):
     one = jnp.ones((), cycle.times.dtype)
     sign = jnp.where(rows == last, one if cycle.turn is None else cycle.turn, one)
     angle = cycle.phase + frame.frequency * cycle.times
-    cosine, sine = jnp.cos(angle), jnp.sin(angle)
-    zero = jnp.zeros_like(angle)
-    ways = [course(wall, frame.frequency, cosine, sine, 2) for wall in frame.walls]
-    where, pace, bend = (zero if each is None else each + zero for each in picked(sides, frame.walls, ways))
-    (bounce,) = picked(sides, frame.walls, [[wall.restitution + zero] for wall in frame.walls])
-    closing = sides * cycle.speeds
-    v = pace - bounce * closing
+    met = meeting(frame, sides, jnp.cos(angle), jnp.sin(angle), cycle.speeds)
     again = jnp.where(rows == last, cycle.periods * frame.period, 0.0)
     time = _following(cycle, cycle.times, follows) - cycle.times + again
+    time = time if met.stay is None else time - met.stay
     time = jnp.where(sides != 0, jnp.maximum(time, 0.0), 0.0)
     free, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, time)
-    end_x, end_v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, where, v)
-    before, after = (accelerations(frame, where, each, cosine, sine)[0] for each in (pace + closing, v))
-    return Flights(
-        time, where, v, cosine, sine, end_x, end_v, free, follows, sign, pace, bend, bounce, closing, before, after
-    )
+    (x, v), (cosine, sine) = met.state, met.phasor
+    end_x, end_v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v)
+    return Flights(time, x, v, cosine, sine, end_x, end_v, free, follows, sign, met)
 
 
 def _following(cycle, values, follows):
@@ -116,15 +104,15 @@ def equations(frame, cycle, found=None):
     def ahead(values):
         return found.sign * _following(cycle, values, found.follows)
 
-    aim = ahead(sides)
+    aim, met = ahead(sides), found.met
     p00, p01, p11 = found.matrix
-    shear, lost, push = found.bend - found.after, found.bounce * found.closing, -found.bounce * sides
-    speed = found.end_v - ahead(found.pace)
-    pull, _ = accelerations(frame, found.end_x, found.end_v, ahead(found.cosine), ahead(found.sine))
-    gap = found.end_x - ahead(found.x)
+    speed = found.end_v - ahead(met.pace)
+    pull, _ = accelerations(frame, found.end_x, found.end_v, ahead(met.cosine), ahead(met.sine))
+    gap = found.end_x - ahead(met.where)
     excess = aim * speed - _following(cycle, cycle.speeds, found.follows)
-    own = (p00 * lost + p01 * shear, push * p01), (aim * (p11 * shear - p01 * lost), aim * push * p11)
-    following = speed, aim * (pull - ahead(found.bend))
+    (a, c), (b, d) = ((p00 * x + p01 * v, aim * (p11 * v - p01 * x)) for x, v in (met.by_time, met.by_speed))
+    own = (a, b), (c, d)
+    following = speed, aim * (pull - ahead(met.bend))
     values = jnp.where(jnp.tile(hit, 2), jnp.concatenate([gap, excess]), 0.0)
     return values, Slopes(own, following, jnp.sum(hit) - 1)
 
@@ -188,15 +176,14 @@ def ordered(scene, cycle, unknowns):
 def invariants(frame, found, sides):
     """(trace, determinant) of the monodromy matrix, the product of P and Q of all flights; the determinant is the
     product of theirs."""
+    jumps, shrink = jump(frame, found.met, sides)
 
     def on(k, carry):
-        (m00, m01, m10, m11), determinant = carry
+        matrix, determinant = carry
         p00, p01, p11 = (each[k] for each in found.matrix)
-        bounce = found.bounce[k]
-        turn = (found.after[k] + bounce * found.before[k] - (1.0 + bounce) * found.bend[k]) / found.closing[k]
-        q00, q01, q10, q11 = -bounce * m00, -bounce * m01, turn * m00 - bounce * m10, turn * m01 - bounce * m11
+        q00, q01, q10, q11 = product([each[k] for each in jumps], matrix)
         new = p00 * q00 + p01 * q10, p00 * q01 + p01 * q11, p11 * q10 - p01 * q00, p11 * q11 - p01 * q01
-        new = new, determinant * (bounce * bounce) * (p00 * p11 + p01 * p01)
+        new = new, determinant * shrink[k] * (p00 * p11 + p01 * p01)
         return jax.tree.map(lambda new, old: jnp.where(sides[k] != 0, new, old), new, carry)
 
     one, zero = jnp.ones_like(found.time[0]), jnp.zeros_like(found.time[0])
@@ -211,6 +198,8 @@ def at(frame, cycle, found, time):
     since = jnp.where(cycle.sides != 0, since - span * jnp.floor(since / span), jnp.inf)
     k = jnp.argmin(since, axis=1)
     cosine, sine = frame.force * found.cosine[k], frame.force * found.sine[k]
-    late = jnp.take_along_axis(since, k[:, None], 1)[:, 0]
+    since = jnp.take_along_axis(since, k[:, None], 1)[:, 0]
+    late = since if found.met.stay is None else jnp.maximum(since - found.met.stay[k], 0.0)
     free, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, late)
-    return flow.flown((free, forced), cosine, sine, found.x[k], found.v[k])
+    state = flow.flown((free, forced), cosine, sine, found.x[k], found.v[k])
+    return state if found.met.stay is None else stayed(frame, found.met, cycle.sides, k, since, state)

@@ -11,8 +11,10 @@ from .scene import changed
 def domain(scene, name):
     """(low, high): between them, ends left out where the walls would meet or the drive stand, the scene is one."""
     inf = np.inf
-    if name in ("frequency", "damping"):
-        return (np.finfo(float).tiny if name == "frequency" else 0.0), inf
+    if name == "frequency" or name.endswith("stiffness"):
+        return np.finfo(float).tiny, inf
+    if name.endswith("damping"):
+        return 0.0, inf
     if name.endswith("restitution"):
         return 0.0, 1.0
     if name.endswith("position") and scene.left is not None and scene.right is not None:

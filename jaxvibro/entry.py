@@ -4,6 +4,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from . import event, impact
+from .contact import ENTERED, WITHIN, is_inside
 from .frame import is_valid
 from .lanes import choose, positive
 from .path import Motion, Path, motion
@@ -31,16 +32,47 @@ def enter(frame, state, rules=is_valid):
     start = Motion(none, none, none, none, cosine, sine)
     path = Path(state.x + none, none, state.v + none, start, none, none, none)
     kind = abs(state.contact) + none
-    valid &= (kind == 0) | (kind == impact.LANDED) | (kind == impact.STUCK)
+    valid &= (kind == 0) | (kind == impact.LANDED) | (kind == impact.STUCK) | (kind == WITHIN)
     known = kind == 0
-    for wall in frame.walls:
+    for wall, soft in zip(frame.walls, frame.contacts, strict=True):
         place = course(wall, frame.frequency, cosine, sine, 1)
-        path, fits = _at_wall(frame, wall, place, path, state.contact * wall.sign)
-        valid &= fits
-        known |= state.contact * wall.sign > 0
+        given = state.contact * wall.sign
+        inside = is_inside(path.contact)  # of the wall before, from which the lane is counted
+        here = path._replace(x=choose(inside, state.x + none, path.x), v=choose(inside, state.v + none, path.v))
+        here, fits = (_at_wall if soft is None else _at_soft_wall)(frame, wall, place, here, given)
+        kept = zip((path.x, path.v, path.contact), (here.x, here.v, here.contact), strict=True)
+        path = path._replace(**dict(zip(("x", "v", "contact"), (choose(inside, *each) for each in kept), strict=True)))
+        valid &= fits & (given != (WITHIN if soft is None else impact.STUCK))
+        known |= given > 0
+    if frame.soft:
+        frame = frame._replace(swift=choose(is_inside(path.contact), 0.0, frame.swift + none))
     path = path._replace(motion=motion(frame, path.x, path.v, cosine, sine))
     fault = choose(finite, choose(valid & known, lax.full_like(none, OK), INVALID), NONFINITE)
     return path, fault
+
+
+def _at_soft_wall(frame, wall, place, path, given):
+    """As `_at_wall`: beyond this wall a start is within it, and is counted from it."""
+    where, speed = place
+    pace = jnp.zeros_like(where) if speed is None else speed
+    depth, closing = wall.sign * (path.x - where), wall.sign * (path.v - pace)
+    eps = 2.0 * event.rounding(depth.dtype)
+    near = 0.0 if wall.swing is None else 4.0 * eps * abs(wall.swing)
+    within, landed = given == WITHIN, given == impact.LANDED
+    met = landed | (abs(depth) <= near) | (within & (depth <= 0))
+    push, change = impact.surface(frame, path.x * 0.0 + wall.sign, path.cosine, path.sine)[2:]
+    push, change = wall.sign * push, wall.sign * change
+    pressed = (push > 0) | ((push == 0) & (change > 0))
+    inside = choose(met, within & (closing > 0) | (closing == 0) & pressed, depth > 0)
+    leaves = met & ~inside & (landed | (closing <= 0))
+    loose = eps**0.5 * frame.size
+    fits = ~(within | landed) | (choose(landed, abs(depth), -depth) <= loose)
+    fits &= ~landed | (closing <= eps**0.5 * (abs(path.v) + frame.size * (1.0 + frame.frequency)))
+    kind = choose(inside, choose(met, ENTERED, lax.full_like(depth, WITHIN)), choose(leaves, impact.LANDED, 0.0))
+    x = choose(inside, choose(met, 0.0, wall.sign * depth), choose(met, where, path.x))
+    v = choose(inside, path.v - pace, path.v)
+    here = inside | leaves
+    return path._replace(x=x, v=v, contact=choose(here, wall.sign * kind, path.contact)), fits
 
 
 def _at_wall(frame, wall, place, path, given):

@@ -7,6 +7,7 @@ the root t = 0: it is divided out. A mass that rests on a wall waits for the pre
 press.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -35,6 +36,11 @@ class Bound(NamedTuple):
     slope: jax.Array
     bend: jax.Array
     cubic: jax.Array
+
+
+def weights(reach):
+    """What a derivative is multiplied by in a Taylor polynomial of the time over the longest step: reach^k / k!."""
+    return tuple(reach**k / math.factorial(k) for k in range(TERMS + 1))
 
 
 def landing(dtype):

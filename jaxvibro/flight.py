@@ -8,7 +8,8 @@ from typing import NamedTuple
 import jax
 from jax import lax
 
-from . import event, impact
+from . import event, flow, impact
+from .contact import ENTERED, WITHIN, biases, felt, is_inside
 from .lanes import choose, least, most, positive, stage, two_sum
 from .path import Path, jet, moved, place
 from .wall import chosen, course, less, picked, press
@@ -33,24 +34,29 @@ def micro(frame, path):
         flown = _advance(frame, path, time)
         none = lax.full_like(path.x, 0.0)
         return Step(time, flown, flown, none, impact.Strike(none, none, none))
-    derivatives = jet(frame, path.x, path.v, path.cosine, path.sine, event.TERMS)
+    bias, whole, touch = (), frame, None
+    if frame.soft:
+        touch = path.contact
+        bias = stage(biases, frame, touch, path.cosine, path.sine, order=event.TERMS - 2)
+        frame = frame._replace(**stage(felt, frame, touch)._asdict())
+    derivatives = jet(frame, path.x, path.v, path.cosine, path.sine, event.TERMS, bias)
     side = stage(_side, frame, path, *derivatives[2:4])
     ahead = stage(_progress, frame, path, derivatives, side)
     bound = event.bound(ahead, stage(event.cubic, ahead))
     near = stage(event.free_step, bound)
     other = lax.full_like(near, 1.0)
     if len(frame.walls) == 2:
-        other = stage(_other, path, stage(_behind, frame, path, derivatives, side))
+        other = stage(_other, path, stage(_behind, frame, path, derivatives, side), soft=frame.soft)
     guess = stage(event.quadratic, *bound[:3])
     step = stage(event.sure_step, bound, stage(event.horizon, bound, guess), near)
     root = stage(event.newton, ahead, stage(event.halley, ahead, guess))
     slack = stage(event.slack, ahead, guess, root)
     hit = stage(_lands, frame, path, ahead, root, slack, other, side)
     time = stage(_time, frame, path, hit, root, slack, step, other)
-    flown = _advance(frame, path, time)
+    flown = _advance(frame, path, time, touch)
     late = stage(impact.late, frame, flown, hit)
     strike = stage(impact.strike, frame, flown, hit, late)
-    after = stage(impact.part, frame, flown, hit, late, strike, time)
+    after = stage(impact.part, whole, flown, hit, late, strike, time)
     return Step(time, flown, after, hit, strike)
 
 
@@ -67,6 +73,9 @@ def _side(frame, path, pull, jerk):
     (clear, closing, held), (other_clear, other_closing, other_held) = found
     nearer, sooner = other_clear < clear, other_closing * clear > closing * other_clear
     right = choose(nearer, other_held | sooner, sooner & ~held)
+    if frame.soft:
+        inside = is_inside(path.contact)
+        right = (inside & (path.contact > 0)) | (~inside & right)
     return choose(right, lax.full_like(path.x, 1.0), -1.0)
 
 
@@ -85,18 +94,25 @@ def _progress(frame, path, derivatives, side):
     push = picked(side, walls, [press(wall, *values, event.TERMS - 1) for wall in walls])
     way = picked(side, walls, [course(wall, frame.frequency, path.cosine, path.sine, event.TERMS) for wall in walls])
     stuck, released = contact == impact.STUCK, contact == impact.RELEASED
+    tail, swing = chosen(side, walls, frame.tails), chosen(side, walls, frame.swings)
+    on, weights = (contact == impact.LANDED) | released, frame.weights
+    if frame.soft:  # from within, y falls to 0
+        inside = (contact == WITHIN) | (contact == ENTERED)
+        way = [None if where is None else choose(inside, 0.0, where + 0.0 * side) for where in way]
+        on |= contact == ENTERED
+        swing, side = choose(inside, 0.0, swing + 0.0 * side), choose(inside, -side, side)
+        weights = event.weights(frame.reach)
     clear = [less(place, where) for place, where in zip(derivatives, way, strict=True)]
     clear[0] = clear[0] + path.x_low
     terms = [
         choose(stuck, -pushed, free) * (side * weight)
-        for pushed, free, weight in zip(push, clear, frame.weights, strict=False)
+        for pushed, free, weight in zip(push, clear, weights, strict=False)
     ]
     terms[1:3] = (choose(released, 0.0, term) for term in terms[1:3])
-    sixth, seventh = lax.abs(derivatives[6]), lax.abs(derivatives[7])
+    sixth, seventh = flow.pulled(frame.root, lax.abs(derivatives[6])), lax.abs(derivatives[7])
     bound = frame.reach * (frame.curb + frame.slope * (sixth + seventh)) + seventh
-    tail, swing = chosen(side, walls, frame.tails), chosen(side, walls, frame.swings)
-    rest = (choose(stuck, tail, bound) + swing) * frame.weights[event.TERMS]
-    return event.progress(terms, rest, (contact == impact.LANDED) | released)
+    rest = (choose(stuck, tail, bound) + swing) * weights[event.TERMS]
+    return event.progress(terms, rest, on)
 
 
 def _behind(frame, path, derivatives, side):
@@ -105,9 +121,12 @@ def _behind(frame, path, derivatives, side):
     return event.bound(progress, event.cubic(progress))
 
 
-def _other(path, bound):
+def _other(path, bound, soft):
     """A step that is certain not to meet the wall that is not aimed at."""
-    return choose(lax.abs(path.contact) == impact.STUCK, 1.0, event.free_step(bound))
+    held = lax.abs(path.contact) == impact.STUCK
+    if soft:
+        held |= is_inside(path.contact)
+    return choose(held, 1.0, event.free_step(bound))
 
 
 def _lands(frame, path, progress, root, slack, other, side):
@@ -127,9 +146,9 @@ def _time(frame, path, hit, root, slack, step, other):
     return positive(least(choose(hit != 0, root, short) * frame.reach, path.rest))
 
 
-def _advance(frame, path, time):
+def _advance(frame, path, time, touch=None):
     """The path a free flight later."""
-    motion = moved(frame, path.motion, time)
+    motion = moved(frame, path.motion, time, touch)
     return Path(*stage(place, frame, motion), motion, *stage(_less, path, time), path.contact)
 
 

@@ -1,5 +1,7 @@
 """Free flight, x'' + 2 gamma x' + x = A cos(omega t) (paper, (3)): exact, with no division by D or sqrt(1 - gamma^2).
 
+Within a soft wall the same with a stiffness of 1 + k2 before x; a stiffness that is None is 1.
+
 Over a step that is short beside the fastest of omega, 1 and 2 gamma the flow is its own Taylor series, which needs
 products alone and so is right at resonance, at critical damping and beyond. Any longer time is such a step doubled.
 """
@@ -41,23 +43,29 @@ class Gains(NamedTuple):
     sined: jax.Array
 
 
-def rate(frequency, damping):
+def rate(frequency, damping, stiffness=None):
     """An upper bound, at least 1, of how fast the drive and the free oscillation turn or decay, in radians over t."""
-    fast = choose(frequency > 1.0, frequency, 1.0)
+    own = 1.0 if stiffness is None else lax.sqrt(stiffness)
+    fast = choose(frequency > own, frequency, own)
     return choose(2.0 * damping > fast, 2.0 * damping, fast)
 
 
-def series(frequency, damping):
+def pulled(stiffness, x):
+    """The spring's pull at x."""
+    return x if stiffness is None else stiffness * x
+
+
+def series(frequency, damping, stiffness=None):
     """The `Series` of an oscillator: derivatives at t = 0 by the equation of motion, over factorials."""
-    one = jnp.ones_like(frequency * damping)
+    one = jnp.ones_like(frequency * damping * (1.0 if stiffness is None else stiffness))
     none = jnp.zeros_like(one)
 
     def extended(pairs, _):
         (drive, drive_next), (free, free_next), (forced, forced_next) = pairs
         new = (
             (drive_next, -(frequency * frequency) * drive),
-            (free_next, -2.0 * damping * free_next - free),
-            (forced_next, drive - 2.0 * damping * forced_next - forced),
+            (free_next, -2.0 * damping * free_next - pulled(stiffness, free)),
+            (forced_next, drive - 2.0 * damping * forced_next - pulled(stiffness, forced)),
         )
         return new, (free, forced)
 
@@ -67,37 +75,47 @@ def series(frequency, damping):
         found = [1.0 / math.factorial(k + more) for k in range(ORDER + 1)]
         return values * jnp.array(found, values.dtype).reshape(-1, *[1] * one.ndim)
 
-    # p00' = -p01, lag' = omega lift
-    return Series(-over(free, 1)[1:-1], over(free, 0)[1:], over(forced, 0)[2:], frequency * over(forced, 1)[2:-1])
+    # p00' = -stiffness p01, lag' = omega lift
+    return Series(
+        -pulled(stiffness, over(free, 1)[1:-1]),
+        over(free, 0)[1:],
+        over(forced, 0)[2:],
+        frequency * over(forced, 1)[2:-1],
+    )
 
 
 def gains(series, frequency, time):
     """The `Gains` over 0 <= time <= STEP / rate."""
     angle = frequency * time
     square = time * time
-    return Gains(
-        _horner(series.stay, time) * square,
-        _horner(series.move, time) * time,
-        _horner(series.lift, time) * square,
-        _horner(series.lag, time) * (square * time),
-        versine(angle),
-        sinus(angle),
-    )
+    stay, move = horner(series.stay, time) * square, horner(series.move, time) * time
+    return Gains(stay, move, *lifts(series, time), versine(angle), sinus(angle))
 
 
-def _horner(coefficients, time):
-    rows = [lax.index_in_dim(coefficients, k, keepdims=False) for k in range(coefficients.shape[0])]
-    total = rows[-1]
-    for row in rows[-2::-1]:
-        total = total * time + row
+def lifts(series, time):
+    """(lift, lag) of the `Gains`."""
+    square = time * time
+    return horner(series.lift, time) * square, horner(series.lag, time) * (square * time)
+
+
+def horner(coefficients, time):
+    """The polynomial with these coefficients, from the constant on: rows of an array, or a list."""
+    total = coefficients[len(coefficients) - 1]
+    for k in range(len(coefficients) - 2, -1, -1):
+        total = total * time + coefficients[k]
     return total
 
 
-def extend(frequency, damping, drive, jet):
-    """The next two derivatives of the drive's force and of x from the last two of each: (drive, jet)."""
+def extend(frequency, damping, stiffness, drive, bias, jet):
+    """The next two derivatives of the drive's force and of x from the last two of each: (drive, jet).
+
+    bias: those of another force, None where it is zero.
+    """
     square, drag = -(frequency * frequency), -2.0 * damping
-    third = drive[0] + (drag * jet[1] - jet[0])
-    return (drive[0] * square, drive[1] * square), (third, drive[1] + (drag * third - jet[1]))
+    first, second = (own if more is None else own + more for own, more in zip(drive, bias, strict=True))
+    third = first + (drag * jet[1] - pulled(stiffness, jet[0]))
+    fourth = second + (drag * third - pulled(stiffness, jet[1]))
+    return (drive[0] * square, drive[1] * square), (third, fourth)
 
 
 def versine(angle):
@@ -135,11 +153,11 @@ def fly(scene, state, time):
     return flown(responses(frequency, damping, time), force * jnp.cos(phase), force * jnp.sin(phase), x, v)
 
 
-def flown(responses, cosine, sine, x, v):
+def flown(responses, cosine, sine, x, v, stiffness=None):
     """(x, v) after the flight of these `responses`, under the force cosine cos(omega t) - sine sin(omega t)."""
     (p00, p01, p11), (in_phase, in_quadrature) = responses
     moved = p00 * x + p01 * v + (cosine * in_phase[0] - sine * in_quadrature[0])
-    return moved, p11 * v - p01 * x + (cosine * in_phase[1] - sine * in_quadrature[1])
+    return moved, p11 * v - p01 * pulled(stiffness, x) + (cosine * in_phase[1] - sine * in_quadrature[1])
 
 
 def responses(frequency, damping, time):
@@ -149,9 +167,12 @@ def responses(frequency, damping, time):
 
 
 @jax.jit
-def doubled(series, frequency, damping, time):
-    """The `responses` over any time >= 0 from a `Series`, and cos - 1 and sin of the drive's angle."""
-    fast, zero = rate(frequency, damping), lax.full_like(time, 0.0)
+def doubled(series, frequency, damping, time, stiffness=None):
+    """The `responses` over any time >= 0 from a `Series`, and cos - 1 and sin of the drive's angle.
+
+    The free flow's matrix is ((p00, p01), (-stiffness p01, p11)).
+    """
+    fast, zero = rate(frequency, damping, stiffness), lax.full_like(time, 0.0)
 
     def is_long(carry):
         return jnp.any(carry[0] * fast > STEP)
@@ -168,22 +189,23 @@ def doubled(series, frequency, damping, time):
 
     def double(carry):
         left, now = carry
-        new = _double(*now)
+        new = _double(stiffness, *now)
         return left - 1.0, jax.tree.map(lambda new, old: choose(left > 0, new, old), new, now)
 
     start = (count, (free, forced, (step.versed, step.sined)))
     return lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double, start)[1]
 
 
-def _double(free, forced, angle):
+def _double(stiffness, free, forced, angle):
     (p00, p01, p11), (u, w), (versed, sined) = free, forced, angle
     cosine = 1.0 + versed
 
     def move(first, second):
-        return p00 * first + p01 * second, p11 * second - p01 * first
+        return p00 * first + p01 * second, p11 * second - p01 * pulled(stiffness, first)
 
     (ux, uv), (wx, wv) = move(*u), move(*w)
     u = (ux + cosine * u[0] - sined * w[0], uv + cosine * u[1] - sined * w[1])
     w = (wx + cosine * w[0] + sined * (u_before := forced[0])[0], wv + cosine * w[1] + sined * u_before[1])
-    free = (p00 * p00 - p01 * p01, p01 * (p00 + p11), p11 * p11 - p01 * p01)
+    turned = p01 * pulled(stiffness, p01)
+    free = (p00 * p00 - turned, p01 * (p00 + p11), p11 * p11 - turned)
     return free, (u, w), (2.0 * versed * (2.0 + versed), 2.0 * sined * cosine)

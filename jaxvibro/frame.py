@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import flow
-from .event import TERMS
+from .contact import Contact, contact
+from .event import TERMS, weights
 from .path import swift
 from .wall import Lane, extent, lane, tail
 
@@ -23,7 +24,10 @@ class Frame(NamedTuple):
     swift: see `path`; series: of the flow; reach: the longest step (t), pace: 1 / reach, weights: reach^k / k!; size: a
     length of the scene, the walls' distances and A together, to measure rounding by; curb, slope: abs x^(8) is at most
     curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall;
-    rushes: bounds on the change of the press on each; gap: the walls are never nearer to each other.
+    rushes: bounds on the change of the press on each; gap: the walls are never nearer to each other; contacts: the
+    `contact.Contact` within each wall, None for rigid ones.
+
+    stiffness and its root are 1, and None, but where they are what a lane feels (`contact.felt`).
     """
 
     force: jax.Array
@@ -44,6 +48,14 @@ class Frame(NamedTuple):
     swings: tuple[jax.Array, ...]
     rushes: tuple[jax.Array, ...]
     gap: jax.Array
+    contacts: tuple[Contact | None, ...] = ()
+    stiffness: jax.Array | None = None
+    root: jax.Array | None = None
+
+    @property
+    def soft(self):
+        """Whether there is a soft wall."""
+        return any(each is not None for each in self.contacts)
 
 
 def frame(scene):
@@ -51,7 +63,8 @@ def frame(scene):
     dtype = scene.dtype
     force, frequency, damping = (jnp.asarray(n, dtype) for n in (scene.amplitude, scene.frequency, scene.damping))
     given = zip(SIDES, (scene.left, scene.right), strict=True)
-    walls = tuple(lane(wall, scene.restitution, side, dtype) for side, wall in given if wall is not None)
+    given = [(side, wall) for side, wall in given if wall is not None]
+    walls = tuple(lane(wall, scene.restitution, scene.damping, side, dtype) for side, wall in given)
     rate = flow.rate(frequency, damping)
     for wall in walls:
         rate = jnp.maximum(rate, frequency * (wall.harmonic if wall.swing is not None else 1.0))
@@ -71,7 +84,7 @@ def frame(scene):
         series=flow.series(frequency, damping),
         reach=reach,
         pace=rate / flow.STEP,
-        weights=tuple(reach**k / math.factorial(k) for k in range(TERMS + 1)),
+        weights=weights(reach),
         size=sum((extent(wall) for wall in walls), abs(force)),
         curb=forcing * (1.0 + slope * reach),
         slope=slope,
@@ -79,6 +92,7 @@ def frame(scene):
         swings=tuple(swing for _, swing in bounds),
         rushes=tuple(tail(wall, force, frequency, damping, 1)[0] for wall in walls),
         gap=_gap(walls, force),
+        contacts=tuple(contact(wall, force, frequency) for wall in walls),
     )
 
 
@@ -115,7 +129,10 @@ def is_valid(frame):
         finite &= jnp.isfinite(number)
     valid = (frame.frequency > 0) & (frame.damping >= 0)
     for wall in frame.walls:
-        valid &= (wall.restitution >= 0) & (wall.restitution <= 1)
+        if wall.stiffness is None:
+            valid &= (wall.restitution >= 0) & (wall.restitution <= 1)
+        else:
+            valid &= (wall.stiffness > 0) & (wall.damping >= 0)
     if len(frame.walls) == 2:
         left, right = frame.walls
         valid &= left.position < right.position

@@ -145,15 +145,14 @@ def is_pressed(along, z, there_are):
 
 def flight_times(along, z):
     """How long each flight is, (rows,); of an orbit without impacts its periods, (1,)."""
-    scene, turns = there(along, z), along.cycle
-    span = float(turns.periods) * 2.0 * np.pi / float(scene.frequency)
-    rows = len(turns.sides)
-    if not rows:
-        return np.array([span])
-    count = int(np.sum(turns.sides != 0))
-    times = np.zeros(rows)
-    times[:count] = np.diff(z[:count], append=z[0] + span)
-    return times
+    if not len(along.cycle.sides):
+        return np.array([float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z).frequency)])
+    return np.asarray(_times(along, z))
+
+
+@kept
+def _times(along, z):
+    return cycle.flights(frame(there(along, z)), cycle_at(along, z)).time
 
 
 def wall_sides(scene):

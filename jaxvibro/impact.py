@@ -6,17 +6,21 @@ import jax
 from jax import lax
 
 from . import event, flow
+from .contact import ENTERED, WITHIN, biases, bounce, gives, is_inside
 from .lanes import choose, least, positive, two_sum
 from .path import CAPPED, Motion, Path, accelerations, motion
 from .wall import chosen, course, less, picked, press
 
-LANDED, STUCK, RELEASED = 1.0, 2.0, 3.0
+LANDED, STUCK, RELEASED = 1.0, 2.0, 5.0  # as a lane's contact, between them those of soft walls
 ENDLESS = -1.0  # the least speed of a chatter
 HOPS = 4.85  # 2 (1 + sqrt(2)), and for rounding
 
 
 class Strike(NamedTuple):
-    """What an event does: the speed against the wall before it, the least speed that follows, the contact after it."""
+    """What an event does: the speed against the wall before it, the least speed that follows, the contact after it.
+
+    The speed is negative where the event is the end of a contact with a soft wall.
+    """
 
     speed: jax.Array
     least: jax.Array
@@ -28,7 +32,12 @@ def late(frame, path, side):
     values = (frame.force, frame.frequency, frame.damping, path.cosine, path.sine)
     where, speed, bend = picked(side, frame.walls, [course(wall, values[1], *values[3:], 2) for wall in frame.walls])
     push, change = picked(side, frame.walls, [press(wall, *values, 1) for wall in frame.walls])
-    pull, _ = accelerations(frame, path.x, path.v, path.cosine, path.sine)
+    pull, _ = accelerations(frame, path.x, path.v, path.cosine, path.sine, _bias(frame, path))
+    if frame.soft:
+        inside = is_inside(path.contact)
+        where, speed, bend = (
+            None if each is None else choose(inside, 0.0, each + 0.0 * side) for each in (where, speed, bend)
+        )
     closing, bending = less(path.v, speed), less(pull, bend)
     stuck = lax.abs(path.contact) == STUCK
     time = choose(stuck, -push, (where - path.x) - path.x_low) / choose(stuck, change, closing)
@@ -41,31 +50,54 @@ def strike(frame, path, side, late):
     stuck = lax.abs(path.contact) == STUCK
     cosine, sine = _turned(frame, path, late)
     _, speed, push, change = surface(frame, choose(stuck, path.contact, side), cosine, sine)
-    pull, jerk = accelerations(frame, path.x, path.v, path.cosine, path.sine)
+    pull, jerk = accelerations(frame, path.x, path.v, path.cosine, path.sine, _bias(frame, path))
+    inside = is_inside(path.contact) if frame.soft else None
+    if frame.soft:
+        speed = choose(inside, 0.0, speed + 0.0 * side)
     closing = side * (path.v + late * (pull + 0.5 * late * jerk) - speed)
-    bounce = chosen(side, frame.walls, [wall.restitution for wall in frame.walls])
-    leaving = bounce * closing
+    again = bounce(frame, side)
+    leaving = again * closing
     state = settle(frame, leaving, side * push, side * change)
-    ends = chatters(frame, leaving, side * push, bounce, chosen(side, frame.walls, frame.rushes), path.rest)
+    ends = chatters(frame, leaving, side * push, again, chosen(side, frame.walls, frame.rushes), path.rest)
     state = choose(stuck, RELEASED, choose(ends, STUCK, state))
+    if frame.soft:
+        state = choose(inside, LANDED, choose(gives(frame, side), ENTERED, state))
     least_speed = choose((state == STUCK) & (leaving > 0), ENDLESS, closing)
     return Strike(choose(stuck, 0.0, closing), least_speed, choose(side != 0, side * state, path.contact))
 
 
+def _bias(frame, path):
+    """What `contact.biases` says of the path."""
+    return biases(frame, path.contact, path.cosine, path.sine, 1) if frame.soft else (None, None)
+
+
 def part(frame, path, side, late, strike, time):
-    """The path after the event: a lane without one goes on, one that rests is kept to its wall."""
+    """The path after the event: a lane without one goes on, one that rests is kept to its wall.
+
+    One that enters a soft wall is from there on counted from it.
+    """
     cosine, sine = _turned(frame, path, late)
     stuck = lax.abs(path.contact) == STUCK
     where, speed, _, _ = surface(frame, choose(stuck, path.contact, side), cosine, sine)
     on = (side != 0) | stuck
-    leaving = chosen(side, frame.walls, [wall.restitution for wall in frame.walls]) * strike.speed
-    after = speed - side * choose(lax.abs(strike.contact) == LANDED, leaving, 0.0)
+    leaving = bounce(frame, side) * strike.speed
+    keeps = lax.abs(strike.contact) == LANDED
+    if frame.soft:
+        enters = (side != 0) & (lax.abs(strike.contact) == ENTERED)
+        keeps |= enters
+        leaving = choose(enters | is_inside(path.contact), -strike.speed, leaving)
+        where, speed = choose(enters, 0.0, where + 0.0 * side), choose(enters, 0.0, speed + 0.0 * side)
+        frame = frame._replace(swift=choose(enters, 0.0, frame.swift))
+    after = speed - side * choose(keeps, leaving, 0.0)
     x, v = choose(on, where, path.x), choose(on, after, path.v)
     moved = motion(frame, where, after, cosine, sine)
     moved = Motion(*(choose(on, new, old) for new, old in zip(moved[:4], path.motion[:4], strict=True)), cosine, sine)
     rest, rest_low = two_sum(path.rest, path.rest_low - late)
     idle = (time > 0) & ~on
     contact = choose(idle, 0.0, strike.contact)
+    if frame.soft:
+        inside = (side == 0) & is_inside(path.contact)
+        contact = choose(inside & (time > 0), lax.sign(path.contact) * WITHIN, contact)
     rest = choose(path.rest == CAPPED, CAPPED, positive(rest))
     return Path(x, choose(on, 0.0, path.x_low), v, moved, rest, rest_low, contact)
 

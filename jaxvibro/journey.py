@@ -4,31 +4,37 @@ At each turn every lane flies a step, lands and rebounds, or is done. The loop p
 measured or impacts have to be put into their slots: work that is the same for all lanes and rarely due.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from . import clearance, log
+from . import clearance, leap, log
+from .contact import is_inside
 from .flight import micro
-from .impact import STUCK
-from .lanes import choose
+from .lanes import choose, stage
 from .path import CAPPED, Path
 
 IMPACTS = 1000  # of one lane in one period, the cap
 STEPS = 8  # times the steps that a flight alone would take, the cap on the rest
 MOST_STEPS = 1e6  # of one lane in one period: more would be a hang
-GOING, FULL, CROWDED = 1, 2, 4  # what a lane may need: another step, its impacts in their slots, a measurement
+# what a lane may need: another step, its impacts in their slots, a measurement, a long step
+GOING, FULL, CROWDED, WAITING = 1, 2, 4, 8
 
 
 class Journey(NamedTuple):
-    """Where the lanes are, their impacts, their closest calls (none where there is no wall)."""
+    """Where the lanes are, their impacts, their closest calls (none where there is no wall).
+
+    wait: steps taken within a soft wall since it was entered, or a long one tried; None where there is no soft wall.
+    """
 
     path: Path
     log: log.Log
     slots: log.Slots
     calls: clearance.Calls | None
+    wait: jax.Array | None = None
 
 
 class Cap(NamedTuple):
@@ -41,12 +47,15 @@ class Cap(NamedTuple):
 def begin(frame, path, slots, end, watched=True):
     """A `Journey` that has not begun; end: when the time to go is used up; watched: with closest calls."""
     calls = clearance.nothing(path.x) if frame.walls and watched else None
-    return Journey(path, *log.empty(path.x, slots, end), calls)
+    return Journey(path, *log.empty(path.x, slots, end), calls, jnp.zeros_like(path.x) if frame.soft else None)
 
 
 def cap(frame, periods):
     """The `Cap` for some drive periods."""
-    steps = 4.0 * IMPACTS + lax.min(STEPS * frame.period / frame.reach, lax.full_like(frame.period, MOST_STEPS))
+    reach = frame.reach
+    for each in frame.contacts:
+        reach = reach if each is None else lax.min(reach, each.reach)
+    steps = 4.0 * IMPACTS + lax.min(STEPS * frame.period / reach, lax.full_like(frame.period, MOST_STEPS))
     return Cap(lax.full_like(frame.period, IMPACTS * periods), steps * periods)
 
 
@@ -56,10 +65,10 @@ def run(frame, journey, cap, again=None):
 
     def turn(journey):
         step = micro(frame, journey.path)
-        stuck = lax.abs(journey.path.contact) == STUCK
-        book = log.write(journey.log, step.side, stuck, step.strike, step.path.rest)
+        book = log.write(journey.log, step.side, journey.path.contact, step.strike, step.path.rest)
         calls = clearance.note(frame, journey.path, step, journey.calls) if watched else None
-        journey = journey._replace(path=step.path, log=book, calls=calls)
+        wait = stage(_waited, journey.wait, step.path.contact) if frame.soft else None
+        journey = journey._replace(path=step.path, log=book, calls=calls, wait=wait)
         journey = again(journey) if again else journey
         over = (journey.log.count >= cap.impacts) | (journey.log.steps > cap.steps)
         rest = choose(over & (journey.path.rest > 0), CAPPED, journey.path.rest)
@@ -68,6 +77,10 @@ def run(frame, journey, cap, again=None):
     def leg(journey):
         slots, journey = journey.slots, journey._replace(slots=None)
         journey = lax.while_loop(lambda j: _need(j) == GOING, turn, journey)
+        if frame.soft:
+            waits = (_need(journey) & WAITING) != 0
+            path, wait = lax.cond(waits, partial(leap.leap, frame), lambda *same: same, journey.path, journey.wait)
+            journey = journey._replace(path=path, wait=wait)
         need = _need(journey)
         over = (need & GOING) == 0
         pours, measures = over | ((need & FULL) != 0), over | ((need & CROWDED) != 0)
@@ -86,10 +99,16 @@ def run(frame, journey, cap, again=None):
     return lax.while_loop(pending if watched else going, leg if walls else turn, journey)
 
 
+def _waited(wait, contact):
+    return choose(is_inside(contact), wait + 1.0, 0.0)
+
+
 def _need(journey):
     """What some lane needs: a sum of GOING, FULL and CROWDED."""
     need = choose(journey.path.rest > 0, jnp.int8(GOING), jnp.int8(0))
     need |= choose(log.is_full(journey.log), jnp.int8(FULL), jnp.int8(0))
     if journey.calls is not None:
         need |= choose(clearance.is_crowded(journey.calls), jnp.int8(CROWDED), jnp.int8(0))
+    if journey.wait is not None:
+        need |= choose(leap.is_due(journey.path, journey.wait), jnp.int8(WAITING), jnp.int8(0))
     return lax.reduce(need, jnp.int8(0), lax.bitwise_or, tuple(range(need.ndim)))

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from .contact import is_inside
+from .impact import STUCK
 from .lanes import choose, least, mask, merge, stage
 
 RECENT = 4  # impacts kept at hand; the slots are touched only where a lane has more, and at the end
@@ -42,13 +44,12 @@ def empty(lanes, slots, end):
     return log, Slots(jnp.full(shape, jnp.inf, lanes.dtype), jnp.zeros(shape, lanes.dtype))
 
 
-def write(log, side, stuck, strike, rest):
+def write(log, side, contact, strike, rest):
     """The log with one step more: the `impact.Strike` of each lane with a side, with so much time to go.
 
-    stuck: the lanes that rested on a wall; a side there is that of the wall that releases the mass.
+    contact: before it. A side is no impact where the mass rested on a wall, or was within one: it is set free.
     """
-    freed = stage(_freed, side, stuck)
-    side = choose(stuck, 0.0, side)
+    freed, side = stage(_freed, side, contact), stage(_struck, side, contact)
     time, signed, slower, *places = stage(_due, log, side, strike, rest)
     return log._replace(
         times=tuple(merge(*each) for each in zip(places, [time] * RECENT, log.times, strict=False)),
@@ -61,8 +62,12 @@ def write(log, side, stuck, strike, rest):
     )
 
 
-def _freed(side, stuck):
-    return mask(stuck & (side != 0), side)
+def _freed(side, contact):
+    return mask((lax.abs(contact) == STUCK) & (side != 0), side)
+
+
+def _struck(side, contact):
+    return choose((lax.abs(contact) == STUCK) | is_inside(contact), 0.0, side)
 
 
 def _due(log, side, strike, rest):

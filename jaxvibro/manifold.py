@@ -40,6 +40,7 @@ def manifold(orbit, kind, length=20.0, phase=None, spacing=0.01, angle=0.05, fas
         raise check.SceneError("orbit", "must be an Orbit", orbit)
     if kind not in KINDS:
         raise check.SceneError("kind", f"must be one of {', '.join(KINDS)}", kind)
+    check.is_rigid(orbit.scene, "manifold")
     scene, back = orbit.scene, kind == "stable"
     size, rules = _rules(scene, length, spacing, angle, fastest, check.whole("most", most, 100))
     rate, turn = _rate(orbit, kind)

@@ -28,15 +28,18 @@ def mirrored(points):
 def is_symmetric(scene):
     """Whether the mirror image of every motion of a single scene is a motion of it.
 
-    So it is where the walls lie opposite, have equal restitution and move oppositely half a period apart; and without
-    walls.
+    So it is where the walls lie opposite, are of one kind with equal numbers, and move oppositely half a period apart;
+    and without walls.
     """
     left, right = scene.left, scene.right
     if left is None and right is None:
         return True
     if left is None or right is None:
         return False
-    if left.position != -right.position or scene.parameter("left.restitution") != scene.parameter("right.restitution"):
+    if left.position != -right.position or left.soft != right.soft:
+        return False
+    own = ("stiffness", "damping") if left.soft else ("restitution",)
+    if any(scene.parameter(f"left.{name}") != scene.parameter(f"right.{name}") for name in own):
         return False
     (m, swing), (k, opposite) = (_swing(wall.motion) for wall in (left, right))
     if swing == 0 or opposite == 0:

@@ -15,8 +15,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from . import check, flow, period
+from . import check, dwell, flow, period
 from .blocks import LEAST, batched, in_blocks
+from .contact import ENTERED, felt, flown, gives, is_inside
+from .contact import bounce as restitution
 from .entry import CAP
 from .frame import frame
 from .impact import STUCK
@@ -24,6 +26,8 @@ from .lanes import OPTIONS, choose, one_kernel, stage
 from .path import accelerations
 from .period import SLOTS
 from .state import real_state
+from .stay import carried, duration, product, share
+from .taylor import Now
 from .wall import chosen, course, less, picked
 
 
@@ -104,33 +108,60 @@ def _product(scene, state, impacts, zero, periods, slots):
         time, side, speed = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in rows)
         last = k == most
         hit = (side != 0) & ~last
-        span = choose(last, periods * built.period - past, choose(hit, time - past, 0.0))
+        span = choose(last, whole - past, choose(hit, time - past, 0.0))
         free, _, angle = flow.doubled(built.series, built.frequency, built.damping, span)
         p00, p01, p11 = free
         cosine, sine = flow.turn(cosine, sine, *angle)
-        matrix = _times((p00, p01, -p01, p11), matrix)
+        matrix = product((p00, p01, -p01, p11), matrix)
         if built.walls:
             bounce, shear = stage(_saltation, built, side, speed, cosine, sine)
-            after = _times((-bounce, zero, shear, -bounce), matrix)
+            after = product((-bounce, zero, shear, -bounce), matrix)
             matrix = tuple(choose(hit, new, old) for new, old in zip(after, matrix, strict=True))
-        return k + 1, past + span, cosine, sine, matrix
+        past = past + span
+        if built.soft:
+            touch = choose(hit & gives(built, side), side * ENTERED, 0.0)
+            return k + 1, *_stayed(built, (touch, zero, side * speed), True, past, whole, cosine, sine, matrix)
+        return k + 1, past, cosine, sine, matrix
 
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
-    start = (jnp.int32(0), zero, cosine, sine, (zero + 1.0, zero, zero, zero + 1.0))
-    return lax.while_loop(lambda carry: carry[0] <= most, turn, start)[-1]
+    whole, one = zero + periods * built.period, (zero + 1.0, zero, zero, zero + 1.0)
+    start = zero, cosine, sine, one
+    if built.soft:
+        touch = dwell.initial(built, Now(state.x + zero, state.v + zero, cosine, sine, zero), state.contact + zero)
+        start = _stayed(built, touch, False, zero, whole, cosine, sine, one)
+    return lax.while_loop(lambda carry: carry[0] <= most, turn, (jnp.int32(0), *start))[-1]
 
 
-def _times(left, right):
-    """The product of two matrices, each by rows."""
-    (a, b, c, d), (e, f, g, h) = left, right
-    return a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h
+def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):
+    """(past, cosine, sine, matrix) after the stay of lanes that are within a wall, or at the end.
+
+    lanes: contact, y, y'; enters: whether they have come from outside just now.
+    """
+    touch, y, v = lanes
+    inside, left = is_inside(touch), whole - past
+    time = choose(inside, duration(frame, touch, y, v, cosine, sine, left), 0.0)
+    here = frame._replace(**felt(frame, touch)._asdict())
+    angle = frame.frequency * time
+    after = flow.turn(cosine, sine, jnp.cos(angle) - 1.0, jnp.sin(angle))
+    _, opening = flown(here, touch, (y, v), cosine, sine, time)
+    shares = []
+    for phasor, speed in (((cosine, sine), v), (after, opening)):
+        paces = [course(wall, frame.frequency, *phasor, 1)[1] for wall in frame.walls]
+        pace = chosen(touch, frame.walls, [0.0 * v if each is None else each + 0.0 * v for each in paces])
+        shares.append(share(pace, speed))
+    out = inside & (time < left)
+    last, whole = choose(out, shares[1], 0.0), (out, v, cosine, sine)
+    new = carried(frame, touch, time, shares[0] if enters else 0.0, last, whole if enters else None)[0]
+    new = product(new, matrix)
+    new = tuple(choose(inside, one, old) for one, old in zip(new, matrix, strict=True))
+    return past + time, *after, new
 
 
 def _saltation(frame, side, speed, cosine, sine):
     """R and the lower left entry of Q, of an impact on a side with this speed; side 0: of none, any numbers."""
     walls = frame.walls
     where, pace, bend = picked(side, walls, [course(wall, frame.frequency, cosine, sine, 2) for wall in walls])
-    bounce = chosen(side, walls, [wall.restitution for wall in walls]) + 0.0 * speed
+    bounce = restitution(frame, side) + 0.0 * speed
     pace = 0.0 if pace is None else pace
     closing = side * speed
     before, _ = accelerations(frame, where, pace + closing, cosine, sine)

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import jax
 
-from . import flow
-from .lanes import stage, two_sum
+from . import contact, flow
+from .lanes import choose, stage, two_sum
+from .wall import course
 
 CAPPED = -1.0
 
@@ -32,7 +33,8 @@ class Path(NamedTuple):
 
     A lane that was given up has CAPPED to go.
 
-    contact: 0 free; times the wall's sign: 1 has landed and leaves, 2 rests on the wall, 3 is released, no push on it.
+    contact: 0 free; times the wall's sign: 1 has landed and leaves, 2 rests on the wall, 3 is within a soft wall, 4 has
+    just entered it, 5 is released, no push on it. Within a wall x and v are counted from the wall's.
     """
 
     x: jax.Array
@@ -70,34 +72,62 @@ def place(frame, motion):
     return x, low + slow_x_low, slow_v + (slow_v_low - frame.swift * frame.frequency * sine)
 
 
-def moved(frame, motion, time):
-    """The `Motion` a time later."""
-    gains = stage(flow.gains, frame.series, frame.frequency, time)
-    return Motion(*stage(_carry, frame, motion, gains), *stage(flow.turn, *motion[4:], gains.versed, gains.sined))
+def moved(frame, motion, time, touch=None):
+    """The `Motion` a time later. touch: the lanes' contact, where they may be within a soft wall."""
+    if touch is None:
+        gains, more = stage(flow.gains, frame.series, frame.frequency, time), None
+    else:
+        gains = stage(contact.gains, frame, touch, time)
+        waves = stage(contact.waves, frame, touch, time) if contact.moves(frame) else None
+        more = stage(contact.pushed, frame, touch, motion, gains, waves)
+    slow = stage(_carry, frame, motion, gains, touch, more)
+    return Motion(*slow, *stage(flow.turn, *motion[4:], gains.versed, gains.sined))
 
 
-def _carry(frame, motion, gains):
-    """(slow_x, slow_x_low, slow_v, slow_v_low) after a flight."""
+def _carry(frame, motion, gains, touch, more):
+    """(slow_x, slow_x_low, slow_v, slow_v_low) after a flight; more: what the drive's force is not the cause of."""
     twist = frame.damping * frame.frequency
     along = -2.0 * frame.swift * (motion.cosine + twist * (motion.cosine - motion.sine))
     across = -2.0 * frame.swift * (motion.sine + twist * (motion.sine + motion.cosine))
+    if touch is not None:
+        inside = contact.is_inside(touch)
+        along = choose(inside, frame.force * motion.cosine, along)
+        across = choose(inside, frame.force * motion.sine, across)
     stay, move, lift, lag = gains[:4]
     dx = stay * motion.slow_x + (move * motion.slow_v + (along * lift - across * lag))
     forced = along * (move - frame.frequency * lag) - across * (frame.frequency * lift)
-    dv = (stay - 2.0 * frame.damping * move) * motion.slow_v + (forced - move * motion.slow_x)
+    dv = (stay - 2.0 * frame.damping * move) * motion.slow_v + (
+        forced - move * flow.pulled(frame.stiffness, motion.slow_x)
+    )
+    if more is not None:
+        dx, dv = dx + more[0], dv + more[1]
     return *two_sum(motion.slow_x, dx + motion.slow_x_low), *two_sum(motion.slow_v, dv + motion.slow_v_low)
 
 
-def accelerations(frame, x, v, cosine, sine):
-    """The acceleration of a free mass, and its rate of change."""
-    pull = frame.force * cosine - x - 2.0 * frame.damping * v
-    return pull, -(frame.force * sine) * frame.frequency - v - 2.0 * frame.damping * pull
+def absolute(frame, path):
+    """(x, v) of the lanes, also of those that are within a soft wall."""
+    x, v = path.x, path.v
+    for wall, soft in zip(frame.walls, frame.contacts, strict=True):
+        if soft is not None:
+            where, pace = course(wall, frame.frequency, path.cosine, path.sine, 1)
+            inside = contact.is_inside(path.contact) & (path.contact * wall.sign > 0)
+            x = choose(inside, where + path.x, x)
+            v = v if pace is None else choose(inside, pace + path.v, v)
+    return x, v
 
 
-def jet(frame, x, v, cosine, sine, order):
+def accelerations(frame, x, v, cosine, sine, bias=(None, None)):
+    """The acceleration of a free mass, and its rate of change; bias: see `flow.extend`."""
+    drive = frame.force * cosine, -(frame.force * sine) * frame.frequency
+    return flow.extend(frame.frequency, frame.damping, frame.stiffness, drive, bias, (x, v))[1]
+
+
+def jet(frame, x, v, cosine, sine, order, bias=()):
     """x and its derivatives, two at a time so that each is computed once: at least as many as the order."""
     force, found = (frame.force * cosine, -(frame.force * sine) * frame.frequency), [x, v]
+    bias = [*bias, *[None] * order]
     while len(found) <= order:
-        force, new = stage(flow.extend, frame.frequency, frame.damping, force, found[-2:])
+        pair = bias[len(found) - 2 : len(found)]
+        force, new = stage(flow.extend, frame.frequency, frame.damping, frame.stiffness, force, pair, found[-2:])
         found += new
     return found

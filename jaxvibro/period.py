@@ -9,11 +9,12 @@ from jax import lax
 
 from . import journey
 from .blocks import in_blocks
+from .contact import WITHIN, is_inside
 from .entry import CAP, FULL, NONFINITE, OK, enter
 from .frame import frame
 from .impact import STUCK
 from .lanes import choose, one_kernel, positive, stage
-from .path import CAPPED
+from .path import CAPPED, absolute
 from .state import Impacts, State
 
 SLOTS = 32  # impacts of a period whose derivatives can be told
@@ -59,7 +60,7 @@ def through(scene, state, periods, slots, watched=True):
     limit = journey.cap(built, periods)
     again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
     told = journey.run(built, journey.begin(built, path, slots, end, watched), limit, again)
-    return finish(told, state, fault), told.log.freed
+    return finish(built, told, state, fault), told.log.freed
 
 
 def _again(frame, start, last, told):
@@ -76,18 +77,20 @@ def _again(frame, start, last, told):
     return told._replace(path=path, log=book._replace(end=end))
 
 
-def finish(told, state, fault):
+def finish(frame, told, state, fault):
     """(State, Impacts) of a journey at its end."""
-    path, book, slots, calls = told
+    path, book, slots, calls = told[:4]
+    x, v = absolute(frame, path)
     full = (book.count > slots.times.shape[-1]) | (book.least_speed < 0)
     status = choose(full, lax.full_like(book.count, FULL), OK)
     status = choose(path.rest == CAPPED, CAP, status)
-    status = choose(jnp.isfinite(path.x) & jnp.isfinite(path.v), status, NONFINITE)
+    status = choose(jnp.isfinite(x) & jnp.isfinite(v), status, NONFINITE)
     status = choose(fault == OK, status, fault)
     good = status < CAP
-    contact = jnp.sign(path.contact) * choose(abs(path.contact) == STUCK, STUCK, abs(jnp.sign(path.contact)))
+    kind = choose(is_inside(path.contact), WITHIN, abs(jnp.sign(path.contact)))
+    contact = jnp.sign(path.contact) * choose(abs(path.contact) == STUCK, STUCK, kind)
     phase = jnp.broadcast_to(state.phase, status.shape)
-    end = State(choose(good, path.x, jnp.nan), choose(good, path.v, jnp.nan), phase, choose(good, contact, 0.0))
+    end = State(choose(good, x, jnp.nan), choose(good, v, jnp.nan), phase, choose(good, contact, 0.0))
     none = jnp.full_like(path.x, jnp.inf)
     return end, Impacts(
         time=slots.times,

@@ -1,5 +1,7 @@
 """A scene from dimensional quantities: M X'' + C X' + K X = F cos(Omega T) between walls (paper, section 1)."""
 
+from dataclasses import replace
+
 import numpy as np
 from jax import numpy as jnp
 
@@ -11,8 +13,8 @@ def scene_from_physical(mass, damping, stiffness, force, frequency, restitution,
     """The nondimensional scene of a mass on a spring, in any consistent set of units.
 
     mass M > 0, damping C >= 0, stiffness K > 0, force F, frequency Omega > 0 in radians per unit of time, restitution
-    R: numbers or arrays that broadcast. walls: (left, right) as in `make_scene`, positions and motions in the unit of
-    length of M, C, K and F.
+    R: numbers or arrays that broadcast. walls: (left, right) as in `make_scene`, in the units of M, C, K and F: a
+    soft wall's stiffness is the force it adds over how far the mass is beyond it, its damping takes the place of C.
 
     length d is what the scene measures lengths in; None takes the right wall's position, which must then be above 0:
     the scene's right wall stands at 1. With w0 = sqrt(K / M) the scene has amplitude F / (K d), frequency Omega / w0,
@@ -36,7 +38,7 @@ def scene_from_physical(mass, damping, stiffness, force, frequency, restitution,
         frequency=of["frequency"] / natural,
         damping=of["damping"] / (2 * of["mass"] * natural),
         restitution=restitution,
-        walls=tuple(_scaled(side, wall, of["length"], kind) for side, wall in zip(SIDES, walls, strict=True)),
+        walls=tuple(_scaled(side, wall, of, natural, kind) for side, wall in zip(SIDES, walls, strict=True)),
         dtype=kind,
     )
 
@@ -49,14 +51,16 @@ def _length(walls):
     return position
 
 
-def _scaled(side, wall, length, kind):
-    """The wall with its lengths divided by the unit of length."""
+def _scaled(side, wall, of, natural, kind):
+    """The wall with its lengths in the unit of length, its stiffness in K, its damping in 2 M w0."""
     if wall is None:
         return None
     if not isinstance(wall, Wall):
         wall = Wall(wall)
-    position = check.number(f"{side}.position", wall.position, kind) / length
-    if not isinstance(wall.motion, Motion):
-        return Wall(position, wall.restitution, wall.motion)
-    amplitude = check.number(f"{side}.motion.amplitude", wall.motion.amplitude, kind) / length
-    return Wall(position, wall.restitution, Motion(amplitude, wall.motion.phase, wall.motion.harmonic))
+    units = {"position": of["length"], "stiffness": of["stiffness"], "damping": 2 * of["mass"] * natural}
+    given = {name: getattr(wall, name) for name in units if getattr(wall, name) is not None}
+    scaled = {name: check.number(f"{side}.{name}", value, kind) / units[name] for name, value in given.items()}
+    if isinstance(wall.motion, Motion):
+        amplitude = check.number(f"{side}.motion.amplitude", wall.motion.amplitude, kind) / of["length"]
+        scaled["motion"] = replace(wall.motion, amplitude=amplitude)
+    return replace(wall, **scaled)

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 
 from continuation.kept import kept
 
-from .impact import STUCK
+from .contact import WITHIN
+from .impact import LANDED, STUCK
 from .scene import SIDES
 from .state import State
 
@@ -33,13 +34,22 @@ def _place(wall, sign, scene, phase):
 def fit(scene, state):
     """The state where it keeps between the scene's walls, else the nearest that does.
 
-    A mass beyond a wall is put on it with the velocity that it has. One that is in contact goes along with its wall;
-    one that rests there takes the wall's velocity, and one that has landed and is met again by the wall is free to
-    rebound. Where the walls are as they were, this changes nothing.
+    A mass beyond a rigid wall is put on it with the velocity that it has. One that is in contact goes along with its
+    wall; one that rests there takes the wall's velocity, and one that has landed and is met again by the wall is free
+    to rebound. A mass within a soft wall stays where it is, and is free where the wall has gone away from it. Where the
+    walls are as they were, this changes nothing.
     """
     x, v, contact = state.x, state.v, state.contact
     rests = abs(contact) == STUCK
-    for sign, (place, pace) in zip(SIGNS, places(scene, state.phase), strict=True):
+    walls = (getattr(scene, side) for side in SIDES)
+    for sign, wall, (place, pace) in zip(SIGNS, walls, places(scene, state.phase), strict=True):
+        if wall is not None and wall.soft:
+            within = contact * sign == WITHIN
+            contact = jnp.where(within & (sign * (x - place) < 0), 0.0, contact)
+            landed = contact * sign == LANDED
+            x = jnp.where(landed, place, x)
+            contact = jnp.where(landed & (sign * (v - pace) > 0), 0.0, contact)
+            continue
         held = contact * sign > 0
         x = jnp.where(held | (sign * (x - place) > 0), place, x)
         v = jnp.where(held & rests, pace, v)

@@ -6,23 +6,25 @@ Taylor polynomials as long as the order of the derivatives asked for. So flights
 iteration is differentiated but Newton's on these polynomials: k steps are right to the order 2^k - 1.
 """
 
-import math
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from . import event, flow
+from . import dwell, flow, taylor
+from .contact import bounce, is_inside
 from .impact import STUCK
 from .lanes import choose, stage
-from .wall import chosen, course, less, picked, press
+from .taylor import Now
+from .wall import course, less, picked, press
 
 
 class Known(NamedTuple):
     """What happened: times and sides (-1, 0, +1) of the impacts, shape (slots, lanes), inf and 0 where there is none;
     count: how many, below 0 where a replay is not possible; freed: when the mass was last released from a wall, -1 if
-    never; rests: the side of the wall that it rests on at the end, else 0; slowest: the place of the slowest impact."""
+    never; rests: the contact of a mass that rests on a wall at the end, or is within a soft one, else 0; slowest: the
+    place of the slowest impact."""
 
     times: jax.Array
     sides: jax.Array
@@ -32,16 +34,6 @@ class Known(NamedTuple):
     slowest: jax.Array | None = None
 
 
-class Now(NamedTuple):
-    """x, v and the drive's phasor at a time since the start; the time is a constant."""
-
-    x: jax.Array
-    v: jax.Array
-    cosine: jax.Array
-    sine: jax.Array
-    time: jax.Array
-
-
 def replay(frame, state, known, periods, order):
     """((x, v) at the end, times, speeds of the impacts: shape (slots, lanes)), with derivatives right to an order."""
     zero = lax.full_like(known.freed, 0.0)
@@ -49,14 +41,20 @@ def replay(frame, state, known, periods, order):
     start = _held(frame, Now(state.x + zero, state.v + zero, cosine, sine, zero), _resting(state.contact) + zero)
     span = periods * frame.period
     whole = lax.stop_gradient(span) + zero
+    if frame.soft:
+        start = dwell.begun(frame, start, state.contact + zero, whole, order)
     if frame.walls:
         end, times, speeds = _journey(frame, start, known, whole, order)
     else:
         end, times, speeds = _fly(frame, start, whole), known.times, jnp.zeros_like(known.times)
-    path, late = _jet(frame, end, order), span - whole
-    last = start._replace(x=_shifted(path, late, order), v=_shifted(path[1:], late, order))
-    last = _held(frame, last, known.rests)
+    late = span - whole
+    last = start._replace(**dict(zip("xv", dwell.shifted(frame, end, _within(known.rests), late, order), strict=True)))
+    last = _held(frame, last, _resting(known.rests))
     return (last.x, last.v), times, speeds
+
+
+def _within(contact):
+    return choose(is_inside(contact), contact, 0.0)
 
 
 def _journey(frame, start, known, whole, order):
@@ -78,6 +76,8 @@ def _journey(frame, start, known, whole, order):
         late, speed, x, v = stage(_kick, frame, now, side, order=order)
         rows = [_put(*each, k, hit) for each in zip(rows, (time + late, speed), strict=True)]
         now = now._replace(x=choose(hit, x, now.x), v=choose(hit, v, now.v))
+        if frame.soft:
+            now = dwell.entered(frame, now, choose(hit, side, 0.0), late, whole, order)
         return k + (~waits).astype(jnp.int32), choose(due, -1.0, freed), now, *rows
 
     carry = (jnp.int32(0), known.freed, start, known.times, jnp.zeros_like(known.times))
@@ -121,75 +121,17 @@ def _left(frame, now, due, order):
     side = lax.full_like(now.x, float(frame.walls[0].sign))
     if len(pushes) == 2:
         side = choose(lax.abs(pushes[1][0]) < lax.abs(pushes[0][0]), 1.0, side)
-    late = _root(_terms(picked(side, frame.walls, pushes)), order)
-    way = _way(frame, now, side, order)
-    where, speed = _shifted(way, late, order), _shifted(way[1:], late, order)
-    x, v = _back(frame, now, where, lax.full_like(late, 0.0) if speed is None else speed, late, order)
+    late = taylor.root(picked(side, frame.walls, pushes), order)
+    way = taylor.way(frame, now, side, order)
+    x, v = taylor.back(frame, now, *taylor.placed(way, late, order), late, order)
     return now._replace(x=choose(due, x, now.x), v=choose(due, v, now.v))
 
 
 def _kick(frame, now, side, order):
     """(late, speed against the wall, x, v) of an impact about now, brought back to now."""
-    path, way = _jet(frame, now, order), _way(frame, now, side, order)
-    late = _root(_terms([less(a, b) for a, b in zip(path[: order + 1], way, strict=False)]), order)
-    where, speed, v = _shifted(way, late, order), _shifted(way[1:], late, order), _shifted(path[1:], late, order)
-    closing = less(v, speed)
-    after = less(v, (1.0 + chosen(side, frame.walls, [wall.restitution for wall in frame.walls])) * closing)
-    return late, side * closing, *_back(frame, now, where, after, late, order)
-
-
-def _way(frame, now, side, order):
-    """Position of the wall on a side and its derivatives, one more than the order."""
-    ways = [course(wall, frame.frequency, now.cosine, now.sine, order + 1) for wall in frame.walls]
-    return picked(side, frame.walls, ways)
-
-
-def _pulls(frame, now, order):
-    """The drive's force and its derivatives, one less than the order."""
-    found = [frame.force * now.cosine, -(frame.force * now.sine) * frame.frequency]
-    while len(found) < order:
-        found.append(-(frame.frequency * frame.frequency) * found[-2])
-    return found[:order]
-
-
-def _free(frame, x, v, pulls):
-    """x and its derivatives on a free flight."""
-    found = [x, v]
-    for pull in pulls:
-        found.append(pull - found[-2] - 2.0 * frame.damping * found[-1])
-    return found
-
-
-def _jet(frame, now, order):
-    return _free(frame, now.x, now.v, _pulls(frame, now, order))
-
-
-def _back(frame, now, x, v, late, order):
-    """x and v now of a free flight that is at x, v a little later."""
-    pulls = _pulls(frame, now, order)
-    path = _free(frame, x, v, [_shifted(pulls[k:], late, order - 1 - k) for k in range(order)])
-    return _shifted(path, -late, order), _shifted(path[1:], -late, order)
-
-
-def _terms(derivatives):
-    """Taylor coefficients from derivatives, None being zero."""
-    return [None if each is None else each * (1.0 / math.factorial(k)) for k, each in enumerate(derivatives)]
-
-
-def _shifted(derivatives, late, order):
-    """The Taylor polynomial of an order with these derivatives, a time later."""
-    terms = _terms(derivatives[: order + 1])
-    total = terms[-1]
-    for term in terms[-2::-1]:
-        total = term if total is None else less(total * late, None if term is None else -term)
-    return total
-
-
-def _root(terms, order):
-    """The root near 0 of the polynomial with these coefficients, right to an order in its value at 0."""
-    found = -terms[0] / terms[1]
-    terms = [jnp.zeros_like(found) if term is None else term for term in terms]
-    for _ in range(math.ceil(math.log2(order + 1)) - 1):
-        value, slope = event.horner(terms, found)
-        found = found - value / slope
-    return found
+    path, way = taylor.jet(frame, now, order), taylor.way(frame, now, side, order)
+    late = taylor.root([less(a, b) for a, b in zip(path[: order + 1], way, strict=False)], order)
+    (where, speed), v = taylor.placed(way, late, order), taylor.shifted(path[1:], late, order)
+    closing = v - speed
+    after = v - (1.0 + bounce(frame, side)) * closing
+    return late, side * closing, *taylor.back(frame, now, where, after, late, order)

@@ -27,17 +27,36 @@ class Motion:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A rigid wall: its mean position, its own restitution (None takes the scene's), its motion (None stands still)."""
+    """A wall: its mean position, what it does to the mass, its motion (None stands still).
+
+    A rigid wall has a restitution (None takes the scene's). A soft one has a stiffness k2 > 0 in its place, and a
+    damping gamma2 >= 0 (None takes the scene's): beyond it x'' + 2 gamma2 x' + k2 (x - x_b) + x = A cos(omega t), until
+    x is back at x_b (paper, (39)).
+    """
 
     position: jax.Array
     restitution: jax.Array | None = None
+    stiffness: jax.Array | None = None
+    damping: jax.Array | None = None
     motion: Motion | None = None
+
+    @property
+    def soft(self):
+        """Whether the wall gives way."""
+        return self.stiffness is not None
+
+    @property
+    def taken(self):
+        """The names of what it takes from the scene."""
+        name = "damping" if self.soft else "restitution"
+        return () if getattr(self, name) is not None else (name,)
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """x'' + 2 damping x' + x = amplitude cos(frequency t) between the walls, y+ - v = -restitution (y- - v) at one.
+    """x'' + 2 damping x' + x = amplitude cos(frequency t) between the walls, y+ - v = -restitution (y- - v) at a rigid
+    one; beyond a soft one as `Wall` says.
 
     Every real number is an array; together they broadcast to the batch of scenes. A wall that is None is not there.
     Make one with `make_scene`, which checks it.
@@ -67,23 +86,30 @@ class Scene:
         for side in SIDES:
             wall = getattr(self, side)
             if wall is not None:
-                found += [f"{side}.position", f"{side}.restitution"]
+                own = ("position", "stiffness", "damping") if wall.soft else ("position", "restitution")
+                found += [f"{side}.{name}" for name in own]
                 found += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
         return tuple(found)
 
     def parameter(self, name):
-        """The value of a parameter, an array; a wall without a restitution of its own gives the scene's.
+        """The value of a parameter, an array; a wall without a restitution, or damping, of its own gives the scene's.
 
         Raises SceneError where the scene has no parameter of this name.
         """
         check.is_known(name, self.names, name)
         value = reduce(getattr, name.split("."), self)
-        return self.restitution if value is None else value
+        return getattr(self, name.split(".")[-1]) if value is None else value
+
+    def bounce(self, side):
+        """R of a wall, with which the velocity against it comes back; -1 of a soft one, which lets it pass."""
+        wall = getattr(self, side)
+        return -jnp.ones_like(wall.position) if wall.soft else self.parameter(f"{side}.restitution")
 
     def replace(self, **changes):
         """The same scene with other values: `scene.replace(**{"amplitude": 3.0, "right.restitution": 0.5})`.
 
-        Naming a wall's restitution gives that wall its own. The new scene is checked like any other: SceneError.
+        Naming a wall's restitution, or damping, gives that wall its own. The new scene is checked like any other:
+        SceneError.
         """
         return _checked(changed(self, changes), self.dtype)
 
@@ -154,8 +180,10 @@ def _numbers(scene, dtype):
     def standing(side, wall):
         if wall is None:
             return None
-        own = None if wall.restitution is None else number(f"{side}.restitution", wall.restitution)
-        return Wall(number(f"{side}.position", wall.position), own, moving(side, wall.motion))
+        check.is_of_one_kind(side, wall)
+        own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
+        own = {name: number(f"{side}.{name}", value) for name, value in own.items() if value is not None}
+        return Wall(number(f"{side}.position", wall.position), **own, motion=moving(side, wall.motion))
 
     plain = {key: number(key, getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
     return Scene(**plain, left=standing("left", scene.left), right=standing("right", scene.right))

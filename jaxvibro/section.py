@@ -39,6 +39,8 @@ def return_map(scene, side, phase, velocity, periods=2, slots=32):
     """
     if side not in SIDES or getattr(scene, side) is None:
         raise check.SceneError("side", "must be a wall of the scene, left or right", side)
+    if getattr(scene, side).soft:
+        raise check.SceneError("side", "must be a rigid wall: a soft one is left later than it is met", side)
     k = SIDES.index(side)
     sign, phase = SIGNS[k], jnp.asarray(check.real("phase", phase, scene.dtype))
     start = State(places(scene, phase)[k][0], velocity, phase, LANDED * sign)

@@ -12,7 +12,7 @@ from . import check, journey
 from .entry import CAP, OK, enter
 from .frame import frame
 from .lanes import choose
-from .path import CAPPED
+from .path import CAPPED, absolute
 from .period import finish
 from .state import STATUS, real_state
 
@@ -51,12 +51,14 @@ def _sampled(scene, state, periods, samples):
         angle, end = step
         turned = told.path.motion._replace(cosine=jnp.cos(angle), sine=jnp.sin(angle))
         path = told.path._replace(motion=turned, rest=choose(told.path.rest == CAPPED, CAPPED, span))
-        return journey.run(built, told._replace(path=path, log=told.log._replace(end=end)), limit), (path.x, path.v)
+        return journey.run(built, told._replace(path=path, log=told.log._replace(end=end)), limit), absolute(
+            built, path
+        )
 
     ends = span * jnp.arange(1, periods * samples + 1)
     told, (x, v) = lax.scan(sample, journey.begin(built, path, SLOTS, ends[0]), (angles[:-1], ends))
-    _, impacts = finish(told, state, fault)
-    return jnp.append(x, told.path.x), jnp.append(v, told.path.v), angles, impacts
+    last, impacts = finish(built, told, state, fault)
+    return jnp.append(x, last.x), jnp.append(v, last.v), angles, impacts
 
 
 _trace = kept(_sampled, static_argnums=(2, 3))

@@ -67,8 +67,8 @@ def _recorded(task):
 
     def found(*leaves):
         (end, impacts), freed = _real(inner(*task.tree.unflatten(leaves)))
-        rests = jnp.where(abs(end.contact) == STUCK, jnp.sign(end.contact), 0.0)
-        lost = (impacts.status >= CAP) | ((impacts.count > slots) & (rests == 0))
+        rests = jnp.where(abs(end.contact) >= STUCK, end.contact, 0.0)
+        lost = (impacts.status >= CAP) | ((impacts.count > slots) & (abs(rests) != STUCK))
         count = jnp.where(lost, -1.0, impacts.count)
         known = Known(impacts.time, impacts.side, count, freed, rests, _slowest(impacts))
         full = (impacts.status == OK) & (impacts.count > task.slots)

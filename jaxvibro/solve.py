@@ -172,10 +172,11 @@ def _refuse_uncertain(scene, found, count, length):
     """Refuse what certified flights from each impact do not confirm."""
     times, _, sides, phase = found.cycle[:4]
     flights, follows = found.flights, found.flights.follows[:count]
+    leaves = times[:count] if flights.met.stay is None else times[:count] + flights.met.stay[:count]
     starts = State(
         flights.x[:count],
         flights.v[:count],
-        phase + np.asarray(scene.frequency) * times[:count],
+        phase + np.asarray(scene.frequency) * leaves,
         sides[:count],
     )
     spans = flights.time[:count]

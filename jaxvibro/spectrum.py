@@ -40,6 +40,7 @@ def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, pro
     Raises SceneError as `sweep` does, for an error that is not positive, and for counts that cannot be.
     """
     check.is_single(scene)
+    check.is_rigid(scene, "spectrum")
     settle, most = check.whole("settle", settle, 0), check.whole("most", most, 1)
     goal = check.number("error", error, np.float64)
     check.require("error", "must be greater than 0", goal, goal > 0)

@@ -15,7 +15,8 @@ STATUS = ("ok", "full", "cap", "invalid", "nonfinite")
 class State:
     """A state at a phase of the drive: x, v (lengths of the scene, lengths per t), phase (rad), contact.
 
-    contact: 0 free, -1 or +1 has landed on the left or right wall and leaves it, -2 or +2 rests on it.
+    contact: 0 free, -1 or +1 has landed on the left or right wall and leaves it, -2 or +2 rests on it, -3 or +3 is
+    within it, a soft one. A free state that is beyond a soft wall is within it too.
     """
 
     x: jax.Array

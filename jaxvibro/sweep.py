@@ -13,13 +13,13 @@ from continuation.kept import kept
 from . import check
 from .entry import CAP, OK
 from .lanes import OPTIONS
-from .place import fit, places
+from .place import SIGNS, fit, places
 from .scene import SIDES
 from .state import STATUS, State
 from .strobe import strobe
 
 CHUNK = 16  # values between two reports of progress
-EQUATION = "x'' + 2 damping x' + x = amplitude cos(frequency t), y+ - v_b = -restitution (y- - v_b) at a wall"
+EQUATION = "x'' + 2 damping x' + x = amplitude cos(frequency t), y+ - v_b = -restitution (y- - v_b) at a rigid wall"
 MEANING = {"flag_values": list(range(len(STATUS))), "flag_meanings": " ".join(STATUS)}
 UNITS = "lengths in that of the walls, time t in 1/w0"
 
@@ -76,8 +76,12 @@ def started(state, dtype, beside):
 
 
 def check_start(first, state):
-    """Refuse a free start beyond a wall; one in contact with a wall is that wall's."""
+    """Refuse a free start beyond a rigid wall; one in contact with a wall is that wall's."""
     (low, _), (high, _) = jax.tree.map(np.asarray, places(first, state.phase))
+    low, high = (
+        where + (0.0 if wall is None or not wall.soft else sign * np.inf)
+        for where, wall, sign in zip((low, high), (first.left, first.right), SIGNS, strict=True)
+    )
     size = np.maximum(*(np.where(np.isfinite(place), abs(place), 0.0) for place in (low, high)))
     slack = 8.0 * np.finfo(first.dtype).eps * size
     inside = ((state.x >= low - slack) & (state.x <= high + slack)) | (state.contact != 0)
@@ -170,8 +174,8 @@ def _dataset(scene, name, values, state, parts):
 
 
 def others(scene, name):
-    """The parameters that are not swept; of the walls' restitutions those that the walls have of their own."""
-    follows = [f"{side}.restitution" for side, wall in _walls(scene).items() if wall.restitution is None]
+    """The parameters that are not swept, without those that a wall takes from the scene."""
+    follows = [f"{side}.{name}" for side, wall in _walls(scene).items() for name in wall.taken]
     return {key: scene.parameter(key) for key in scene.names if key != name and key not in follows}
 
 

@@ -31,16 +31,18 @@ class MotionTable(Table):
 
 
 class WallTable(Table):
-    """[scene.left]: a `Wall`; without restitution it has the scene's."""
+    """[scene.left]: a `Wall`; a rigid one without restitution has the scene's, a soft one without damping too."""
 
     position: float
     restitution: float | None = None
+    stiffness: float | None = None
+    damping: float | None = None
     motion: MotionTable | None = None
 
     def wall(self):
         """The `Wall` described, not yet checked."""
         motion = self.motion and Motion(self.motion.amplitude, self.motion.phase, self.motion.harmonic)
-        return Wall(self.position, self.restitution, motion)
+        return Wall(self.position, self.restitution, self.stiffness, self.damping, motion)
 
 
 class SceneTable(Table):
@@ -213,8 +215,9 @@ def table_of(scene):
             return None
         move = wall.motion
         moving = move and MotionTable(amplitude=float(move.amplitude), phase=float(move.phase), harmonic=move.harmonic)
-        own = None if wall.restitution is None else float(wall.restitution)
-        return WallTable(position=float(wall.position), restitution=own, motion=moving)
+        own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
+        own = {name: float(value) for name, value in own.items() if value is not None}
+        return WallTable(position=float(wall.position), **own, motion=moving)
 
     plain = {key: float(getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
     return SceneTable(**plain, left=table(scene.left), right=table(scene.right))

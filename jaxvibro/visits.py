@@ -27,6 +27,7 @@ def sections(scene, state, phase=0.0, periods=1000, settle=300):
     Raises SceneError for a batch, numbers that cannot be, and a motion that ends with a bad status.
     """
     check.is_single(scene)
+    check.is_rigid(scene, "sections")
     settle, periods = check.whole("settle", settle, 0), check.whole("periods", periods, 1)
     state = real_state(scene, state)
     if np.shape(state.x + state.v + state.phase + state.contact):
@@ -64,7 +65,7 @@ def _dataset(scene, phase, parts):
         after = np.empty(0)
         if getattr(scene, name) is not None:
             pace = np.asarray(places(scene, angle)[k][1])
-            after = pace - float(scene.parameter(f"{name}.restitution")) * sign * speed[hit]
+            after = pace - float(scene.bounce(name)) * sign * speed[hit]
         columns[f"{name}_phase"] = f"{name}_impact", np.mod(angle, 2.0 * np.pi), {"units": "rad"}
         columns[f"{name}_velocity"] = f"{name}_impact", after, SPEED
     numbers = {key: float(scene.parameter(key)) for key in scene.names}

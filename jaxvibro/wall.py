@@ -13,30 +13,39 @@ from .lanes import choose
 class Lane:
     """One wall, its numbers scalars or lanes: x_b = position + swing cos(harmonic omega t + phase).
 
-    sign: -1 for the left wall, +1 for the right; swing: None where it stands still; cosine, sine: of its phase.
+    sign: -1 for the left wall, +1 for the right; swing: None where it stands still; cosine, sine: of its phase;
+    restitution: of a rigid wall; stiffness k2, damping gamma2: of a soft one, which has them in its place.
     """
 
     position: jax.Array
-    restitution: jax.Array
+    restitution: jax.Array | None
     swing: jax.Array | None
     cosine: jax.Array | None
     sine: jax.Array | None
     sign: int = field(metadata={"static": True})
     harmonic: int = field(default=1, metadata={"static": True})
+    stiffness: jax.Array | None = None
+    damping: jax.Array | None = None
 
 
-def lane(wall, restitution, sign, dtype):
-    """The `Lane` of a scene's wall; restitution: the scene's, for a wall without its own."""
+def lane(wall, restitution, damping, sign, dtype):
+    """The `Lane` of a scene's wall; restitution, damping: the scene's, for a wall without its own."""
 
     def number(value):
         return jnp.asarray(value, dtype)
 
-    position, own = number(wall.position), number(restitution if wall.restitution is None else wall.restitution)
-    motion = wall.motion
-    if motion is None:
-        return Lane(position, own, None, None, None, sign)
-    phase = number(motion.phase)
-    return Lane(position, own, number(motion.amplitude), jnp.cos(phase), jnp.sin(phase), sign, motion.harmonic)
+    position, motion = number(wall.position), wall.motion
+    if wall.soft:
+        own = {"restitution": None, "stiffness": number(wall.stiffness)}
+        own["damping"] = number(damping if wall.damping is None else wall.damping)
+    else:
+        own = {"restitution": number(restitution if wall.restitution is None else wall.restitution)}
+    moves = {"swing": None, "cosine": None, "sine": None}
+    if motion is not None:
+        phase = number(motion.phase)
+        moves = {"swing": number(motion.amplitude), "cosine": jnp.cos(phase), "sine": jnp.sin(phase)}
+        moves["harmonic"] = motion.harmonic
+    return Lane(position, sign=sign, **own, **moves)
 
 
 def extent(wall):

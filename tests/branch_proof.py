@@ -37,7 +37,7 @@ def scene_of(rng):
     own = None if rng.random() < 0.5 else rng.uniform(0.3, 0.95)
     kind = rng.integers(4)
     motion = jv.Motion(rng.uniform(0.05, 0.25), rng.uniform(0, 6.28)) if kind == 2 else None
-    walls = (None if kind == 3 else jv.Wall(left, own), jv.Wall(right, None, motion))
+    walls = (None if kind == 3 else jv.Wall(left, own), jv.Wall(right, motion=motion))
     if kind == 0:
         walls = (jv.Wall(-1.0), jv.Wall(1.0))
     return jv.make_scene(amplitude, omega, gamma, rng.uniform(0.5, 0.9), walls)

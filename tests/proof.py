@@ -29,7 +29,7 @@ def scene_of(scenes):
         if walls[0].motion is not None:
             amplitude, phase, harmonic = zip(*(each.motion for each in walls), strict=True)
             motion = jv.Motion(column(amplitude), column(phase), harmonic[0])
-        return jv.Wall(column([w.position for w in walls]), column([w.restitution for w in walls]), motion)
+        return jv.Wall(column([w.position for w in walls]), column([w.restitution for w in walls]), motion=motion)
 
     return jv.make_scene(
         column([s.amplitude for s in scenes]),
@@ -121,7 +121,7 @@ def first_flights(count, left, right, periods, seed=0):
                 motion = None
                 if each.harmonic:
                     motion = jv.Motion(double(each.swing), double(each.phase), int(each.harmonic))
-                return jv.Wall(double(each.position), 0.7, motion)
+                return jv.Wall(double(each.position), 0.7, motion=motion)
         return None
 
     scene = jv.make_scene(*map(double, (lanes.amplitude, lanes.omega, lanes.gamma)), 0.7, (wall(-1), wall(1)))

@@ -10,12 +10,13 @@ FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROO
 # A file imports only from files named before it; `plot` and `paper` stand for all files of those folders.
 ORDER = [
     *("gap", "text", "check", "scene", "physical", "whole", "tables", "rules", "scenefile"),
-    *("lanes", "blocks", "flow", "path", "wall", "event", "impact", "frame", "flight"),
-    *("log", "clearance", "entry", "journey", "state", "period", "replay", "slopes", "strobe", "monodromy", "simulate"),
+    *("lanes", "blocks", "flow", "wall", "contact", "path", "event", "impact", "frame", "flight", "leap"),
+    *("log", "clearance", "entry", "journey", "state", "period", "taylor", "stay", "dwell", "replay", "slopes"),
+    *("strobe", "monodromy", "simulate"),
     *("itinerary", "place", "section", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
     *("tangent", "spread", "rates", "growth", "spectrum"),
-    *("cycle", "passes", "orbit", "solve", "shoot", "find", "orbits"),
-    *("ring", "along", "look", "rows", "graze", "dips", "image", "monitor", "piece", "walk"),
+    *("meet", "cycle", "passes", "orbit", "solve", "shoot", "find", "orbits"),
+    *("ring", "along", "look", "rows", "graze", "brush", "dips", "image", "monitor", "piece", "walk"),
     *("told", "branch", "domain", "assemble", "follow", "switch", "mirror", "tree"),
     *("curve", "codim", "track", "outset", "locus", "family", "loci", "coexistence"),
     *("diagram", "probe", "explore", "diagrams"),

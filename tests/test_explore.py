@@ -80,7 +80,7 @@ def test_what_random_starts_settle_on_is_on_it(scene, diagram):
 
 @pytest.mark.slow
 def test_a_scene_of_one_wall_that_moves():
-    wall = jv.Wall(0.8, 0.6, jv.Motion(0.1, 0.5))
+    wall = jv.Wall(0.8, 0.6, motion=jv.Motion(0.1, 0.5))
     scene = jv.make_scene(1.0, 1.8, 0.1, 0.6, (None, wall))
     diagram = jv.explore(scene, "amplitude", (0.2, 4.0), max_period=1)
     assert diagram.complete

@@ -213,7 +213,7 @@ SCENES = {
     "uneven walls": ((-1.5, 1.0), {}, "EP GR PD GR SN EP"),
     "one wall": ((None, 0.2), {}, "EP GR PD EP"),
     "a moving wall": (
-        (-1.0, jv.Wall(1.0, 0.8, jv.Motion(0.1, 0.5))),
+        (-1.0, jv.Wall(1.0, 0.8, motion=jv.Motion(0.1, 0.5))),
         {"frequency": 2.4, "damping": 0.1, "restitution": 0.6},
         "EP GR GR SN EP",
     ),
@@ -237,7 +237,7 @@ BACK = {  # a step of 0.1 once led to another branch; an exit from a grazing was
     "a short piece": ((4.7154301, 2.08888252, 0.88295762, 0.59638251), (0.0496024, 1.5237424), (2.1577, 8.7878)),
 }
 WALLS = {
-    "a sharp turn": (-0.44174891, jv.Wall(0.43310777, None, jv.Motion(0.08727396, 1.16054328))),
+    "a sharp turn": (-0.44174891, jv.Wall(0.43310777, None, motion=jv.Motion(0.08727396, 1.16054328))),
     "a short piece": (jv.Wall(-0.44342655, 0.34285064), 1.14221593),
 }
 

@@ -322,9 +322,9 @@ def test_what_cannot_be_followed_is_refused(points, branch):
 SCENES = {
     "uneven walls": ((-1.5, 1.0), {}),
     "one wall, much damping": ((None, 0.2), {"damping": 0.9}),
-    "a moving wall": ((None, jv.Wall(1.0, None, jv.Motion(0.1, 0.5))), {}),
+    "a moving wall": ((None, jv.Wall(1.0, None, motion=jv.Motion(0.1, 0.5))), {}),
     "two, one moving": (
-        (-1.0, jv.Wall(1.0, 0.8, jv.Motion(0.1, 0.5))),
+        (-1.0, jv.Wall(1.0, 0.8, motion=jv.Motion(0.1, 0.5))),
         {"frequency": 2.4, "damping": 0.1, "restitution": 0.6},
     ),
     "restitution per wall": ((jv.Wall(-1.2, 0.5), jv.Wall(1.0, 0.9)), {"frequency": 1.5}),

@@ -200,7 +200,7 @@ def test_multipliers_of_random_scenes_in_high_precision():
     while met < 12:
         gamma, omega, amplitude, low, high = rng.uniform((0.02, 0.4, 0.2, 0.3, 0.3), (1.3, 4.0, 8.0, 0.9, 0.9))
         swing, phase = rng.uniform((0.0, 0.0), (0.3, 6.0))
-        walls = (jv.Wall(-1.0, low, jv.Motion(swing, phase)), jv.Wall(rng.uniform(-0.4, 1.5), high))
+        walls = (jv.Wall(-1.0, low, motion=jv.Motion(swing, phase)), jv.Wall(rng.uniform(-0.4, 1.5), high))
         try:
             scene = jv.make_scene(amplitude, omega, gamma, 0.5, walls)
             orbit = jv.find_orbit(scene, jv.State(-0.6, 0.0))

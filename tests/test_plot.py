@@ -15,7 +15,7 @@ from jaxvibro.attractors import Attractor
 from jaxvibro.branch import Branch, Segment, row_of, special_of
 from jaxvibro.plot import path, style
 
-SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, jv.Motion(0.3, 0.5, 2))))
+SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.3, 0.5, 2))))
 
 
 def swept(legs=2, count=7, kept=3):

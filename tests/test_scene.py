@@ -178,7 +178,7 @@ sizes, phases, harmonics = st.floats(-2, 2), st.floats(-7, 7), st.integers(1, 9)
 def test_least_gap_has_the_sign_of_a_dense_search(low, high, mean):
     theta = np.linspace(0.0, 2 * np.pi, 40_001)
     gap = mean + high[0] * np.cos(high[2] * theta + high[1]) - low[0] * np.cos(low[2] * theta + low[1])
-    found = least_gap(jv.Wall(0.0, None, jv.Motion(*low)), jv.Wall(mean, None, jv.Motion(*high)))
+    found = least_gap(jv.Wall(0.0, None, motion=jv.Motion(*low)), jv.Wall(mean, None, motion=jv.Motion(*high)))
     # The dense search is this far above the least value at most: (step / 2)^2 max abs f'' / 2.
     unseen = (np.pi / 40_000) ** 2 * (abs(low[0]) * low[2] ** 2 + abs(high[0]) * high[2] ** 2) / 2 + 1e-14
     assert found <= 0 if gap.min() <= 0 else found > 0 or gap.min() < unseen
@@ -191,9 +191,9 @@ def test_walls_that_move_apart_together_are_allowed():
 
 def test_least_gap_of_a_flat_touch():
     # f = 3 + 4 cos(x + pi) + cos 2x = 8 sin(x/2)^4 touches with order four.
-    low = jv.Wall(0.0, None, jv.Motion(4.0))
+    low = jv.Wall(0.0, None, motion=jv.Motion(4.0))
     for more, opens in ((0.0, False), (-1e-9, False), (1e-9, True)):
-        assert (least_gap(low, jv.Wall(3.0 + more, None, jv.Motion(1.0, 0.0, 2))) > 0) == opens
+        assert (least_gap(low, jv.Wall(3.0 + more, None, motion=jv.Motion(1.0, 0.0, 2))) > 0) == opens
 
 
 def physical(**changes):
@@ -203,7 +203,7 @@ def physical(**changes):
 
 def test_physical_solves_the_same_equation():
     """The forced response of M X'' + C X' + K X = F cos(Omega T) is d times that of the scene."""
-    scene = physical(walls=(jv.Wall(-0.75, 0.6, jv.Motion(0.1, 0.3, 2)), 0.5))
+    scene = physical(walls=(jv.Wall(-0.75, 0.6, motion=jv.Motion(0.1, 0.3, 2)), 0.5))
     a, omega, gamma = (float(scene.parameter(name)) for name in ("amplitude", "frequency", "damping"))
     response = a / (1 - omega**2 + 2j * gamma * omega)
     assert np.isclose(0.5 * response, 5.0 / (8.0 - 2.0 * 3.0**2 + 3j * 3.0), rtol=1e-15)
@@ -224,7 +224,7 @@ def test_physical_solves_the_same_equation():
         ("length", {"walls": (-1.0, None)}),
         ("length", {"walls": (-1.0, -0.5)}),
         ("left.position", {"walls": ("a", 1.0)}),
-        ("left.motion", {"walls": (jv.Wall(-1.0, None, 3), 1.0)}),
+        ("left.motion", {"walls": (jv.Wall(-1.0, motion=3), 1.0)}),
         ("restitution", {"restitution": 7.0}),
         ("walls", {"walls": 3}),
         ("stiffness", {"mass": np.ones(2), "stiffness": np.ones(3)}),

@@ -49,7 +49,13 @@ BAD = [
         "scen",
         "is not a key here (scene, sweep, attractors, orbits, branch, explore, locus, spectrum, basins, panels); got 3",
     ),
-    ("scene.left.stiffness = 3", "scene.left.stiffness", "is not a key here (position, restitution, motion)"),
+    (
+        "scene.left.stifness = 3",
+        "scene.left.stifness",
+        "is not a key here (position, restitution, stiffness, damping, motion)",
+    ),
+    ("scene.left.stiffness = -3", "scene.left.stiffness", "must be greater than 0; got -3"),
+    ("scene.left.damping = 3", "scene.left.damping", "a wall without stiffness has none; got 3"),
     ("scene.left.motion = {amplitude=0, size=1}", "scene.left.motion.size", "is not a key here"),
     ("sweep.steps = 3", "sweep.steps", "is not a key here (parameter, count, settle, keep, legs)"),
     ("sweep.legs.1.start.y = 3", "sweep.legs[1].start.y", "is not a key here (x, v)"),
@@ -211,11 +217,16 @@ def bits(scene):
 
 real = st.floats(-1e300, 1e300) | st.sampled_from([-0.0, 5e-324, 0.1])
 fraction = st.floats(0, 1)
-motion = st.builds(jv.Motion, st.floats(-0.4, 0.4), real, st.integers(1, 5))
-walls = st.tuples(
-    st.none() | st.builds(jv.Wall, st.floats(-9, -1), st.none() | fraction, st.none() | motion),
-    st.none() | st.builds(jv.Wall, st.floats(1, 9), st.none() | fraction, st.none() | motion),
-)
+motion = st.none() | st.builds(jv.Motion, st.floats(-0.4, 0.4), real, st.integers(1, 5))
+positive = st.floats(0, 1e300, exclude_min=True)
+kinds = [{"restitution": st.none() | fraction}, {"stiffness": positive, "damping": st.none() | st.floats(0, 1e300)}]
+
+
+def wall(low, high):
+    return st.one_of(st.none(), *(st.builds(jv.Wall, st.floats(low, high), motion=motion, **kind) for kind in kinds))
+
+
+walls = st.tuples(wall(-9, -1), wall(1, 9))
 
 
 @given(

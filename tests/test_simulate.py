@@ -9,7 +9,7 @@ import jaxvibro as jv
 
 @pytest.fixture(scope="module")
 def scene():
-    wall = jv.Wall(1.0, 0.6, jv.Motion(0.1, 0.3, 2))
+    wall = jv.Wall(1.0, 0.6, motion=jv.Motion(0.1, 0.3, 2))
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.2, wall))
 
 

@@ -72,7 +72,7 @@ def test_times_and_speeds_of_impacts_have_derivatives(scene):
 def test_a_mass_at_rest_goes_with_its_wall():
     # the spring presses it on the left wall, where it sticks at once: at the period's end x = x_b(T), v = v_b(T)
     def end(position, swing, phase):
-        wall = jv.Wall(position, 0.0, jv.Motion(swing, phase))
+        wall = jv.Wall(position, 0.0, motion=jv.Motion(swing, phase))
         done, impacts = jv.strobe(jv.make_scene(0.1, 0.5, 0.1, 0.5, (wall, None)), jv.State(1.1, -1.0, -0.3))
         return done.x, done.v, impacts.status
 

@@ -266,7 +266,13 @@ def test_arguments_are_refused_by_name(scene, key, value):
 
 @pytest.mark.parametrize(
     "walls",
-    [(None, None), (None, 1.0), (jv.Wall(-1.0, 0.6), jv.Wall(1.0, 0.8)), (-1.0, jv.Wall(1.0, 0.5, jv.Motion(0.1)))],
+    [
+        (None, None),
+        (None, 1.0),
+        (jv.Wall(-1.0, 0.6), jv.Wall(1.0, 0.8)),
+        (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.1))),
+        (jv.Wall(-1.0, stiffness=50.0, damping=0.5), jv.Wall(1.0, stiffness=9.0, motion=jv.Motion(0.1))),
+    ],
 )
 def test_every_kind_of_scene_runs_inside_a_loop(walls):
     # an operand that no result depends on would abort the process in XLA's emitter

@@ -7,7 +7,7 @@ import pytest
 import jaxvibro as jv
 
 SCENE = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
-MOVING = {"walls": (jv.Wall(-1.2, 0.6), jv.Wall(1.0, None, jv.Motion(0.1, 0.5)))}
+MOVING = {"walls": (jv.Wall(-1.2, 0.6), jv.Wall(1.0, None, motion=jv.Motion(0.1, 0.5)))}
 
 
 def test_an_orbit_leaves_one_point_on_each_section():

@@ -75,7 +75,7 @@ def _moving(file, scene):
     """That a wall which moves with the drive acts like a fixed one under another drive."""
     motion = Motion(*MOTION)
     numbers = (float(getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution"))
-    moving = make_scene(*numbers, (None, Wall(float(scene.right.position), None, motion)))
+    moving = make_scene(*numbers, (None, Wall(float(scene.right.position), motion=motion)))
     found = value(twice(moving, file.explore), "SN", "P101")
     exact = closed.amplitude_at(float(_known(scene)[0]), float(scene.frequency), float(scene.damping), motion)
     text = (

@@ -85,7 +85,7 @@ def _crossing(branch, variable, columns, place, hit, share, is_later):
     value, row = between(branch.values), between(columns)
     scene = branch.scene.replace(**{branch.name: value})
     side, speed = int(branch.data["side"].values[place, hit]), between(branch.data["speed"].values[:, hit])
-    wall, rebound = getattr(scene, SIGNS[side]), float(scene.parameter(f"{SIGNS[side]}.restitution"))
+    wall, rebound = getattr(scene, SIGNS[side]), float(scene.bounce(SIGNS[side]))
     pace = 0.0 if wall.motion is None else velocity(wall, float(scene.frequency), 0.0)
     ends = (pace - rebound * side * speed, pace + side * speed)
     if variable == "x":

@@ -34,7 +34,7 @@ def _walls(scene, side, time, phase):
         wall, here = getattr(scene, name), side == sign
         if wall is None:
             continue
-        rebound[here] = float(scene.parameter(f"{name}.restitution"))
+        rebound[here] = float(scene.bounce(name))
         if wall.motion is not None:
             pace[here] = velocity(wall, float(scene.frequency), phase + float(scene.frequency) * time[here])
     return pace, rebound

@@ -13,6 +13,8 @@ _PARAMETERS = {
     "frequency": r"drive frequency $\omega = \Omega\,/\,\omega_0$",
     "damping": r"damping $\gamma = C\,/\,(2M\omega_0)$",
     "restitution": r"restitution $R$",
+    "stiffness": r"stiffness $k_2 = K_2\,/\,K$",
+    "contact damping": r"damping in contact $\gamma_2 = C_2\,/\,(2M\omega_0)$",
     "position": r"mean position $X_b\,/\,d$",
     "motion.amplitude": r"amplitude of motion $B\,/\,d$",
     "motion.phase": r"phase of motion (rad)",
@@ -24,6 +26,7 @@ TIME = r"time in drive periods, $\omega t\,/\,2\pi$"
 def label(name):
     """The axis label of a scene's parameter, symbol and unit included."""
     side, _, rest = name.partition(".")
+    rest = "contact damping" if rest == "damping" else rest
     return f"{side} wall: {_PARAMETERS[rest]}" if rest else _PARAMETERS[name]
 
 

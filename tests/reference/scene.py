@@ -20,14 +20,26 @@ class Wall(NamedTuple):
     motion: Motion | None = None
 
 
+class Soft(NamedTuple):
+    """A soft wall: position x_b, stiffness k >= 0 and damping g >= 0 of the contact, and its motion or None.
+
+    While the mass is beyond it, x'' + 2 g x' + k (x - x_b) + x = A cos(theta): g takes the place of the scene's gamma.
+    """
+
+    position: float
+    stiffness: float
+    damping: float
+    motion: Motion | None = None
+
+
 class Scene(NamedTuple):
-    """x'' + 2 gamma x' + x = A cos(omega t) between up to two walls."""
+    """x'' + 2 gamma x' + x = A cos(omega t) between up to two walls, each a Wall or a Soft."""
 
     gamma: float
     omega: float
     amplitude: float
-    left: Wall | None = None
-    right: Wall | None = None
+    left: Wall | Soft | None = None
+    right: Wall | Soft | None = None
 
     def walls(self):
         """The walls there are, as (side, wall): side -1 left, +1 right."""

@@ -1,0 +1,86 @@
+"""Long steps of a mass that stays within a soft wall, over many of the wall's own swings.
+
+Within a wall y = slow + fast: the forced motion and, where the wall is overdamped, what creeps back; and the rest w,
+whose energy falls, so that it never exceeds B = sqrt(w^2 + w'^2 / (1 + k2)). While slow stays above B there is no way
+out: that is the certified step of `event`, in the slow part's own time. The flow over it is the exact one.
+"""
+
+from jax import lax
+
+from . import contact, event, flow
+from .lanes import choose, least, stage, two_sum
+from .path import Motion
+
+PATIENCE = 8.0  # short steps before a long one is tried
+WORTH = 4.0  # short steps that a long one must be
+STIFF = 4.0  # times the square of the drive's rate: below that stiffness all motion is slow
+OVERDAMPED = 2.0  # times the stiffness: damping^2 from which two rates are told apart
+
+
+def is_due(path, wait):
+    """The lanes that have waited long enough for a long step to be tried."""
+    return (wait >= PATIENCE) & (path.rest > 0)
+
+
+def leap(frame, path, wait):
+    """(path, wait): lanes that wait for a long step have taken it where there is one, and begin to wait anew."""
+    here = frame._replace(**contact.felt(frame, path.contact)._asdict())
+    due = is_due(path, wait)
+    time = choose(due, least(stage(_safe, here, path), path.rest), 0.0)
+    taken = time > WORTH * here.reach
+    time = choose(taken, time, 0.0)
+    angle = frame.frequency * time
+    turned = stage(flow.turn, path.cosine, path.sine, flow.versine(angle), flow.sinus(angle))
+    x, v = stage(_flown, here, path, time)
+    none = lax.full_like(x, 0.0)
+    moved = Motion(x, none, v, none, *turned)
+    moved = Motion(*(choose(taken, new, old) for new, old in zip(moved, path.motion, strict=True)))
+    rest, low = two_sum(path.rest, -time)
+    rest, low = two_sum(rest, low + path.rest_low)
+    sign = lax.sign(path.contact)
+    after = path._replace(
+        x=choose(taken, x, path.x),
+        x_low=choose(taken, 0.0, path.x_low),
+        v=choose(taken, v, path.v),
+        motion=moved,
+        rest=choose(taken, rest, path.rest),
+        rest_low=choose(taken, low, path.rest_low),
+        contact=choose(taken, sign * contact.WITHIN, path.contact),
+    )
+    return after, choose(due, 0.0, wait)
+
+
+def _safe(frame, path):
+    """A time for which the mass certainly stays within its wall; 0 where that cannot be said."""
+    parts = contact.forced(frame, path.contact, path.cosine, path.sine)
+    stiffness, damping, side = frame.stiffness, frame.damping, lax.sign(path.contact)
+    place, pace = (sum(each) for each in zip(*(part.values(2) for part in parts), strict=True))
+    w, u = path.x - place, path.v - pace
+    inner = damping * damping - stiffness
+    creeps = damping * damping > OVERDAMPED * stiffness
+    swift = damping + lax.sqrt(choose(creeps, inner, 0.0))
+    creep = choose(creeps, stiffness / swift, 0.0)
+    gone = (u + creep * w) / choose(creeps, creep - swift, -1.0)
+    kept = choose(creeps, w - gone, 0.0)
+    bound = choose(creeps, lax.abs(gone), lax.sqrt(w * w + u * u / stiffness))
+    parts = [*parts, contact.Creep(kept, creep)]
+    pace = creep
+    for part in parts[:-1]:
+        pace = choose(part.rate > pace, part.rate, pace)
+    reach = flow.STEP / pace
+    weights = event.weights(reach)
+    slow = [sum(each) for each in zip(*(part.values(event.TERMS) for part in parts), strict=True)]
+    terms = [-(side * each) * weight for each, weight in zip(slow, weights, strict=False)]
+    terms[0] = terms[0] + bound
+    rest = sum(part.size * part.rate**event.TERMS for part in parts) * weights[event.TERMS]
+    ahead = event.Progress(tuple(terms), rest)
+    limit = event.bound(ahead, event.cubic(ahead))
+    near = event.free_step(limit)
+    step = event.sure_step(limit, event.horizon(limit, event.quadratic(*limit[:3])), near)
+    stiff = stiffness > STIFF * pace * pace
+    return choose((terms[0] < 0) & stiff, step * reach, 0.0)
+
+
+def _flown(frame, path, time):
+    """(y, y') a time later, the flow's short step doubled."""
+    return contact.flown(frame, path.contact, (path.x, path.v), path.cosine, path.sine, time)
