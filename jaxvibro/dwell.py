@@ -8,13 +8,15 @@ from . import contact, taylor
 from .contact import ENTERED, WITHIN, is_inside
 from .impact import LANDED
 from .lanes import choose
-from .stay import duration, leave
+from .stay import QUICK, duration, leave
 from .taylor import Now
 
 
 def begun(frame, now, given, whole, order):
     """Lanes that start within a soft wall brought to where they leave it, or to the end; given: the contact."""
-    return _passed(frame, now, *initial(frame, now, given, order), whole, order)
+    touch, y, v = initial(frame, now, given, order)
+    left = whole - now.time
+    return _passed(frame, now, touch, y, v, _taken(frame, touch, y, v, now, left), left, order)
 
 
 def initial(frame, now, given, order=1):
@@ -42,14 +44,20 @@ def entered(frame, now, side, late, whole, order):
     v = taylor.shifted(taylor.jet(frame, now, order)[1:], late, order) - pace
     cosine, sine = _turned(frame, now, late)[2:4]
     none = lax.full_like(v, 0.0)
-    time = duration(*lax.stop_gradient((frame, touch, none, v, now.cosine, now.sine, left)))
-    time = lax.stop_gradient(choose(inside, time, 0.0))
-    leaves = inside & (time < left)
-    given = choose(leaves, side, 0.0), cosine, sine, choose(leaves, side * v, 1.0)
-    gone = _gone(frame, now, late, time, leave(frame, *given, choose(leaves, time, 0.0), order), side, order)
-    kept = _kept(frame, _turned(frame, now, late), touch, v, late, time, order)
-    ends = (choose(leaves, new, old) for new, old in zip(gone, kept, strict=True))
-    return Now(*(choose(inside, new, old) for new, old in zip(ends, now, strict=True)))
+    time = _taken(frame, touch, none, v, now, left)
+    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    bias = contact.biases(frame, touch, now.cosine, now.sine, order)
+    kept = _passed(frame, now, touch, *taylor.back(here, now, none, v, late, order, bias), time, left, order)
+    quick = inside & (time < left) & (time < QUICK * here.reach)
+    given = choose(quick, side, 0.0), cosine, sine, choose(quick, side * v, 1.0)
+    gone = _gone(frame, now, late, time, leave(frame, *given, choose(quick, time, 0.0), order), side, order)
+    return Now(*(choose(quick, new, old) for new, old in zip(gone, kept, strict=True)))
+
+
+def _taken(frame, touch, y, v, now, left):
+    """How long lanes stay within a wall, at most so much; a constant."""
+    time = duration(*lax.stop_gradient((frame, touch, y, v, now.cosine, now.sine, left)))
+    return lax.stop_gradient(choose(is_inside(touch), time, 0.0))
 
 
 def _gone(frame, now, late, time, out, side, order):
@@ -61,27 +69,15 @@ def _gone(frame, now, late, time, out, side, order):
     return end._replace(x=x, v=v)
 
 
-def _kept(frame, now, touch, v, late, time, order):
-    """Lanes that are still within the wall so much time later; now: the drive as they entered, a little late."""
-    here = frame._replace(**contact.felt(frame, touch)._asdict())
-    y, v = contact.flown(here, touch, (lax.full_like(v, 0.0), v), now.cosine, now.sine, time)
-    end = _turned(frame, now, time)._replace(x=y, v=v)
-    path = _within(frame, here, touch, end, order)
-    x, v = _absolute(frame, end, touch, path, -late, order)
-    return _turned(frame, end, -late)._replace(x=x, v=v)
-
-
 def _turned(frame, now, time):
     """The drive a time later."""
     c, s = jnp.cos(frame.frequency * time), jnp.sin(frame.frequency * time)
     return now._replace(cosine=now.cosine * c - now.sine * s, sine=now.sine * c + now.cosine * s, time=now.time + time)
 
 
-def _passed(frame, now, touch, y, v, whole, order):
-    """Lanes within a wall brought to where they leave it, or to the end."""
-    inside, left = is_inside(touch), whole - now.time
-    time = duration(*lax.stop_gradient((frame, touch, y, v, now.cosine, now.sine, left)))
-    time = lax.stop_gradient(choose(inside, time, 0.0))
+def _passed(frame, now, touch, y, v, time, left, order):
+    """Lanes within a wall brought to where they leave it after a time, or to the end."""
+    inside = is_inside(touch)
     here = frame._replace(**contact.felt(frame, touch)._asdict())
     y, v = contact.flown(here, touch, (y, v), now.cosine, now.sine, time)
     end = _turned(frame, now, time)._replace(x=y, v=v)

@@ -26,6 +26,7 @@ TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as 
 ASIDE = 1e-5, 1e-7  # steps, in scaled lengths, after which a branch that leaves a grazing is looked at
 SURE, LOOSE = 1e-12, 1e-10  # Newton's tolerance there, with impacts added and with none: slow ones leave rounding
 ENDS = 1e-5  # of a flight: a touch as near to its ends is that of the impact there
+ROUNDS = 6  # of Newton's steps to a turning point
 FEW = 4  # touches at once, of which every choice is tried
 
 
@@ -104,6 +105,14 @@ def touched(along, z, row, wall, late):
     return found if found.z is None else found._replace(z=found.z[:-1])
 
 
+def settled_near(along, z, row, wall, late):
+    """(time, distance, acceleration towards the wall) at the turning point of the flight after a row that is near."""
+    for _ in range(ROUNDS):
+        distance, speed, pull = np.asarray(_contact(np.append(z, late), along, np.int32(row), np.int32(wall)))
+        late -= speed / pull
+    return late, distance, pull
+
+
 def touches(along, z, length):
     """The `Touch`es at a point."""
     sides, look = along.cycle.sides, looked(along, z[None])
@@ -166,14 +175,14 @@ def exits(along, z, length):
     met = touches(along, z, length)
     found, sure = [], True
     for included in _choices(met):
-        listed = _listed(along, z, met, included)
-        kept = [one for one in listed if one.kept]
+        every = listed(along, z, met, included)
+        kept = [one for one in every if one.kept]
         new = along._replace(cycle=padded(along, [(one.time, one.speed, one.side) for one in kept]))
         start = np.append(np.concatenate([new.cycle.times, new.cycle.speeds]), z[-1])
         start = start if kept else free_start(new, z[-1])
-        out = _left_out(along, z, listed, kept)
+        out = left_out(along, z, every, kept)
         for sign in (1.0, -1.0):
-            way, clear = _exit(new, start, out, sign, length, included)
+            way, clear = leave(new, start, out, sign, length, included)
             found += [way] if way else []
             sure &= clear
     return met, found, sure
@@ -187,35 +196,35 @@ def _choices(met):
     return list(dict.fromkeys([own, tuple(not one for one in own), (False,) * len(met), (True,) * len(met)]))
 
 
-class _Hit(NamedTuple):
+class Hit(NamedTuple):
     time: float
     speed: float
     side: int
     kept: bool
 
 
-def _listed(along, z, met, included):
+def listed(along, z, met, included):
     """All impacts and touches in order of travel, those kept that are no touches or are to be impacts."""
     rows, wanted = len(along.cycle.sides), dict(zip(met, included, strict=True))
     own = {touch.row: touch for touch in met if touch.own}
-    listed = []
+    found = []
     for row in np.flatnonzero(along.cycle.sides != 0):
         touch, side = own.get(int(row)), int(along.cycle.sides[row])
-        one = _Hit(z[row], 0.0 if touch else z[rows + row], side, wanted[touch] if touch else True)
-        listed.append(((int(row), 0.0), one))
+        one = Hit(z[row], 0.0 if touch else z[rows + row], side, wanted[touch] if touch else True)
+        found.append(((int(row), 0.0), one))
     for touch in met:
         if not touch.own:
             begin = z[touch.row] if rows else 0.0
-            listed.append(((touch.row, touch.late), _Hit(begin + touch.late, 0.0, touch.side, wanted[touch])))
-    return [one for _, one in sorted(listed)]
+            found.append(((touch.row, touch.late), Hit(begin + touch.late, 0.0, touch.side, wanted[touch])))
+    return [one for _, one in sorted(found)]
 
 
-def _left_out(along, z, listed, kept):
+def left_out(along, z, every, kept):
     """(row, wall, time since that row's impact) of each touch that is no impact."""
     walls, found = wall_sides(along.scene), []
     span = float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z).frequency)
     place = len(kept) - 1  # what is before the first is after the last
-    for one in listed:
+    for one in every:
         if one.kept:
             place = kept.index(one)
         else:
@@ -242,13 +251,13 @@ def free_start(along, value):
     return start
 
 
-def _opening(along, z, direction, row, wall, late):
+def opening(along, z, direction, row, wall, late):
     """How fast the distance of a flight at a time grows in a direction of z."""
     ends = (_bearing(along, row, wall, np.append(z + sign * locate.APART * direction, late))[0] for sign in (1, -1))
     return float(np.subtract(*ends) / (2.0 * locate.APART))
 
 
-def _exit(along, z, out, sign, length, included):
+def leave(along, z, out, sign, length, included):
     """(the `Exit` in one direction of a branch, None where it is none; whether that is sure). out: the touches left
     out."""
     scale = scales(along, length)
@@ -258,7 +267,7 @@ def _exit(along, z, out, sign, length, included):
     count = int(np.sum(along.cycle.sides != 0))
     slow = [k for k in range(count) if z[rows + k] == 0.0]
     rates = [tangent[rows + k] for k in slow]
-    rates += [_opening(along, z, tangent, *each) for each in out]
+    rates += [opening(along, z, tangent, *each) for each in out]
     if any(rate < -1e-6 for rate in rates):
         return None, True
     zero = np.zeros(())

@@ -8,9 +8,10 @@ from continuation import arclength, follow
 from continuation.arclength import ON, OUT, Control, Place, Point
 from continuation.locate import Located
 
+from . import brush
 from .along import Along, problem
 from .dips import with_dips
-from .graze import TOUCH, Touch, admissible, exits, is_pressed, stilled, touched
+from .graze import TOUCH, Touch, admissible, is_pressed, stilled, touched
 from .image import images, is_repeated
 from .look import Look, looked
 from .monitor import crossings
@@ -103,7 +104,10 @@ def _part(along, points, status, asked):
     good[0] = True
     size, bad = len(points.z), int(np.argmin(np.append(good, False)))
     jump, known = follow.jump(problem(along), upto(points, bad + 1), control, along)
-    if jump is not None:
+    brushed, last = _to_brush(along, upto(points, bad if jump is None else jump), asked)
+    if last:
+        points, why = brushed, GRAZE
+    elif jump is not None:
         points, (why, again) = upto(points, jump), _retried(points.step[jump], control)
     elif bad < size:
         step = points.step[bad]
@@ -149,9 +153,28 @@ def _to_graze(along, points, look, bad, asked):
     if residual is None:
         return points, []
     z = points.z[-1]
-    met, ways, sure = exits(along, z, asked.length)
+    met, ways, sure = brush.exits(along, z, asked.length)
     kind = "CH" if len(ways) < 2 and is_pressed(along, z, met) else "GR"
     return points, [Mark(0, kind, residual, tuple(met), tuple(ways), sure)]
+
+
+def _to_brush(along, points, asked):
+    """As `_to_graze`, where contacts with soft walls are about to lose their speed: before it is lost in rounding."""
+    size = len(along.cycle.sides)
+    for k in range(1, len(points.z)):
+        z, tangent = points.z[k], points.tangent[k]
+        rows = [row for row in brush.slow(along, z, asked.length) if tangent[size + row] < 0]
+        found = brush.located(along, z, rows, asked.length) if rows else None
+        if found is None or found.z is None:
+            continue
+        ahead = -z[size + rows[0]] / tangent[size + rows[0]]
+        length = float(np.sum(asked.control.scale**2 * tangent * (found.z - z)))
+        if abs(length - ahead) < 0.5 * ahead:
+            met, ways, sure = brush.exits(along, found.z, asked.length)
+            one = at(points, k)._replace(z=found.z, step=np.float64(length))
+            mark = Mark(0, "GR", float(found.residual), tuple(met), tuple(ways), sure)
+            return put(upto(points, k + 1), k + 1, one), [mark]
+    return points, []
 
 
 def to_touch(along, points, look, bad, asked):

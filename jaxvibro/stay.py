@@ -19,6 +19,7 @@ from .taylor import Now
 
 LONGEST = 8.0  # drive periods that a stay is searched for
 ROUNDS = 6  # of Newton's steps to a short stay from a parabola's guess
+QUICK = 8.0  # longest steps: of a stay whose start its end has not forgotten
 ORDER = 3  # of the derivatives that the equations of the impacts need
 
 
@@ -66,7 +67,7 @@ def carried(frame, touch, time, enters, leaves, whole=None):
     if whole is not None:
         lanes, v, cosine, sine = whole
         zero = lax.full_like(time, 0.0)
-        lanes &= time > here.reach
+        lanes &= (time > here.reach) & (time < QUICK * here.reach)
         forced, _ = contact.flown(here, touch, (zero, zero), cosine, sine, time)
         p01 = choose(lanes, -forced / choose(lanes, v, 1.0), p01)
     less = 2.0 * (frame.damping - here.damping)

@@ -10,9 +10,10 @@ from . import check
 from .along import problem
 from .assemble import assembled, merged
 from .branch import Branch, Special, row_of, spot_of
+from .brush import exits
 from .domain import bounds_of, scene_length
 from .follow import asking, placed, point, settled
-from .graze import exits, padded, scales
+from .graze import padded, scales
 from .walk import walked
 
 FIRST = 0.01  # step of a branch that leaves a point
