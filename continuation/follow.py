@@ -12,6 +12,7 @@ from .kept import kept
 
 CHUNK = 128  # steps attempted in a compiled call
 POLISHED = 1e-10  # a length: from a step as short the next leaves rounding alone
+LOST = 1e-13  # of the largest determinant: as small is rounding
 FINE = 1e-4  # a length: a step as short is no jump to another branch
 HALVINGS, TRIED = 25, 6  # of an interval with a change of sign; after every so many Newton's method is tried
 SAME = 1e-6  # of the scaled lengths: two points as near are one
@@ -189,9 +190,9 @@ def jump(problem, points, control, args):
 
 def _signs(values):
     """The sign of each; a zero has that of the one before, so that the change is after it; none is at the start."""
-    signs = np.sign(values)
+    signs = np.where(abs(values) <= LOST * abs(values).max(), 0.0, np.sign(values))
     for k in np.flatnonzero(signs == 0):
-        signs[k] = signs[k - 1] if k else signs[1]
+        signs[k] = signs[k - 1] if k else next((sign for sign in signs if sign), 0.0)
     return signs
 
 

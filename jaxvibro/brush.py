@@ -1,5 +1,9 @@
 """Grazing of soft walls, where the orbits with a contact and those without it are one smooth branch.
 
+So it is where the force is continuous at the touch: at a wall that stands still whatever its damping, as the damping's
+jump goes with the velocity; at one that moves only if its damping is the scene's. Else a grazing is as that of a rigid
+wall, and left to `graze`.
+
 A contact of speed u is u^2 / 2 a deep, a being the acceleration away from the wall: with u and with -u the equations of
 the impacts have the same orbit to first order, so that a grazing is a singular point of theirs. It is found, and left,
 by way of the orbit that leaves the contact out, of which it is a regular point.
@@ -13,24 +17,25 @@ from continuation.locate import Located
 
 from . import graze
 from .along import problem
-from .graze import ASIDE, SURE, Exit, admissible, free_start, padded, scales, touched, wall_sides
+from .graze import LOOSE, Exit, admissible, free_start, padded, scales, touched, wall_sides
 from .look import looked
 
 NEAR = 1e-4  # of the scene's length per t: as slow a contact is about to be none
 FLAT = 1e-6  # of a distance's rate along a branch: as small is none
+ASIDE = 1e-3, 1e-4  # as in `graze`; nearer to the singular point Newton's steps are rounding
 WHOLE = 1e-9  # of the scene's length: as near is a touch of another wall at the same point
 
 
-def gives(scene, side):
-    """Whether the wall on a side is soft."""
+def is_smooth(scene, side):
+    """Whether the wall on a side is soft, and a mass that moves along with it feels no jump of force on entering."""
     wall = scene.left if side < 0 else scene.right
-    return wall is not None and wall.soft
+    return wall is not None and wall.soft and (wall.motion is None or wall.damping is None)
 
 
 def slow(along, z, length):
     """Rows of contacts with soft walls that are about to lose their speed."""
     size, sides = len(along.cycle.sides), along.cycle.sides
-    return [int(k) for k in along.hits if z[size + k] < NEAR * length and gives(along.scene, sides[k])]
+    return [int(k) for k in along.hits if z[size + k] < NEAR * length and is_smooth(along.scene, sides[k])]
 
 
 def located(along, z, rows, length):
@@ -76,7 +81,7 @@ def _place(along, z, row, keep):
 def exits(along, z, length):
     """As `graze.exits`, also where the walls touched are soft."""
     met = graze.touches(along, z, length)
-    if not met or not all(gives(along.scene, one.side) for one in met):
+    if not met or not all(is_smooth(along.scene, one.side) for one in met):
         return graze.exits(along, z, length)
     none = (False,) * len(met)
     every = graze.listed(along, z, met, none)
@@ -124,7 +129,7 @@ def _entering(along, z, met, order, rates, pull, length):
     tangent /= np.linalg.norm(scale * tangent)
     zero = np.zeros(())
     point = Point(start, tangent, zero, zero, zero, np.True_, np.True_)
-    control = Control(scale, *(np.float64(each) for each in (0.0, 1.0, SURE, -np.inf, np.inf)))
+    control = Control(scale, *(np.float64(each) for each in (0.0, 1.0, LOOSE, -np.inf, np.inf)))
     for aside in ASIDE:
         near = follow.step(problem(new), point, aside, control, new)
         look = looked(new, near.z[None])

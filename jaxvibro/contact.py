@@ -188,22 +188,22 @@ def _bias(wall, frequency, cosine, sine, order):
 
 def pushed(frame, contact, motion, gains, waves):
     """What the `biases` add to y and y' over a flight: (dx, dv)."""
-    dx, dv = _rested(frame, contact, motion.cosine, gains.stay, gains.move)
+    dx, dv = rested(frame, contact, motion.cosine, gains.stay, gains.move)
     if waves is None:
         return dx, dv
     lift, lag = waves
-    along, across, pace = _wave(frame, contact, motion.cosine, motion.sine)
+    along, across, pace = wave(frame, contact, motion.cosine, motion.sine)
     return dx + (along * lift - across * lag), dv + (along * (gains.move - pace * lag) - across * (pace * lift))
 
 
-def _rested(frame, contact, like, stay, move):
+def rested(frame, contact, like, stay, move):
     """What the wall's mean position adds to y and y'."""
     soft = [each for each in zip(frame.walls, frame.contacts, strict=True) if each[1] is not None]
     place = choose(is_inside(contact), _own(contact, [wall.position + 0.0 * like for wall, _ in soft]), 0.0)
     return place * stay / _own(contact, [each.stiffness for _, each in soft]), -place * move
 
 
-def _wave(frame, contact, cosine, sine):
+def wave(frame, contact, cosine, sine):
     """(along, across, rate): of the wall's motion the force is along cos - across sin of its own angle since now."""
     walls = zip(frame.walls, frame.contacts, strict=True)
     moving = [wall for wall, soft in walls if soft is not None and soft.waves is not None]
@@ -224,23 +224,36 @@ def _swing(wall, frequency, cosine, sine):
     return bend * place + drag * quarter, bend * quarter - drag * place, rate + 0.0 * cosine
 
 
+class Response(NamedTuple):
+    """What a stay of a given time does: `flow.doubled`'s matrix; motions forced by the drive, and by the wall's motion
+    where a soft wall moves."""
+
+    free: tuple
+    forced: tuple
+    waves: tuple | None
+
+
 def response(frame, contact, time):
-    """`flow.doubled`'s matrix and forced motions of each lane; frame: as the lanes feel it (`felt`)."""
-    return flow.doubled(_series(frame, contact), frame.frequency, frame.damping, time, frame.stiffness)[:2]
+    """The `Response` of each lane over any time; frame: as the lanes feel it (`felt`)."""
+    given = frame.damping, time, frame.stiffness
+    free, forced, _ = flow.doubled(_series(frame, contact), frame.frequency, *given)
+    if not moves(frame):
+        return Response(free, forced, None)
+    *_, rate = wave(frame, contact, 0.0 * time, 0.0 * time)
+    span = choose(_is_moved(frame, contact), time, 0.0)
+    return Response(free, forced, flow.doubled(_waves(frame, contact), rate, frame.damping, span, frame.stiffness)[1])
 
 
-def flown(frame, contact, start, cosine, sine, time):
-    """(y, y') any time after a start (y, y') within a wall; frame: as the lanes feel it (`felt`)."""
-    stiffness, (free, forced) = frame.stiffness, response(frame, contact, time)
+def flown(frame, contact, response, start, cosine, sine):
+    """(y, y') after a stay of this `Response` from (y, y')."""
+    free, forced, waves = response
     force = frame.force * cosine, frame.force * sine
-    y, v = flow.flown((free, forced), *force, *start, stiffness)
-    dy, dv = _rested(frame, contact, cosine, free[0] - 1.0, free[1])
+    y, v = flow.flown((free, forced), *force, *start, frame.stiffness)
+    dy, dv = rested(frame, contact, cosine, free[0] - 1.0, free[1])
     y, v = y + dy, v + dv
-    if moves(frame):
-        along, across, rate = _wave(frame, contact, cosine, sine)
-        span = choose(_is_moved(frame, contact), time, 0.0)
-        _, forced, _ = flow.doubled(_waves(frame, contact), rate, frame.damping, span, stiffness)
-        dy, dv = flow.flown((free, forced), along, across, 0.0 * y, 0.0 * v, stiffness)
+    if waves is not None:
+        along, across, _ = wave(frame, contact, cosine, sine)
+        dy, dv = flow.flown((free, waves), along, across, 0.0 * y, 0.0 * v, frame.stiffness)
         y, v = y + dy, v + dv
     return y, v
 
@@ -250,10 +263,10 @@ def risen(frame, contact, v, cosine, sine, time):
     series = _series(frame, contact)
     stay, move, lift, lag = (flow.horner(rows, time) for rows in series)
     force = frame.force * cosine, frame.force * sine
-    dy, _ = _rested(frame, contact, cosine, stay * time, 0.0 * time)
+    dy, _ = rested(frame, contact, cosine, stay * time, 0.0 * time)
     found = v * move + time * (force[0] * lift - force[1] * (time * lag)) + dy
     if moves(frame):
-        along, across, _ = _wave(frame, contact, cosine, sine)
+        along, across, _ = wave(frame, contact, cosine, sine)
         span = choose(_is_moved(frame, contact), time, 0.0)
         _, _, lift, lag = (flow.horner(rows, span) for rows in _waves(frame, contact))
         found = found + time * (along * lift - across * (time * lag))
@@ -264,10 +277,10 @@ def gone(frame, contact, v, cosine, sine, time):
     """y' of a mass that enters a wall with the velocity v, after a time no longer than a step."""
     stay, move, lift, lag, _, _ = flow.gains(_series(frame, contact), frame.frequency, time)
     forced = frame.force * cosine * (move - frame.frequency * lag) - frame.force * sine * (frame.frequency * lift)
-    _, dv = _rested(frame, contact, cosine, stay, move)
+    _, dv = rested(frame, contact, cosine, stay, move)
     found = (1.0 + stay - 2.0 * frame.damping * move) * v + forced + dv
     if moves(frame):
-        along, across, rate = _wave(frame, contact, cosine, sine)
+        along, across, rate = wave(frame, contact, cosine, sine)
         lift, lag = waves(frame, contact, time)
         found = found + along * (move - rate * lag) - across * (rate * lift)
     return found
@@ -283,55 +296,3 @@ def jet(frame, contact, y, v, cosine, sine, order):
         pull = force[k] if bias is None else force[k] + bias
         found.append(pull - flow.pulled(frame.stiffness, found[k]) - 2.0 * frame.damping * found[k + 1])
     return found
-
-
-class Wave(NamedTuple):
-    """A part of a slow motion: the real part of (real + i imaginary) exp(i rate t)."""
-
-    real: jax.Array
-    imaginary: jax.Array
-    rate: jax.Array
-
-    @property
-    def size(self):
-        return lax.abs(self.real) + lax.abs(self.imaginary)
-
-    def values(self, count):
-        """So many derivatives at t = 0, from the value on."""
-        found, (real, imaginary) = [], (self.real, self.imaginary)
-        for _ in range(count):
-            found.append(real)
-            real, imaginary = -self.rate * imaginary, self.rate * real
-        return found
-
-
-class Creep(NamedTuple):
-    """A part of a slow motion: real exp(-rate t)."""
-
-    real: jax.Array
-    rate: jax.Array
-
-    @property
-    def size(self):
-        return lax.abs(self.real)
-
-    def values(self, count):
-        """So many derivatives at t = 0, from the value on."""
-        found = [self.real]
-        while len(found) < count:
-            found.append(-self.rate * found[-1])
-        return found
-
-
-def forced(frame, contact, cosine, sine):
-    """The `Wave`s that drive and wall force on y; frame: as the lanes feel it. Of no use where they resonate."""
-    none = 0.0 * cosine
-    drive = frame.force * cosine, frame.force * sine, frame.frequency + none
-    waves = [drive, *([_wave(frame, contact, cosine, sine)] if moves(frame) else [])]
-    found = []
-    for along, across, rate in waves:
-        lag, away = 2.0 * frame.damping * rate, frame.stiffness - rate * rate
-        size = away * away + lag * lag
-        found.append(Wave((along * away + across * lag) / size, (across * away - along * lag) / size, rate))
-    place, _ = _rested(frame, contact, cosine, -1.0, none)
-    return [Wave(place, none, none), *found]

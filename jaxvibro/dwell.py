@@ -79,7 +79,7 @@ def _passed(frame, now, touch, y, v, time, left, order):
     """Lanes within a wall brought to where they leave it after a time, or to the end."""
     inside = is_inside(touch)
     here = frame._replace(**contact.felt(frame, touch)._asdict())
-    y, v = contact.flown(here, touch, (y, v), now.cosine, now.sine, time)
+    y, v = contact.flown(here, touch, contact.response(here, touch, time), (y, v), now.cosine, now.sine)
     end = _turned(frame, now, time)._replace(x=y, v=v)
     leaves = inside & (time < left)
     path = _within(frame, here, touch, end, order)

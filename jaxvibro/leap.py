@@ -5,6 +5,9 @@ whose energy falls, so that it never exceeds B = sqrt(w^2 + w'^2 / (1 + k2)). Wh
 out: that is the certified step of `event`, in the slow part's own time. The flow over it is the exact one.
 """
 
+from typing import NamedTuple
+
+import jax
 from jax import lax
 
 from . import contact, event, flow
@@ -15,6 +18,44 @@ PATIENCE = 8.0  # short steps before a long one is tried
 WORTH = 4.0  # short steps that a long one must be
 STIFF = 4.0  # times the square of the drive's rate: below that stiffness all motion is slow
 OVERDAMPED = 2.0  # times the stiffness: damping^2 from which two rates are told apart
+
+
+class Wave(NamedTuple):
+    """A part of a slow motion: the real part of (real + i imaginary) exp(i rate t)."""
+
+    real: jax.Array
+    imaginary: jax.Array
+    rate: jax.Array
+
+    @property
+    def size(self):
+        return lax.abs(self.real) + lax.abs(self.imaginary)
+
+    def values(self, count):
+        """So many derivatives at t = 0, from the value on."""
+        found, (real, imaginary) = [], (self.real, self.imaginary)
+        for _ in range(count):
+            found.append(real)
+            real, imaginary = -self.rate * imaginary, self.rate * real
+        return found
+
+
+class Creep(NamedTuple):
+    """A part of a slow motion: real exp(-rate t)."""
+
+    real: jax.Array
+    rate: jax.Array
+
+    @property
+    def size(self):
+        return lax.abs(self.real)
+
+    def values(self, count):
+        """So many derivatives at t = 0, from the value on."""
+        found = [self.real]
+        while len(found) < count:
+            found.append(-self.rate * found[-1])
+        return found
 
 
 def is_due(path, wait):
@@ -52,7 +93,7 @@ def leap(frame, path, wait):
 
 def _safe(frame, path):
     """A time for which the mass certainly stays within its wall; 0 where that cannot be said."""
-    parts = contact.forced(frame, path.contact, path.cosine, path.sine)
+    parts = _forced(frame, path.contact, path.cosine, path.sine)
     stiffness, damping, side = frame.stiffness, frame.damping, lax.sign(path.contact)
     place, pace = (sum(each) for each in zip(*(part.values(2) for part in parts), strict=True))
     w, u = path.x - place, path.v - pace
@@ -63,7 +104,7 @@ def _safe(frame, path):
     gone = (u + creep * w) / choose(creeps, creep - swift, -1.0)
     kept = choose(creeps, w - gone, 0.0)
     bound = choose(creeps, lax.abs(gone), lax.sqrt(w * w + u * u / stiffness))
-    parts = [*parts, contact.Creep(kept, creep)]
+    parts = [*parts, Creep(kept, creep)]
     pace = creep
     for part in parts[:-1]:
         pace = choose(part.rate > pace, part.rate, pace)
@@ -83,4 +124,19 @@ def _safe(frame, path):
 
 def _flown(frame, path, time):
     """(y, y') a time later, the flow's short step doubled."""
-    return contact.flown(frame, path.contact, (path.x, path.v), path.cosine, path.sine, time)
+    response = contact.response(frame, path.contact, time)
+    return contact.flown(frame, path.contact, response, (path.x, path.v), path.cosine, path.sine)
+
+
+def _forced(frame, touch, cosine, sine):
+    """The `Wave`s that drive and wall force on y; frame: as the lanes feel it. Of no use where they resonate."""
+    none = 0.0 * cosine
+    drive = frame.force * cosine, frame.force * sine, frame.frequency + none
+    waves = [drive, *([contact.wave(frame, touch, cosine, sine)] if contact.moves(frame) else [])]
+    found = []
+    for along, across, rate in waves:
+        lag, away = 2.0 * frame.damping * rate, frame.stiffness - rate * rate
+        size = away * away + lag * lag
+        found.append(Wave((along * away + across * lag) / size, (across * away - along * lag) / size, rate))
+    place, _ = contact.rested(frame, touch, cosine, -1.0, none)
+    return [Wave(place, none, none), *found]

@@ -106,7 +106,9 @@ def jump(frame, met, sides):
     touch, stay = choose(gives, sides * WITHIN, 0.0), jnp.maximum(met.stay, 0.0)
     _, pace, _ = _way(frame, sides, *met.phasor)
     whole = touch != 0, met.closing, met.cosine, met.sine
-    soft = carried(frame, touch, stay, share(met.pace, met.closing), share(pace, met.opening), whole)
+    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    response = contact.response(here, touch, stay)
+    soft = carried(frame, touch, stay, response, share(met.pace, met.closing), share(pace, met.opening), whole)
     return jax.tree.map(lambda soft, hard: jnp.where(gives, soft, hard), soft, hard)
 
 
@@ -117,7 +119,7 @@ def stayed(frame, met, sides, k, since, state):
     inside = (touch != 0) & (since < met.stay[k])
     span = choose(inside, since, 0.0)
     cosine, sine = met.cosine[k], met.sine[k]
-    y, v = contact.flown(here, touch, (0.0 * span, met.closing[k]), cosine, sine, span)
+    y, v = contact.flown(here, touch, contact.response(here, touch, span), (0.0 * span, met.closing[k]), cosine, sine)
     c, s = jnp.cos(frame.frequency * span), jnp.sin(frame.frequency * span)
     where, pace, _ = _way(frame, sides[k], cosine * c - sine * s, sine * c + cosine * s)
     return choose(inside, where + y, state[0]), choose(inside, pace + v, state[1])

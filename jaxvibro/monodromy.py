@@ -17,7 +17,7 @@ from jax import lax
 
 from . import check, dwell, flow, period
 from .blocks import LEAST, batched, in_blocks
-from .contact import ENTERED, felt, flown, gives, is_inside
+from .contact import ENTERED, felt, flown, gives, is_inside, response
 from .contact import bounce as restitution
 from .entry import CAP
 from .frame import frame
@@ -143,7 +143,8 @@ def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):
     here = frame._replace(**felt(frame, touch)._asdict())
     angle = frame.frequency * time
     after = flow.turn(cosine, sine, jnp.cos(angle) - 1.0, jnp.sin(angle))
-    _, opening = flown(here, touch, (y, v), cosine, sine, time)
+    answer = response(here, touch, time)
+    _, opening = flown(here, touch, answer, (y, v), cosine, sine)
     shares = []
     for phasor, speed in (((cosine, sine), v), (after, opening)):
         paces = [course(wall, frame.frequency, *phasor, 1)[1] for wall in frame.walls]
@@ -151,7 +152,7 @@ def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):
         shares.append(share(pace, speed))
     out = inside & (time < left)
     last, whole = choose(out, shares[1], 0.0), (out, v, cosine, sine)
-    new = carried(frame, touch, time, shares[0] if enters else 0.0, last, whole if enters else None)[0]
+    new = carried(frame, touch, time, answer, shares[0] if enters else 0.0, last, whole if enters else None)[0]
     new = product(new, matrix)
     new = tuple(choose(inside, one, old) for one, old in zip(new, matrix, strict=True))
     return past + time, *after, new

@@ -54,8 +54,8 @@ def duration(frame, touch, y, v, cosine, sine, longest):
     return longest - left
 
 
-def carried(frame, touch, time, enters, leaves, whole=None):
-    """(matrix by rows, its determinant) of a stay: how its end changes with its start, x and v both.
+def carried(frame, touch, time, response, enters, leaves, whole=None):
+    """(matrix by rows, its determinant) of a stay of this `contact.Response`: how its end changes with its start.
 
     Where the damping jumps from gamma to gamma2 and back, S = ((1, 0), (+-2 (gamma - gamma2) v / u, 1)), v the
     velocity, u that against the wall; enters, leaves: v / u there, 0 where there is no jump. whole: (lanes whose stay
@@ -63,12 +63,12 @@ def carried(frame, touch, time, enters, leaves, whole=None):
     digits where it is small, and the stiff wall multiplies it.
     """
     here = frame._replace(**contact.felt(frame, touch)._asdict())
-    (p00, p01, p11), _ = contact.response(here, touch, time)
+    p00, p01, p11 = response.free
     if whole is not None:
         lanes, v, cosine, sine = whole
         zero = lax.full_like(time, 0.0)
         lanes &= (time > here.reach) & (time < QUICK * here.reach)
-        forced, _ = contact.flown(here, touch, (zero, zero), cosine, sine, time)
+        forced, _ = contact.flown(here, touch, response, (zero, zero), cosine, sine)
         p01 = choose(lanes, -forced / choose(lanes, v, 1.0), p01)
     less = 2.0 * (frame.damping - here.damping)
     first, last = less * enters, less * leaves
@@ -146,7 +146,7 @@ def _newton(here, touch, v, cosine, sine, time):
 
 def _long(here, touch, v, cosine, sine, time, order):
     """As `_short`, of a longer stay, by Taylor polynomials at a time that is right but for rounding."""
-    y, v = contact.flown(here, touch, (lax.full_like(v, 0.0), v), cosine, sine, time)
+    y, v = contact.flown(here, touch, contact.response(here, touch, time), (lax.full_like(v, 0.0), v), cosine, sine)
     angle = here.frequency * time
     c, s = jnp.cos(angle), jnp.sin(angle)
     now = Now(y, v, cosine * c - sine * s, sine * c + cosine * s, time)

@@ -1,0 +1,166 @@
+"""Soft walls: strobes, derivatives, orbits and branches against ball arithmetic and closed forms."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from tests import soft_proof
+
+FIG10 = {"amplitude": 0.3, "frequency": 1.3, "damping": 0.05, "restitution": 0.7}
+STANDING = ((True, 0), (True, 0))  # structures of `soft_proof`: both walls soft, one of them rigid, one moving
+MIXED = ((False, 0), (True, 0))
+
+
+def soft(stiffness=10.0, damping=0.1, places=(-1.0, 1.0), **changes):
+    walls = tuple(jv.Wall(place, stiffness=stiffness, damping=damping) for place in places)
+    return jv.make_scene(**FIG10 | {"walls": walls} | changes)
+
+
+@pytest.fixture(scope="module")
+def resonance():
+    """P111 of a soft scene and its branch along the frequency."""
+    scene = soft()
+    state, _ = jv.strobe(scene, jv.State(1.5, 1.0), periods=300)
+    orbit = jv.find_orbit(scene, state)
+    return orbit, jv.follow(orbit, "frequency", bounds=(0.5, 3.0))
+
+
+def compared(count, kinds=None):
+    members, _ = soft_proof.groups(count, kinds=kinds)
+    return [row for group in members for row in soft_proof.strobe_rows(group)]
+
+
+def test_strobes_against_ball_arithmetic():
+    rows = compared(150, {STANDING, MIXED})
+    assert len(rows) >= 20 and sum(row.count for row in rows) >= 30
+    assert all(row.right for row in rows)
+    assert max(row.state for row in rows) < 0.01 and max(row.sharp for row in rows) < 0.2
+
+
+@pytest.mark.slow
+def test_strobes_of_all_kinds_against_ball_arithmetic():
+    rows = compared(600)
+    assert all(row.right for row in rows)
+    assert max(row.state for row in rows) < 0.01 and max(row.sharp for row in rows) < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [STANDING, MIXED], ids=["standing", "mixed"])
+def test_slopes_against_ball_arithmetic(kind):
+    (members,), _ = soft_proof.groups(120, kinds={kind})
+    for rows in soft_proof.slope_errors(members).values():
+        errors = np.array([error for _, error, _ in rows])
+        assert (errors < 1e-11).mean() > 0.95 and np.median(errors) < 1e-15
+
+
+def test_two_periods_are_one_after_the_other():
+    scene, start = soft(1e4, 5.0, amplitude=3.0), jv.State(np.linspace(-1.02, 1.02, 32), 0.5)
+    once, first = jv.strobe(scene, start)
+    twice, second = jv.strobe(scene, once)
+    both, impacts = jv.strobe(scene, start, periods=2)
+    assert (impacts.count == first.count + second.count).all() and first.count.sum() > 32
+    for one, other in ((both.x, twice.x), (both.v, twice.v)):
+        assert abs(one - other).max() < 1e-9
+
+
+def test_a_start_within_a_wall_needs_no_contact():
+    scene = soft(50.0, 0.3)
+    beyond = jv.strobe(scene, jv.State(1.1, 0.4))
+    told = jv.strobe(scene, jv.State(1.1, 0.4, 0.0, 3.0))
+    assert float(beyond[0].x) == float(told[0].x) and beyond[1].count == told[1].count
+    on_it = jv.strobe(scene, jv.State(1.0, 0.4))[1]
+    entered = jv.strobe(scene, jv.State(1.0, 0.4, 0.0, 3.0))[1]
+    assert on_it.count == entered.count + 1 and on_it.time[0] == 0.0
+    assert np.allclose(on_it.time[1 : on_it.count], entered.time[: entered.count], rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("contact", "wall"), [(2.0, jv.Wall(1.0, stiffness=9.0)), (3.0, 1.0), (4.0, jv.Wall(1.0, stiffness=9.0))]
+)
+def test_a_contact_that_the_wall_does_not_know_is_invalid(contact, wall):
+    scene = jv.make_scene(**FIG10, walls=(None, wall))
+    assert jv.strobe(scene, jv.State(1.0, 0.0, 0.0, contact))[1].status == 3
+
+
+def test_a_pressed_mass_stays_within_a_very_stiff_wall():
+    # statically: x - x_s = (A cos - x_s) / (1 + k2) at the slow drive's phase 0
+    scene = jv.make_scene(3.0, 0.05, 0.3, 0.7, (None, jv.Wall(1.0, stiffness=1e10, damping=1e4)))
+    start = jv.State(1.0 + 2.0 / (1.0 + 1e10), 0.0, 0.0, 3.0)
+    end, impacts = jv.strobe(scene, start)
+    assert impacts.status == 0 and float(end.contact) == 3.0
+    assert abs((float(end.x) - 1.0) * (1.0 + 1e10) - 2.0) < 1e-2
+
+
+def test_multipliers_of_orbits_are_those_of_the_product_and_of_autodiff(resonance):
+    orbit, _ = resonance
+    product = np.asarray(jv.monodromy(orbit.scene, orbit.state))
+    slopes, _ = jax.jacfwd(jv.strobe, argnums=1, has_aux=True)(orbit.scene, jax.tree.map(jnp.asarray, orbit.state))
+    forward = np.array([[slopes.x.x, slopes.x.v], [slopes.v.x, slopes.v.v]])
+    assert abs(product - forward).max() < 1e-11
+    for matrix in (product, forward):
+        roots = np.linalg.eigvals(matrix)
+        assert min(abs(roots - one).min() for one in orbit.multipliers) < 1e-11
+
+
+def test_a_branch_goes_through_the_grazings_of_soft_walls(resonance):
+    _, branch = resonance
+    meets = np.sqrt(np.roots([1.0, 4 * 0.05**2 - 2.0, 1.0 - 0.3**2]))  # A = sqrt(D), (8)
+    found = [point.value for point in branch.points("GR")]
+    assert np.allclose(np.sort(found), np.sort(meets), rtol=0, atol=1e-11)
+    for point in branch.points("SN"):
+        assert min(abs(point.multipliers - 1.0)) < 1e-6
+    assert all(reason.startswith("the parameter reached its bound") for reason in branch.reasons)
+    for point in branch.points("GR"):
+        assert abs(np.prod(point.multipliers).real - np.exp(-2 * 0.05 * 2 * np.pi / point.value)) < 1e-9
+
+
+def test_branches_from_either_side_of_a_grazing_are_one(resonance):
+    _, branch = resonance
+    scene = soft(frequency=0.7)
+    free = jv.find_orbit(scene, jv.strobe(scene, jv.State(0.1, 0.0), periods=100)[0])
+    other = jv.follow(free, "frequency", bounds=(0.5, 3.0))
+    for kind in ("GR", "SN"):
+        ours, theirs = (np.sort([point.value for point in one.points(kind)]) for one in (branch, other))
+        assert np.allclose(ours, theirs, rtol=0, atol=1e-10)
+
+
+def test_multipliers_change_like_the_root_of_the_distance_to_a_grazing(resonance):
+    _, branch = resonance
+    (point,) = [one for one in branch.points("GR") if one.value < 1.0]
+    late = branch.values - point.value
+    near = (late > 1e-10) & (late < 1e-6) & (branch.data["side"].values[:, 0] != 0)
+    assert near.sum() >= 3
+    trace = branch.multipliers.sum(axis=1).real
+    slope = np.polyfit(np.log(late[near]), np.log(abs(trace[near] - sum(point.multipliers).real)), 1)[0]
+    assert abs(slope - 0.5) < 0.01
+
+
+@pytest.mark.parametrize(
+    ("wall", "key"),
+    [
+        (jv.Wall(1.0, restitution=0.5, stiffness=3.0), "right.restitution"),
+        (jv.Wall(1.0, damping=0.5), "right.damping"),
+        (jv.Wall(1.0, stiffness=0.0), "right.stiffness"),
+        (jv.Wall(1.0, stiffness=2.0, damping=-0.1), "right.damping"),
+        (jv.Wall(1.0, stiffness=np.inf), "right.stiffness"),
+    ],
+)
+def test_bad_walls_are_refused(wall, key):
+    with pytest.raises(jv.SceneError, match=f"^{key}: "):
+        jv.make_scene(**FIG10, walls=(-1.0, wall))
+
+
+def test_what_is_for_rigid_walls_says_so(resonance):
+    orbit, _ = resonance
+    start = jv.State(0.0, 0.0)
+    calls = [
+        lambda: jv.spectrum(orbit.scene, "amplitude", [1.0], start),
+        lambda: jv.sections(orbit.scene, start),
+        lambda: jv.basins(orbit.scene, [-0.5, 0.5], [-0.5, 0.5]),
+        lambda: jv.return_map(orbit.scene, "right", 0.0, -1.0),
+    ]
+    for call in calls:
+        with pytest.raises(jv.SceneError, match="rigid"):
+            call()
