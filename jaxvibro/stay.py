@@ -13,7 +13,7 @@ from jax import lax
 from . import contact, leap, taylor
 from .contact import ENTERED, is_inside
 from .flight import micro
-from .lanes import choose
+from .lanes import choose, stage
 from .path import Motion, Path, accelerations
 from .taylor import Now
 
@@ -99,9 +99,9 @@ def leave(frame, side, cosine, sine, speed, found, order=ORDER):
     here = frame._replace(**contact.felt(frame, touch)._asdict())
     v, reach = side * speed, lax.stop_gradient(here.reach)
     short = abs(found) <= reach
-    near = _short(here, touch, v, cosine, sine, choose(short, found, 0.0), rounds)
+    near = stage(_short, here, touch, v, cosine, sine, choose(short, found, 0.0), rounds=rounds)
     v = choose(short, side + 0.0 * v, v)
-    far = _long(here, touch, v, cosine, sine, choose(short, 0.1 * reach, found), order)
+    far = stage(_long, here, touch, v, cosine, sine, choose(short, 0.1 * reach, found), order=order)
     time, after = (choose(short, *each) for each in zip(near, far, strict=True))
     angle = frame.frequency * time
     c, s = jnp.cos(angle), jnp.sin(angle)
@@ -132,8 +132,8 @@ def _short(here, touch, v, cosine, sine, time, rounds):
     plain = lax.stop_gradient((here, touch, v, cosine, sine))
     time = lax.fori_loop(0, ROUNDS, lambda _, time: _newton(*plain, time), time)
     for _ in range(rounds):
-        time = _newton(here, touch, v, cosine, sine, time)
-    return time, contact.gone(here, touch, v, cosine, sine, time)
+        time = stage(_newton, here, touch, v, cosine, sine, time)
+    return time, stage(contact.gone, here, touch, v, cosine, sine, time)
 
 
 def _newton(here, touch, v, cosine, sine, time):
