@@ -1,5 +1,7 @@
 """What a parameter of a scene may be, and along which leaf of the scene it lies."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 
@@ -49,11 +51,19 @@ def values_of(scene, name, values):
 
 def marked(scene, *names):
     """(the scene with numbers of its own at the parameters, the same tree with 1 at the first, 2 at the second, else
-    0)."""
+    0).
+
+    The hardness of soft walls gets a leaf, whatever the parameters are: what is compiled is then the same for all.
+    """
     for name in names:
-        scene = changed(scene, {name: scene.parameter(name)})
+        scene = changed(scene, {name: 0.0 if name == "hardness" else scene.parameter(name)})
+    if scene.soft_sides:
+        scene = replace(scene, harder=np.zeros(()))
     marks = jax.tree.map(lambda leaf: np.int32(0), scene)
-    return scene, changed(marks, {name: np.int32(k) for k, name in enumerate(names, 1)})
+    for k, name in enumerate(names, 1):
+        mark = np.int32(k)
+        marks = replace(marks, harder=mark) if name == "hardness" else changed(marks, {name: mark})
+    return scene, marks
 
 
 def scene_length(scene):

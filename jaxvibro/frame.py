@@ -64,7 +64,7 @@ def frame(scene):
     force, frequency, damping = (jnp.asarray(n, dtype) for n in (scene.amplitude, scene.frequency, scene.damping))
     given = zip(SIDES, (scene.left, scene.right), strict=True)
     given = [(side, wall) for side, wall in given if wall is not None]
-    walls = tuple(lane(wall, scene.restitution, scene.damping, side, dtype) for side, wall in given)
+    walls = tuple(lane(wall, scene, side, dtype) for side, wall in given)
     rate = flow.rate(frequency, damping)
     for wall in walls:
         rate = jnp.maximum(rate, frequency * (wall.harmonic if wall.swing is not None else 1.0))

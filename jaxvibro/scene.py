@@ -5,8 +5,10 @@ from functools import reduce
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from . import check
+from .rebound import hardened
 
 SIDES = ("left", "right")
 
@@ -59,6 +61,7 @@ class Scene:
     one; beyond a soft one as `Wall` says.
 
     Every real number is an array; together they broadcast to the batch of scenes. A wall that is None is not there.
+    harder: by how many decades the soft walls are stiffer than they say, at the same R_eff; None but along a branch.
     Make one with `make_scene`, which checks it.
     """
 
@@ -68,6 +71,7 @@ class Scene:
     restitution: jax.Array
     left: Wall | None
     right: Wall | None
+    harder: jax.Array | None = None
 
     @property
     def dtype(self):
@@ -81,7 +85,12 @@ class Scene:
 
     @property
     def names(self):
-        """The names of the scene's parameters, those of a wall dotted: "right.motion.phase"."""
+        """The names of the scene's parameters, those of a wall dotted: "right.motion.phase".
+
+        Where there is a soft wall, "hardness" is one: the decimal logarithm of its stiffness, of the left one's where
+        there are two. Naming it multiplies the stiffness of all soft walls by one number, and changes the damping of
+        each so that its R_eff stays (`effective_restitution`).
+        """
         found = ["amplitude", "frequency", "damping", "restitution"]
         for side in SIDES:
             wall = getattr(self, side)
@@ -89,7 +98,12 @@ class Scene:
                 own = ("position", "stiffness", "damping") if wall.soft else ("position", "restitution")
                 found += [f"{side}.{name}" for name in own]
                 found += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
-        return tuple(found)
+        return (*found, "hardness") if self.soft_sides else tuple(found)
+
+    @property
+    def soft_sides(self):
+        """The sides of its soft walls, left first."""
+        return tuple(side for side in SIDES if getattr(self, side) is not None and getattr(self, side).soft)
 
     def parameter(self, name):
         """The value of a parameter, an array; a wall without a restitution, or damping, of its own gives the scene's.
@@ -97,6 +111,9 @@ class Scene:
         Raises SceneError where the scene has no parameter of this name.
         """
         check.is_known(name, self.names, name)
+        if name == "hardness":
+            stiffness = getattr(self, self.soft_sides[0]).stiffness
+            return (jnp if check.is_traced(stiffness) else np).log10(stiffness)
         value = reduce(getattr, name.split("."), self)
         return getattr(self, name.split(".")[-1]) if value is None else value
 
@@ -108,8 +125,8 @@ class Scene:
     def replace(self, **changes):
         """The same scene with other values: `scene.replace(**{"amplitude": 3.0, "right.restitution": 0.5})`.
 
-        Naming a wall's restitution, or damping, gives that wall its own. The new scene is checked like any other:
-        SceneError.
+        Naming a wall's restitution, or damping, gives that wall its own; so does naming the hardness, which is changed
+        before the others. The new scene is checked like any other: SceneError.
         """
         return _checked(changed(self, changes), self.dtype)
 
@@ -140,10 +157,21 @@ def _wall(side, given):
 
 def changed(scene, changes):
     """The scene with other values put in by name, not yet checked beyond the names."""
-    for name, value in changes.items():
+    for name, value in sorted(changes.items(), key=lambda change: change[0] != "hardness"):
         check.is_known(name, scene.names, value)
-        scene = _put(scene, name.split("."), value)
+        scene = _of_hardness(scene, value) if name == "hardness" else _put(scene, name.split("."), value)
     return scene
+
+
+def _of_hardness(scene, value):
+    if not check.is_traced(value):
+        value = check.number("hardness", value, np.float64)
+    decades, walls = value - scene.parameter("hardness"), {}
+    for side in scene.soft_sides:
+        wall = getattr(scene, side)
+        stiffness, damping = hardened(wall.stiffness, scene.parameter(f"{side}.damping"), decades)
+        walls[side] = replace(wall, stiffness=stiffness, damping=damping)
+    return replace(scene, **walls)
 
 
 def _put(node, path, value):
@@ -186,4 +214,6 @@ def _numbers(scene, dtype):
         return Wall(number(f"{side}.position", wall.position), **own, motion=moving(side, wall.motion))
 
     plain = {key: number(key, getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
+    if scene.harder is not None:
+        plain["harder"] = number("harder", scene.harder)
     return Scene(**plain, left=standing("left", scene.left), right=standing("right", scene.right))

@@ -174,8 +174,10 @@ def _dataset(scene, name, values, state, parts):
 
 
 def others(scene, name):
-    """The parameters that are not swept, without those that a wall takes from the scene."""
+    """The parameters that are not swept, without those that a wall takes from the scene, or that follow from others."""
     follows = [f"{side}.{name}" for side, wall in _walls(scene).items() for name in wall.taken]
+    follows += [f"{side}.{own}" for side in scene.soft_sides for own in ("stiffness", "damping") if name == "hardness"]
+    follows.append("hardness")
     return {key: scene.parameter(key) for key in scene.names if key != name and key not in follows}
 
 

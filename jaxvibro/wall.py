@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from .lanes import choose
+from .rebound import hardened
 
 
 @jax.tree_util.register_dataclass
@@ -28,18 +29,21 @@ class Lane:
     damping: jax.Array | None = None
 
 
-def lane(wall, restitution, damping, sign, dtype):
-    """The `Lane` of a scene's wall; restitution, damping: the scene's, for a wall without its own."""
+def lane(wall, scene, sign, dtype):
+    """The `Lane` of a scene's wall."""
 
     def number(value):
         return jnp.asarray(value, dtype)
 
     position, motion = number(wall.position), wall.motion
     if wall.soft:
-        own = {"restitution": None, "stiffness": number(wall.stiffness)}
-        own["damping"] = number(damping if wall.damping is None else wall.damping)
+        stiffness = number(wall.stiffness)
+        damping = number(scene.damping if wall.damping is None else wall.damping)
+        if scene.harder is not None:
+            stiffness, damping = hardened(stiffness, damping, number(scene.harder))
+        own = {"restitution": None, "stiffness": stiffness, "damping": damping}
     else:
-        own = {"restitution": number(restitution if wall.restitution is None else wall.restitution)}
+        own = {"restitution": number(scene.restitution if wall.restitution is None else wall.restitution)}
     moves = {"swing": None, "cosine": None, "sine": None}
     if motion is not None:
         phase = number(motion.phase)

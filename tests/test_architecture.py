@@ -9,7 +9,7 @@ ROOT = Path(__file__).parents[1]
 FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROOT / package).rglob("*.py"))
 # A file imports only from files named before it; `plot` and `paper` stand for all files of those folders.
 ORDER = [
-    *("gap", "text", "check", "scene", "physical", "whole", "tables", "rules", "scenefile"),
+    *("gap", "text", "check", "rebound", "scene", "soften", "physical", "whole", "tables", "rules", "scenefile"),
     *("lanes", "blocks", "flow", "wall", "contact", "path", "event", "impact", "frame", "flight", "leap"),
     *("log", "clearance", "entry", "journey", "state", "period", "taylor", "stay", "dwell", "replay", "slopes"),
     *("strobe", "monodromy", "simulate"),

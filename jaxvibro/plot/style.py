@@ -15,6 +15,7 @@ _PARAMETERS = {
     "restitution": r"restitution $R$",
     "stiffness": r"stiffness $k_2 = K_2\,/\,K$",
     "contact damping": r"damping in contact $\gamma_2 = C_2\,/\,(2M\omega_0)$",
+    "hardness": r"hardness of the walls $\log_{10} k_2$",
     "position": r"mean position $X_b\,/\,d$",
     "motion.amplitude": r"amplitude of motion $B\,/\,d$",
     "motion.phase": r"phase of motion (rad)",

@@ -1,0 +1,57 @@
+"""With what part of its speed a mass leaves a soft wall (paper, section 4): z is the wall's share of critical damping.
+
+    R_eff = exp(-pi z / sqrt(1 - z^2)),  z = gamma2 / sqrt(1 + k2)
+
+as y'' + 2 gamma2 y' + (1 + k2) y = 0 from y = 0 is back there after half a swing, pi / sqrt(1 + k2 - gamma2^2).
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from . import check
+
+
+def effective_restitution(stiffness, damping):
+    """R_eff of a soft wall: the speed at which a mass leaves it over that at which it came, where nothing else pulls.
+
+    stiffness k2 > 0, damping gamma2 >= 0, as of a `Wall`: numbers or arrays that broadcast. From critical damping on
+    (z >= 1) the mass never comes back by itself: 0. Raises SceneError for a number that breaks its rule.
+    """
+    xp, stiffness, damping = _numbers(stiffness=stiffness, damping=damping)
+    spare = 1.0 + stiffness - damping * damping
+    swings = spare > 0
+    found = xp.exp(-np.pi * damping / xp.sqrt(xp.where(swings, spare, 1.0)))
+    return xp.where(swings, found, 0.0)
+
+
+def contact_damping(stiffness, restitution):
+    """The damping gamma2 with which a soft wall has this effective restitution.
+
+        gamma2 = z sqrt(1 + k2),  z = abs(ln R) / sqrt(pi^2 + ln(R)^2)
+
+    stiffness k2 > 0, 0 <= restitution R <= 1: numbers or arrays that broadcast. R = 0 takes critical damping, z = 1,
+    the least that has it. Raises SceneError for a number that breaks its rule.
+    """
+    xp, stiffness, restitution = _numbers(stiffness=stiffness, restitution=restitution)
+    bounces = restitution > 0
+    loss = -xp.log(xp.where(bounces, restitution, 1.0))
+    return xp.where(bounces, loss / xp.hypot(np.pi, loss), 1.0) * xp.sqrt(1.0 + stiffness)
+
+
+def hardened(stiffness, damping, decades):
+    """(k2, gamma2) of a wall 10^decades times as stiff that has the same z, and with it the same R_eff."""
+    xp = jnp if check.is_traced(stiffness, damping, decades) else np
+    with np.errstate(over="ignore", under="ignore"):  # a wall's own rules refuse what comes of it
+        harder = stiffness * 10.0**decades
+        return harder, damping * xp.sqrt((1.0 + harder) / (1.0 + stiffness))
+
+
+def _numbers(**given):
+    """(jnp where a number is traced, else np; the numbers), checked."""
+    numbers = []
+    for key, value in given.items():
+        if not check.is_traced(value):
+            value = check.number(key, value, np.float64)
+            check.obey(key, value)
+        numbers.append(value)
+    return (jnp if check.is_traced(*numbers) else np), *numbers
