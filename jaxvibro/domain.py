@@ -51,19 +51,25 @@ def values_of(scene, name, values):
 
 def marked(scene, *names):
     """(the scene with numbers of its own at the parameters, the same tree with 1 at the first, 2 at the second, else
-    0).
+    0). A parameter may be several that have one value, a tuple of their names.
 
     The hardness of soft walls gets a leaf, whatever the parameters are: what is compiled is then the same for all.
     """
-    for name in names:
+    for name in flat(names):
         scene = changed(scene, {name: 0.0 if name == "hardness" else scene.parameter(name)})
     if scene.soft_sides:
         scene = replace(scene, harder=np.zeros(()))
     marks = jax.tree.map(lambda leaf: np.int32(0), scene)
-    for k, name in enumerate(names, 1):
-        mark = np.int32(k)
-        marks = replace(marks, harder=mark) if name == "hardness" else changed(marks, {name: mark})
+    for k, given in enumerate(names, 1):
+        for name in flat([given]):
+            mark = np.int32(k)
+            marks = replace(marks, harder=mark) if name == "hardness" else changed(marks, {name: mark})
     return scene, marks
+
+
+def flat(names):
+    """Names of parameters, those in tuples too, in a row."""
+    return [one for given in names for one in ((given,) if isinstance(given, str) else given)]
 
 
 def scene_length(scene):

@@ -36,15 +36,21 @@ class Look(NamedTuple):
 
 def looked(along, zs):
     """The `Look` at points, shape (points, n + 1)."""
-    rows, periods = len(along.cycle.sides), int(along.cycle.periods)
-    parts, wide = [], 1 << (periods - 1).bit_length()  # so that fewer sizes are compiled
+    periods = int(along.cycle.periods)
+    wide = 1 << (periods - 1).bit_length()  # so that fewer sizes are compiled
+    look = Look(*each_of(hitting if len(along.cycle.sides) else _free, along, zs, wide))
+    return look._replace(x=look.x[:, :periods], v=look.v[:, :periods])
+
+
+def each_of(one, along, zs, periods):
+    """What a function of a module, (along, z, periods) -> a tuple of arrays, gives at points: a tuple of arrays."""
+    parts = []
     for first in range(0, len(zs), LANES):
         some = zs[first : first + LANES]
         padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
-        found = fetched(_seen(hitting if rows else _free, along, padded, np.int32(len(some)), wide))
+        found = fetched(_seen(one, along, padded, np.int32(len(some)), periods))
         parts.append([each[: len(some)] for each in found])
-    look = Look(*(np.concatenate(each) for each in zip(*parts, strict=True)))
-    return look._replace(x=look.x[:, :periods], v=look.v[:, :periods])
+    return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
 
 
 @kept(static_argnums=(0, 4))

@@ -14,7 +14,7 @@ from .assemble import is_own_image
 from .branch import Special
 from .curve import Grazing, Singular
 from .cycle import Cycle
-from .domain import bounds_of, domain, marked, scene_length
+from .domain import bounds_of, domain, flat, marked, scene_length
 from .follow import SMALLEST, placed, point, settled
 from .graze import TOUCH, padded, scales, touches
 from .mirror import stays_symmetric
@@ -51,7 +51,7 @@ def outset(start, names, bounds, first_step, largest_step, tolerance):
         raise check.SceneError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
     bounds = {name: bounds_of(start.scene, name, bounds[name]) for name in names}
     given = settled(first_step, largest_step, tolerance, (), ())
-    curve, z = _placed(start, names)
+    curve, z = equations(start, names)
     length = scene_length(start.scene)
     own = [domain(start.scene, name) for name in names]
     box = [(max(low, least), min(high, most)) for (low, high), (least, most) in zip(bounds.values(), own, strict=True)]
@@ -82,12 +82,13 @@ def named(scene, names):
     return pair
 
 
-def _placed(start, names):
-    """(`Grazing` or `Singular`, z) at a `Begun`. Raises SceneError."""
+def equations(start, names):
+    """(`Grazing` or `Singular`, z) at a `Begun`, along any number of parameters; a tuple of names is one, of several
+    that have one value. Raises SceneError."""
     scene, spot = start.scene, start.spot
     impacts = _impacts(start)
-    values = [float(scene.parameter(name)) for name in names]
-    flat, which = marked(scene, *names)
+    values = [float(scene.parameter(flat([name])[0])) for name in names]
+    numbered, which = marked(scene, *names)
     half = _is_half(start, impacts, names)
     if start.kind == "SB" and not half:
         raise check.SceneError("names", "must keep the scene symmetric: an SB is no point of another", names)
@@ -96,17 +97,17 @@ def _placed(start, names):
         impacts = impacts[: len(impacts) // 2]
     blank = np.zeros(0)
     numbers = (np.asarray(each) for each in (0.0, periods, turn))
-    seed = Singular(flat, which, Cycle(blank, blank, blank, *numbers), np.asarray(1.0))
+    seed = Singular(numbered, which, Cycle(blank, blank, blank, *numbers), np.asarray(1.0))
     cycle = padded(seed, impacts)
     z = np.concatenate([cycle.times, cycle.speeds, values])
     if start.kind != "GR":
         closing = 1.0 if start.kind == "SN" else -1.0
-        return Singular(flat, which, cycle, np.asarray(closing)), z
+        return Singular(numbered, which, cycle, np.asarray(closing)), z
     length = scene_length(scene)
     pick = np.where((cycle.sides != 0) & (cycle.speeds <= TOUCH * length), 1.0, 0.0)
     if pick.sum() != 1:
         raise check.SceneError("special", "must be a grazing of one impact: here are", int(pick.sum()))
-    return Grazing(flat, which, cycle, pick, np.asarray(TOUCH * length)), z
+    return Grazing(numbered, which, cycle, pick, np.asarray(TOUCH * length)), z
 
 
 def _impacts(start):
@@ -127,7 +128,7 @@ def _impacts(start):
 
 def _is_half(start, impacts, names):
     """Whether an orbit is its own mirror image, and stays one whatever the parameters are."""
-    if len(impacts) % 2 or not stays_symmetric(start.scene, *names):
+    if len(impacts) % 2 or not stays_symmetric(start.scene, *flat(names)):
         return False
     times, speeds, sides = np.array(impacts).T
     whole = start.spot._replace(times=times, speeds=speeds, sides=sides)

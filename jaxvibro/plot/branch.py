@@ -22,14 +22,16 @@ LABELS = {
     **COORDINATES,
     "clearance": r"least clearance$\,/\,d$",
     "speed": r"least impact speed$\,/\,(d\,\omega_0)$",
+    "peak": r"largest position $\max|x| = \max|X|\,/\,d$",
 }
 
 
 def branch(one, variable="x", ax=None, colour=None):
     """Draw one variable of a `Branch` against its parameter: the Axes.
 
-    variable: "x" or "v" at phase 0 of each drive period; "clearance" or "speed", the least of an orbit. colour: of its
-    lines; None takes the next of the house's, or that of a branch with the same labels in these Axes.
+    variable: "x" or "v" at phase 0 of each drive period; "clearance" or "speed", the least of an orbit; "peak", its
+    largest abs x. colour: of its lines; None takes the next of the house's, or that of a branch with the same labels
+    in these Axes.
 
     Stable parts are solid and thick, unstable ones dashed and thin. A line breaks where an impact crosses phase 0: the
     velocity jumps there, though the branch goes on. Each kind of special point has a marker of its own, the ends none.
@@ -46,7 +48,7 @@ def branch(one, variable="x", ax=None, colour=None):
             known[text] = colour
     _stability(ax)
     _points(ax, one, variable)
-    if variable == "x":
+    if variable in ("x", "peak"):
         _walls(ax, one)
     ax.set(xlabel=label(one.name), ylabel=LABELS[variable])
     ax.margins(x=0.01)

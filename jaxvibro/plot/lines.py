@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..peaks import peaks
 from .path import SIGNS, position, velocity
 
 MARGIN = 1e-6  # of a multiplier beyond 1, at a special point
@@ -11,7 +12,7 @@ JUMP = 1e-6  # of the largest value, from one itinerary to the next
 def lines(branch, variable):
     """(values, columns, stable) of one variable of a branch: shapes (rows,), (rows, columns) and (rows - 1,).
 
-    columns: a drive period each for "x" and "v", one for "clearance" and "speed"; stable: from a row to the next. A row
+    columns: a drive period each for "x" and "v", one for the others; stable: from a row to the next. A row
     is a point of the branch; where a line breaks three more stand between two points: its end, nan, its new beginning.
     """
     columns = columns_of(branch, variable)
@@ -34,6 +35,8 @@ def columns_of(branch, variable):
     """One variable at each point, shape (points, columns); nan where there is none."""
     if variable in ("x", "v"):
         return branch.data[variable].values
+    if variable == "peak":
+        return peaks(branch)[:, None]
     found = branch.data[f"least_{variable}"].values[:, None]
     return np.where(np.isfinite(found), found, np.nan)
 
