@@ -1,9 +1,10 @@
-"""Error against cost: one marker a method, one point a setting, wrong itineraries ringed and counted."""
+"""Error against cost: one marker a method, one point a setting, those with wrong itineraries ringed."""
 
 import os
 import pathlib
 
 import matplotlib
+from matplotlib import patheffects
 
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
@@ -21,20 +22,19 @@ STYLES = {
 }
 # an error of 0 has no place on a logarithmic axis; this is below the rounding of 1
 LEAST = 1e-17
+TIME = "time per map on one core (ns)"
+ERROR = "error of x and x' after one period (dimensionless)\nmedian; line up to the 99th percentile"
 
 
-def draw(axes, rows):
-    """Draw rows (side, timing, verdict) on axes, which are returned."""
-    for method, (colour, marker) in STYLES.items():
+def draw(axes, rows, styles):
+    """Draw rows (side, timing, verdict) on axes; styles: {method: (colour, marker)}."""
+    for method, (colour, marker) in styles.items():
         points = [(timing.cost[0], verdict) for side, timing, verdict in rows if side.method == method]
         if points:
             draw_method(axes, method, points, colour, marker)
-    axes.scatter([], [], s=190, facecolors="none", edgecolors="k", label="ringed: wrong itineraries, of those judged")
-    axes.set(xscale="log", yscale="log", xlabel="time per map on one core (ns)")
-    axes.set_ylabel("error of x and x' after one period (dimensionless)\nmedian; line up to the 99th percentile")
+    axes.scatter([], [], s=190, facecolors="none", edgecolors="k", label="ringed: the share of wrong itineraries")
+    axes.set(xscale="log", yscale="log")
     axes.grid(True, which="major", alpha=0.3)
-    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
-    return axes
 
 
 def draw_method(axes, method, points, colour, marker):
@@ -48,14 +48,24 @@ def draw_method(axes, method, points, colour, marker):
     for cost, median, (_, verdict) in zip(costs, medians, points, strict=True):
         if verdict.wrong:
             axes.scatter(cost, median, s=190, facecolors="none", edgecolors="k", linewidths=1.0, zorder=3)
-            words = f"{verdict.wrong} of {verdict.judged}"
-            axes.annotate(words, (cost, median), xytext=(9, -3), textcoords="offset points", fontsize=7)
+            words = f"{100 * verdict.wrong / verdict.judged:.2g} %"
+            place = {"xytext": (-9, -3), "textcoords": "offset points", "ha": "right", "zorder": 4}
+            told = axes.annotate(words, (cost, median), fontsize=7, **place)
+            told.set_path_effects([patheffects.withStroke(linewidth=2.0, foreground="w")])
 
 
 def save(path, rows, title):
-    """Write the chart to a PNG: beside it first, then renamed."""
+    """Write the chart to a PNG."""
     figure, axes = plt.subplots(figsize=(9.5, 5.2), layout="constrained")
-    draw(axes, rows).set_title(title, fontsize=10)
+    draw(axes, rows, STYLES)
+    axes.set(xlabel=TIME, ylabel=ERROR)
+    axes.set_title(title, fontsize=10)
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+    write(figure, path)
+
+
+def write(figure, path):
+    """Write a figure to a PNG: beside it first, then renamed."""
     beside = pathlib.Path(path).with_suffix(".part.png")
     figure.savefig(beside, dpi=150)
     plt.close(figure)

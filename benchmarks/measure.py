@@ -7,7 +7,7 @@ import pathlib
 import jax
 
 import jaxvibro
-from benchmarks import branches, chart, derived, harness, machine, ours, page, sides, truth
+from benchmarks import branches, chart, derived, harness, machine, ours, page, sides, soft, truth
 from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, draw
 
 JUDGED = 4096
@@ -68,7 +68,6 @@ def notes(yardstick, rounds, judged):
 
 def main(directory, quick, out):
     """Measure and write out/benchmarks.md and out/benchmarks.png."""
-    jax.config.update("jax_enable_x64", True)
     share, rounds = (16, 2) if quick else (1, ROUNDS)
     states = draw(sides.STATES // share)
     single = measure_single(states[0])
@@ -78,13 +77,11 @@ def main(directory, quick, out):
     print("reference in ball arithmetic")
     true = truth.find(states[: JUDGED // share])
     rows = [(side, t, truth.judge(t.ends, t.sides, true)) for side, t in timings.items()]
-    out = pathlib.Path(out)
-    out.mkdir(parents=True, exist_ok=True)
     chart.save(out / "benchmarks.png", rows, TITLE)
     lines = notes(yardstick, rounds, true.judged)
     asked = compare(us, timings, single) + derived.compare(states, rounds) + branches.compare(rounds)
     text = page.body(rows, asked, lines, machine.describe(), "benchmarks.png")
-    page.write(out / "benchmarks.md", text)
+    page.write(out / "benchmarks.md", text, "measured")
     print(f"{text}\n\nwritten: {out / 'benchmarks.md'}, {out / 'benchmarks.png'}")
 
 
@@ -93,5 +90,11 @@ if __name__ == "__main__":
     parser.add_argument("--limit", metavar="DIR", default=os.environ.get("LIMIT"), help="where the yardstick is kept")
     parser.add_argument("--quick", action="store_true", help="fewer states and rounds, written to out/")
     parser.add_argument("--out", metavar="DIR", help="where to write (docs, or out when quick)")
+    parser.add_argument("--soft", action="store_true", help="soft walls alone")
     given = parser.parse_args()
-    main(given.limit, given.quick, given.out or ("out" if given.quick else "docs"))
+    out = pathlib.Path(given.out or ("out" if given.quick else "docs"))
+    out.mkdir(parents=True, exist_ok=True)
+    jax.config.update("jax_enable_x64", True)
+    if not given.soft:
+        main(given.limit, given.quick, out)
+    soft.main(given.quick, out)

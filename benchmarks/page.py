@@ -1,19 +1,17 @@
-"""The page of results: only the part between two marks is written anew, the rest is kept as people wrote it."""
+"""The page of results: only what is between two marks is written anew, the rest is kept as people wrote it."""
 
 import os
 import pathlib
 
-BEGIN = "<!-- measured: begin (written by `make bench`, do not edit) -->"
-END = "<!-- measured: end -->"
-EMPTY = f"""# Benchmarks
+PARTS = ("measured", "soft walls measured")
 
-{BEGIN}
-{END}
 
-## Gains: predicted, measured
+def marks(part):
+    """The marks between which a part of the page stands."""
+    return f"<!-- {part}: begin (written by `make bench`, do not edit) -->", f"<!-- {part}: end -->"
 
-Nothing noted yet.
-"""
+
+EMPTY = "\n".join(["# Benchmarks\n", *("{}\n{}\n".format(*marks(part)) for part in PARTS)])
 TABLE = (
     "| method | setting | ns per map (quartiles) | over ours (quartiles) | wrong itineraries "
     "| error: median | 99 % | worst | first call, s | states |\n" + "| --- " * 10 + "|"
@@ -59,17 +57,18 @@ def body(rows, asked, notes, machine, picture):
     return "\n\n".join(parts)
 
 
-def write(path, text):
-    """Put text between the marks of the page at path, or of a new page; written beside, then renamed.
+def write(path, text, part):
+    """Put text between the marks of a part of the page at path, or of a new page; written beside, then renamed.
 
-    Raises ValueError where the page is there and has lost its marks: nothing is overwritten then.
+    Raises ValueError where the page is there and has lost those marks: nothing is overwritten then.
     """
+    begin, end = marks(part)
     path = pathlib.Path(path)
     page = path.read_text(encoding="utf-8") if path.exists() else EMPTY
-    if page.count(BEGIN) != 1 or page.count(END) != 1:
-        raise ValueError(f"{path}: the marks {BEGIN!r} and {END!r} must each be there once")
-    head, rest = page.split(BEGIN)
-    tail = rest.split(END)[1]
+    if page.count(begin) != 1 or page.count(end) != 1:
+        raise ValueError(f"{path}: the marks {begin!r} and {end!r} must each be there once")
+    head, rest = page.split(begin)
+    tail = rest.split(end)[1]
     beside = path.with_suffix(".part.md")
-    beside.write_text(f"{head}{BEGIN}\n\n{text}\n\n{END}{tail}", encoding="utf-8")
+    beside.write_text(f"{head}{begin}\n\n{text}\n\n{end}{tail}", encoding="utf-8")
     os.replace(beside, path)

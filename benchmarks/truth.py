@@ -50,12 +50,16 @@ def find(states):
     return Truth(ends, sides, judged)
 
 
-def judge(ends, sides, truth):
-    """Verdict on a side's ends (n, 2) and sides (n, CAP), or None for no itinerary, of the first n lanes of truth."""
+def judge(ends, sides, truth, far=FAR):
+    """Verdict on a side's ends (n, 2) and sides (n, CAP), or None for no itinerary, of the first n lanes of truth.
+
+    An end that is nan is wrong, as is without an itinerary one that is far off.
+    """
     count = min(len(ends), len(truth.ends))
     judged = truth.judged[:count]
     error = np.abs(ends[:count] - truth.ends[:count]).max(axis=1)
-    astray = ~(error <= FAR) if sides is None else (sides[:count] != truth.sides[:count]).any(axis=1)
+    astray = error > far if sides is None else (sides[:count] != truth.sides[:count]).any(axis=1)
+    astray |= np.isnan(error)
     wrong = judged & astray
     error = error[judged & ~wrong]
     median, high, worst = np.quantile(error, [0.5, 0.99, 1.0])

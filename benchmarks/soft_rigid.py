@@ -1,0 +1,45 @@
+"""What softness costs: our strobe between soft walls over that between rigid ones, same batch, in turn."""
+
+import numpy as np
+
+from benchmarks import ours, page, soft_ours
+from benchmarks.harness import clock, spread
+from benchmarks.soft_work import held, words
+
+STATES = 98_304
+STIFFNESSES = (1.0, 10.0, 1e2, 1e4, 1e6, 1e8, 1e10)
+DAMPING = 0.1  # gamma2 where R is not held
+HEAD = "| k2 | gamma2 at R = 0.7 held | soft over rigid | gamma2 | soft over rigid |\n| --- | --- | --- | --- | --- |"
+
+
+def compare(states, rounds):
+    """{(k2, gamma2): soft over rigid in each round} of (n, 3) states x, x', A."""
+    rigid = ours.prepare_batch(states)
+    given = [(stiffness, damping) for stiffness in STIFFNESSES for damping in (held(stiffness), DAMPING)]
+    calls = {each: soft_ours.prepare(states, *each) for each in given}
+    for call in (rigid, *calls.values()):
+        call()
+    ratios = {each: [] for each in calls}
+    for _ in range(rounds):
+        for each, call in calls.items():
+            before, _ = clock(rigid)
+            between, _ = clock(call)
+            after, _ = clock(rigid)
+            ratios[each].append(2.0 * between / (before + after))
+    return {each: np.array(found) for each, found in ratios.items()}
+
+
+def table(ratios):
+    """Those as Markdown, medians and quartiles."""
+    lines = [HEAD]
+    for stiffness in STIFFNESSES:
+        damping = held(stiffness)
+        own, same = (page.spread(spread(ratios[stiffness, each])) for each in (damping, DAMPING))
+        lines.append(f"| {words(stiffness)} | {damping:.4g} | {own} | {DAMPING:g} | {same} |")
+    return "\n".join(lines)
+
+
+def worst(ratios):
+    """Median and quartiles where the median is the largest, and the stiffness and damping there."""
+    each = max(ratios, key=lambda one: np.median(ratios[one]))
+    return spread(ratios[each]), each
