@@ -41,7 +41,7 @@ def _picture(file, found):
     figure, ((above,), (below,)) = sheet(2, 1, 2.9)
     folds = [(scene, one.fold) for scene, one in found if one.fold is not None]
     for colour, (scene, one) in zip(SHADES, found, strict=True):
-        for branch in one.branches:
+        for branch in reversed(one.branches):
             plot.branch(marked(branch), "peak", above, colour)
         below.axhline(float(scene.amplitude), color=colour, linewidth=0.8)
         above.plot([], [], color=colour, label=f"{SYMBOLS['amplitude']} = {float(scene.amplitude):g}")
