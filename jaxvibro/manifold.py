@@ -6,12 +6,13 @@ import xarray as xr
 from . import check
 from .backward import is_reversible
 from .carry import carried
+from .germ import germ, mapped
 from .monodromy import monodromy
 from .orbit import Orbit
 from .place import places
 from .starts import box
 from .state import State
-from .strand import Rules, gaps, levels, mapped
+from .strand import Rules, gaps, levels
 
 KINDS = ("stable", "unstable")
 SAME = 1e-6  # of the scene's size: two points as near are one, and a point as near to a wall is on it
@@ -27,10 +28,11 @@ def manifold(orbit, kind, length=20.0, phase=None, spacing=0.01, angle=0.05, fas
     takes twice that of the box. most: points of a side.
 
     Dataset over "point": x, v; arc: length of the curve from the saddle on; side (-1, 1), origin (which of the orbit's
-    points, in order), image (how often the map, or its inverse, was applied), piece. Over "piece_end", for each piece:
-    began and ended, each "saddle"; "section": an impact at the section's phase, the curve goes on from its wall with
-    the speed after or before it; "grazing": a corner, where the next piece begins; "fast": what is faster is left out;
-    "resolution": the curve is stretched more than rounding allows; "attractor": it ends there; "length"; "points".
+    points, in order), image (how often the map, or its inverse, was applied to the piece at the saddle, which has 0),
+    piece. Over "piece_end", for each piece: began and ended, each "saddle"; "section": an impact at the section's
+    phase, the curve goes on from its wall with the speed after or before it; "grazing": a corner, the last point of one
+    piece and the first of the next; "fast": what is faster is left out; "resolution": the curve is stretched more than
+    rounding allows; "attractor": it ends there; "length"; "points".
     Attributes: the scene's numbers, phase, kind, label and multiplier.
 
     The stable manifold is grown by the certified map with time reversed (`backward`). A wall without restitution has no
@@ -43,14 +45,15 @@ def manifold(orbit, kind, length=20.0, phase=None, spacing=0.01, angle=0.05, fas
     check.is_rigid(orbit.scene, "manifold")
     scene, back = orbit.scene, kind == "stable"
     size, rules = _rules(scene, length, spacing, angle, fastest, check.whole("most", most, 100))
-    rate, turn = _rate(orbit, kind)
+    rate, turn = _rate(orbit, kind), orbit.periods
     if back:
         is_reversible(scene)
     phase = float(orbit.state.phase if phase is None else check.number("phase", phase, np.float64))
     strands = []
     for origin, (saddle, heading) in enumerate(_saddles(orbit, phase, back)):
+        start = germ(scene, saddle, heading, rate, turn, phase, back, size)
         for side in (-1, 1):
-            found, reason = levels(scene, saddle, side * heading, rate, turn, phase, back, size, rules)
+            found, reason = levels(scene, start, side, np.sign(rate), turn, phase, back, size, rules)
             strands.append(_strand(scene, phase, saddle, found, reason, size, rules) | {"side": side, "origin": origin})
     numbers = {"phase": phase, "kind": kind, "label": orbit.label}
     return _dataset(scene, strands, numbers | {"multiplier": float(_multiplier(orbit, kind))})
@@ -76,12 +79,11 @@ def _multiplier(orbit, kind):
 
 
 def _rate(orbit, kind):
-    """(how much a piece is stretched, in so many drive periods); twice the orbit's where the sides change."""
+    """How much a piece is stretched on the orbit's way round, or on the way back; negative where it changes sides."""
     one = _multiplier(orbit, kind)
     if one == 0:
         raise check.SceneError("orbit", "must have no multiplier 0 to have a stable manifold of curves", orbit)
-    rate = abs(one) if kind == "unstable" else 1.0 / abs(one)
-    return (rate, orbit.periods) if one > 0 else (rate * rate, 2 * orbit.periods)
+    return one if kind == "unstable" else 1.0 / one
 
 
 def _saddles(orbit, phase, back):
@@ -106,11 +108,12 @@ def _strand(scene, phase, saddle, found, end, size, rules):
     walls = [float(place) for place, _ in places(scene, phase)]
     z, good, image, why = [saddle[None]], [[True]], [[0]], [[""]]
     for k, level in enumerate(found):
-        later = slice(min(k, 1), None)  # the first point of a level is the last of the one before
+        chosen, ends = _cornered(level, _breaks(level, walls, size, rules))
+        later = chosen[min(k, 1) :]  # the first point of a level is the last of the one before
         z.append(level.z[later])
         good.append(level.good[later])
-        image.append(np.full(len(z[-1]), k))
-        why.append(_breaks(level, walls, size, rules) if k else np.append("", _breaks(level, walls, size, rules)))
+        image.append(np.full(len(later), k))
+        why.append(ends if k else np.append("", ends))
     z, good, image, why = map(np.concatenate, (z, good, image, why))
     piece = np.cumsum(why != "")[good]
     first = np.flatnonzero(np.append(True, np.diff(piece) != 0))
@@ -133,6 +136,19 @@ def _breaks(level, walls, size, rules):
     why = np.where(changed & (over <= 1.0), "grazing", "resolution")
     why = np.where(changed & section, "section", why)
     return np.where(joined, "", np.where(good, why, "fast"))
+
+
+def _cornered(level, why):
+    """(places of the points, why neighbours among them are not joined): a corner belongs to both of its pieces.
+
+    It is the neighbour with fewer impacts. That is as near to it as the parameter tells, the other only to the root of
+    this (a grazing impact's speed), and the curve between them is as straight as it is short.
+    """
+    before = np.flatnonzero(why == "grazing")
+    corner = before + (level.count[before] > level.count[before + 1])
+    chosen = np.sort(np.append(np.arange(len(level.u)), corner))
+    apart = np.where(why == "grazing", "", why)[np.minimum(chosen[:-1], len(why) - 1)]
+    return chosen, np.where(chosen[:-1] == chosen[1:], "grazing", apart)
 
 
 def _dataset(scene, strands, attrs):

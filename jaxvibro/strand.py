@@ -1,30 +1,24 @@
-"""A strand: one side of an invariant manifold, as images of a fundamental piece of the eigenvector's line.
+"""A strand: one side of an invariant manifold, as images of a fundamental piece of its germ.
 
-Point k + u of a strand, 0 <= u < 1, is F^k(saddle + s r^(u-1) e), r the multiplier, e its eigenvector: F draws in
-across the strand. Where neighbours lie too far apart, or the strand turns too much between them, the point half way in
-u is added, computed from the start: nothing is interpolated. Level by level k grows. This is Hobson's scheme (J.
-Comput. Phys. 104, 14, 1993) with the control of Krauskopf and Osinga (J. Comput. Phys. 146, 404, 1998). As levels are
-stretched, u has to be known better and better: its rounding ends what can be told.
+Point k + u of a strand, 0 <= u < 1, is F^k(W(a^(1-u) b^u)), W the germ, b its end, a what F leads there: F draws in
+across the strand. A negative multiplier changes the sides, and so does the piece with each level; with F twice in place
+of F it would be stretched by the multiplier's square. Where neighbours lie too far apart, or the strand turns too much
+between them, the point half way in u is added, computed from the start: nothing is interpolated. Level by level k
+grows. This is Hobson's scheme (J. Comput. Phys. 104, 14, 1993) with the control of Krauskopf and Osinga (J. Comput.
+Phys. 146, 404, 1998). As levels are stretched, the piece's points have to be known better and better: the rounding of x
+and v, over the distance from the saddle, ends what can be told. So the germ is to be long.
 """
 
 from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 
-from continuation.kept import kept
+from .germ import LEAST, mapped
 
-from . import period
-from .backward import backward
-from .entry import CAP
-from .lanes import OPTIONS, WIDTH
-from .state import State
-
-LANES = 1 << 12  # of one compiled call
-FIRST = 1e-6  # of the scene's size: so far from the saddle the line is the curve, to the square of it
+START = 33  # points of the germ, and of its first image
 FINEST = 1e-14  # in u: nearer ones are no longer told apart
+HALF, QUARTERS = np.array([0.5]), np.array([0.25, 0.5, 0.75])
+FEW = 16  # gaps that are split in four at once, on the way to corners: a call costs the same for a hundred lanes
 SHORT = 1e-4  # of the spacing: a level as short, and shorter than the one before, has come to an attractor
 MOST = 1000  # levels
 TOUCH = 1e-7  # of the scene's size: where itineraries change and neighbours are nearer, the strand has a corner
@@ -53,53 +47,23 @@ class Level(NamedTuple):
     good: np.ndarray
 
 
-def mapped(scene, z, phase, steps, back):
-    """(z, impacts, good): F^steps of states (lanes, 2) at a phase, or of the inverse where `back`."""
-    parts = []
-    for first in range(0, len(z), LANES):
-        some = z[first : first + LANES]
-        padded = np.pad(some, ((0, LANES - len(some)), (0, 0)))
-        found = _run(scene, *padded.T, scene.dtype.type(phase), steps, -(-len(some) // WIDTH), back)
-        parts.append([each[: len(some)] for each in jax.device_get(found)])
-    x, v, count, status = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return np.stack([x, v], -1), count, status < CAP
-
-
-@kept(static_argnames="back", compiler_options=OPTIONS)
-def _run(scene, x, v, phase, steps, blocks, back):
-    def one(_, carry):
-        x, v, contact, count, status = carry
-        state = State(x, v, phase, contact)
-        end, impacts = backward(scene, state, WIDTH) if back else period.strobe(scene, state, 1, 0, WIDTH)
-        return end.x, end.v, end.contact, count + impacts.count, jnp.maximum(status, impacts.status)
-
-    def block(k, whole):
-        start = k * WIDTH
-        x, v = (lax.dynamic_slice_in_dim(each, start, WIDTH) for each in whole[:2])
-        none = jnp.zeros(WIDTH, jnp.int32)
-        x, v, _, count, status = lax.fori_loop(0, steps, one, (x, v, 0.0 * x, none, none))
-        new = (x, v, count, status)
-        return [lax.dynamic_update_slice_in_dim(old, part, start, 0) for old, part in zip(whole, new, strict=True)]
-
-    none = jnp.zeros(x.shape, jnp.int32)
-    return lax.fori_loop(0, blocks, block, [x, v, none, none])
-
-
-def levels(scene, saddle, heading, rate, periods, phase, back, size, rules):
+def levels(scene, start, side, sign, periods, phase, back, size, rules):
     """The `Level`s of a strand, and why it ends.
 
-    saddle (2,); heading: the eigenvector, of length 1, its sign tells the side; rate: how much `periods` drive periods
-    (those of the inverse where `back`) stretch it, above 1; size: a length of the scene.
+    start: its `Germ`; side: -1 or 1; sign: that of the multiplier; periods: of the drive that F takes, or its inverse
+    where `back`; size: a length of the scene.
     """
     found, left, before, points = [], rules.length, 0.0, 0
-    u = np.linspace(0.0, 1.0, 9)
     for k in range(MOST):
+        end = side * sign**k * start.reach
+        begin = start.back(sign * end) if k else side * LEAST * size
 
-        def at(u, k=k):
-            z = saddle + FIRST * size * rate ** (u[:, None] - 1.0) * heading
+        def at(u, k=k, begin=begin, end=end):
+            z = start.at(end * (begin / end) ** (1.0 - u))
             z, count, good = mapped(scene, z, phase, k * periods, back)
             return Level(u, z, count, good & (abs(z[:, 1]) <= rules.fastest))
 
+        u = found[-1].u if k > 1 else np.linspace(0.0, 1.0, START)
         level = _refined(at(u), at, size, rules._replace(length=left))
         _, joined, apart = gaps(level, size, rules)
         along = np.cumsum(np.where(joined, apart, 0.0))
@@ -114,7 +78,7 @@ def levels(scene, saddle, heading, rate, periods, phase, back, size, rules):
             return found, "attractor"
         if points > rules.most:
             return found, "points"
-        left, before, u = left - along[-1], along[-1], level.u
+        left, before = left - along[-1], along[-1]
     return found, "points"
 
 
@@ -134,8 +98,9 @@ def _refined(level, at, size, rules):
         split = _coarse(level, size, rules)
         if not split.any():
             break
-        new = at(0.5 * (level.u[:-1] + level.u[1:])[split])
-        places = np.flatnonzero(split) + 1
+        share = HALF if split.sum() > FEW else QUARTERS
+        new = at((level.u[:-1][split, None] + share * np.diff(level.u)[split, None]).ravel())
+        places = np.repeat(np.flatnonzero(split) + 1, len(share))
         level = Level(*(np.insert(old, places, part, axis=0) for old, part in zip(level, new, strict=True)))
     return level
 

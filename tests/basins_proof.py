@@ -11,6 +11,7 @@ import jaxvibro as jv
 
 SCENE = {"amplitude": 4.65, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
 DEEP, LONG = 200, 3000  # starts, periods
+BENT, NEAR, ENOUGH = 0.02, 100, 1e-12  # of a chord; chords at most; so near is on the curve
 MARGIN = 10  # cells around a deep start, all of its label
 
 
@@ -67,21 +68,32 @@ def filled(curve, step):
 
 
 def distance(curve, points):
-    """How far points (lanes, 2) are from a manifold, as cubics through four of its points in a row, of one piece."""
+    """How far points (lanes, 2) are from a manifold, as cubics through four of its points in a row, of one piece.
+
+    Sheets lie close: the nearest of the curve's points is often on another one. So its chords are asked, those first
+    that may be nearest, as a cubic is off its chord by BENT of its length at most.
+    """
     z, piece = np.stack([curve["x"].values, curve["v"].values], -1), curve["piece"].values
-    nearest = cKDTree(z).query(points)[1]
-    found = np.full(len(points), np.inf)
-    for lane, (place, point) in enumerate(zip(nearest, points, strict=True)):
-        low, high = np.searchsorted(piece, [piece[place], piece[place] + 1])
-        count = min(4, high - low)
-        for first in range(max(low, place - 3), min(place, high - count) + 1):
-            some = z[first : first + count]
-            knots = np.append(0.0, np.cumsum(np.hypot(*np.diff(some, axis=0).T)))
-            if count < 2 or not np.diff(knots).all():
-                found[lane] = min(found[lane], np.hypot(*(some - point).T).min())
-                continue
-            cubic = np.polyfit(knots / knots[-1], some - point, count - 1)
-            found[lane] = min(found[lane], _least(cubic))
+    new = np.append(True, (np.diff(piece) != 0) | np.diff(z, axis=0).any(axis=1))
+    z, piece = z[new], piece[new]
+    chords = np.flatnonzero(np.diff(piece) == 0)
+    start, way = z[chords], np.diff(z, axis=0)[chords]
+    size = np.hypot(*way.T)
+    found = cKDTree(z).query(points)[0]
+    for lane, point in enumerate(points):
+        share = np.clip(((point - start) * way).sum(axis=1) / size**2, 0.0, 1.0)
+        least = np.hypot(*(start + share[:, None] * way - point).T) - BENT * size
+        for near in np.argsort(least)[:NEAR]:
+            if found[lane] <= max(least[near], ENOUGH):
+                break
+            place = chords[near]
+            low, high = np.searchsorted(piece, [piece[place], piece[place] + 1])
+            count = min(4, high - low)
+            for first in range(max(low, place - 2), min(place, high - count) + 1):
+                some = z[first : first + count]
+                knots = np.append(0.0, np.cumsum(np.hypot(*np.diff(some, axis=0).T)))
+                cubic = np.polyfit(knots / knots[-1], some - point, count - 1)
+                found[lane] = min(found[lane], _least(cubic))
     return found
 
 

@@ -21,7 +21,7 @@ ORDER = [
     *("curve", "codim", "track", "outset", "sensitivity", "locus", "family", "loci", "coexistence"),
     *("diagram", "probe", "explore", "diagrams"),
     *("evidence", "attractors", "carry", "visits", "trap", "capture", "fractal", "basins"),
-    *("backward", "strand", "manifold"),
+    *("backward", "germ", "strand", "manifold"),
     *("plot", "study", "stretch", "data", "report", "picture", "run", "paper"),
     *("cache", "starter", "command", "__main__"),
 ]
