@@ -111,6 +111,11 @@ def felt(frame, contact):
     )
 
 
+def feeling(frame, contact):
+    """The `frame.Frame` as each lane feels it."""
+    return frame._replace(**felt(frame, contact)._asdict())
+
+
 def _own(contact, values):
     """The value of the soft wall that a lane is within: values of those that there are, left first."""
     return values[0] if len(values) == 1 else choose(contact < 0, *values)

@@ -1,10 +1,9 @@
 """A stay within a soft wall made again, for derivatives (`replay`): it takes as long as it took, a constant, and its
 end is moved by Taylor polynomials."""
 
-import jax.numpy as jnp
 from jax import lax
 
-from . import contact, taylor
+from . import contact, flow, taylor
 from .contact import ENTERED, WITHIN, is_inside
 from .impact import LANDED
 from .lanes import choose
@@ -45,7 +44,7 @@ def entered(frame, now, side, late, whole, order):
     cosine, sine = _turned(frame, now, late)[2:4]
     none = lax.full_like(v, 0.0)
     time = _taken(frame, touch, none, v, now, left)
-    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    here = contact.feeling(frame, touch)
     bias = contact.biases(frame, touch, now.cosine, now.sine, order)
     kept = _passed(frame, now, touch, *taylor.back(here, now, none, v, late, order, bias), time, left, order)
     quick = inside & (time < left) & (time < QUICK * here.reach)
@@ -71,14 +70,14 @@ def _gone(frame, now, late, time, out, side, order):
 
 def _turned(frame, now, time):
     """The drive a time later."""
-    c, s = jnp.cos(frame.frequency * time), jnp.sin(frame.frequency * time)
-    return now._replace(cosine=now.cosine * c - now.sine * s, sine=now.sine * c + now.cosine * s, time=now.time + time)
+    cosine, sine = flow.rotated(now.cosine, now.sine, frame.frequency * time)
+    return now._replace(cosine=cosine, sine=sine, time=now.time + time)
 
 
 def _passed(frame, now, touch, y, v, time, left, order):
     """Lanes within a wall brought to where they leave it after a time, or to the end."""
     inside = is_inside(touch)
-    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    here = contact.feeling(frame, touch)
     y, v = contact.flown(here, touch, contact.response(here, touch, time), (y, v), now.cosine, now.sine)
     end = _turned(frame, now, time)._replace(x=y, v=v)
     leaves = inside & (time < left)
@@ -108,7 +107,7 @@ def shifted(frame, now, touch, late, order):
     free = taylor.shifted(free, late, order), taylor.shifted(free[1:], late, order)
     if not frame.soft:
         return free
-    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    here = contact.feeling(frame, touch)
     where, pace = taylor.placed(taylor.way(frame, now, touch, order), 0.0 * late, order)
     path = _within(frame, here, touch, now._replace(x=now.x - where, v=now.v - pace), order)
     within = _absolute(frame, now, touch, path, late, order)

@@ -141,6 +141,12 @@ def turn(cosine, sine, versed, sined):
     return cosine + (cosine * versed - sine * sined), sine + (sine * versed + cosine * sined)
 
 
+def rotated(cosine, sine, angle):
+    """The drive's cosine and sine, turned by any angle."""
+    c, s = jnp.cos(angle), jnp.sin(angle)
+    return cosine * c - sine * s, sine * c + cosine * s
+
+
 def fly(scene, state, time):
     """The state after a free flight of a given length: walls are not looked at.
 

@@ -65,7 +65,7 @@ def is_due(path, wait):
 
 def leap(frame, path, wait):
     """(path, wait): lanes that wait for a long step have taken it where there is one, and begin to wait anew."""
-    here = frame._replace(**contact.felt(frame, path.contact)._asdict())
+    here = contact.feeling(frame, path.contact)
     due = is_due(path, wait)
     time = choose(due, least(stage(_safe, here, path), path.rest), 0.0)
     taken = time > WORTH * here.reach

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from . import contact
+from . import contact, flow
 from .contact import WITHIN
 from .lanes import choose
 from .path import accelerations
@@ -42,9 +42,7 @@ def meeting(frame, sides, cosine, sine, speed):
     """The `Meeting` of impacts on these sides, 0: of none, any numbers; arrays of one shape."""
     where, pace, bend = _way(frame, sides, cosine, sine)
     closing, zero = sides * speed, jnp.zeros_like(speed)
-    (bounce,) = picked(
-        sides, frame.walls, [[1.0 + zero if w.restitution is None else w.restitution + zero] for w in frame.walls]
-    )
+    bounce = contact.bounce(frame, sides) + zero
     v = pace - bounce * closing
     after, _ = accelerations(frame, where, v, cosine, sine)
     by_time, by_speed = (bounce * closing, bend - after), (zero, -bounce * sides)
@@ -106,7 +104,7 @@ def jump(frame, met, sides):
     touch, stay = choose(gives, sides * WITHIN, 0.0), jnp.maximum(met.stay, 0.0)
     _, pace, _ = _way(frame, sides, *met.phasor)
     whole = touch != 0, met.closing, met.cosine, met.sine
-    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    here = contact.feeling(frame, touch)
     response = contact.response(here, touch, stay)
     soft = carried(frame, touch, stay, response, share(met.pace, met.closing), share(pace, met.opening), whole)
     return jax.tree.map(lambda soft, hard: jnp.where(gives, soft, hard), soft, hard)
@@ -115,11 +113,10 @@ def jump(frame, met, sides):
 def stayed(frame, met, sides, k, since, state):
     """(x, v) a time after the meetings in rows k: within the wall during the stay, else the state given."""
     touch = choose(contact.gives(frame, sides), sides * WITHIN, 0.0)[k]
-    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    here = contact.feeling(frame, touch)
     inside = (touch != 0) & (since < met.stay[k])
     span = choose(inside, since, 0.0)
     cosine, sine = met.cosine[k], met.sine[k]
     y, v = contact.flown(here, touch, contact.response(here, touch, span), (0.0 * span, met.closing[k]), cosine, sine)
-    c, s = jnp.cos(frame.frequency * span), jnp.sin(frame.frequency * span)
-    where, pace, _ = _way(frame, sides[k], cosine * c - sine * s, sine * c + cosine * s)
+    where, pace, _ = _way(frame, sides[k], *flow.rotated(cosine, sine, frame.frequency * span))
     return choose(inside, where + y, state[0]), choose(inside, pace + v, state[1])

@@ -17,7 +17,7 @@ from jax import lax
 
 from . import check, dwell, flow, period
 from .blocks import LEAST, batched, in_blocks
-from .contact import ENTERED, felt, flown, gives, is_inside, response
+from .contact import ENTERED, feeling, flown, gives, is_inside, response
 from .contact import bounce as restitution
 from .entry import CAP
 from .frame import frame
@@ -140,7 +140,7 @@ def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):
     touch, y, v = lanes
     inside, left = is_inside(touch), whole - past
     time = choose(inside, duration(frame, touch, y, v, cosine, sine, left), 0.0)
-    here = frame._replace(**felt(frame, touch)._asdict())
+    here = feeling(frame, touch)
     angle = frame.frequency * time
     after = flow.turn(cosine, sine, jnp.cos(angle) - 1.0, jnp.sin(angle))
     answer = response(here, touch, time)

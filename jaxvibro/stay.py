@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from . import contact, leap, taylor
+from . import contact, flow, leap, taylor
 from .contact import ENTERED, is_inside
 from .flight import micro
 from .lanes import choose, stage
@@ -62,7 +62,7 @@ def carried(frame, touch, time, response, enters, leaves, whole=None):
     begins and ends at the wall, y', cosine, sine at its start): there p01 follows from y = 0 at the end, with all its
     digits where it is small, and the stiff wall multiplies it.
     """
-    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    here = contact.feeling(frame, touch)
     p00, p01, p11 = response.free
     if whole is not None:
         lanes, v, cosine, sine = whole
@@ -96,16 +96,14 @@ def leave(frame, side, cosine, sine, speed, found, order=ORDER):
     """
     rounds = math.ceil(math.log2(order + 1))
     touch = side * ENTERED
-    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    here = contact.feeling(frame, touch)
     v, reach = side * speed, lax.stop_gradient(here.reach)
     short = abs(found) <= reach
     near = stage(_short, here, touch, v, cosine, sine, choose(short, found, 0.0), rounds=rounds)
     v = choose(short, side + 0.0 * v, v)
     far = stage(_long, here, touch, v, cosine, sine, choose(short, 0.1 * reach, found), order=order)
     time, after = (choose(short, *each) for each in zip(near, far, strict=True))
-    angle = frame.frequency * time
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return Left(time, after, cosine * c - sine * s, sine * c + cosine * s)
+    return Left(time, after, *flow.rotated(cosine, sine, frame.frequency * time))
 
 
 def guess(frame, side, cosine, sine, speed):
@@ -115,7 +113,7 @@ def guess(frame, side, cosine, sine, speed):
     """
     frame, side, cosine, sine, speed = lax.stop_gradient((frame, side, cosine, sine, speed))
     touch, v = side * ENTERED, side * speed
-    here = frame._replace(**contact.felt(frame, touch)._asdict())
+    here = contact.feeling(frame, touch)
     bias = contact.biases(frame, touch, cosine, sine, 1)
     pull, _ = accelerations(here, 0.0 * v, v, cosine, sine, bias)
     enters = touch * v > 0
@@ -147,9 +145,7 @@ def _newton(here, touch, v, cosine, sine, time):
 def _long(here, touch, v, cosine, sine, time, order):
     """As `_short`, of a longer stay, by Taylor polynomials at a time that is right but for rounding."""
     y, v = contact.flown(here, touch, contact.response(here, touch, time), (lax.full_like(v, 0.0), v), cosine, sine)
-    angle = here.frequency * time
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    now = Now(y, v, cosine * c - sine * s, sine * c + cosine * s, time)
+    now = Now(y, v, *flow.rotated(cosine, sine, here.frequency * time), time)
     path = taylor.jet(here, now, order, contact.biases(here, touch, *now[2:4], order))
     late = taylor.root(path[: order + 1], order)
     return time + late, taylor.shifted(path[1:], late, order)
