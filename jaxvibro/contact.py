@@ -14,6 +14,7 @@ from jax import lax
 
 from . import flow
 from .lanes import choose
+from .plunge import Plunge, plunge
 from .wall import chosen, course, less
 
 WITHIN, ENTERED = 3.0, 4.0  # as a lane's contact; entered: y is still 0
@@ -21,14 +22,15 @@ WITHIN, ENTERED = 3.0, 4.0  # as a lane's contact; entered: y is still 0
 
 class Contact(NamedTuple):
     """The oscillator within a wall: stiffness 1 + k2 and its root; damping gamma2; series: of its flow under the drive;
-    waves: under the wall's own motion, None where it stands still; reach: the longest step; curb, slope: as the
-    `frame.Frame` has them, for y."""
+    waves: under the wall's own motion, None where it stands still; plunge: the first step after an entry; reach: the
+    longest of the others; curb, slope: as the `frame.Frame` has them, for y."""
 
     stiffness: jax.Array
     root: jax.Array
     damping: jax.Array
     series: flow.Series
     waves: flow.Series | None
+    plunge: Plunge
     reach: jax.Array
     curb: jax.Array
     slope: jax.Array
@@ -64,7 +66,8 @@ def contact(wall, force, frequency):
     # energy of y^(6), as for x in `frame`: y^(7)^2 + (1 + k2) y^(6)^2
     slope = jnp.sqrt(stiffness + 4.0 * damping * damping)
     series = flow.series(frequency, damping, stiffness)
-    return Contact(stiffness, root, damping, series, waves, reach, forcing * (1.0 + slope * reach), slope)
+    first = plunge(wall, force, frequency, series, waves, stiffness)
+    return Contact(stiffness, root, damping, series, waves, first, reach, forcing * (1.0 + slope * reach), slope)
 
 
 def is_inside(contact):
@@ -261,6 +264,14 @@ def flown(frame, contact, response, start, cosine, sine):
         dy, dv = flow.flown((free, waves), along, across, 0.0 * y, 0.0 * v, frame.stiffness)
         y, v = y + dy, v + dv
     return y, v
+
+
+def plunges(frame, contact):
+    """The `Plunge` of each lane."""
+    soft = [each.plunge for each in frame.contacts if each is not None]
+    moved = [each.waves for each in soft if each.waves is not None]
+    soft = [each._replace(waves=each.waves or moved[0]) if moved else each for each in soft]
+    return jax.tree.map(lambda *each: _own(contact, list(each)), *soft)
 
 
 def risen(frame, contact, v, cosine, sine, time):

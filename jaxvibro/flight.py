@@ -8,7 +8,7 @@ from typing import NamedTuple
 import jax
 from jax import lax
 
-from . import event, flow, impact
+from . import event, flow, impact, leap
 from .contact import ENTERED, WITHIN, biases, felt, is_inside
 from .lanes import choose, least, most, positive, stage, two_sum
 from .path import Path, jet, moved, place
@@ -36,9 +36,10 @@ def micro(frame, path):
         return Step(time, flown, flown, none, impact.Strike(none, none, none))
     bias, whole, touch = (), frame, None
     if frame.soft:
+        frame = frame._replace(**stage(felt, frame, path.contact)._asdict())
+        path = leap.plunged(frame, path)
         touch = path.contact
         bias = stage(biases, frame, touch, path.cosine, path.sine, order=event.TERMS - 2)
-        frame = frame._replace(**stage(felt, frame, touch)._asdict())
     derivatives = jet(frame, path.x, path.v, path.cosine, path.sine, event.TERMS, bias)
     side = stage(_side, frame, path, *derivatives[2:4])
     ahead = stage(_progress, frame, path, derivatives, side)

@@ -189,17 +189,30 @@ def doubled(series, frequency, damping, time, stiffness=None):
         return choose(long, 0.5 * step, step), count + choose(long, zero + 1.0, 0.0)
 
     _, count = lax.while_loop(is_long, halve, (lax.stop_gradient(time), zero))
-    step = gains(series, frequency, time * jnp.exp2(-count))
-    free = (1.0 + step.stay, step.move, 1.0 + step.stay - 2.0 * damping * step.move)
-    forced = ((step.lift, step.move - frequency * step.lag), (step.lag, frequency * step.lift))
 
     def double(carry):
         left, now = carry
         new = _double(stiffness, *now)
         return left - 1.0, jax.tree.map(lambda new, old: choose(left > 0, new, old), new, now)
 
-    start = (count, (free, forced, (step.versed, step.sined)))
+    start = (count, _short(series, frequency, damping, time * jnp.exp2(-count)))
     return lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double, start)[1]
+
+
+def redoubled(series, frequency, damping, time, stiffness, count):
+    """As `doubled`, the time at most 2^count of the longest steps."""
+    now = _short(series, frequency, damping, time * 0.5**count)
+    for _ in range(count):
+        now = _double(stiffness, *now)
+    return now
+
+
+def _short(series, frequency, damping, time):
+    """As `doubled`, over a time no longer than a step."""
+    step = gains(series, frequency, time)
+    free = (1.0 + step.stay, step.move, 1.0 + step.stay - 2.0 * damping * step.move)
+    forced = ((step.lift, step.move - frequency * step.lag), (step.lag, frequency * step.lift))
+    return free, forced, (step.versed, step.sined)
 
 
 def _double(stiffness, free, forced, angle):

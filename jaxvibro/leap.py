@@ -1,4 +1,4 @@
-"""Long steps of a mass that stays within a soft wall, over many of the wall's own swings.
+"""Long steps of a mass within a soft wall: over most of a contact (`plunge`), or over many of the wall's own swings.
 
 Within a wall y = slow + fast: the forced motion and, where the wall is overdamped, what creeps back; and the rest w,
 whose energy falls, so that it never exceeds B = sqrt(w^2 + w'^2 / (1 + k2)). While slow stays above B there is no way
@@ -11,8 +11,9 @@ import jax
 from jax import lax
 
 from . import contact, event, flow
-from .lanes import choose, least, stage, two_sum
+from .lanes import choose, least, mask, merge, stage, two_sum
 from .path import Motion
+from .plunge import is_sure
 
 PATIENCE = 8.0  # short steps before a long one is tried
 WORTH = 4.0  # short steps that a long one must be
@@ -56,6 +57,46 @@ class Creep(NamedTuple):
         while len(found) < count:
             found.append(-self.rate * found[-1])
         return found
+
+
+def plunged(frame, path):
+    """The path with the lanes that have just entered a stiff wall, fast enough, carried most of the way back.
+
+    frame: as the lanes feel it (`contact.felt`).
+    """
+    going = stage(_plunges, frame, path)
+    angle = stage(_turned, frame, path)
+    x, v = stage(_plunged, frame, path)
+    rest = stage(_left, frame, path)
+    new = x, v, x, v, *angle, *rest, lax.sign(path.contact) * contact.WITHIN
+    old = path.x, path.v, path.motion.slow_x, path.motion.slow_v, path.cosine, path.sine
+    old = *old, path.rest, path.rest_low, path.contact
+    x, v, slow_x, slow_v, cosine, sine, rest, low, touch = (merge(going, *each) for each in zip(new, old, strict=True))
+    motion = path.motion._replace(slow_x=slow_x, slow_v=slow_v, cosine=cosine, sine=sine)
+    return path._replace(x=x, v=v, motion=motion, rest=rest, rest_low=low, contact=touch)
+
+
+def _plunges(frame, path):
+    first, side = contact.plunges(frame, path.contact), lax.sign(path.contact)
+    push = frame.force * path.cosine
+    (bias,) = contact.biases(frame, path.contact, path.cosine, path.sine, 0)
+    sure = is_sure(first, side * path.v, side * (push if bias is None else push + bias))
+    return mask((lax.abs(path.contact) == contact.ENTERED) & sure & (path.rest > first.time), path.x)
+
+
+def _turned(frame, path):
+    return flow.turn(path.cosine, path.sine, *contact.plunges(frame, path.contact).angle)
+
+
+def _plunged(frame, path):
+    first = contact.plunges(frame, path.contact)
+    response = contact.Response(first.free, first.forced, first.waves)
+    return contact.flown(frame, path.contact, response, (path.x, path.v), path.cosine, path.sine)
+
+
+def _left(frame, path):
+    rest, low = two_sum(path.rest, -contact.plunges(frame, path.contact).time)
+    return two_sum(rest, low + path.rest_low)
 
 
 def is_due(path, wait):
