@@ -10,6 +10,7 @@ import numpy as np
 import jaxvibro as jv
 from jaxvibro import flow
 from tests.reference import ball, draws, flights, orbit
+from tests.reference.scene import Soft
 from tests.reference.search import Discard
 
 SLOTS = 64
@@ -18,8 +19,8 @@ SLOTS = 64
 def scene_of(scenes):
     """One batched jaxvibro scene from reference scenes of one structure."""
 
-    def column(values):
-        return np.array(values)
+    def columns(records, names):
+        return {name: np.array([getattr(each, name) for each in records]) for name in names}
 
     def wall(side):
         walls = [getattr(scene, side) for scene in scenes]
@@ -27,17 +28,19 @@ def scene_of(scenes):
             return None
         motion = None
         if walls[0].motion is not None:
-            amplitude, phase, harmonic = zip(*(each.motion for each in walls), strict=True)
-            motion = jv.Motion(column(amplitude), column(phase), harmonic[0])
-        return jv.Wall(column([w.position for w in walls]), column([w.restitution for w in walls]), motion=motion)
+            motions = [each.motion for each in walls]
+            motion = jv.Motion(**columns(motions, ("amplitude", "phase")), harmonic=motions[0].harmonic)
+        names = ("position", "stiffness", "damping") if isinstance(walls[0], Soft) else ("position", "restitution")
+        return jv.Wall(**columns(walls, names), motion=motion)
 
-    return jv.make_scene(
-        column([s.amplitude for s in scenes]),
-        column([s.omega for s in scenes]),
-        column([s.gamma for s in scenes]),
-        0.5,
-        (wall("left"), wall("right")),
-    )
+    drive = columns(scenes, ("amplitude", "omega", "gamma")).values()
+    return jv.make_scene(*drive, 0.5, (wall("left"), wall("right")))
+
+
+def batch(drawn):
+    """The batched scene and start of draws of one structure."""
+    start = jv.State(*(jnp.array([getattr(draw, key) for draw in drawn]) for key in ("x", "v", "phase")))
+    return scene_of([draw.scene for draw in drawn]), start
 
 
 def structure(scene):
@@ -46,53 +49,49 @@ def structure(scene):
     return tuple(None if w is None else (w.motion.harmonic if w.motion else 0) for w in walls)
 
 
-def strobe_errors(count, seed=0):
-    """For draws that keep the table's rules: error over 1e-12 scale (1 + norm), and whether the itinerary is right."""
+def gather(count, seed=0, kinds=None, periods=1, slowest=0.0):
+    """The first draws of these structures (None: all) that keep the rules, as lists of (draw, record), a list a
+    structure; and how many were discarded.
+
+    kinds: a compilation is due for each of them, so a test takes few. slowest: every impact is faster.
+    """
     groups, fair, discarded = defaultdict(list), 0, 0
-    while fair < count:
-        draw = draws.draw(seed)
-        seed += 1
-        try:
-            record = orbit.strobe(draw.scene, draw.x, draw.v, draw.phase)
-        except Discard:
-            discarded += 1
-            continue
-        fair += 1
-        groups[structure(draw.scene)].append((draw, record))
-    rows = []
-    for members in groups.values():
-        rows += _compare([draw for draw, _ in members], [record for _, record in members])
-    return np.array(rows), discarded
-
-
-def monodromy_errors(count, seed=0, kinds=None):
-    """For the same draws (of some structures only): error of M over the product of its factors' norms."""
-    groups, fair = defaultdict(list), 0
     while fair < count:
         draw = draws.draw(seed)
         seed += 1
         if kinds and structure(draw.scene) not in kinds:
             continue
         try:
-            record = orbit.strobe(draw.scene, draw.x, draw.v, draw.phase)
+            record = orbit.strobe(*draw, periods=periods)
         except Discard:
+            discarded += 1
             continue
-        fair += 1
-        groups[structure(draw.scene)].append((draw, record))
+        if record.least_speed > slowest:
+            fair += 1
+            groups[structure(draw.scene)].append((draw, record))
+    return list(groups.values()), discarded
+
+
+def strobe_errors(count, seed=0):
+    """For draws that keep the table's rules: error over 1e-12 scale (1 + norm), and whether the itinerary is right."""
+    groups, discarded = gather(count, seed)
+    return np.array([row for members in groups for row in _compare(*zip(*members, strict=True))]), discarded
+
+
+def monodromy_errors(count, seed=0, kinds=None):
+    """For the same draws (of some structures only): error of M over the product of its factors' norms."""
+    groups, _ = gather(count, seed, kinds)
     errors = []
-    for members in groups.values():
+    for members in groups:
         drawn, records = zip(*members, strict=True)
-        start = jv.State(*(jnp.array([getattr(draw, key) for draw in drawn]) for key in ("x", "v", "phase")))
-        found = np.asarray(jv.monodromy(scene_of([draw.scene for draw in drawn]), start, slots=SLOTS))
+        found = np.asarray(jv.monodromy(*batch(drawn), slots=SLOTS))
         true = np.array([record.jacobian for record in records])
         errors += list(np.abs(found - true).max((1, 2)) / [record.product for record in records])
     return np.array(errors)
 
 
 def _compare(drawn, records):
-    scene = scene_of([draw.scene for draw in drawn])
-    start = jv.State(*(jnp.array([getattr(draw, key) for draw in drawn]) for key in ("x", "v", "phase")))
-    end, impacts = jv.strobe(scene, start, slots=SLOTS)
+    end, impacts = jv.strobe(*batch(drawn), slots=SLOTS)
     x, v, side, time, speed = map(np.asarray, (end.x, end.v, impacts.side, impacts.time, impacts.speed))
     least, status = np.asarray(impacts.least_clearance), np.asarray(impacts.status)
     rows = []

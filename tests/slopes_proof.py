@@ -12,35 +12,13 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxvibro as jv
-from tests.proof import STRUCTURES, scene_of, structure
-from tests.reference import draws, orbit, slopes
-from tests.reference.search import Discard
+from tests.proof import STRUCTURES, gather, scene_of
+from tests.reference import slopes
 
 WAYS = {"f": jax.jacfwd, "r": jax.jacrev}
 FASTER = 0.05  # higher derivatives are compared where every impact is faster than this
 HIGHER = ((0, 0), (1, 2))  # and for these structures, as each takes minutes to compile
 DIRECTIONS = 4
-
-
-def gather(count, seed=0, kinds=STRUCTURES, periods=1, slowest=0.0):
-    """The first draws of these structures that keep the rules, as lists of (draw, record), a list a structure.
-
-    kinds: a compilation is due for each of them, so a test takes few. slowest: every impact is faster.
-    """
-    groups, fair = defaultdict(list), 0
-    while fair < count:
-        draw = draws.draw(seed)
-        seed += 1
-        if structure(draw.scene) not in kinds:
-            continue
-        try:
-            record = orbit.strobe(*draw, periods=periods)
-        except Discard:
-            continue
-        if record.least_speed > slowest:
-            fair += 1
-            groups[structure(draw.scene)].append((draw, record))
-    return list(groups.values())
 
 
 def ends(scene, periods, slots):
@@ -64,7 +42,7 @@ def first_errors(count, seed=0, kinds=STRUCTURES, ways="fr", periods=1):
     column.
     """
     errors = defaultdict(list)
-    for members in gather(count, seed, kinds, periods):
+    for members in gather(count, seed, kinds, periods)[0]:
         drawn, records = zip(*members, strict=True)
         slots = max(record.count for record in records)
         run = ends(scene_of([draw.scene for draw in drawn]), periods, slots)
@@ -103,7 +81,7 @@ def higher_errors(count, seed=0, kinds=HIGHER, ways=("ff", "rf", "fff"), periods
     to that derivative, by the next higher order, over the same: an error that no method can be blamed for.
     """
     errors = defaultdict(list)
-    for members in gather(count, seed, kinds, periods, FASTER):
+    for members in gather(count, seed, kinds, periods, FASTER)[0]:
         slots = max(record.count for _, record in members)
         run = ends(scene_of([draw.scene for draw, _ in members]), periods, slots)
         points = np.array([slopes.numbers(draw) for draw, _ in members])

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxvibro as jv
+from tests.proof import SLOTS, batch
 from tests.reference import stored
 from tests.reference.scene import Soft
 
-SLOTS = 64
 WORST = 6  # draws named
 TINY = 1e-20  # a derivative that dies out is not asked for to eleven digits
 LATE = 1e-6  # an entry's time may be off by so much of the scale over its speed, whatever the bound says
@@ -48,27 +48,6 @@ def structure(scene):
     )
 
 
-def scene_of(scenes):
-    """One batched jaxvibro scene from reference scenes of one structure."""
-
-    def columns(records, names):
-        return {name: np.array([getattr(each, name) for each in records]) for name in names}
-
-    def wall(side):
-        walls = [getattr(scene, side) for scene in scenes]
-        if walls[0] is None:
-            return None
-        motion = None
-        if walls[0].motion is not None:
-            motions = [each.motion for each in walls]
-            motion = jv.Motion(**columns(motions, ("amplitude", "phase")), harmonic=motions[0].harmonic)
-        names = ("position", "stiffness", "damping") if isinstance(walls[0], Soft) else ("position", "restitution")
-        return jv.Wall(**columns(walls, names), motion=motion)
-
-    drive = columns(scenes, ("amplitude", "omega", "gamma")).values()
-    return jv.make_scene(*drive, 0.5, (wall("left"), wall("right")))
-
-
 def groups(count, folder=None, workers=1, kinds=None):
     """(the first Kept references, a list a structure, and why draws were refused); kinds: of these structures only."""
     found, refused = stored.fair(count, folder, workers)
@@ -79,15 +58,9 @@ def groups(count, folder=None, workers=1, kinds=None):
     return list(members.values()), refused
 
 
-def starts_of(members):
-    """The batched start of some references."""
-    return jv.State(*(jnp.array([getattr(each.draw, key) for each in members]) for key in ("x", "v", "phase")))
-
-
 def strobe_rows(members):
     """A Row for each reference of one structure."""
-    scene = scene_of([each.draw.scene for each in members])
-    end, impacts = jv.strobe(scene, starts_of(members), slots=SLOTS)
+    end, impacts = jv.strobe(*batch([each.draw for each in members]), slots=SLOTS)
     x, v, side, time, speed = map(np.asarray, (end.x, end.v, impacts.side, impacts.time, impacts.speed))
     least, status = np.asarray(impacts.least_clearance), np.asarray(impacts.status)
     rows = []
@@ -112,7 +85,7 @@ def slope_errors(members):
 
     error: over the product of the factors' norms; fine: over the compact one, x counted as there (`soft.Record`).
     """
-    scene, start = scene_of([each.draw.scene for each in members]), starts_of(members)
+    scene, start = batch([each.draw for each in members])
     lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (len(members),)), scene)
 
     def forward(scene, start):
