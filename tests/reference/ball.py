@@ -9,21 +9,17 @@ PRECISION = 200
 SMALL = 1e-6  # below this D the closed form cancels too much and the matrix exponential is taken
 
 
-class Oscillator:
-    """The oscillator's constants as balls, at the precision in force when it is made."""
+class Spring:
+    """x'' + 2 g x' + k x = 0, for under-, critical and overdamping alike; k and g are balls."""
 
-    def __init__(self, gamma, omega, amplitude):
-        self.gamma, self.omega, self.amplitude = arb(gamma), arb(omega), arb(amplitude)
-        self.stiff = 1 - self.omega**2
-        self.drag = 2 * self.gamma * self.omega
-        self.d = self.stiff**2 + self.drag**2
-        self.closed = bool(self.d > SMALL)
-        square = 1 - self.gamma**2
+    def __init__(self, k, g):
+        self.k, self.g = k, g
+        square = k - g**2  # exact, so that critical damping is seen
         self.kind = 0 if square == 0 else (1 if square > 0 else -1)
         self.root = abs(square).sqrt()
 
     def homogeneous(self, t):
-        """Rows (E11, E12), (E21, E22) of the unforced flow over t, for under-, critical and overdamping alike."""
+        """Rows (E11, E12), (E21, E22) of the flow of (x, x') over t."""
         if self.kind > 0:
             s, c = (self.root * t).sin_cos()
         elif self.kind < 0:
@@ -32,10 +28,22 @@ class Oscillator:
             s, c = t, arb(1)
         if self.kind:
             s = s / self.root
-        decay = (-self.gamma * t).exp()
+        decay = (-self.g * t).exp()
         s, c = decay * s, decay * c
-        gs = self.gamma * s
-        return (c + gs, s), (-s, c - gs)
+        gs = self.g * s
+        return (c + gs, s), (-self.k * s, c - gs)
+
+
+class Oscillator(Spring):
+    """The oscillator's constants as balls, at the precision in force when it is made."""
+
+    def __init__(self, gamma, omega, amplitude):
+        super().__init__(arb(1), arb(gamma))
+        self.gamma, self.omega, self.amplitude = self.g, arb(omega), arb(amplitude)
+        self.stiff = 1 - self.omega**2
+        self.drag = 2 * self.gamma * self.omega
+        self.d = self.stiff**2 + self.drag**2
+        self.closed = bool(self.d > SMALL)
 
     def forced(self, theta):
         """The steady response (x, v) at drive phase theta: Re of A exp(i theta) / (1 - omega^2 + 2 i gamma omega)."""

@@ -14,35 +14,19 @@ import math
 from flint import arb
 
 from . import taylor
+from .ball import Spring
 from .search import WIDEST, Discard, Undecided, piece
 
 MOST = 4000  # short pieces of a contact
 NEAREST = 1e-8  # a turning point at a depth of less, times 1 / W, is too near the way out
 
 
-class Ring:
-    """K, g and W as balls, and the free flow they make."""
+class Ring(Spring):
+    """What a contact does without its force; W is its rate."""
 
     def __init__(self, wall):
-        self.k, self.g = 1 + arb(wall.stiffness), arb(wall.damping)
+        super().__init__(1 + arb(wall.stiffness), arb(wall.damping))
         self.rate = self.k.sqrt()
-        square = self.k - self.g**2  # exact, so that critical damping is seen
-        self.kind = 0 if square == 0 else (1 if square > 0 else -1)
-        self.root = abs(square).sqrt()
-
-    def homogeneous(self, t):
-        """Rows (E11, E12), (E21, E22) of the flow of (d, d') over t without a force, at any damping."""
-        if self.kind > 0:
-            s, c = (self.root * t).sin_cos()
-        elif self.kind < 0:
-            s, c = (self.root * t).sinh_cosh()
-        else:
-            s, c = t, arb(1)
-        if self.kind:
-            s = s / self.root
-        decay = (-self.g * t).exp()
-        s, c = decay * s, decay * c
-        return (c + self.g * s, s), (-self.k * s, c - self.g * s)
 
     def answer(self, rate, cosine, sine):
         """The steady answer to cosine cos(psi) + sine sin(psi), psi' = rate: its own cosine and sine."""
