@@ -9,7 +9,11 @@ from matplotlib import patheffects
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-# Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey
+from benchmarks.sides import PLAIN
+from benchmarks.work import words
+
+# Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey. Each picture draws those
+# of its walls. An explicit and an implicit method of one package share a hue, never a marker.
 STYLES = {
     "jaxvibro": ("#D55E00", "*"),
     "jaxvibro, user's vmap": ("#CC79A7", "P"),
@@ -18,17 +22,23 @@ STYLES = {
     "heyoka, scalar": ("#56B4E9", "v"),
     "paper's RK4": ("#009E73", "s"),
     "diffrax Tsit5": ("#E69F00", "D"),
+    "diffrax Kvaerno5": ("#8C6000", "d"),
     "SciPy DOP853": ("#7F7F7F", "^"),
+    "SciPy RK45": ("#009E73", "^"),
+    "SciPy LSODA": ("#CC79A7", "s"),
+    PLAIN: ("#7F7F7F", "X"),
+    "SciPy Radau": ("#000000", "p"),
 }
 # an error of 0 has no place on a logarithmic axis; this is below the rounding of 1
 LEAST = 1e-17
+SPAN = 1e-16, 1e-1  # of the errors in panels
 TIME = "time per map on one core (ns)"
 ERROR = "error of x and x' after one period (dimensionless)\nmedian; line up to the 99th percentile"
 
 
-def draw(axes, rows, styles):
-    """Draw rows (side, timing, verdict) on axes; styles: {method: (colour, marker)}."""
-    for method, (colour, marker) in styles.items():
+def draw(axes, rows):
+    """Draw rows (side, timing, verdict) on axes."""
+    for method, (colour, marker) in STYLES.items():
         points = [(timing.cost[0], verdict) for side, timing, verdict in rows if side.method == method]
         if points:
             draw_method(axes, method, points, colour, marker)
@@ -57,10 +67,25 @@ def draw_method(axes, method, points, colour, marker):
 def save(path, rows, title):
     """Write the chart to a PNG."""
     figure, axes = plt.subplots(figsize=(9.5, 5.2), layout="constrained")
-    draw(axes, rows, STYLES)
+    draw(axes, rows)
     axes.set(xlabel=TIME, ylabel=ERROR)
     axes.set_title(title, fontsize=10)
     axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+    write(figure, path)
+
+
+def save_panels(path, panels, title):
+    """Write the chart of panels {stiffness: rows (side, timing, verdict)} to a PNG."""
+    figure, axes = plt.subplots(1, len(panels), figsize=(13.5, 5.4), sharex=True, sharey=True, layout="constrained")
+    for place, (stiffness, rows) in zip(axes, panels.items(), strict=True):
+        draw(place, rows)
+        place.set_title(f"k2 = {words(stiffness)}", fontsize=10)
+    axes[0].set_ylim(*SPAN)
+    axes[0].set_ylabel(ERROR)
+    figure.supxlabel(TIME, fontsize=10)
+    handles, labels = axes[0].get_legend_handles_labels()
+    figure.legend(handles, labels, fontsize=8, loc="outside right center")
+    figure.suptitle(title, fontsize=10)
     write(figure, path)
 
 

@@ -1,63 +1,102 @@
-"""heyoka's batch integrator with one terminal event a wall; the rebound is a Python callback a lane."""
+"""heyoka's batch integrator with one terminal event a wall; the callbacks are those of `heyoka_scalar`, for a lane."""
 
 import functools
 
 import heyoka
 import numpy as np
 
-from benchmarks.heyoka_scalar import COOLDOWN, system
-from benchmarks.work import CAP, PERIOD, RESTITUTION, blank
+from benchmarks.heyoka_scalar import FREE, events, rigid_system, soft_system
+from benchmarks.work import CAP, PERIOD, RESTITUTION, blank, held
 
 LANES = 2 * heyoka.recommended_simd_size()
 
 
-@functools.cache
-def build(tolerance):
-    """Compile an integrator: itself, and the list of (lane, side, time) that its callbacks fill."""
-    position, equations = system()
-    impacts, counts = [], [0] * LANES
+class Told:
+    """What the callbacks note: (lane, side, time) of each impact or entry, and how many each lane had."""
+
+    def __init__(self):
+        self.impacts, self.counts = [], [0] * LANES
+
+    def clear(self):
+        """Forget them."""
+        self.impacts.clear()
+        self.counts[:] = [0] * LANES
+
+    def note(self, integrator, side, lane):
+        """One more in a lane."""
+        self.impacts.append((lane, side, integrator.time[lane]))
+        self.counts[lane] += 1
+        if self.counts[lane] == CAP:
+            # a lane cannot leave its batch: at rest, without force, it meets no wall again
+            integrator.state[:, lane] = integrator.pars[:, lane] = 0.0
+
+    def write(self, sides, times):
+        """Fill in the itineraries of the lanes, (LANES, CAP)."""
+        slots = [0] * LANES
+        for lane, side, time in self.impacts:
+            sides[lane, slots[lane]], times[lane, slots[lane]] = side, time
+            slots[lane] += 1
+
+
+def rebounds(told):
+    """The callbacks at rigid walls."""
 
     def meet(side):
         def rebound(integrator, _, lane):
-            impacts.append((lane, side, integrator.time[lane]))
-            counts[lane] += 1
             state = integrator.state
             state[0, lane] = side
             state[1, lane] *= -RESTITUTION
-            if counts[lane] == CAP:
-                # a lane cannot leave its batch: at rest, without force, it meets no wall again
-                state[:, lane] = integrator.pars[0, lane] = 0.0
+            told.note(integrator, side, lane)
             return True
 
         return rebound
 
-    rising = heyoka.event_direction.positive
-    events = [
-        heyoka.t_event_batch(side * position - 1.0, callback=meet(side), direction=rising, cooldown=COOLDOWN)
-        for side in (-1, 1)
-    ]
-    start = np.zeros((2, LANES))
-    return heyoka.taylor_adaptive_batch(equations, start, tol=tolerance, t_events=events), impacts, counts
+    return meet
 
 
-def strobe(states, tolerance=1e-15):
+def switches(told, stiffness):
+    """The callbacks at soft walls, which note entries."""
+
+    def meet(side):
+        within = (held(stiffness), stiffness, side)
+
+        def switch(integrator, direction, lane):
+            integrator.state[0, lane] = side
+            integrator.pars[1:, lane] = within if direction > 0 else FREE
+            if direction > 0:
+                told.note(integrator, side, lane)
+            return True
+
+        return switch
+
+    return meet
+
+
+@functools.cache
+def build(tolerance, stiffness):
+    """Compile an integrator: itself, and what its callbacks note."""
+    told = Told()
+    position, equations = rigid_system() if stiffness is None else soft_system()
+    meet = rebounds(told) if stiffness is None else switches(told, stiffness)
+    found = events(heyoka.t_event_batch, position, meet, stiffness)
+    return heyoka.taylor_adaptive_batch(equations, np.zeros((2, LANES)), tol=tolerance, t_events=found), told
+
+
+def strobe(states, tolerance=1e-15, stiffness=None):
     """Map (n, 3) states x, x', A, n a multiple of LANES, through one period; returns Strobes."""
-    integrator, impacts, counts = build(tolerance)
-    y, parameter = integrator.state, integrator.pars
+    integrator, told = build(tolerance, stiffness)
+    y, parameters = integrator.state, integrator.pars
     zero, until = np.zeros(LANES), np.full(LANES, PERIOD)
     result = blank(states)
     for first in range(0, len(states), LANES):
         rows = slice(first, first + LANES)
-        impacts.clear()
-        counts[:] = [0] * LANES
+        told.clear()
         integrator.set_time(zero)
         integrator.reset_cooldowns()
-        y[:], parameter[0] = states[rows, :2].T, states[rows, 2]
+        y[:], parameters[0] = states[rows, :2].T, states[rows, 2]
+        if stiffness is not None:
+            parameters[1:] = np.array(FREE)[:, None]
         integrator.propagate_until(until)
         result.ends[rows] = y.T
-        slots = [0] * LANES
-        for lane, side, time in impacts:
-            result.sides[first + lane, slots[lane]] = side
-            result.times[first + lane, slots[lane]] = time
-            slots[lane] += 1
+        told.write(result.sides[rows], result.times[rows])
     return result

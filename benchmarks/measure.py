@@ -71,7 +71,7 @@ def main(directory, quick, out):
     share, rounds = (16, 2) if quick else (1, ROUNDS)
     states = draw(sides.STATES // share)
     single = measure_single(states[0])
-    us, others, yardstick = sides.assemble(directory, share)
+    us, others, yardstick = sides.rigid(directory, share)
     print(f"yardstick: {yardstick}")
     timings = harness.measure(us, others, states, rounds)
     print("reference in ball arithmetic")
@@ -80,7 +80,8 @@ def main(directory, quick, out):
     chart.save(out / "benchmarks.png", rows, TITLE)
     lines = notes(yardstick, rounds, true.judged)
     asked = compare(us, timings, single) + derived.compare(states, rounds) + branches.compare(rounds)
-    text = page.body(rows, asked, lines, machine.describe(), "benchmarks.png")
+    picture = "Error against time per map, for each method", "benchmarks.png"
+    text = page.body(picture, machine.describe(), asked, [page.table(rows)], lines)
     page.write(out / "benchmarks.md", text, "measured")
     print(f"{text}\n\nwritten: {out / 'benchmarks.md'}, {out / 'benchmarks.png'}")
 

@@ -8,15 +8,16 @@ import jaxvibro
 from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, Strobes
 
 
-def scene(amplitude):
-    """The scene at an amplitude, or at an array of them."""
-    return jaxvibro.make_scene(amplitude, OMEGA, GAMMA, RESTITUTION, (-1.0, 1.0))
+def scene(amplitude, stiffness=None, damping=None):
+    """The scene at an amplitude, or at an array of them; both walls of that stiffness and damping, or rigid."""
+    walls = (jaxvibro.Wall(place, stiffness=stiffness, damping=damping) for place in (-1.0, 1.0))
+    return jaxvibro.make_scene(amplitude, OMEGA, GAMMA, RESTITUTION, tuple(walls))
 
 
-def prepare_batch(states):
+def prepare_batch(states, stiffness=None, damping=None):
     """A call without arguments that maps (n, 3) states x, x', A given to strobe as a batch."""
     x, v, amplitude = jnp.asarray(states.T)
-    many, start = scene(amplitude), jaxvibro.State(x, v)
+    many, start = scene(amplitude, stiffness, damping), jaxvibro.State(x, v)
     return lambda: jax.block_until_ready(jaxvibro.strobe(many, start))
 
 

@@ -12,7 +12,7 @@ def marks(part):
 
 
 EMPTY = "\n".join(["# Benchmarks\n", *("{}\n{}\n".format(*marks(part)) for part in PARTS)])
-TABLE = (
+HEAD = (
     "| method | setting | ns per map (quartiles) | over ours (quartiles) | wrong itineraries "
     "| error: median | 99 % | worst | first call, s | states |\n" + "| --- " * 10 + "|"
 )
@@ -45,16 +45,20 @@ def asked_table(asked):
     return "\n".join([head, *(f"| {what} | {bound} | {measured} |" for what, bound, measured in asked)])
 
 
-def body(rows, asked, notes, machine, picture):
-    """The measured part of the page, in Markdown."""
-    parts = (
-        f"![Error against time per map, for each method]({picture})",
-        "\n".join(f"- {line}" for line in machine),
-        asked_table(asked),
-        "\n".join([TABLE, *(row(*entry) for entry in rows)]),
-        "\n".join(f"- {line}" for line in notes),
-    )
+def table(rows):
+    """Rows (side, timing, verdict) as a table."""
+    return "\n".join([HEAD, *(row(*entry) for entry in rows)])
+
+
+def body(picture, machine, asked, tables, notes):
+    """A measured part of the page, in Markdown. picture: (what it shows, its file); machine, notes: lines."""
+    parts = ("![{}]({})".format(*picture), listed(machine), asked_table(asked), *tables, listed(notes))
     return "\n\n".join(parts)
+
+
+def listed(lines):
+    """Lines as a list."""
+    return "\n".join(f"- {line}" for line in lines)
 
 
 def write(path, text, part):

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.scipy_dop853 import left, right
+from benchmarks.scipy_ivp import WALLS
 from benchmarks.work import CAP
 
 TOLERANCE = 1e-9  # rtol and atol of the integrator
@@ -66,7 +66,7 @@ def stroboscopic(omega, gamma, restitution) -> Callable[[np.ndarray], np.ndarray
             return np.full(2, np.nan)
         time, y, given = 0.0, (x, v), {"rtol": TOLERANCE, "atol": TOLERANCE, "args": (amplitude,)}
         for _ in range(CAP):
-            flight = solve_ivp(field, (time, period), y, "DOP853", events=(left, right), **given)
+            flight = solve_ivp(field, (time, period), y, "DOP853", events=WALLS, **given)
             time, y = flight.t[-1], flight.y[:, -1]
             if flight.status != 1:
                 return y

@@ -1,22 +1,50 @@
-"""Who takes part, at which settings and on how many states."""
+"""Who takes part between rigid walls and between soft ones, at which settings and on how many states."""
 
 import functools
+from collections.abc import Callable
+from typing import NamedTuple
 
-from benchmarks import diffrax_event, heyoka_batch, heyoka_scalar, limit, ours, rk4, scipy_dop853
+from benchmarks import diffrax_event, heyoka_batch, heyoka_scalar, limit, ours, rk4, scipy_ivp
 from benchmarks.harness import Side
+from benchmarks.work import held
 
-# method: its strobe, how many states it is given, how a setting reads, the settings
-RIVALS = {
-    "heyoka, batch": (heyoka_batch.strobe, 4096, "tol {:g}", (1e-6, 1e-9, 1e-12, 1e-15)),
-    "heyoka, scalar": (heyoka_scalar.strobe, 4096, "tol {:g}", (1e-6, 1e-9, 1e-12, 1e-15)),
-    "paper's RK4": (rk4.strobe, 4096, "{} steps", (50, 100, 200, 400, 800)),
-    "diffrax Tsit5": (diffrax_event.strobe, 2048, "tol {:g}", (1e-6, 1e-9, 1e-11)),
-    "SciPy DOP853": (scipy_dop853.strobe, 256, "tol {:g}", (1e-6, 1e-9, 1e-12)),
-}
+FINE, COARSE = (1e-6, 1e-9, 1e-12, 1e-15), (1e-4, 1e-6, 1e-8, 1e-10)
 OURS = "jaxvibro"
 VMAP = "jaxvibro, user's vmap"
 YARDSTICK = "yardstick"
+PLAIN = "SciPy LSODA, no events"
 STATES = 100_000
+BESIDE = 32_768  # ours, beside the rivals between soft walls
+
+
+class Rival(NamedTuple):
+    """A method: its strobe, how many states it is given, its settings and how one reads."""
+
+    strobe: Callable
+    states: int
+    settings: tuple
+    words: str = "tol {:g}"
+
+
+RIGID = {
+    "heyoka, batch": Rival(heyoka_batch.strobe, 4096, FINE),
+    "heyoka, scalar": Rival(heyoka_scalar.strobe, 4096, FINE),
+    "paper's RK4": Rival(rk4.strobe, 4096, (50, 100, 200, 400, 800), "{} steps"),
+    "diffrax Tsit5": Rival(diffrax_event.strobe, 2048, (1e-6, 1e-9, 1e-11)),
+    "SciPy DOP853": Rival(scipy_ivp.strobe, 256, (1e-6, 1e-9, 1e-12)),
+}
+# On one core more lanes at once are no faster.
+diffrax_in_blocks = functools.partial(diffrax_event.strobe, block=32)
+SOFT = {
+    "heyoka, batch": Rival(heyoka_batch.strobe, 2048, FINE),
+    "heyoka, scalar": Rival(heyoka_scalar.strobe, 2048, FINE),
+    "diffrax Tsit5": Rival(diffrax_in_blocks, 512, COARSE),
+    "diffrax Kvaerno5": Rival(functools.partial(diffrax_in_blocks, solver="Kvaerno5"), 128, COARSE),
+    "SciPy RK45": Rival(functools.partial(scipy_ivp.strobe, method="RK45"), 64, COARSE),
+    "SciPy LSODA": Rival(functools.partial(scipy_ivp.strobe, method="LSODA"), 64, COARSE),
+    PLAIN: Rival(functools.partial(scipy_ivp.plain, method="LSODA"), 64, COARSE),
+    "SciPy Radau": Rival(functools.partial(scipy_ivp.strobe, method="Radau"), 64, COARSE[:3]),
+}
 
 
 def read(answer):
@@ -24,13 +52,17 @@ def read(answer):
     return answer.ends, answer.sides
 
 
-def rival(method, strobe, states, words, setting):
-    """A Side for a rival's strobe at one setting."""
+def rivals(table, share, **walls):
+    """The Sides of a table's rivals, each at its settings. share: the part of the usual states to give; walls: the
+    stiffness of soft ones."""
 
-    def prepare(rows):
-        return functools.partial(strobe, rows, setting)
+    def side(method, rival, setting):
+        def prepare(rows):
+            return functools.partial(rival.strobe, rows, setting, **walls)
 
-    return Side(method, words.format(setting), states, prepare, read)
+        return Side(method, rival.words.format(setting), rival.states // share, prepare, read)
+
+    return [side(method, rival, setting) for method, rival in table.items() for setting in rival.settings]
 
 
 def own(method, prepare, states):
@@ -44,13 +76,17 @@ def yardstick(directory, states):
     return Side(YARDSTICK, "", states, lambda rows: functools.partial(strobe, rows), lambda ends: (ends, None)), words
 
 
-def assemble(directory, share):
-    """Ours, the others (a list), and a line on the yardstick. share: the part of the usual states to give."""
+def rigid(directory, share):
+    """Ours, the others (a list), and a line on the yardstick. share: as in `rivals`."""
     line = limit.refusal(directory)
     others = [own(VMAP, ours.prepare_vmap, STATES // share)]
     if line is None:
         side, line = yardstick(directory, STATES // share)
         others.append(side)
-    for method, (strobe, states, words, settings) in RIVALS.items():
-        others += [rival(method, strobe, states // share, words, setting) for setting in settings]
-    return own(OURS, ours.prepare_batch, STATES // share), others, line
+    return own(OURS, ours.prepare_batch, STATES // share), others + rivals(RIGID, share), line
+
+
+def soft(stiffness, share):
+    """Ours and the others (a list) at a stiffness. share: as in `rivals`."""
+    prepare = functools.partial(ours.prepare_batch, stiffness=stiffness, damping=held(stiffness))
+    return own(OURS, prepare, BESIDE // share), rivals(SOFT, share, stiffness=stiffness)

@@ -2,12 +2,11 @@
 
 import numpy as np
 
-from benchmarks import harness, machine, page, soft_chart, soft_rigid, soft_sides, soft_truth, truth
+from benchmarks import chart, harness, machine, page, sides, soft_rigid, truth
 from benchmarks.sides import OURS
-from benchmarks.soft_work import SHARE, STIFFNESSES, words
-from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, draw
+from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, SHARE, STIFFNESSES, draw, words
 
-JUDGED = soft_sides.RIVALS["heyoka, batch"][1]
+JUDGED = sides.SOFT["heyoka, batch"].states
 ROUNDS = 5
 FAR = 1e-2  # An end this far off, where no itinerary is told, is a contact missed and not the error of a step.
 STIFF, LEVELS = STIFFNESSES[-1], (1e-6, 1e-11)
@@ -23,9 +22,9 @@ def compare(states, rounds, share):
     panels = {}
     for stiffness in STIFFNESSES:
         print(f"stiffness {stiffness:g}")
-        us, others = soft_sides.assemble(stiffness, share)
+        us, others = sides.soft(stiffness, share)
         timings = harness.measure(us, others, states, rounds)
-        true = soft_truth.find(states[: JUDGED // share], stiffness)
+        true = truth.find(states[: JUDGED // share], stiffness)
         panels[stiffness] = [(side, t, truth.judge(t.ends, t.sides, true, FAR)) for side, t in timings.items()]
     return panels
 
@@ -41,7 +40,7 @@ def asked(panels, ratios):
     most, (stiffness, damping) = soft_rigid.worst(ratios)
     where = f", at k2 = {words(stiffness)}, gamma2 = {damping:.3g}"
     lines = [("soft strobe over rigid strobe, same batch, the largest", "at most 2.5", page.spread(most) + where)]
-    heyoka = [method for method in soft_sides.RIVALS if method.startswith("heyoka")]
+    heyoka = [method for method in sides.SOFT if method.startswith("heyoka")]
     for level in LEVELS:
         for but, beside, bound in (([], "", "at least 100"), (heyoka, " but heyoka", "(to be printed)")):
             found = fastest(panels[STIFF], level, but)
@@ -82,12 +81,12 @@ def notes(rounds, panels):
     return (
         f"gamma2 = z sqrt(1 + k2), z = {SHARE:.4f}: a contact leaves R = {RESTITUTION} of the speed. Every rival timed "
         f"in turn with ours, {rounds} rounds on one core; medians and quartiles of the processor time; compiling is "
-        f"left out. Ours maps {soft_sides.STATES:,} states beside them, and {soft_rigid.STATES:,} beside the rigid "
+        f"left out. Ours maps {sides.BESIDE:,} states beside them, and {soft_rigid.STATES:,} beside the rigid "
         "strobe; all are given the first states of the same draw.",
         f"Errors, of x and x' as they are, against ball arithmetic on the first {JUDGED:,} states or as many as the "
         f"rival is given; judged are {judged} of them, the others have an entry slower than 1e-2.",
         "Wrong: another itinerary (sides of the entries in order), or no end as the integrator gave up or had "
-        f"{CAP} entries; the second number counts those without an end, judged or not. {soft_sides.PLAIN} tells "
+        f"{CAP} entries; the second number counts those without an end, judged or not. {sides.PLAIN} tells "
         f"no itinerary: an end off by more than {FAR:g} is wrong. What is wrong is left out of the errors.",
     )
 
@@ -98,15 +97,9 @@ def main(quick, out):
     states = draw(soft_rigid.STATES // share)
     ratios = soft_rigid.compare(states, rounds)
     panels = compare(states, rounds, share)
-    soft_chart.save(out / PICTURE, panels, TITLE)
-    parts = (
-        f"![Error against time per map between soft walls, for each method]({PICTURE})",
-        "\n".join(f"- {line}" for line in machine.describe()),
-        page.asked_table(asked(panels, ratios)),
-        soft_rigid.table(ratios),
-        table(panels),
-        "\n".join(f"- {line}" for line in notes(rounds, panels)),
-    )
-    text = "\n\n".join(parts)
+    chart.save_panels(out / PICTURE, panels, TITLE)
+    picture = "Error against time per map between soft walls, for each method", PICTURE
+    tables = soft_rigid.table(ratios), table(panels)
+    text = page.body(picture, machine.describe(), asked(panels, ratios), tables, notes(rounds, panels))
     page.write(out / "benchmarks.md", text, "soft walls measured")
     print(f"{text}\n\nwritten: {out / 'benchmarks.md'}, {out / PICTURE}")

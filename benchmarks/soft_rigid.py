@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from benchmarks import ours, page, soft_ours
+from benchmarks import ours, page
 from benchmarks.harness import clock, spread
-from benchmarks.soft_work import held, words
+from benchmarks.work import held, words
 
 STATES = 98_304
 STIFFNESSES = (1.0, 10.0, 1e2, 1e4, 1e6, 1e8, 1e10)
@@ -16,7 +16,7 @@ def compare(states, rounds):
     """{(k2, gamma2): soft over rigid in each round} of (n, 3) states x, x', A."""
     rigid = ours.prepare_batch(states)
     given = [(stiffness, damping) for stiffness in STIFFNESSES for damping in (held(stiffness), DAMPING)]
-    calls = {each: soft_ours.prepare(states, *each) for each in given}
+    calls = {each: ours.prepare_batch(states, *each) for each in given}
     for call in (rigid, *calls.values()):
         call()
     ratios = {each: [] for each in calls}

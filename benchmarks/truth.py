@@ -4,9 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.work import GAMMA, OMEGA, RESTITUTION, blank
-from tests.reference.orbit import Discard, strobe
-from tests.reference.scene import Scene, Wall
+from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, blank, held
+from tests.reference import orbit, soft
+from tests.reference.scene import Scene, Soft, Wall
+from tests.reference.search import Discard
 
 # Without an itinerary to compare (the yardstick returns none) an end this far off counts as a wrong itinerary.
 FAR = 1e-6
@@ -30,24 +31,32 @@ class Verdict(NamedTuple):
     worst: float
 
 
-def find(states):
+def find(states, stiffness=None):
     """Truth for (n, 3) states x, x', A.
 
-    Not judged: an impact slower than 1e-2 (so all chatter), a turning point within 1e-8 of a wall, an impact within
-    1e-9 of the period's end.
+    Not judged: what the reference refuses, as an impact or entry slower than 1e-2 (so all chatter), a turning point
+    within 1e-8 of a wall, an impact within 1e-9 of the period's end; and more than CAP impacts.
     """
     ends, sides, _ = blank(states)
     judged = np.ones(len(states), dtype=bool)
-    left, right = Wall(-1.0, RESTITUTION), Wall(1.0, RESTITUTION)
+    strobe = orbit.strobe if stiffness is None else soft.strobe
     for lane, (x, v, amplitude) in enumerate(states):
         try:
-            record = strobe(Scene(GAMMA, OMEGA, amplitude, left, right), x, v)
+            record = strobe(Scene(GAMMA, OMEGA, amplitude, wall(-1.0, stiffness), wall(1.0, stiffness)), x, v)
         except Discard:
+            judged[lane] = False
+            continue
+        if record.count > CAP:
             judged[lane] = False
             continue
         ends[lane] = float(record.x), float(record.v)
         sides[lane, : record.count] = record.sides
     return Truth(ends, sides, judged)
+
+
+def wall(place, stiffness):
+    """The reference's wall at a place."""
+    return Wall(place, RESTITUTION) if stiffness is None else Soft(place, stiffness, held(stiffness))
 
 
 def judge(ends, sides, truth, far=FAR):

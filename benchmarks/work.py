@@ -1,6 +1,8 @@
 """The work that every side does: one drive period from phase 0, walls at -1 and 1, itinerary recorded.
 
-x'' + 2 gamma x' + x = A cos(omega t), y+ = -R y- at a wall (Cheng and Xu 2007, equations 3 and 4).
+x'' + 2 gamma x' + x = A cos(omega t), y+ = -R y- at a rigid wall (Cheng and Xu 2007, equations 3 and 4); beyond a soft
+one x'' + 2 gamma2 x' + k2 (x - x_b) + x = A cos(omega t), and an entry takes an impact's place in the itinerary (39).
+A stiffness k2 of None says that the walls are rigid.
 """
 
 import math
@@ -14,6 +16,9 @@ RESTITUTION = 0.7
 PERIOD = 2 * math.pi / OMEGA
 # Complete chatter has impacts without end: every side stops a lane here, and no such lane is judged.
 CAP = 30
+STIFFNESSES = (10.0, 1e4, 1e7)
+# the share of critical damping with which a contact leaves R of the speed, R that of the rigid walls
+SHARE = -math.log(RESTITUTION) / math.hypot(math.pi, math.log(RESTITUTION))
 
 
 class Strobes(NamedTuple):
@@ -39,3 +44,13 @@ def blank(states):
     """Ends that copy the starts, and an empty itinerary, for a side to fill in."""
     sides = np.zeros((len(states), CAP), dtype=np.int8)
     return Strobes(states[:, :2].copy(), sides, np.full(sides.shape, np.inf))
+
+
+def held(stiffness):
+    """gamma2 at which a wall leaves the rigid walls' R of the speed, however stiff it is."""
+    return SHARE * math.sqrt(1.0 + stiffness)
+
+
+def words(stiffness):
+    """A stiffness as text: 10 or 1e7."""
+    return f"{stiffness:g}" if stiffness < 1e3 else f"1e{math.log10(stiffness):.0f}"
