@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from . import itinerary as words
-from .branch import Branch, Segment, row_of, special_of, spot_of
+from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
 from .meetings import is_symmetric
 from .orbit import MARGIN, roots
 from .piece import Piece
@@ -94,7 +94,7 @@ def _told(scene, name, bounds, pieces):
     marked = set()
     for one in pieces:
         row, size = row_of(data, first), len(one.points.z)
-        walls = itinerary(spot_of(row, name), _frequency(scene, name, float(row[name])))
+        walls = itinerary(spot_of(row, name), frequency_at(scene, name, float(row[name])))
         segments.append(Segment(first, first + size - 1, words.label(walls), walls))
         for mark in one.marks:
             place = first + mark.place
@@ -109,10 +109,6 @@ def _told(scene, name, bounds, pieces):
             row = row_of(data, place)
             special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
     return data.assign_attrs(parameter=name), tuple(segments), tuple(sorted(special, key=lambda one: one.place))
-
-
-def _frequency(scene, name, value):
-    return value if name == "frequency" else float(scene.frequency)
 
 
 def _columns(one, name, widest, place):
@@ -179,7 +175,7 @@ def _special(scene, name, bounds, mark, place, row):
     kind = mark.kind
     if kind == "BP" and is_symmetric(scene):
         spot = spot_of(row, name)
-        kind = "SB" if is_own_image(spot, _frequency(scene, name, spot.value)) else kind
+        kind = "SB" if is_own_image(spot, frequency_at(scene, name, spot.value)) else kind
     joins = [_joined(way) for way in mark.exits]
     return special_of(scene, name, bounds, place, row, kind, mark.residual, joins, mark.aside)
 

@@ -211,10 +211,15 @@ def labels(special):
     """The labels of the orbits that meet at a special point, each with the side of the parameter it is on."""
     found = []
     for one in special.joins:
-        frequency = one.value if special.name == "frequency" else float(special.scene.frequency)
+        frequency = frequency_at(special.scene, special.name, one.value)
         way = ">" if one.value > special.value else "<"
         found.append(words.label(itinerary(one, frequency)) + way)
     return found
+
+
+def frequency_at(scene, name, value):
+    """The drive's frequency where a parameter has a value."""
+    return value if name == "frequency" else float(scene.frequency)
 
 
 def row_of(data, place):

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from . import itinerary as words
-from .branch import row_of, special_of, spot_of
+from .branch import frequency_at, row_of, special_of, spot_of
 from .follow import placed
 from .look import looked
 from .meetings import is_symmetric
@@ -34,7 +34,7 @@ def mirrored(branch):
 def _data(branch):
     """The data with the impacts half a period later on the other walls, x and v at phase 0 anew."""
     data, name = branch.data, branch.name
-    half = np.pi / _frequency(branch.scene, name, branch.values)
+    half = np.broadcast_to(np.pi / frequency_at(branch.scene, name, branch.values), branch.values.shape)
     late = half[:, None] + data["time"]
     slopes = data["time_slope"]
     if name == "frequency":
@@ -72,7 +72,7 @@ def _reflected(scene, name, spot):
     """The mirror image of a `Spot`; without impacts it is its own."""
     if not len(spot.times):
         return spot
-    late = spot.times + np.pi / _frequency(scene, name, spot.value)
+    late = spot.times + np.pi / frequency_at(scene, name, spot.value)
     turned = spot._replace(times=late, sides=-spot.sides)
     along, z = placed(scene, name, turned)
     look = looked(along, z[None])
@@ -81,9 +81,5 @@ def _reflected(scene, name, spot):
 
 def _segment(branch, data, one):
     row = row_of(data, one.first)
-    walls = itinerary(spot_of(row, branch.name), float(_frequency(branch.scene, branch.name, row[branch.name])))
+    walls = itinerary(spot_of(row, branch.name), float(frequency_at(branch.scene, branch.name, row[branch.name])))
     return replace(one, label=words.label(walls), itinerary=walls)
-
-
-def _frequency(scene, name, values):
-    return np.asarray(values if name == "frequency" else np.full(np.shape(values), float(scene.frequency)), float)
