@@ -17,16 +17,15 @@ from .frame import frame, is_valid
 from .lanes import choose, one_kernel, stage
 from .path import swift
 from .period import blank, finish
-from .scene import SIDES
 from .state import State
 
 
 def is_reversible(scene):
     """Refuse a single scene with a wall that takes all speed, as it has no way back, and one that is too damped."""
-    for side in SIDES:
-        key = f"{side}.restitution"
-        if key in scene.names and not scene.parameter(key) > 0:
-            raise check.SceneError(key, "must be greater than 0, else the map has no inverse", scene.parameter(key))
+    for side in scene.walls:
+        bounce = scene.bounce(side)
+        if bounce == 0:
+            raise check.SceneError(f"{side}.restitution", "must be greater than 0, else the map has no inverse", bounce)
     if not scene.damping < 1:
         raise check.SceneError("damping", "must be less than 1 on the way back", scene.damping)
 

@@ -87,7 +87,7 @@ def _dataset(scene, x, v, phase, attractors, homes, label, periods):
             "side": ("side", size.sides, {"units": "cells"}),
         },
         attrs={
-            **{name: float(scene.parameter(name)) for name in scene.names},
+            **scene.numbers,
             "phase": phase,
             "basin_entropy": entropy,
             "boundary_basin_entropy": at_boundary,

@@ -55,9 +55,8 @@ def is_of_one_kind(side, wall):
 
 def is_rigid(scene, what):
     """Refuse a soft wall where only rigid ones are known."""
-    for side in ("left", "right"):
-        wall = getattr(scene, side)
-        if wall is not None and wall.soft:
+    for side, wall in scene.walls.items():
+        if wall.soft:
             raise SceneError(f"{side}.stiffness", f"{what} is for rigid walls only", wall.stiffness)
 
 

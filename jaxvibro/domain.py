@@ -19,8 +19,8 @@ def domain(scene, name):
         return 0.0, inf
     if name.endswith("restitution"):
         return 0.0, 1.0
-    if name.endswith("position") and scene.left is not None and scene.right is not None:
-        room = sum(abs(float(wall.motion.amplitude)) for wall in (scene.left, scene.right) if wall.motion is not None)
+    if name.endswith("position") and len(scene.walls) == 2:
+        room = sum(abs(float(wall.motion.amplitude)) for wall in scene.walls.values() if wall.motion is not None)
         low = -inf if name.startswith("left") else float(scene.left.position) + room
         high = inf if name.startswith("right") else float(scene.right.position) - room
         return low, high
@@ -75,7 +75,6 @@ def flat(names):
 def scene_length(scene):
     """A length to measure speeds and lengths by: the farther wall's distance; where that is small beside the motion, or
     there is none, the size of the swift part of the response to the drive (`path.swift`), 1 at rest."""
-    walls = [wall for wall in (scene.left, scene.right) if wall is not None]
-    found = max((abs(float(wall.position)) for wall in walls), default=0.0)
+    found = max((abs(float(wall.position)) for wall in scene.walls.values()), default=0.0)
     size = abs(float(swift(scene.frequency, scene.damping, scene.amplitude)))
     return found if found > 0.3 * size else (size or 1.0)

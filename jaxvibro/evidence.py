@@ -95,8 +95,7 @@ def _least_speed(side, speed):
 def dissipates(scene):
     """Whether motions of a single scene draw together at all: it is damped, or a wall is not elastic."""
     damped = any(bool(scene.parameter(name) > 0) for name in scene.names if name.endswith("damping"))
-    walls = [name for name in scene.names if name in ("left.restitution", "right.restitution")]
-    return damped or any(bool(scene.parameter(name) < 1) for name in walls)
+    return damped or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)  # -1: a soft one
 
 
 def chaotic(scene, found, lanes, scale):

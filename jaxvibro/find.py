@@ -94,6 +94,5 @@ def _near(scene, state, periods, itinerary):
 
 def _rests(scene, kept):
     """Whether the mass may rest on a wall: it chatters, ends a period there, or a wall takes all of its speed."""
-    walls = [name for name in scene.names if name in ("left.restitution", "right.restitution")]
-    plastic = any(float(scene.parameter(name)) == 0 for name in walls)
+    plastic = any(float(scene.bounce(side)) == 0 for side in scene.walls)
     return plastic or kept.status[0] == FULL or bool((abs(kept.contact) == STUCK).any())

@@ -171,5 +171,5 @@ def _dataset(scene, strands, attrs):
             "began": ("piece_end", np.concatenate([one["began"] for one in strands])),
             "ended": ("piece_end", np.concatenate([one["ended"] for one in strands])),
         },
-        attrs={**{name: float(scene.parameter(name)) for name in scene.names}, **attrs},
+        attrs=scene.numbers | attrs,
     )

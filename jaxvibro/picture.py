@@ -15,7 +15,6 @@ from .loci import image
 from .plot import style
 from .plot.locus import name as of_locus
 from .plot.orbit import title
-from .scene import SIDES
 from .simulate import simulate
 from .state import State
 from .stretch import recurrence
@@ -172,12 +171,12 @@ def _described(scene, without):
     plain = [
         f"{sign} = {float(scene.parameter(name)):g}" for name, sign in style.SYMBOLS.items() if name not in without
     ]
-    walls = [_wall(scene, side, without) for side in SIDES if getattr(scene, side) is not None]
+    walls = [_wall(side, wall, without) for side, wall in scene.walls.items()]
     return ",  ".join(plain) + "\n" + (",  ".join(walls) or "no walls")
 
 
-def _wall(scene, side, without):
-    told, wall = f"{side} wall", getattr(scene, side)
+def _wall(side, wall, without):
+    told = f"{side} wall"
     if f"{side}.position" not in without:
         told += f" at {float(wall.position):g}"
     if wall.restitution is not None and f"{side}.restitution" not in without:

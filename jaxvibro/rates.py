@@ -43,11 +43,10 @@ def shrinkage(scene, left, right, count):
     """ln abs det M of so many periods with these impacts on each wall: numbers that broadcast."""
     length = 2.0 * np.pi / np.asarray(scene.frequency)
     total = -2.0 * np.asarray(scene.damping) * length * count
-    for wall, hits in ((scene.left, left), (scene.right, right)):
-        if wall is not None:
-            bounce = np.asarray(scene.restitution if wall.restitution is None else wall.restitution)
+    for side, hits in (("left", left), ("right", right)):
+        if side in scene.walls:
             with np.errstate(divide="ignore", invalid="ignore"):
-                total = total + np.where(hits > 0, 2.0 * hits * np.log(bounce), 0.0)
+                total = total + np.where(hits > 0, 2.0 * hits * np.log(np.asarray(scene.bounce(side))), 0.0)
     return total
 
 

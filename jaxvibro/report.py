@@ -15,7 +15,7 @@ from .text import columns, pair
 def table(found, name):
     """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci."""
     scene = found.scene
-    parts = [f"jaxvibro {__version__}, {name}\n", columns([(key, float(scene.parameter(key))) for key in scene.names])]
+    parts = [f"jaxvibro {__version__}, {name}\n", columns(list(scene.numbers.items()))]
     if found.swept is not None:
         parts += ["", *_sweep(found)]
     if found.attractors is not None:

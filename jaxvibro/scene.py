@@ -92,18 +92,21 @@ class Scene:
         each so that its R_eff stays (`effective_restitution`).
         """
         found = ["amplitude", "frequency", "damping", "restitution"]
-        for side in SIDES:
-            wall = getattr(self, side)
-            if wall is not None:
-                own = ("position", "stiffness", "damping") if wall.soft else ("position", "restitution")
-                found += [f"{side}.{name}" for name in own]
-                found += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
+        for side, wall in self.walls.items():
+            own = ("position", "stiffness", "damping") if wall.soft else ("position", "restitution")
+            found += [f"{side}.{name}" for name in own]
+            found += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
         return (*found, "hardness") if self.soft_sides else tuple(found)
+
+    @property
+    def walls(self):
+        """{side: `Wall`} of the walls that there are, left first."""
+        return {side: getattr(self, side) for side in SIDES if getattr(self, side) is not None}
 
     @property
     def soft_sides(self):
         """The sides of its soft walls, left first."""
-        return tuple(side for side in SIDES if getattr(self, side) is not None and getattr(self, side).soft)
+        return tuple(side for side, wall in self.walls.items() if wall.soft)
 
     def parameter(self, name):
         """The value of a parameter, an array; a wall without a restitution, or damping, of its own gives the scene's.
@@ -116,6 +119,11 @@ class Scene:
             return (jnp if check.is_traced(stiffness) else np).log10(stiffness)
         value = reduce(getattr, name.split("."), self)
         return getattr(self, name.split(".")[-1]) if value is None else value
+
+    @property
+    def numbers(self):
+        """{name: number} of the parameters of a single scene."""
+        return {name: float(self.parameter(name)) for name in self.names}
 
     def bounce(self, side):
         """R of a wall, with which the velocity against it comes back; -1 of a soft one, which lets it pass."""

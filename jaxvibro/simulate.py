@@ -79,7 +79,7 @@ def _dataset(scene, x, v, angle, impacts):
             "position": ("impact", place, {"long_name": "displacement at the impact", **length}),
         },
         coords={"time": ("time", time, {"units": "t"}), "phase": ("time", angle, {"units": "rad"}), **at},
-        attrs={name: float(scene.parameter(name)) for name in scene.names},
+        attrs=scene.numbers,
     )
 
 

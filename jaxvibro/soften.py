@@ -4,7 +4,6 @@ from dataclasses import replace
 
 from . import check
 from .rebound import contact_damping
-from .scene import SIDES
 
 
 def soften(scene, stiffness):
@@ -16,11 +15,11 @@ def soften(scene, stiffness):
 
     Raises SceneError for a stiffness that breaks its rule, and where no wall is rigid.
     """
-    rigid = [side for side in SIDES if getattr(scene, side) is not None and not getattr(scene, side).soft]
+    rigid = {side: wall for side, wall in scene.walls.items() if not wall.soft}
     if not rigid:
         raise check.SceneError("scene", "must have a rigid wall", "none")
     changes = {}
-    for side in rigid:
-        damping = contact_damping(stiffness, scene.parameter(f"{side}.restitution"))
-        changes[side] = replace(getattr(scene, side), restitution=None, stiffness=stiffness, damping=damping)
+    for side, wall in rigid.items():
+        damping = contact_damping(stiffness, scene.bounce(side))
+        changes[side] = replace(wall, restitution=None, stiffness=stiffness, damping=damping)
     return replace(scene, **changes).replace()

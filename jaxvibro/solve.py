@@ -162,7 +162,7 @@ def _refuse_passing(scene, found, count):
         raise OrbitError(f"not admissible: {told}", residual, ENDED)
     flight, wall = np.unravel_index(int(np.argmin(clear)), clear.shape)
     if clear[flight, wall] < 0:
-        side = [side for side in ("left", "right") if getattr(scene, side) is not None][wall]
+        side = list(scene.walls)[wall]
         told = f"flight {flight + 1} of {count} passes through the {side} wall, {-clear[flight, wall]:.3g} deep"
         told += f", {late[flight, wall]:.6g} after its start"
         raise OrbitError(f"not admissible: {told}", residual, ENDED)

@@ -14,7 +14,6 @@ from . import check
 from .entry import CAP, OK
 from .lanes import OPTIONS
 from .place import SIGNS, fit, places
-from .scene import SIDES
 from .state import STATUS, State
 from .strobe import strobe
 
@@ -175,17 +174,13 @@ def _dataset(scene, name, values, state, parts):
 
 def others(scene, name):
     """The parameters that are not swept, without those that a wall takes from the scene, or that follow from others."""
-    follows = [f"{side}.{name}" for side, wall in _walls(scene).items() for name in wall.taken]
+    follows = [f"{side}.{name}" for side, wall in scene.walls.items() for name in wall.taken]
     follows += [f"{side}.{own}" for side in scene.soft_sides for own in ("stiffness", "damping") if name == "hardness"]
     follows.append("hardness")
     return {key: scene.parameter(key) for key in scene.names if key != name and key not in follows}
 
 
-def _walls(scene):
-    return {side: wall for side, wall in zip(SIDES, (scene.left, scene.right), strict=True) if wall is not None}
-
-
 def static(scene):
     """What of the scene is no parameter: its walls, and the harmonics of those that move."""
-    moving = {side: wall.motion.harmonic for side, wall in _walls(scene).items() if wall.motion is not None}
-    return {"walls": " ".join(_walls(scene)) or "none"} | {f"{side}.motion.harmonic": m for side, m in moving.items()}
+    moving = {side: wall.motion.harmonic for side, wall in scene.walls.items() if wall.motion is not None}
+    return {"walls": " ".join(scene.walls) or "none"} | {f"{side}.motion.harmonic": m for side, m in moving.items()}

@@ -68,5 +68,4 @@ def _dataset(scene, phase, parts):
             after = pace - float(scene.bounce(name)) * sign * speed[hit]
         columns[f"{name}_phase"] = f"{name}_impact", np.mod(angle, 2.0 * np.pi), {"units": "rad"}
         columns[f"{name}_velocity"] = f"{name}_impact", after, SPEED
-    numbers = {key: float(scene.parameter(key)) for key in scene.names}
-    return xr.Dataset(columns, attrs=numbers | {"phase": phase})
+    return xr.Dataset(columns, attrs=scene.numbers | {"phase": phase})

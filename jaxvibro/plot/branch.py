@@ -6,7 +6,6 @@ import numpy as np
 from matplotlib.font_manager import FontProperties
 
 from ..branch import MEANINGS
-from ..scene import SIDES
 from .lines import columns_of, lines
 from .style import COLOURS, COORDINATES, WALL, axes, label, plain
 
@@ -97,9 +96,8 @@ def _walls(ax, one):
     low, high = ax.get_ylim()
     near = (high - low) / 4
     known = [line.get_ydata()[0] for line in ax.lines if line.get_color() == WALL and len(line.get_ydata())]
-    for side in SIDES:
-        wall = getattr(one.scene, side)
-        if wall is None or wall.motion is not None or one.name == f"{side}.position":
+    for side, wall in one.scene.walls.items():
+        if wall.motion is not None or one.name == f"{side}.position":
             continue
         place = float(wall.position)
         if place not in known and low - near <= place <= high + near:

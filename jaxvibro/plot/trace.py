@@ -10,9 +10,8 @@ def trace(trajectory, scene, ax=None):
     """Draw the position in a Dataset of `simulate` against time in drive periods, with walls and impacts: the Axes."""
     ax, period = axes(ax), 2 * np.pi / float(scene.frequency)
     turns = trajectory["time"].values / period
-    for wall in (scene.left, scene.right):
-        if wall is not None:
-            ax.plot(turns, position(wall, trajectory["phase"].values), color=WALL, linewidth=1.5)
+    for wall in scene.walls.values():
+        ax.plot(turns, position(wall, trajectory["phase"].values), color=WALL, linewidth=1.5)
     time, x, _, _ = with_impacts(trajectory, scene)
     ax.plot(time / period, x, color=COLOURS[0], linewidth=1.0)
     dots = {"linestyle": "none", "marker": "o", "markersize": 3.5, "color": COLOURS[1], "zorder": 3}
