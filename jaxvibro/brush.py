@@ -12,16 +12,13 @@ by way of the orbit that leaves the contact out, of which it is a regular point.
 import numpy as np
 
 from continuation import follow
-from continuation.arclength import Control, Point
 from continuation.locate import Located
 
 from . import graze
 from .along import problem
-from .graze import LOOSE, Exit, admissible, free_start, padded, scales, touched, wall_sides
-from .look import looked
+from .graze import FLAT, LOOSE, scales, touched, wall_sides, with_impacts, with_touches
 
 NEAR = 1e-4  # of the scene's length per t: as slow a contact is about to be none
-FLAT = 1e-6  # of a distance's rate along a branch: as small is none
 ASIDE = 1e-3, 1e-4  # as in `graze`; nearer to the singular point Newton's steps are rounding
 WHOLE = 1e-9  # of the scene's length: as near is a touch of another wall at the same point
 
@@ -42,7 +39,7 @@ def located(along, z, rows, length):
     """The grazing near z at which contacts with soft walls, in these rows, lose their speed: a `locate.Located`."""
     size, sides = len(along.cycle.sides), along.cycle.sides
     keep = [k for k in np.flatnonzero(sides != 0) if k not in rows]
-    new, start = _with(along, z, [graze.Hit(z[k], z[size + k], sides[k], True) for k in keep])
+    new, start = with_impacts(along, z, [graze.Hit(z[k], z[size + k], sides[k], True) for k in keep])
     places = [_place(along, z, row, keep) for row in rows]
     found = touched(new, start, *places[0])
     if found.z is None:
@@ -50,6 +47,7 @@ def located(along, z, rows, length):
     new_size = len(new.cycle.sides)
     there = np.array(z)
     there[-1] = found.z[-1]
+    whole = graze.span(along, there)
     for place, k in enumerate(keep):
         there[k], there[size + k] = found.z[place], found.z[new_size + place]
     for row, (before, wall, late) in zip(rows, places, strict=True):
@@ -57,82 +55,58 @@ def located(along, z, rows, length):
         if not abs(distance) <= WHOLE * length:
             return Located(None, found.residual)
         there[row] = (found.z[before] if keep else 0.0) + late
-        there[row] -= _turn(along, there[-1]) * np.round((there[row] - z[row]) / _turn(along, there[-1]))
+        there[row] -= whole * np.round((there[row] - z[row]) / whole)
         there[size + row] = 0.0
     return found._replace(z=there)
-
-
-def _turn(along, value):
-    """How long the orbit is."""
-    frequency = value if bool(along.which.frequency) else float(along.scene.frequency)
-    return float(along.cycle.periods) * 2.0 * np.pi / frequency
 
 
 def _place(along, z, row, keep):
     """(row before, wall, time since then) of a row that is left out; rows are those that are kept."""
     wall = wall_sides(along.scene).index(int(along.cycle.sides[row]))
-    span = _turn(along, z[-1])
+    whole = graze.span(along, z)
     if not keep:
-        return 0, wall, float(np.mod(z[row], span))
-    late = np.mod(z[row] - z[keep], span)
+        return 0, wall, float(np.mod(z[row], whole))
+    late = np.mod(z[row] - z[keep], whole)
     return int(np.argmin(late)), wall, float(late.min())
 
 
 def exits(along, z, length):
     """As `graze.exits`, also where the walls touched are soft."""
-    met = graze.touches(along, z, length)
+    return graze.exits(along, z, length, _ways)
+
+
+def _ways(along, z, met, length):
+    """As `graze.each_choice`; where all is smooth, both directions of the orbit that leaves the touches out."""
     if not met or not all(is_smooth(along.scene, one.side) for one in met):
-        return graze.exits(along, z, length)
+        yield from graze.each_choice(along, z, met, length)
+        return
     none = (False,) * len(met)
-    every = graze.listed(along, z, met, none)
-    kept = [one for one in every if one.kept]
-    bare, start = _with(along, z, kept)
-    out = graze.left_out(along, z, every, kept)
+    bare, start, out = with_touches(along, z, met, none)
     tangent = follow.tangent(problem(bare), start, scales(bare, length), bare)
     order = sorted(range(len(met)), key=lambda k: (met[k].row, 0.0 if met[k].own else met[k].late))
     opening, pull = np.zeros(len(met)), np.zeros(len(met))
     for k, one in zip(order, out, strict=True):
         opening[k] = graze.opening(bare, start, tangent, *one)
         pull[k] = -graze.settled_near(bare, start, *one)[2]
-    found, sure = [], True
     for sign in (1.0, -1.0):
         if (sign * opening > -FLAT).all():
-            way, clear = graze.leave(bare, start, out, sign, length, none)
+            yield graze.leave(bare, start, out, sign, length, none)
         else:
-            way, clear = _entering(along, z, met, order, sign * opening, pull, length)
-        found += [way] if way else []
-        sure &= clear
-    return met, found, sure
-
-
-def _with(along, z, kept):
-    """(the `Along` of orbits with these impacts, z of the one that is there)."""
-    new = along._replace(cycle=padded(along, [(one.time, one.speed, one.side) for one in kept]))
-    if not kept:
-        return new, free_start(new, z[-1])
-    return new, np.append(np.concatenate([new.cycle.times, new.cycle.speeds]), z[-1])
+            yield _entering(along, z, met, order, sign * opening, pull, length)
 
 
 def _entering(along, z, met, order, rates, pull, length):
     """(the `Exit` along which the walls that come nearer are entered, None where it is none; whether that is sure)."""
     included = tuple(bool(rate <= -FLAT) for rate in rates)
-    kept = [one for one in graze.listed(along, z, met, included) if one.kept]
-    new, start = _with(along, z, kept)
+    new, start, _ = with_touches(along, z, met, included)
     size = len(new.cycle.sides)
-    tangent, scale = np.zeros(len(start)), scales(new, length)
-    slow = [k for k, one in enumerate(kept) if one.speed == 0.0]
+    tangent = np.zeros(len(start))
+    slow = [k for k in new.hits if start[size + k] == 0.0]
     for k, j in zip(slow, [j for j in order if included[j]], strict=True):
         if not pull[j] > 0:
             return None, True
         speed = np.sqrt(-2.0 * pull[j] * rates[j])
         tangent[k], tangent[size + k] = -speed / pull[j], speed
-    tangent /= np.linalg.norm(scale * tangent)
-    zero = np.zeros(())
-    point = Point(start, tangent, zero, zero, zero, np.True_, np.True_)
-    control = Control(scale, *(np.float64(each) for each in (0.0, 1.0, LOOSE, -np.inf, np.inf)))
-    for aside in ASIDE:
-        near = follow.step(problem(new), point, aside, control, new)
-        look = looked(new, near.z[None])
-        if near.met and admissible(new, near.z, look)[0]:
-            return Exit(new, point, near.z, look, included), True
-    return None, False
+    tangent /= np.linalg.norm(scales(new, length) * tangent)
+    way, _ = graze.stepped(new, start, tangent, length, included, LOOSE, ASIDE)
+    return way, way is not None

@@ -25,6 +25,7 @@ from .look import Look, flight, looked
 TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
 ASIDE = 1e-5, 1e-7  # steps, in scaled lengths, after which a branch that leaves a grazing is looked at
 SURE, LOOSE = 1e-12, 1e-10  # Newton's tolerance there, with impacts added and with none: slow ones leave rounding
+FLAT = 1e-6  # of a speed's or a distance's rate along a branch: as small is none
 ENDS = 1e-5  # of a flight: a touch as near to its ends is that of the impact there
 ROUNDS = 6  # of Newton's steps to a turning point
 FEW = 4  # touches at once, of which every choice is tried
@@ -64,7 +65,7 @@ def scales(along, length):
 
 def _parameter_scale(marks, k, length):
     """The scene's length where a parameter is a length, else 1."""
-    walls = [wall for wall in (marks.left, marks.right) if wall is not None]
+    walls = marks.walls.values()
     lengths = [marks.amplitude, *(wall.position for wall in walls)]
     lengths += [wall.motion.amplitude for wall in walls if wall.motion is not None]
     return length if any(mark == k for mark in lengths) else 1.0
@@ -152,10 +153,15 @@ def is_pressed(along, z, there_are):
     return any(pull > 0 for pull in pulls)
 
 
+def span(along, z):
+    """How long the orbit is."""
+    return float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z).frequency)
+
+
 def flight_times(along, z):
     """How long each flight is, (rows,); of an orbit without impacts its periods, (1,)."""
     if not len(along.cycle.sides):
-        return np.array([float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z).frequency)])
+        return np.array([span(along, z)])
     return np.asarray(_times(along, z))
 
 
@@ -169,23 +175,35 @@ def wall_sides(scene):
     return [side for side, wall in ((-1, scene.left), (1, scene.right)) if wall is not None]
 
 
-def exits(along, z, length):
-    """(the `Touch`es at a grazing; the `Exit`s that leave it, of the branch that came there itself too; whether each
-    way that opens is one of them: Newton's method may not converge there)."""
-    met = touches(along, z, length)
-    found, sure = [], True
+def each_choice(along, z, met, length):
+    """What `leave` finds in both directions along the orbits of each itinerary that the touches give."""
     for included in _choices(met):
-        every = listed(along, z, met, included)
-        kept = [one for one in every if one.kept]
-        new = along._replace(cycle=padded(along, [(one.time, one.speed, one.side) for one in kept]))
-        start = np.append(np.concatenate([new.cycle.times, new.cycle.speeds]), z[-1])
-        start = start if kept else free_start(new, z[-1])
-        out = left_out(along, z, every, kept)
+        new, start, out = with_touches(along, z, met, included)
         for sign in (1.0, -1.0):
-            way, clear = leave(new, start, out, sign, length, included)
-            found += [way] if way else []
-            sure &= clear
-    return met, found, sure
+            yield leave(new, start, out, sign, length, included)
+
+
+def exits(along, z, length, ways=each_choice):
+    """(the `Touch`es at a grazing; the `Exit`s that leave it, of the branch that came there itself too; whether each
+    way that opens is one of them: Newton's method may not converge there). ways: as `each_choice`."""
+    met = touches(along, z, length)
+    found = list(ways(along, z, met, length))
+    return met, [way for way, _ in found if way], all(sure for _, sure in found)
+
+
+def with_touches(along, z, met, included):
+    """The orbit with some of the touches as impacts: (its `Along`, its z, the others as `left_out` gives them)."""
+    every = listed(along, z, met, included)
+    kept = [one for one in every if one.kept]
+    return *with_impacts(along, z, kept), left_out(along, z, every, kept)
+
+
+def with_impacts(along, z, hits):
+    """(the `Along` of orbits with these impacts, z of the one that is there)."""
+    new = along._replace(cycle=padded(along, [(one.time, one.speed, one.side) for one in hits]))
+    if not hits:
+        return new, free_start(new, z[-1])
+    return new, np.append(np.concatenate([new.cycle.times, new.cycle.speeds]), z[-1])
 
 
 def _choices(met):
@@ -222,14 +240,14 @@ def listed(along, z, met, included):
 def left_out(along, z, every, kept):
     """(row, wall, time since that row's impact) of each touch that is no impact."""
     walls, found = wall_sides(along.scene), []
-    span = float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z).frequency)
+    whole = span(along, z)
     place = len(kept) - 1  # what is before the first is after the last
     for one in every:
         if one.kept:
             place = kept.index(one)
         else:
             begin = kept[place].time if kept else 0.0
-            found.append((max(place, 0), walls.index(one.side), (one.time - begin) % span))
+            found.append((max(place, 0), walls.index(one.side), (one.time - begin) % whole))
     return found
 
 
@@ -260,28 +278,30 @@ def opening(along, z, direction, row, wall, late):
 def leave(along, z, out, sign, length, included):
     """(the `Exit` in one direction of a branch, None where it is none; whether that is sure). out: the touches left
     out."""
-    scale = scales(along, length)
-    task = problem(along)
-    tangent = sign * follow.tangent(task, z, scale, along)
+    tangent = sign * follow.tangent(problem(along), z, scales(along, length), along)
     rows = len(along.cycle.sides)
-    count = int(np.sum(along.cycle.sides != 0))
-    slow = [k for k in range(count) if z[rows + k] == 0.0]
-    rates = [tangent[rows + k] for k in slow]
+    rates = [tangent[rows + k] for k in along.hits if z[rows + k] == 0.0]
     rates += [opening(along, z, tangent, *each) for each in out]
-    if any(rate < -1e-6 for rate in rates):
+    if any(rate < -FLAT for rate in rates):
         return None, True
+    way, met = stepped(along, z, tangent, length, included, SURE if any(included) else LOOSE, ASIDE)
+    return way, met or min(rates, default=0.0) <= 0
+
+
+def stepped(along, z, tangent, length, included, tolerance, asides):
+    """(the `Exit` along a tangent, None where none of these steps aside comes to an admissible orbit; whether one of
+    them comes to an orbit)."""
     zero = np.zeros(())
     point = Point(z, tangent, zero, zero, zero, np.True_, np.True_)
-    tolerance = SURE if any(included) else LOOSE
-    control = Control(scale, *(np.float64(each) for each in (0.0, 1.0, tolerance, -np.inf, np.inf)))
-    met = False
-    for aside in ASIDE:
-        near = follow.step(task, point, aside, control, along)
+    numbers = (np.float64(each) for each in (0.0, 1.0, tolerance, -np.inf, np.inf))
+    control, met = Control(scales(along, length), *numbers), False
+    for aside in asides:
+        near = follow.step(problem(along), point, aside, control, along)
+        met |= bool(near.met)
         look = looked(along, near.z[None])
         if near.met and admissible(along, near.z, look)[0]:
             return Exit(along, point, near.z, look, included), True
-        met |= bool(near.met)
-    return None, met or min(rates, default=0.0) <= 0
+    return None, met
 
 
 def admissible(along, zs, look):
