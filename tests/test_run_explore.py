@@ -10,18 +10,10 @@ import xarray as xr
 import jaxvibro as jv
 from jaxvibro import command, scenefile, study
 from jaxvibro.diagram import Diagram
+from tests.scene_files import SCENE, check_refusal, each_of
 
 SCENES = Path(__file__).parents[1] / "scenes"
-SCENE = """
-[scene]
-amplitude = 4.65
-frequency = 2.1
-damping = 0.05
-restitution = 0.7
-[scene.left]
-position = -1.0
-[scene.right]
-position = 1.0
+EXPLORE = """
 [explore]
 parameter = "amplitude"
 bounds = [0.0, 4.0]
@@ -54,7 +46,7 @@ def explored(branch, tmp_path, monkeypatch):
 
     monkeypatch.setattr(study, "explore", explore)
     monkeypatch.setattr(sys.modules[jv.run.__module__], "study", lambda *each: found.append(plain(*each)) or found[0])
-    (tmp_path / "all.toml").write_text(SCENE)
+    (tmp_path / "all.toml").write_text(SCENE + EXPLORE)
     done = jv.run(tmp_path / "all.toml", tmp_path / "out")
     return tmp_path / "out", done, found[0], asked
 
@@ -88,7 +80,7 @@ def test_what_explore_refuses_is_told_with_the_files_key(tmp_path, monkeypatch, 
         raise jv.SceneError("bounds", "must hold some value", [0.0, 4.0])
 
     monkeypatch.setattr(study, "explore", explore)
-    (tmp_path / "all.toml").write_text(SCENE)
+    (tmp_path / "all.toml").write_text(SCENE + EXPLORE)
     assert command.main(["run", str(tmp_path / "all.toml"), "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.splitlines()[-1] == "jaxvibro: explore.bounds: must hold some value; got [0.0, 4.0]"
     assert not (tmp_path / "out").exists()
@@ -96,7 +88,7 @@ def test_what_explore_refuses_is_told_with_the_files_key(tmp_path, monkeypatch, 
 
 @pytest.fixture
 def file(tmp_path):
-    (tmp_path / "all.toml").write_text(SCENE)
+    (tmp_path / "all.toml").write_text(SCENE + EXPLORE)
     return tmp_path / "all.toml"
 
 
@@ -105,7 +97,7 @@ def test_an_explore_has_defaults_and_survives_writing(file, tmp_path):
     assert asked.followed is asked.explore and asked.explore.budget == 7
     scenefile.dump(asked, tmp_path / "copy.toml")
     assert scenefile.read(tmp_path / "copy.toml") == asked
-    text = SCENE[: SCENE.index("at = {")]
+    text = SCENE + EXPLORE[: EXPLORE.index("at = {")]
     file.write_text(text)
     asked = scenefile.read(file).explore
     assert (asked.parameter, asked.bounds, asked.at) == ("amplitude", (0.0, 4.0), {})
@@ -142,9 +134,6 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("change", "key", "said"), BAD, ids=[f"{place}-{case[1]}" for place, case in enumerate(BAD)])
+@each_of(BAD)
 def test_a_bad_explore_is_one_clear_line(file, change, key, said):
-    with pytest.raises(jv.SceneError) as caught:
-        scenefile.read(file, [change])
-    line = str(caught.value)
-    assert caught.value.key == key and line.startswith(f"{key}: ") and said in line and "\n" not in line
+    check_refusal(file, change, key, said)

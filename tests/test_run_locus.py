@@ -16,6 +16,7 @@ from jaxvibro import loci, picture, plot, report, scenefile, study, tables
 from jaxvibro.coexistence import coexistences
 from jaxvibro.outset import KINDS
 from tests.reference import closed
+from tests.scene_files import check_refusal, each_of
 
 SCENES = Path(__file__).parents[1] / "scenes"
 LOCI, FIG4 = SCENES / "loci.toml", SCENES / "fig4.toml"
@@ -248,12 +249,9 @@ BAD = [
 ]
 
 
-@pytest.mark.parametrize(("change", "key", "said"), BAD, ids=[f"{place}-{case[1]}" for place, case in enumerate(BAD)])
+@each_of(BAD)
 def test_a_bad_locus_is_one_clear_line(change, key, said):
-    with pytest.raises(jv.SceneError) as caught:
-        scenefile.read(LOCI, [change])
-    line = str(caught.value)
-    assert caught.value.key == key and line.startswith(f"{key}: ") and said in line and "\n" not in line
+    check_refusal(LOCI, change, key, said)
 
 
 def test_loci_need_branches(tmp_path):

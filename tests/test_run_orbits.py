@@ -10,18 +10,10 @@ import xarray as xr
 
 import jaxvibro as jv
 from jaxvibro import data, picture, plot, report, scenefile, study
+from tests.scene_files import SCENE
 
 SCENE_FILE = Path(__file__).parents[1] / "scenes" / "branches.toml"
-SCENE = """
-[scene]
-amplitude = 4.65
-frequency = 2.1
-damping = 0.05
-restitution = 0.7
-[scene.left]
-position = -1.0
-[scene.right]
-position = 1.0
+ORBITS = """
 [orbits]
 max_period = 1
 starts = 20
@@ -32,7 +24,7 @@ starts = 20
 def orbited(tmp_path_factory):
     """The folder of a run that asks for orbits alone, at A = 4.65, and its summary."""
     out = tmp_path_factory.mktemp("orbits")
-    (out / "orbits.toml").write_text(SCENE)
+    (out / "orbits.toml").write_text(SCENE + ORBITS)
     return out, jv.run(out / "orbits.toml", out / "out")
 
 
