@@ -45,6 +45,12 @@ def is_known(name, names, value):
         raise SceneError(name, f"is not a parameter of this scene ({', '.join(names)})", value)
 
 
+def are_apart(*names):
+    """Refuse parameters of which one, the hardness, changes another."""
+    if "hardness" in names and any(name.endswith((".stiffness", ".damping")) for name in names):
+        raise SceneError("names", "must not name what the hardness changes beside it", names)
+
+
 def is_of_one_kind(side, wall):
     """Refuse a wall that is neither rigid nor soft."""
     if wall.stiffness is not None and wall.restitution is not None:

@@ -22,6 +22,7 @@ from .tree import Tree
 
 MOST = 400  # branches, where no budget is given
 NEAR = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
+SAME = 1e-12  # of a soft wall's numbers: as near is rounding
 ON = 1e-5  # of the largest speed: an orbit as near is on the branch
 PERIODS = 32  # the longest orbits
 DONE = "all that was found has been followed"
@@ -124,10 +125,20 @@ def _resumed(resume, task):
     if not isinstance(resume, Diagram):
         raise check.SceneError("resume", "must be a Diagram", resume)
     same = (resume.name, resume.bounds, resume.settings) == (task.name, task.bounds, task.settings)
-    others = [key for key in task.scene.names if key != task.name]
-    if not same or any(float(task.scene.parameter(key)) != float(resume.scene.parameter(key)) for key in others):
+    if not same or not _is_alike(task.scene, resume.scene, task.name):
         raise check.SceneError("resume", "must be of the same scene, parameter, bounds and settings", resume)
     return resume.branches, resume.left
+
+
+def _is_alike(scene, other, name):
+    """Whether two scenes differ in nothing but a parameter."""
+    if scene.names != other.names:
+        return False
+    near = 0.0
+    if name == "hardness":  # the walls' numbers follow from it, but for rounding
+        scene, near = scene.replace(hardness=other.parameter(name)), SAME
+    pairs = [(float(scene.parameter(key)), float(other.parameter(key))) for key in scene.names if key != name]
+    return all(abs(one - two) <= near * abs(two) for one, two in pairs)
 
 
 def _is_on(probe, branch):

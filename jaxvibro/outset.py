@@ -77,8 +77,7 @@ def named(scene, names):
         raise check.SceneError("names", "must be two different parameters of the scene", names)
     for name in pair:
         check.is_known(name, scene.names, name)
-    if "hardness" in pair and any(name.endswith((".stiffness", ".damping")) for name in pair):
-        raise check.SceneError("names", "must not name what the hardness changes beside it", names)
+    check.are_apart(*pair)
     return pair
 
 

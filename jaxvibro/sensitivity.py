@@ -63,12 +63,14 @@ def held(special, names):
         check.is_known(name, start.scene.names, name)
     if not each or special.name in each or len(set(each)) < len(each):
         raise check.SceneError("names", f"must be different, one at least, and none {special.name}", names)
+    check.are_apart(special.name, *each)
     curve, z = equations(start, (special.name, *names))
     rows, own = len(curve.cycle.sides), z[: len(z) - len(names)]
     scene, which = marked(curve.scene, special.name)
     still = rows + np.flatnonzero(curve.pick) if isinstance(curve, Grazing) else np.zeros(0, int)
     marks = tuple(marked(scene, name)[1] for name in names)
     one = Held(Along(scene, which, curve.cycle), own, still, z[len(own) :], marks, np.nan)
+    one = _with(one, one.kept)  # `marked` has put the hardness to zero
     return _solved(one) or one
 
 
@@ -95,7 +97,7 @@ def moved(one, kept, steps=1):
             z += (one.z - before[0].z) * (ahead - share) / (share - before[1])
         else:
             z[-1] += slopes(one) @ way * (ahead - share)
-        found = _solved(one._replace(along=_with(one, start + ahead * way), z=z, kept=start + ahead * way))
+        found = _solved(_with(one, start + ahead * way)._replace(z=z))
         if found is None or abs(found.z - one.z).max() > WARY * (1.0 + abs(one.z).max()):
             step *= 0.5
         else:
@@ -104,11 +106,11 @@ def moved(one, kept, steps=1):
 
 
 def _with(one, kept):
-    """The `Along` with other numbers."""
+    """The `Held` with other numbers, its orbit not yet theirs."""
     scene = one.along.scene
     for mark, value in zip(one.marks, kept, strict=True):
         scene = _put(scene, mark, value)
-    return one.along._replace(scene=scene)
+    return one._replace(along=one.along._replace(scene=scene), kept=kept)
 
 
 def _put(scene, mark, value):

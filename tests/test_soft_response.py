@@ -6,6 +6,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.paper import fitting
+from jaxvibro.rebound import hardened
 from jaxvibro.sensitivity import held, moved
 from tests.reference import compliant
 
@@ -79,6 +80,32 @@ def test_folds_move_as_differences_of_the_reference_say(branches, k2):
     for k, slope in enumerate(found):
         ends = [exact_fold(k2, *(one + sign * step * (j == k) for j, one in enumerate(numbers))) for sign in (1, -1)]
         assert slope == pytest.approx((ends[0] - ends[1]) / (2 * step), rel=1e-7)
+
+
+def by_hardness(decades):
+    """The fold where both walls are so much harder than k2 = 10."""
+    k2, gamma2 = hardened(10, GAMMA2, decades)
+    return exact_fold(k2, A, GAMMA, gamma2, NEAR[10])
+
+
+def test_a_fold_moves_with_the_hardness_as_differences_of_the_reference_say(branches):
+    point, step = fold(branches[10]), 1e-5
+    slope, by_amplitude = jv.sensitivity(point, ("hardness", "amplitude"))
+    assert slope == pytest.approx((by_hardness(step) - by_hardness(-step)) / (2 * step), rel=1e-7)
+    assert by_amplitude == pytest.approx(jv.sensitivity(point, NAMES)[0], rel=1e-11)
+    harder, share = moved(held(point, ("hardness",)), [1.05])
+    assert share == 1.0 and harder.value == pytest.approx(by_hardness(0.05), abs=1e-12)
+    with pytest.raises(jv.SceneError, match=r"^names: must not name what the hardness changes"):
+        jv.sensitivity(point, ("hardness", "left.stiffness"))
+
+
+def test_a_fold_along_the_hardness_moves_with_the_frequency(branches):
+    near = branches[10].orbit(fold(branches[10]).place - 2)
+    (point,) = jv.follow(near, "hardness", (0.8, 1.2), "backward", stop="SN").points("SN")
+    decades, step = point.value - 1.0, 1e-5
+    assert by_hardness(decades) == pytest.approx(float(near.scene.frequency), abs=1e-12)
+    slope = (by_hardness(decades + step) - by_hardness(decades - step)) / (2 * step)
+    assert jv.sensitivity(point, ("frequency",))[0] == pytest.approx(1.0 / slope, rel=1e-7)
 
 
 def test_a_grazing_moves_as_the_closed_form(free):
