@@ -17,17 +17,20 @@ from .lanes import choose, least, mask, merge, most, stage
 from .path import Motion, accelerations, jet, moved, place
 from .wall import course, less, picked
 
+BOTH = 4.0  # added to the mark of two turns, in longest steps
 TERMS = 9  # of the Taylor polynomial of x, an odd number
 ROUNDS = 8  # of Newton's steps on it
 NEAR = 1e-3  # of the longest step: how good its root must be
 AHEAD = 1.8  # of Newton's first step from an end, no more: between two turns it would lead to the other
+BESIDE = 2.2  # times a turn's distance from where the speed turns, a little over 2, is outside of the other turn
 DOUBT = 0.05  # how far a cubic through the speeds of a step's ends may be off between, over the accelerations' change
 
 
 class Turn(NamedTuple):
     """A turning point: the motion at its step's start, the step's time, and a mark.
 
-    mark: the wall's sign times (a guess of the time from there + the longest step), 0 where there is none.
+    mark: the wall's sign times (a guess of the time from there + the longest step), 0 where there is none; BOTH longest
+    steps more where the motion turns back from the other wall too within the step.
     """
 
     motion: Motion
@@ -69,7 +72,8 @@ def is_crowded(calls):
 
 
 def measure(frame, calls):
-    """The calls with what is noted measured, and what is fresh noted.
+    """The calls with what is noted measured; noted is then its turn from the other wall, if it has one, else what is
+    fresh.
 
     The time is found on the speed's Taylor polynomial, then by one of Halley's steps along the flow: the polynomial
     leaves an error below 1e-3 of the longest step, and that of the clearance is its fourth power.
@@ -78,17 +82,35 @@ def measure(frame, calls):
     side = choose(mark < 0, lax.full_like(mark, -1.0), 1.0)
     x, _, v = stage(place, frame, motion)
     speeds = stage(_speeds, frame, side, motion, jet(frame, x, v, motion.cosine, motion.sine, TERMS))
-    time = lax.abs(mark) - frame.reach
+    both, time = stage(_told, frame, mark)
     for _ in range(ROUNDS):
         time = stage(_newton, speeds, time)
+    other = stage(_other, frame, side, speeds, time, span)
     near = stage(_relative, frame, side, moved(frame, motion, time))
     step = stage(_halley, *near[1:])
     found = -side * (near[0] + step * (near[1] + step * (0.5 * near[2] + step * (near[3] / 6.0))))
     time, edge = time + step, frame.reach * event.rounding(time.dtype) ** 0.5
     real = (mark != 0) & (lax.abs(step) <= frame.reach * NEAR) & (side * near[2] < 0)
     real &= (time >= -edge) & (time <= span + edge)
-    none = calls.fresh._replace(mark=lax.full_like(time, 0.0))
-    return Calls(choose(real, least(found, calls.least), calls.least), calls.fresh, none)
+    twin, fresh = Turn(motion, span, other), calls.fresh
+    noted = jax.tree.map(lambda new, old: choose(both, new, old), twin, fresh)
+    fresh = fresh._replace(mark=choose(both, fresh.mark, 0.0))
+    return Calls(choose(real, least(found, calls.least), calls.least), noted, fresh)
+
+
+def _told(frame, mark):
+    """Whether a mark is of two turns, and its guess of the time."""
+    size = lax.abs(mark)
+    both = size > (BOTH - 1.0) * frame.reach
+    return both, size - choose(both, 1.0 + BOTH, 1.0) * frame.reach
+
+
+def _other(frame, side, speeds, time, span):
+    """The mark of the turn from the other wall: as far on the other side of where the speed turns."""
+    _, pull = event.horner(speeds, time)
+    bend = event.horner([k * term for k, term in enumerate(speeds)][1:], time)[1]
+    guess = lax.clamp(lax.full_like(time, 0.0), time - BESIDE * pull / bend, span)
+    return -side * (guess + frame.reach)
 
 
 def _speeds(frame, side, motion, derivatives):
@@ -104,7 +126,7 @@ def _newton(speeds, time):
 
 
 def _mark(frame, path, flown, time):
-    """The mark of a step's turning point; of more than one, that nearest to its wall.
+    """The mark of a step's turning point; of more than one, that nearest to its wall at first.
 
     The guess is an end from which Newton's steps come down one slope; the secant's where the speed falls throughout;
     or, where x - x_b turns twice within the step, a parabola's.
@@ -113,6 +135,7 @@ def _mark(frame, path, flown, time):
     if frame.soft:
         free &= ~is_inside(path.contact)
     mark, nearest = (lax.full_like(time, value) for value in (0.0, jnp.inf))
+    turns = lax.full_like(time, 0.0)
     still = all(wall.swing is None for wall in frame.walls)
     for walls in [frame.walls] if still else [(wall,) for wall in frame.walls]:  # still walls see the same speed
         start, end = _closing(frame, walls[0], path), _closing(frame, walls[0], flown)
@@ -130,12 +153,16 @@ def _mark(frame, path, flown, time):
         early, late = least(share - share * root, AHEAD * u / (-a * time)), share + (1.0 - share) * root
         late = most(late, 1.0 - AHEAD * w / (b * time))
         sign = choose(once, way, near)
-        here = free & (once | twice) & (clear < nearest)
+        here = free & (once | twice)
         if len(walls) == 1:
             here &= sign == float(walls[0].sign)
+            turns = turns + choose(here, 1.0, 0.0)
+        else:
+            turns = choose(here & twice, 2.0, turns)
+        here &= clear < nearest
         mark = choose(here, sign * (time * choose(once, single, choose(first, early, late)) + frame.reach), mark)
         nearest = choose(here, clear, nearest)
-    return mark
+    return choose(turns > 1.5, mark + lax.sign(mark) * (BOTH * frame.reach), mark)
 
 
 def _nearer(walls, past):

@@ -8,7 +8,9 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.flow import fly
 from tests.proof import STRUCTURES, first_flights, strobe_errors
-from tests.reference import closed
+from tests.reference import closed, orbit
+from tests.reference.scene import Motion, Scene, Wall
+from tests.reference.search import Discard
 
 WALLS = (-1.0, 1.0)
 
@@ -66,6 +68,29 @@ def test_a_flight_that_stops_bending_before_a_wall_does_not_land_early():
         assert abs(found - expected).max() < 1e-4
         assert abs(np.diff(found, 2)).max() < 1e-13  # smooth in the start
     assert (impacts.least_clearance > 0.25).all()
+
+
+@pytest.mark.parametrize("swing", [None, 0.2])
+def test_the_least_clearance_of_a_flight_that_turns_back_from_both_walls_within_a_step(swing):
+    rng = np.random.default_rng(1)
+    phase, pull, far = rng.uniform((1.0, 0.2, 1.0), (2.1, 0.6, 2.0), (60, 3)).T
+    v = -0.4 * pull**2 / (2.0 * np.sin(phase))  # of A = 2 the pull changes by -2 sin(phase) t: v is zero twice soon
+    x = 2.0 * np.cos(phase) - pull
+    low, high = x - far, x + far + 0.05 * rng.normal(size=60)
+    motion = None if swing is None else jv.Motion(swing * pull, 0.5)
+    scene = jv.make_scene(2.0, 1.0, 0.0, 0.8, (jv.Wall(low), jv.Wall(high, motion=motion)))
+    found = np.asarray(jv.strobe(scene, jv.State(x, v, phase))[1].least_clearance)
+    count = 0
+    for k in range(60):
+        own = None if swing is None else Motion(swing * pull[k], 0.5, 1)
+        walls = Wall(low[k], 0.8, None), Wall(high[k], 0.8, own)
+        try:
+            true = orbit.strobe(Scene(0.0, 1.0, 2.0, *walls), x[k], v[k], phase[k]).least_minimum
+        except Discard:
+            continue
+        count += 1
+        assert found[k] == pytest.approx(true, rel=0.0, abs=1e-12)
+    assert count > 40
 
 
 def test_forced_response_comes_back():
