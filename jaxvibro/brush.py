@@ -9,6 +9,8 @@ the impacts have the same orbit to first order, so that a grazing is a singular 
 by way of the orbit that leaves the contact out, of which it is a regular point.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from continuation import follow
@@ -27,6 +29,11 @@ def is_smooth(scene, side):
     """Whether the wall on a side is soft, and a mass that moves along with it feels no jump of force on entering."""
     wall = scene.left if side < 0 else scene.right
     return wall is not None and wall.soft and (wall.motion is None or wall.damping is None)
+
+
+def is_singular(along, mark):
+    """Whether at a `piece.Mark` a contact with a soft wall has no speed: the equations are singular there."""
+    return any(touch.own and is_smooth(along.scene, touch.side) for touch in mark.touches)
 
 
 def slow(along, z, length):
@@ -92,21 +99,52 @@ def _ways(along, z, met, length):
         if (sign * opening > -FLAT).all():
             yield graze.leave(bare, start, out, sign, length, none)
         else:
-            yield _entering(along, z, met, order, sign * opening, pull, length)
+            falls = {k: Fall(-sign * opening[k], pull[k]) for k in order if sign * opening[k] <= -FLAT}
+            yield _entering(along, z, met, falls, sign * tangent, length)
 
 
-def _entering(along, z, met, order, rates, pull, length):
-    """(the `Exit` along which the walls that come nearer are entered, None where it is none; whether that is sure)."""
-    included = tuple(bool(rate <= -FLAT) for rate in rates)
+class Fall(NamedTuple):
+    """How a flight comes to touch a wall along a branch: how fast it comes nearer, its acceleration away from it."""
+
+    rate: float
+    pull: float
+
+
+def _entering(along, z, met, falls, ahead, length):
+    """(the `Exit` along which walls that come nearer are entered, None where it is none; whether that is sure).
+
+    falls: the `Fall` of each touch that is entered, by its place, in order of travel; ahead: the tangent of the orbits
+    that leave the touches out. The exit's point lies a little on, as the grazing's tangent says nothing of its bend.
+    """
+    if any(fall.pull <= 0 for fall in falls.values()):
+        return None, True
+    included = tuple(k in falls for k in range(len(met)))
     new, start, _ = with_touches(along, z, met, included)
-    size = len(new.cycle.sides)
-    tangent = np.zeros(len(start))
-    slow = [k for k in new.hits if start[size + k] == 0.0]
-    for k, j in zip(slow, [j for j in order if included[j]], strict=True):
-        if not pull[j] > 0:
-            return None, True
-        speed = np.sqrt(-2.0 * pull[j] * rates[j])
-        tangent[k], tangent[size + k] = -speed / pull[j], speed
-    tangent /= np.linalg.norm(scales(new, length) * tangent)
-    way, _ = graze.stepped(new, start, tangent, length, included, LOOSE, ASIDE)
-    return way, way is not None
+    for aside in ASIDE:
+        guess, tangent = _aside(new, start, list(falls.values()), ahead, aside * length)
+        way, _ = graze.stepped(new, guess, tangent, length, included, LOOSE, (0.0,))
+        if way:
+            tangent = follow.tangent(problem(new), way.near, scales(new, length), new, tangent)
+            return way._replace(point=way.point._replace(z=way.near, tangent=tangent)), True
+    return None, False
+
+
+def _aside(new, start, falls, ahead, most):
+    """(z where the fastest of the contacts that begin has a speed, the unit direction there from the grazing).
+
+    A length s along `ahead`, a contact has the speed sqrt(2 pull rate s), and the rest is as without it to that order.
+    Newton's method comes to the orbit from there, but not from the grazing.
+    """
+    size, free = len(new.cycle.sides), (len(ahead) - 1) // 2
+    length = most**2 / max(2.0 * fall.pull * fall.rate for fall in falls)
+    moved, tangent, falls, place = np.zeros(len(start)), np.zeros(len(start)), iter(falls), 0
+    moved[-1] = ahead[-1]
+    for k in new.hits:
+        if start[size + k] == 0.0:
+            fall = next(falls)
+            speed = np.sqrt(2.0 * fall.pull * fall.rate * length)
+            tangent[k], tangent[size + k] = -speed / fall.pull, speed
+        else:
+            moved[k], moved[size + k] = ahead[place], ahead[free + place]
+            place += 1
+    return start + length * moved + tangent, tangent / np.linalg.norm(scales(new, length) * tangent)

@@ -118,7 +118,7 @@ def _part(along, points, status, asked):
         points, last, why = cut_at(along, points, *loop, control), [], CLOSED
     if len(points.z) != size or last or loop is not None:
         look = looked(along, points.z)
-    marks = _events(along, points, look, control, known)
+    marks = _events(along, points, look, control, known, bool(last) and brush.is_singular(along, last[0]))
     for kind, function in asked.monitors.items():
         marks += crossings(along, points, look, kind, function, control)
     points, placed = inserted(along, points, sorted(marks, key=lambda one: one[:2]), control)
@@ -282,9 +282,16 @@ def cut_at(along, points, after, length, control):
     return cut if one is None else put(cut, after + 1, one)
 
 
-def _events(along, points, look, control, known):
-    values = {"PD": look.flip} if len(along.cycle.sides) else {}
-    return listed(follow.events(problem(along), points, values, control, along, known))
+def _events(along, points, look, control, known, singular):
+    """The events between points, as `inserted` takes them; singular: at the last one a contact has no speed, where each
+    test is zero, and is given the sign that it comes there with."""
+    flip, tangent = look.flip, points.tangent
+    if singular:
+        turned = 1.0 + look.trace[-2:] + look.determinant[-2:]
+        flip = np.append(flip[:-1], np.copysign(flip[-2], flip[-2] * turned[0] * turned[1]))
+        tangent = np.vstack([tangent[:-1], tangent[-2:-1]])
+    values = {"PD": flip} if len(along.cycle.sides) else {}
+    return listed(follow.events(problem(along), points._replace(tangent=tangent), values, control, along, known))
 
 
 def listed(events):
