@@ -61,20 +61,22 @@ def located(along, z, rows, length):
         late, distance, _ = graze.settled_near(new, found.z, before, wall, late)
         if not abs(distance) <= WHOLE * length:
             return Located(None, found.residual)
-        there[row] = (found.z[before] if keep else 0.0) + late
+        there[row] = (found.z[before] + graze.stays(new, found.z)[before] if keep else 0.0) + late
         there[row] -= whole * np.round((there[row] - z[row]) / whole)
         there[size + row] = 0.0
     return found._replace(z=there)
 
 
 def _place(along, z, row, keep):
-    """(row before, wall, time since then) of a row that is left out; rows are those that are kept."""
+    """(row before, counted among those kept, wall, time since the flight after that began) of a row that is left out;
+    keep: the rows that are kept."""
     wall = wall_sides(along.scene).index(int(along.cycle.sides[row]))
     whole = graze.span(along, z)
     if not keep:
         return 0, wall, float(np.mod(z[row], whole))
     late = np.mod(z[row] - z[keep], whole)
-    return int(np.argmin(late)), wall, float(late.min())
+    before = int(np.argmin(late))
+    return before, wall, float(late[before] - graze.stays(along, z)[keep[before]])
 
 
 def exits(along, z, length):

@@ -122,14 +122,14 @@ def touches(along, z, length):
     still = [int(k) for k in hit if abs(z[rows + k]) < TOUCH * length]
     found = [Touch(k, int(sides[k]), 0.0, True) for k in still]
     walls = wall_sides(along.scene)
-    spans = flight_times(along, z)
+    spans, held = flight_times(along, z), stays(along, z)
     for row, wall in zip(*np.nonzero(abs(look.clear[0]) < TOUCH * length), strict=True):
         late, side = float(look.late[0, row, wall]), walls[wall]
         following = int(hit[(np.flatnonzero(hit == row)[0] + 1) % len(hit)]) if rows else None
         begins = row in still and sides[row] == side and late < ENDS * spans[row]
         ends = following in still and sides[following] == side and late > (1.0 - ENDS) * spans[row]
         if not (begins or ends):
-            found.append(Touch(int(row), side, late, False))
+            found.append(Touch(int(row), side, float(held[row]) + late, False))
     return found
 
 
@@ -162,12 +162,19 @@ def flight_times(along, z):
     """How long each flight is, (rows,); of an orbit without impacts its periods, (1,)."""
     if not len(along.cycle.sides):
         return np.array([span(along, z)])
-    return np.asarray(_times(along, z))
+    return np.asarray(_times(along, z)[0])
+
+
+def stays(along, z):
+    """How long the mass is within the wall at each impact, before the flight after it begins, (rows,); (1,) of none."""
+    rows = len(along.cycle.sides)
+    return np.asarray(_times(along, z)[1]) if rows and along.scene.soft_sides else np.zeros(max(1, rows))
 
 
 @kept
 def _times(along, z):
-    return cycle.flights(frame(there(along, z)), cycle_at(along, z)).time
+    found = cycle.flights(frame(there(along, z)), cycle_at(along, z))
+    return found.time, 0.0 * found.time if found.met.stay is None else found.met.stay
 
 
 def wall_sides(scene):
@@ -195,7 +202,8 @@ def with_touches(along, z, met, included):
     """The orbit with some of the touches as impacts: (its `Along`, its z, the others as `left_out` gives them)."""
     every = listed(along, z, met, included)
     kept = [one for one in every if one.kept]
-    return *with_impacts(along, z, kept), left_out(along, z, every, kept)
+    new, start = with_impacts(along, z, kept)
+    return new, start, left_out(new, start, every, kept)
 
 
 def with_impacts(along, z, hits):
@@ -238,16 +246,19 @@ def listed(along, z, met, included):
 
 
 def left_out(along, z, every, kept):
-    """(row, wall, time since that row's impact) of each touch that is no impact."""
-    walls, found = wall_sides(along.scene), []
+    """(row, wall, time since the flight after that row's impact began) of each touch that is none of those kept.
+
+    along, z: of the orbit that has the impacts kept, in rows in this order.
+    """
+    walls, found, held = wall_sides(along.scene), [], stays(along, z)
     whole = span(along, z)
     place = len(kept) - 1  # what is before the first is after the last
     for one in every:
         if one.kept:
             place = kept.index(one)
         else:
-            begin = kept[place].time if kept else 0.0
-            found.append((max(place, 0), walls.index(one.side), (one.time - begin) % whole))
+            begin, row = kept[place].time if kept else 0.0, max(place, 0)
+            found.append((row, walls.index(one.side), (one.time - begin) % whole - float(held[row])))
     return found
 
 

@@ -126,6 +126,21 @@ def test_a_branch_goes_through_the_grazings_of_soft_walls(resonance):
         assert abs(np.prod(point.multipliers).real - np.exp(-2 * 0.05 * 2 * np.pi / point.value)) < 1e-9
 
 
+@pytest.mark.slow
+def test_a_touch_after_a_long_stay_is_where_the_branch_goes_on():
+    # each stay takes a sixth of the period: a touch is counted from the end of the stay before it
+    wall = jv.Wall(0.0144, stiffness=7.0, damping=0.05, motion=jv.Motion(0.2, 4.65))
+    scene = jv.make_scene(0.9, 0.75, 0.222, 0.7, (None, wall))
+    branch = jv.follow(jv.find_orbit(scene, jv.State(-0.1, 0.0)), "frequency", (0.6, 0.9))
+    assert [part.label for part in branch.segments] == ["P102", "P101"]
+    assert all(reason.startswith("the parameter reached its bound") for reason in branch.reasons)
+    assert branch.data["residual"].values.max() < 1e-9
+    for place in range(0, len(branch), 9):
+        orbit = branch.orbit(place)
+        end, impacts = jv.strobe(orbit.scene, orbit.state)
+        assert abs(end.x - orbit.state.x) < 1e-10 and impacts.count == orbit.impacts.count
+
+
 def test_branches_from_either_side_of_a_grazing_are_one(resonance):
     _, branch = resonance
     scene = soft(frequency=0.7)
