@@ -238,10 +238,17 @@ def _signed(problem, kind, point, args):
 
 
 def _polished(problem, kind, z, args):
+    """The event to which Newton's method leads: `locate.Located`, without a z where it is none."""
     if kind == "SN":
-        return locate.fold(problem, z, args)
-    if kind == "BP":
-        return locate.branch_point(problem, z, args)
+        found = locate.fold(problem, z, args)
+    elif kind == "BP":
+        found = locate.branch_point(problem, z, args)
+    else:
+        found = _tested(problem, kind, z, args)
+    return found if found.z is None or problem.holds(found.z, args) else locate.Located(None, np.nan)
+
+
+def _tested(problem, kind, z, args):
     (test,) = (test for test in problem.tests if test.label == kind)
     found = locate.singular(problem, test, z, args)
     if found.z is None or test.holds(np.asarray(locate.evaluated(problem, found.z, args)[1])[:, :-1]):

@@ -12,7 +12,7 @@ from .arclength import bordered
 ON_CIRCLE = 1e-6  # so far from the unit circle, or from the real line, is a multiplier not on it
 
 
-def always(slopes):
+def always(*_):
     """True."""
     return True
 
@@ -36,7 +36,8 @@ class Problem(NamedTuple):
 
     function: F and its slopes; solve: (slopes, row, right) -> x, worst, determinant of the slopes and one row more, as
     `arclength.bordered`; plain: F and dF/dz, an (n, n + 1) matrix; tests: what is watched besides folds and branch
-    points; run: (function, *arrays, **static) -> its result, within a jit, as the compiler likes it.
+    points; run: (function, *arrays, **static) -> its result, within a jit, as the compiler likes it; holds: of (z,
+    args), whether a special point that Newton's method comes to is one.
     """
 
     function: Callable
@@ -44,6 +45,7 @@ class Problem(NamedTuple):
     plain: Callable
     tests: tuple[Test, ...] = ()
     run: Callable = plainly
+    holds: Callable = always
 
 
 def equilibria(residual):

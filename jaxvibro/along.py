@@ -20,6 +20,8 @@ from .frame import frame
 from .lanes import one_kernel
 from .scene import Scene
 
+NONE = 1e-10  # of the drive's amplitude, per t: as small a speed is none
+
 
 class Along(NamedTuple):
     """What a branch is of. scene: its numbers but for the parameters; which: the scene's tree with 1 where the first
@@ -92,6 +94,12 @@ def _flip(z, along):
     return ring.dense(ring.of(cycle.equations(built, given)[1]), -1.0)
 
 
+def _hits(z, along):
+    """Whether each impact has a speed: where one has none, the equations are singular, and every test is zero."""
+    speeds = z[len(along.cycle.sides) :][along.hits]
+    return bool((speeds > NONE * abs(float(there(along, z).amplitude))).all())
+
+
 @jax.jit
 def _free(z, along):
     """(F, dF/dz): what a flight over the periods leaves to be periodic."""
@@ -106,7 +114,7 @@ def _free(z, along):
     return values(z), jax.jacfwd(values)(z)
 
 
-IMPACTS = Problem(impacts, ring.bordered, _plain, (Test("PD", _flip),), one_kernel)
+IMPACTS = Problem(impacts, ring.bordered, _plain, (Test("PD", _flip),), one_kernel, _hits)
 FREE = Problem(_free, bordered, _free, (), one_kernel)
 
 

@@ -151,6 +151,23 @@ def test_branches_from_either_side_of_a_grazing_are_one(resonance):
         assert np.allclose(ours, theirs, rtol=0, atol=1e-10)
 
 
+def test_folds_and_doublings_close_to_a_grazing_are_told_from_it():
+    walls = (jv.Wall(-1.2, stiffness=20.0, damping=0.3), jv.Wall(0.8, stiffness=50.0, damping=0.2))
+    scene = jv.make_scene(amplitude=0.4, frequency=1.8, damping=0.1, restitution=0.7, walls=walls)
+    free = jv.find_orbit(scene, jv.strobe(scene, jv.State(0.0, 0.0), periods=300)[0])
+    fine, coarse = (jv.follow(free, "frequency", (0.4, 2.3), largest_step=step).special for step in (0.1, 0.3))
+    fine, coarse = (one if one[0].value < one[-1].value else one[::-1] for one in (fine, coarse))
+    kinds = ["EP", "GR", "PD", "PD", "GR", "SN", "GR", "SN", "GR", "EP"]
+    assert [point.kind for point in fine] == kinds and [point.kind for point in coarse] == kinds
+    assert np.allclose([one.value for one in fine], [one.value for one in coarse], rtol=0, atol=1e-11)
+    meets = np.sqrt(np.sort(np.roots([1.0, 4 * 0.1**2 - 2.0, 1.0 - (0.4 / 0.8) ** 2])))  # A = 0.8 sqrt(D), (8)
+    assert np.allclose([fine[1].value, fine[8].value], meets, rtol=0, atol=1e-11)
+    assert 0 < fine[2].value - fine[1].value < 1e-4 and 0 < fine[8].value - fine[7].value < 2e-5
+    for point in (point for point in fine if point.kind in ("PD", "SN")):
+        roots = np.linalg.eigvals(jv.monodromy(point.scene, point.orbit.state))
+        assert min(abs(roots - (1.0 if point.kind == "SN" else -1.0))) < 1e-6
+
+
 def test_multipliers_change_like_the_root_of_the_distance_to_a_grazing(resonance):
     _, branch = resonance
     (point,) = [one for one in branch.points("GR") if one.value < 1.0]
