@@ -54,8 +54,8 @@ def test_strobes_of_all_kinds_against_ball_arithmetic():
 def test_slopes_against_ball_arithmetic(kind):
     (members,), _ = soft_proof.groups(120, kinds={kind})
     for rows in soft_proof.slope_errors(members).values():
-        errors = np.array([error for _, error, _ in rows])
-        assert (errors < 1e-11).mean() > 0.95 and np.median(errors) < 1e-15
+        errors = np.array([each for _, *each in rows])
+        assert errors.max() < 1e-11 and np.median(errors[:, 0]) < 1e-15
 
 
 def test_a_short_stay_has_its_own_digits():
