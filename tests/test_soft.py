@@ -127,6 +127,18 @@ def test_a_branch_goes_through_the_grazings_of_soft_walls(resonance):
 
 
 @pytest.mark.slow
+def test_a_period_doubling_just_before_a_grazing_is_found_and_no_fold_is_made_up():
+    scene = soft(50.0, 1.0, amplitude=0.5, frequency=0.8511)
+    orbit = jv.find_orbit(scene, jv.strobe(scene, jv.State(0.5, 0.3), periods=2000)[0])
+    branch = jv.follow(orbit, "frequency", (0.845, 0.8515))
+    kinds = [point.kind for point in branch.special]
+    assert orbit.label == "P111" and kinds in (["EP", "PD", "GR", "EP"], ["EP", "GR", "PD", "EP"])
+    (point,) = branch.points("PD")
+    assert point.value == pytest.approx(0.849936879123, abs=1e-11)  # where the branch of P222 ends
+    assert min(abs(point.multipliers + 1.0)) < 1e-7 and point.spot.speeds.min() < 2e-3
+
+
+@pytest.mark.slow
 def test_a_touch_after_a_long_stay_is_where_the_branch_goes_on():
     # each stay takes a sixth of the period: a touch is counted from the end of the stay before it
     wall = jv.Wall(0.0144, stiffness=7.0, damping=0.05, motion=jv.Motion(0.2, 4.65))
