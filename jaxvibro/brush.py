@@ -46,25 +46,26 @@ def located(along, z, rows, length):
     """The grazing near z at which contacts with soft walls, in these rows, lose their speed: a `locate.Located`."""
     size, sides = len(along.cycle.sides), along.cycle.sides
     keep = [k for k in np.flatnonzero(sides != 0) if k not in rows]
-    new, start = with_impacts(along, z, [graze.Hit(z[k], z[size + k], sides[k], True) for k in keep])
+    hits = [graze.Hit(z[k], z[size + k], sides[k], True) for k in keep]
+    new, start = with_impacts(along, z, hits, keep)
     places = [_place(along, z, row, keep) for row in rows]
     found = touched(new, start, *places[0])
     if found.z is None:
         return found
-    new_size = len(new.cycle.sides)
-    there = np.array(z)
-    there[-1] = found.z[-1]
-    whole = graze.span(along, there)
+    new_size, count = len(new.cycle.sides), len(z) - 2 * size
+    met = np.array(z)
+    met[-count:] = found.z[-count:]
+    whole = graze.span(along, met)
     for place, k in enumerate(keep):
-        there[k], there[size + k] = found.z[place], found.z[new_size + place]
+        met[k], met[size + k] = found.z[place], found.z[new_size + place]
     for row, (before, wall, late) in zip(rows, places, strict=True):
         late, distance, _ = graze.settled_near(new, found.z, before, wall, late)
         if not abs(distance) <= WHOLE * length:
             return Located(None, found.residual)
-        there[row] = (found.z[before] + graze.stays(new, found.z)[before] if keep else 0.0) + late
-        there[row] -= whole * np.round((there[row] - z[row]) / whole)
-        there[size + row] = 0.0
-    return found._replace(z=there)
+        met[row] = (found.z[before] + graze.stays(new, found.z)[before] if keep else 0.0) + late
+        met[row] -= whole * np.round((met[row] - z[row]) / whole)
+        met[size + row] = 0.0
+    return found._replace(z=met)
 
 
 def _place(along, z, row, keep):

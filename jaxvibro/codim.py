@@ -22,7 +22,6 @@ from continuation.linear import solve
 from . import cycle, flow, ring
 from .along import cycle_at, problem, there
 from .curve import Grazing
-from .cycle import Cycle
 from .frame import frame
 from .lanes import one_kernel
 from .look import looked
@@ -76,7 +75,17 @@ def _watched(curve, points, look):
             return {"CP": np.cumprod(np.append(1.0, np.sign(turned)))}
         bend = _bent(curve, points.z, 3, False)
         return {_doubling(curve, "GPD", "DSB"): bend.value * np.sign(bend.across)}
-    return {"SN": look.fold, _doubling(curve, "PD", "SB"): look.flip}
+    fold, flip = _singled(curve, look)
+    return {"SN": fold, _doubling(curve, "PD", "SB"): flip}
+
+
+def _singled(curve, look):
+    """What is zero on a GR where the orbit is an SN, and where a PD or SB. With a smooth touch the equations of the
+    impacts are always singular: there it is the monodromy matrix less or plus 1, its determinant."""
+    if curve.cycle.still is None:
+        return look.fold, look.flip
+    turn = -1.0 if float(curve.cycle.turn) < 0 else 1.0
+    return tuple(1.0 + look.determinant - sign * turn * look.trace for sign in (1.0, -1.0))
 
 
 def _doubling(curve, whole, half):
@@ -120,8 +129,8 @@ def _measured(curve, kind, zs, reference=None):
     if kind in ORDERS:
         bend = _bent(curve, zs, ORDERS[kind], True, reference)
         return bend.value, (bend.v[0], bend.w[0])
-    look = looked(curve, zs)
-    return look.fold if kind == "SN" else look.flip, None
+    fold, flip = _singled(curve, looked(curve, zs))
+    return fold if kind == "SN" else flip, None
 
 
 def _told_apart(found):
@@ -178,7 +187,7 @@ def _bend(curve, z, reference, order, fine):
     w, v = (each / jnp.sqrt(jnp.sum(each * each)) for each in ring.nulls(found, curve.closing))
     v, w = (jnp.where(jnp.sum(one * given) < 0, -one, one) for one, given in zip((v, w), reference, strict=True))
     across = ring.product(w, found, v, 1.0) - ring.product(w, found, v, -1.0)
-    step = APART / flow.rate(built.frequency, built.damping)
+    step = APART / _rate(built)
     places, *weights = THIRTEEN if fine else SEVEN
 
     def derivative(order, h):
@@ -191,22 +200,17 @@ def _bend(curve, z, reference, order, fine):
     return _Bend(jnp.sum(w * last), v, w, across)
 
 
+def _rate(built):
+    """The fastest of the flights', and of what is felt within soft walls."""
+    found = flow.rate(built.frequency, built.damping)
+    for soft in built.contacts:
+        found = found if soft is None else jnp.maximum(found, flow.STEP / soft.reach)
+    return found
+
+
 def _ahead(curve, built, z, v, h, s):
     """F of the impacts moved by s v + s^2 / 2 h, the first impact of the next time round by what its closing says."""
-    given, rows = curve.cycle, len(curve.cycle.sides)
-    last = jnp.sum(given.sides != 0)
-    place = jnp.arange(rows + 1)
-    again, source = place == last, jnp.where(place < last, place, 0)
-    closing = curve.closing if not isinstance(curve, Grazing) else 1.0
-    u = z[: 2 * rows]
-
-    def moved(part, more):
-        pick = slice(part * rows, (part + 1) * rows)
-        sign = jnp.where(again, closing, 1.0)
-        return u[pick][source] + more + sign * s * v[pick][source] + 0.5 * s * s * h[pick][source]
-
-    times = moved(0, jnp.where(again, given.periods * built.period, 0.0))
-    sides = jnp.where(place <= last, jnp.where(again, given.turn, 1.0) * given.sides[source], 0.0)
-    value = cycle.equations(built, Cycle(times, moved(1, 0.0), sides, given.phase, given.periods))[0]
-    own = jnp.arange(rows) < last
+    rows, moves = len(curve.cycle.sides), ((s * v, curve.closing), (0.5 * s * s * h, 1.0))
+    value = cycle.equations(built, cycle.unwound(cycle_at(curve, z), built.period, moves))[0]
+    own = jnp.arange(rows) < jnp.sum(curve.cycle.sides != 0)
     return jnp.concatenate([jnp.where(own, value[:rows], 0.0), jnp.where(own, value[rows + 1 : 2 * rows + 1], 0.0)])

@@ -4,6 +4,11 @@ z = (times, speeds, first parameter, second). To the orbit's equations comes one
 the equations, or those of a change that is the opposite each time round, are singular in times and speeds (SN; PD). A
 symmetric orbit is followed by half of it, whose change then closes as itself at SN, as its opposite at SB: both are
 regular there, while for the whole orbit a pitchfork is not.
+
+Between soft walls the derivatives by the parameters, and of the slopes, are differences (`beside`): the equations are
+compiled once in place of many times. They only point the way: where a locus lies is decided by the equations and their
+first derivatives by times and speeds, which are exact. A touch of a soft wall that is smooth (`brush.is_smooth`) is an
+impact that does nothing, as at speed zero the equations with a stay are singular.
 """
 
 from typing import NamedTuple
@@ -11,15 +16,18 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 
 from continuation.problem import Problem
 
-from . import cycle, ring
+from . import cycle, graze, ring
 from .along import Along, cycle_at, impacts, problem, there, varied
 from .cycle import Cycle
 from .frame import frame
 from .lanes import one_kernel
 from .scene import Scene
+
+APART = 1e-5  # of 1 + abs z: the points of a difference
 
 
 class Grazing(NamedTuple):
@@ -53,9 +61,13 @@ class Singular(NamedTuple):
 
 def _grazing(z, curve):
     value, slopes = impacts(z, curve)
-    rows = len(curve.pick)
-    more = jnp.concatenate([jnp.zeros(rows), curve.pick, jnp.zeros(len(z) - 2 * rows)])
+    more = _picked(z, curve)
     return _with(value, jnp.sum(more * z)), (slopes, more)
+
+
+def _picked(z, curve):
+    rows = len(curve.pick)
+    return jnp.concatenate([jnp.zeros(rows), curve.pick, jnp.zeros(len(z) - 2 * rows)])
 
 
 def _singular(z, curve):
@@ -72,10 +84,73 @@ def _singular(z, curve):
 
     own, bent = jax.jvp(along, (z[:free],), (right,))
     bent = own._replace(own=bent.own, following=bent.following)
+    return _closed(curve, value, slopes, changes, bent, left, right)
+
+
+def _closed(curve, value, slopes, changes, bent, left, right):
+    """(F with w J v, over the length of its gradient, at its end; their slopes)."""
     by = jnp.stack([ring.product(left, each, right, curve.closing) for each in changes])
     more = jnp.concatenate([ring.across(left, bent), by])
     size = jnp.sqrt(jnp.sum(more * more))
     return _with(value, ring.product(left, slopes, right, curve.closing) / size), (slopes, more / size)
+
+
+def _soft_grazing(z, curve):
+    value, slopes, _ = beside(z, curve)
+    return _with(value, jnp.sum(_picked(z, curve) * z)), (slopes, _picked(z, curve))
+
+
+def _soft_singular(z, curve):
+    value, slopes, (*changes, bent) = beside(z, curve, curve.closing)
+    return _closed(curve, value, slopes, changes, bent, *ring.nulls(slopes, curve.closing))
+
+
+def beside(z, curve, closing=None):
+    """(F, its `ring.Ring`, how the ring's own and following change with each parameter and, where a closing is given,
+    along its right null vector), by central differences."""
+    rows, free = len(curve.cycle.sides), 2 * len(curve.cycle.sides)
+    more, last = int(closing is not None), jnp.sum(curve.cycle.sides != 0) - 1
+    apart = APART * (1.0 + jnp.append(abs(z[free:]), jnp.full(more, jnp.max(abs(z)))))
+    ways = np.concatenate([[[0.0] * len(apart)], np.eye(len(apart)), -np.eye(len(apart))])
+
+    def look(k, found):
+        step = lax.dynamic_index_in_dim(jnp.asarray(ways, z.dtype), k, keepdims=False) * apart
+        moved = jnp.concatenate([z[:free], z[free:] + step[: len(z) - free]])
+        built, given = frame(there(curve, moved)), cycle_at(curve, z)
+        if more:  # none at the first turn, at z itself, before the null vector is known
+            right = _unit(ring.nulls(_ring(found, 0, last), closing)[1])
+            change = jnp.where(step[-1] == 0, 0.0, step[-1] * right)
+            given = cycle.unwound(given, built.period, ((change, closing),))
+        value, slopes = cycle.equations(built, given)
+        one, count = ring.of(slopes), len(given.sides)
+        new = one._replace(by=ring.pairs(value[:, None], count))[:3]
+        return [lax.dynamic_update_index_in_dim(all_, new[:rows], k, 0) for all_, new in zip(found, new, strict=True)]
+
+    blank = [jnp.zeros((len(ways), rows, 2, wide), z.dtype) for wide in (2, 2, 1)]
+    found = lax.fori_loop(0, len(ways), look, blank)
+    here = _ring(found, 0, last)
+    value = jnp.where(jnp.arange(rows) <= last, here.by[:, :, 0].T, 0.0).reshape(-1)
+    changes = [_change(found, k, apart, last) for k in range(len(apart))]
+    by = jnp.concatenate([one.by for one in changes[: len(z) - free]], 2)
+    if more:
+        length = jnp.max(abs(ring.nulls(here, closing)[1]))
+        changes[-1] = jax.tree.map(lambda each: each * length, changes[-1]._replace(last=1.0))._replace(last=last)
+    return value, here._replace(by=by), [one._replace(by=by) for one in changes]
+
+
+def _unit(vector):
+    return vector / jnp.max(abs(vector))
+
+
+def _ring(found, k, last):
+    """The `Ring` of a turn of `beside`, by: F."""
+    return ring.Ring(*(each[k] for each in found), last)
+
+
+def _change(found, k, apart, last):
+    """How the same change along a way."""
+    count = len(apart)
+    return ring.Ring(*((each[1 + k] - each[1 + count + k]) / (2.0 * apart[k]) for each in found), last)
 
 
 def _with(value, last):
@@ -100,5 +175,15 @@ def _plain(function):
 
 GRAZING = Problem(_grazing, _bordered, _plain(_grazing), (), one_kernel)
 SINGULAR = Problem(_singular, _bordered, _plain(_singular), (), one_kernel)
-problem.register(Grazing, lambda curve: GRAZING)
-problem.register(Singular, lambda curve: SINGULAR)
+@graze.recut.register
+def _(curve: Grazing, cycle, rows):
+    pick = np.zeros(len(cycle.sides))
+    pick[: len(rows)] = curve.pick[list(rows)]
+    still = curve.cycle.still is not None
+    return curve._replace(cycle=cycle._replace(still=pick if still else None), pick=pick)
+
+
+SOFT_GRAZING = Problem(_soft_grazing, _bordered, _plain(_soft_grazing), (), one_kernel)
+SOFT_SINGULAR = Problem(_soft_singular, _bordered, _plain(_soft_singular), (), one_kernel)
+problem.register(Grazing, lambda curve: SOFT_GRAZING if curve.scene.soft_sides else GRAZING)
+problem.register(Singular, lambda curve: SOFT_SINGULAR if curve.scene.soft_sides else SINGULAR)

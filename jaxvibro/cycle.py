@@ -27,7 +27,8 @@ class Cycle(NamedTuple):
     """Impacts in order of travel. times: since the drive was at the section's phase; speeds: abs(y- - v_b), both
     (rows,); sides: -1, +1, 0 an empty row; phase: the section's, rad; periods: the number of drive periods. turn: 1, or
     -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None is 1. closing: what a
-    change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1."""
+    change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1. still: (rows,),
+    1 at touches, impacts without speed, of a soft wall, which do nothing; None: there are none."""
 
     times: jax.Array
     speeds: jax.Array
@@ -36,6 +37,7 @@ class Cycle(NamedTuple):
     periods: jax.Array
     turn: jax.Array | None = None
     closing: jax.Array | None = None
+    still: jax.Array | None = None
 
 
 class Flights(NamedTuple):
@@ -65,7 +67,7 @@ def flights(frame, cycle):
     one = jnp.ones((), cycle.times.dtype)
     sign = jnp.where(rows == last, one if cycle.turn is None else cycle.turn, one)
     angle = cycle.phase + frame.frequency * cycle.times
-    met = meeting(frame, sides, jnp.cos(angle), jnp.sin(angle), cycle.speeds)
+    met = meeting(frame, sides, jnp.cos(angle), jnp.sin(angle), cycle.speeds, cycle.still)
     again = jnp.where(rows == last, cycle.periods * frame.period, 0.0)
     time = _following(cycle, cycle.times, follows) - cycle.times + again
     time = time if met.stay is None else time - met.stay
@@ -82,6 +84,22 @@ def _following(cycle, values, follows):
     if cycle.closing is None:
         return found
     return found + jnp.where(follows == 0, cycle.closing - 1.0, 0.0) * (found - lax.stop_gradient(found))
+
+
+def unwound(cycle, period, moves):
+    """The cycle with its first impact once more after its last. moves: (a change of its unknowns, by what that is
+    multiplied where the first comes again), some."""
+    rows, last = len(cycle.sides), jnp.sum(cycle.sides != 0)
+    place = jnp.arange(rows + 1)
+    again, source = place == last, jnp.where(place < last, place, 0)
+    times = cycle.times[source] + jnp.where(again, cycle.periods * period, 0.0)
+    speeds = cycle.speeds[source] + 0.0
+    for change, back in moves:
+        sign = jnp.where(again, back, 1.0)
+        times, speeds = times + sign * change[:rows][source], speeds + sign * change[rows:][source]
+    turn = 1.0 if cycle.turn is None else cycle.turn
+    sides = jnp.where(place <= last, jnp.where(again, turn, 1.0) * cycle.sides[source], 0.0)
+    return Cycle(times, speeds, sides, cycle.phase, cycle.periods)
 
 
 class Slopes(NamedTuple):

@@ -4,7 +4,7 @@ At such a point the orbit is one of each itinerary that has the touches as impac
 each of these branches it is a regular point; those along which speeds and clearances become positive meet there.
 """
 
-from functools import partial
+from functools import partial, singledispatch
 from itertools import product
 from typing import NamedTuple
 
@@ -206,12 +206,18 @@ def with_touches(along, z, met, included):
     return new, start, left_out(new, start, every, kept)
 
 
-def with_impacts(along, z, hits):
-    """(the `Along` of orbits with these impacts, z of the one that is there)."""
-    new = along._replace(cycle=padded(along, [(one.time, one.speed, one.side) for one in hits]))
+def with_impacts(along, z, hits, rows=()):
+    """(the `Along` of orbits with these impacts, z of the one that is there); rows: theirs, if they have had some."""
+    new = recut(along, padded(along, [(one.time, one.speed, one.side) for one in hits]), rows)
     if not hits:
         return new, free_start(new, z[-1])
-    return new, np.append(np.concatenate([new.cycle.times, new.cycle.speeds]), z[-1])
+    return new, np.concatenate([new.cycle.times, new.cycle.speeds, z[2 * len(along.cycle.sides) or 2 :]])
+
+
+@singledispatch
+def recut(along, cycle, rows):
+    """What is followed, with a cycle of some rows' impacts alone."""
+    return along._replace(cycle=cycle)
 
 
 def _choices(met):

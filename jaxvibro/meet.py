@@ -21,7 +21,8 @@ class Meeting(NamedTuple):
     """Of each impact: the drive's cosine and sine; the wall's position, velocity and acceleration; R and the velocity
     against the wall; the acceleration before. And of the start of the flight that follows: the stay before it, None
     where all walls are rigid; (x, v); the drive's (cosine, sine); how (x, v) change with the impact's time and speed,
-    the flight's start being kept; the velocity against the wall."""
+    the flight's start being kept; the velocity against the wall. gives: whether it is a stay, None where all walls are
+    rigid."""
 
     cosine: jax.Array
     sine: jax.Array
@@ -36,10 +37,11 @@ class Meeting(NamedTuple):
     by_time: tuple[jax.Array, jax.Array]
     by_speed: tuple[jax.Array, jax.Array]
     opening: jax.Array
+    gives: jax.Array | None = None
 
 
-def meeting(frame, sides, cosine, sine, speed):
-    """The `Meeting` of impacts on these sides, 0: of none, any numbers; arrays of one shape."""
+def meeting(frame, sides, cosine, sine, speed, still=None):
+    """The `Meeting` of impacts on these sides, 0: of none, any numbers; arrays of one shape. still: as of a `Cycle`."""
     where, pace, bend = _way(frame, sides, cosine, sine)
     closing, zero = sides * speed, jnp.zeros_like(speed)
     bounce = contact.bounce(frame, sides) + zero
@@ -49,12 +51,13 @@ def meeting(frame, sides, cosine, sine, speed):
     found = Meeting(
         cosine, sine, where, pace, bend, bounce, closing, None, (where, v), (cosine, sine), by_time, by_speed, v - pace
     )
-    return _softened(frame, sides, speed, found) if frame.soft else found
+    return _softened(frame, sides, speed, found, still) if frame.soft else found
 
 
-def _softened(frame, sides, speed, met):
+def _softened(frame, sides, speed, met, still):
     """The `Meeting` with stays in place of impacts where the wall is soft."""
     gives = contact.gives(frame, sides)
+    gives = gives if still is None else gives & (still == 0)
     side = choose(gives, sides, 0.0)
 
     given, none = (met.cosine, met.sine, speed), jnp.zeros_like(speed)
@@ -83,7 +86,8 @@ def _softened(frame, sides, speed, met):
         opening=out.v,
     )
     met = met._replace(stay=none)
-    return jax.tree.map(lambda soft, hard: jnp.where(gives, soft, hard), soft, met)
+    met = jax.tree.map(lambda soft, hard: jnp.where(gives, soft, hard), soft, met)
+    return met._replace(gives=gives)
 
 
 def _way(frame, sides, cosine, sine):
@@ -97,22 +101,23 @@ def jump(frame, met, sides):
     before, _ = accelerations(frame, met.where, met.pace + met.closing, met.cosine, met.sine)
     after, _ = accelerations(frame, *met.state, *met.phasor)
     shear = (after + met.bounce * before - (1.0 + met.bounce) * met.bend) / met.closing
+    if frame.soft:
+        shear = choose(met.bounce < 0, 0.0, shear)  # a touch does nothing
     hard = (-met.bounce, jnp.zeros_like(shear), shear, -met.bounce), met.bounce * met.bounce
     if not frame.soft:
         return hard
-    gives = contact.gives(frame, sides)
-    touch, stay = choose(gives, sides * WITHIN, 0.0), jnp.maximum(met.stay, 0.0)
+    touch, stay = choose(met.gives, sides * WITHIN, 0.0), jnp.maximum(met.stay, 0.0)
     _, pace, _ = _way(frame, sides, *met.phasor)
     whole = touch != 0, met.closing, met.cosine, met.sine
     here = contact.feeling(frame, touch)
     response = contact.response(here, touch, stay)
     soft = carried(frame, touch, stay, response, share(met.pace, met.closing), share(pace, met.opening), whole)
-    return jax.tree.map(lambda soft, hard: jnp.where(gives, soft, hard), soft, hard)
+    return jax.tree.map(lambda soft, hard: jnp.where(met.gives, soft, hard), soft, hard)
 
 
 def stayed(frame, met, sides, k, since, state):
     """(x, v) a time after the meetings in rows k: within the wall during the stay, else the state given."""
-    touch = choose(contact.gives(frame, sides), sides * WITHIN, 0.0)[k]
+    touch = choose(met.gives, sides * WITHIN, 0.0)[k]
     here = contact.feeling(frame, touch)
     inside = (touch != 0) & (since < met.stay[k])
     span = choose(inside, since, 0.0)

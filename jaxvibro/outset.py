@@ -8,7 +8,7 @@ import numpy as np
 from continuation.arclength import Control
 from continuation.follow import tangent
 
-from . import check
+from . import brush, check
 from .along import problem
 from .assemble import is_own_image
 from .branch import Special
@@ -106,6 +106,8 @@ def equations(start, names):
     pick = np.where((cycle.sides != 0) & (cycle.speeds <= TOUCH * length), 1.0, 0.0)
     if pick.sum() != 1:
         raise check.SceneError("special", "must be a grazing of one impact: here are", int(pick.sum()))
+    if brush.is_smooth(numbered, cycle.sides[np.argmax(pick)]):
+        cycle = cycle._replace(still=pick)
     return Grazing(numbered, which, cycle, pick, np.asarray(TOUCH * length)), z
 
 

@@ -204,12 +204,12 @@ def to_touch(along, points, look, bad, asked):
 def _first_touch(along, good, there, seen, low, high, asked):
     """(z, residual) of the first touch between two lengths from a good point, None where it is not found, or another is
     before it. there, seen: the point at the second length."""
-    task, rows, hit = problem(along), len(along.cycle.sides), along.hits
+    rows, hit = len(along.cycle.sides), along.hits
     middle = 0.5 * (good.z + there.z)
     square, found = asked.control.scale**2, []
     for row in hit:
         if there.z[rows + row] <= 0:
-            found.append(_pinned(task, middle, int(rows + row), 0.0, asked, along))
+            found.append(_stopped(along, middle, int(row), asked))
     if not found or not (there.z[rows + hit] <= 0).any():
         for row, wall in zip(*np.nonzero(seen.clear < 0), strict=True):
             found.append(touched(along, there.z, row, wall, float(seen.late[row, wall])))
@@ -227,6 +227,14 @@ def _first_touch(along, good, there, seen, low, high, asked):
     view, slack = looked(along, z[None]), -TOUCH * asked.length
     earlier = view.clear.min(initial=0.0) < slack or z[rows : 2 * rows].min(initial=0.0) < slack
     return None if earlier else (z, best[1].residual)
+
+
+def _stopped(along, z, row, asked):
+    """The point near z where an impact loses its speed: `Located`."""
+    rows = len(along.cycle.sides)
+    if len(z) > 2 * rows + 1 and brush.is_smooth(along.scene, along.cycle.sides[row]):  # singular, for a locus
+        return brush.located(along, z, [row], asked.length)
+    return _pinned(problem(along), z, rows + row, 0.0, asked, along)
 
 
 def _pinned(task, z, index, value, asked, along):

@@ -69,7 +69,7 @@ def held(special, names):
     scene, which = marked(curve.scene, special.name)
     still = rows + np.flatnonzero(curve.pick) if isinstance(curve, Grazing) else np.zeros(0, int)
     marks = tuple(marked(scene, name)[1] for name in names)
-    one = Held(Along(scene, which, curve.cycle), own, still, z[len(own) :], marks, np.nan)
+    one = Held(Along(scene, which, curve.cycle._replace(still=None)), own, still, z[len(own) :], marks, np.nan)
     one = _with(one, one.kept)  # `marked` has put the hardness to zero
     return _solved(one) or one
 
