@@ -190,13 +190,14 @@ def _bend(curve, z, reference, order, fine):
     step = APART / _rate(built)
     places, *weights = THIRTEEN if fine else SEVEN
 
-    def derivative(order, h):
+    def derivative(k, given):  # of the second order, then of the third with its h
+        last, _ = given
+        h = jnp.where(k > 0, -solve(ring.dense(found), last).x, 0.0)
         beside = jax.vmap(lambda k: _ahead(curve, built, z, v, h, k * step))(jnp.array(places, z.dtype))
-        return jnp.sum(jnp.array(weights[order - 2], z.dtype)[:, None] * beside, 0) / step**order
+        weight = lax.dynamic_index_in_dim(jnp.array(weights, z.dtype), k, keepdims=False)
+        return jnp.sum(weight[:, None] * beside, 0) / step ** (k + 2.0), h
 
-    last = derivative(2, jnp.zeros_like(v))
-    if order == 3:
-        last = derivative(3, -solve(ring.dense(found), last).x)
+    last, _ = lax.fori_loop(0, order - 1, derivative, (jnp.zeros_like(v), jnp.zeros_like(v)))
     return _Bend(jnp.sum(w * last), v, w, across)
 
 
