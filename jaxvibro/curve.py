@@ -110,7 +110,7 @@ def beside(z, curve, closing=None):
     along its right null vector), by central differences."""
     rows, free = len(curve.cycle.sides), 2 * len(curve.cycle.sides)
     more, last = int(closing is not None), jnp.sum(curve.cycle.sides != 0) - 1
-    apart = APART * (1.0 + jnp.append(abs(z[free:]), jnp.full(more, jnp.max(abs(z)))))
+    apart = APART * (1.0 + jnp.append(abs(z[free:]), jnp.full(more, jnp.max(abs(z[:free])))))
     ways = np.concatenate([[[0.0] * len(apart)], np.eye(len(apart)), -np.eye(len(apart))])
 
     def look(k, found):
@@ -175,6 +175,8 @@ def _plain(function):
 
 GRAZING = Problem(_grazing, _bordered, _plain(_grazing), (), one_kernel)
 SINGULAR = Problem(_singular, _bordered, _plain(_singular), (), one_kernel)
+
+
 @graze.recut.register
 def _(curve: Grazing, cycle, rows):
     pick = np.zeros(len(cycle.sides))

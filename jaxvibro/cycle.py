@@ -27,8 +27,8 @@ class Cycle(NamedTuple):
     """Impacts in order of travel. times: since the drive was at the section's phase; speeds: abs(y- - v_b), both
     (rows,); sides: -1, +1, 0 an empty row; phase: the section's, rad; periods: the number of drive periods. turn: 1, or
     -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None is 1. closing: what a
-    change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1. still: (rows,),
-    1 at touches, impacts without speed, of a soft wall, which do nothing; None: there are none."""
+    change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1. still:
+    (rows,), 1 at touches, impacts without speed, of a soft wall, which do nothing; None: there are none."""
 
     times: jax.Array
     speeds: jax.Array

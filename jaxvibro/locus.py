@@ -125,7 +125,8 @@ def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1
     """The curve of a special point in two parameters of its scene: a `Locus`.
 
     special: a `Special` of a branch, SN, PD, SB or GR; names: two parameters; bounds: {name: (low, high)} of both.
-    first_step, largest_step, tolerance: as in `follow`, lengths of (times, speeds, parameters).
+    first_step, largest_step, tolerance: as in `follow`, lengths of (times, speeds, parameters), a stiffness
+    being measured by 1 and its value at the start.
 
     Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
     point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period

@@ -59,7 +59,11 @@ def outset(start, names, bounds, first_step, largest_step, tolerance):
         tuple(each for each in pair if each not in bounds[name]) for pair, name in zip(own, names, strict=True)
     )
     numbers = (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])
-    control = Control(scales(curve, length), *(np.float64(each) for each in numbers))
+    weights = scales(curve, length)
+    for k, name in enumerate(names, -2):
+        if name.endswith(".stiffness"):  # it goes through orders of magnitude
+            weights[k] = 1.0 / (1.0 + abs(z[k]))
+    control = Control(weights, *(np.float64(each) for each in numbers))
     asked = Bounded(control, min(first_step, largest_step), names, bounds, tuple(box), only, length)
     ahead = tangent(problem(curve), z, control.scale, curve)
     return Way(curve, point(_settled_at(curve, z, ahead, control), ahead), asked)
