@@ -207,7 +207,7 @@ def with_touches(along, z, met, included):
 
 
 def with_impacts(along, z, hits, rows=()):
-    """(the `Along` of orbits with these impacts, z of the one that is there); rows: theirs, that these were in."""
+    """(the `Along` of orbits with these impacts, z of the one that is there); rows: that these were in."""
     new = recut(along, padded(along, [(one.time, one.speed, one.side) for one in hits]), rows)
     if not hits:
         return new, free_start(new, z[-1])
