@@ -26,15 +26,15 @@ class Rival(NamedTuple):
     words: str = "tol {:g}"
 
 
+# On one core more lanes at once are no faster.
+diffrax_in_blocks = functools.partial(diffrax_event.strobe, block=32)
 RIGID = {
     "heyoka, batch": Rival(heyoka_batch.strobe, 4096, FINE),
     "heyoka, scalar": Rival(heyoka_scalar.strobe, 4096, FINE),
     "paper's RK4": Rival(rk4.strobe, 4096, (50, 100, 200, 400, 800), "{} steps"),
-    "diffrax Tsit5": Rival(diffrax_event.strobe, 2048, (1e-6, 1e-9, 1e-11)),
+    "diffrax Tsit5": Rival(diffrax_in_blocks, 2048, (1e-6, 1e-9, 1e-11)),
     "SciPy DOP853": Rival(scipy_ivp.strobe, 256, (1e-6, 1e-9, 1e-12)),
 }
-# On one core more lanes at once are no faster.
-diffrax_in_blocks = functools.partial(diffrax_event.strobe, block=32)
 SOFT = {
     "heyoka, batch": Rival(heyoka_batch.strobe, 2048, FINE),
     "heyoka, scalar": Rival(heyoka_scalar.strobe, 2048, FINE),
