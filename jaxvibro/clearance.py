@@ -102,7 +102,7 @@ def _told(frame, mark):
     """Whether a mark is of two turns, and its guess of the time."""
     size = lax.abs(mark)
     both = size > (BOTH - 1.0) * frame.reach
-    return both, size - choose(both, 1.0 + BOTH, 1.0) * frame.reach
+    return both, size - choose(both, lax.full_like(size, 1.0 + BOTH), 1.0) * frame.reach
 
 
 def _other(frame, side, speeds, time, span):

@@ -68,7 +68,11 @@ def _at_soft_wall(frame, wall, place, path, given):
     loose = eps**0.5 * frame.size
     fits = ~(within | landed) | (choose(landed, abs(depth), -depth) <= loose)
     fits &= ~landed | (closing <= eps**0.5 * (abs(path.v) + frame.size * (1.0 + frame.frequency)))
-    kind = choose(inside, choose(met, ENTERED, lax.full_like(depth, WITHIN)), choose(leaves, impact.LANDED, 0.0))
+    kind = choose(
+        inside,
+        choose(met, ENTERED, lax.full_like(depth, WITHIN)),
+        choose(leaves, impact.LANDED, lax.full_like(depth, 0.0)),
+    )
     x = choose(inside, choose(met, 0.0, wall.sign * depth), choose(met, where, path.x))
     v = choose(inside, path.v - pace, path.v)
     here = inside | leaves

@@ -1,12 +1,17 @@
-"""What every test stands on: double precision, pictures without a screen, the same examples each time, and what is
-compiled shared by the processes that tests start."""
+"""What every test stands on: double precision, pictures without a screen, the same examples each time, what is compiled
+shared by the processes that tests start, and let go where it has grown large."""
 
+import ctypes
 import os
+import platform
 from pathlib import Path
 
 import jax
 import matplotlib
+import pytest
 from hypothesis import settings
+
+LARGE = 4e9  # bytes that a process may hold: ten scenes with soft walls, each with functions of its own
 
 CACHE = {
     "JAX_COMPILATION_CACHE_DIR": str(Path(__file__).parents[1] / ".pytest_cache" / "jax"),
@@ -19,3 +24,17 @@ jax.config.update("jax_enable_x64", True)
 matplotlib.use("Agg")
 settings.register_profile("same", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("same")
+
+
+@pytest.fixture(autouse=True)
+def small():
+    """What is compiled is let go, and given back to the system, where a process has grown large."""
+    yield
+    if platform.system() == "Linux" and resident() > LARGE:
+        jax.clear_caches()
+        getattr(ctypes.CDLL(None), "malloc_trim", lambda _: None)(0)
+
+
+def resident():
+    """Bytes of this process that lie in memory."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")

@@ -75,6 +75,20 @@ def test_two_periods_are_one_after_the_other():
         assert abs(one - other).max() < 1e-9
 
 
+@pytest.mark.slow
+def test_single_precision():
+    walls = (jv.Wall(-1.0, stiffness=1e4, damping=5.0, motion=jv.Motion(0.1)), jv.Wall(1.0, stiffness=50.0))
+    start = jv.State(np.linspace(-0.8, 0.9, 5), 0.3)
+    fine, coarse = (soft(walls=walls, amplitude=3.0, dtype=dtype) for dtype in (jnp.float64, jnp.float32))
+    (true, known), (end, impacts) = jv.strobe(fine, start), jv.strobe(coarse, start)
+    assert end.x.dtype == end.contact.dtype == impacts.time.dtype == jnp.float32
+    assert np.allclose(end.x, true.x, rtol=0, atol=1e-5) and np.allclose(end.v, true.v, rtol=0, atol=1e-5)
+    assert (impacts.count == known.count).all()
+    assert np.allclose(impacts.least_clearance, known.least_clearance, rtol=0, atol=1e-5)
+    product, matrix = jv.monodromy(fine, start), jv.monodromy(coarse, start)
+    assert matrix.dtype == jnp.float32 and abs(matrix - product).max() < 1e-3 * abs(product).max()
+
+
 def test_a_start_within_a_wall_needs_no_contact():
     scene = soft(50.0, 0.3)
     beyond = jv.strobe(scene, jv.State(1.1, 0.4))
