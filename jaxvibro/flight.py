@@ -10,8 +10,8 @@ from jax import lax
 
 from . import event, flow, impact, leap
 from .contact import ENTERED, WITHIN, biases, felt, is_inside
-from .lanes import choose, least, most, positive, stage, two_sum
-from .path import Path, jet, moved, place
+from .lanes import choose, least, most, positive, stage
+from .path import Path, jet, left, moved, place
 from .wall import chosen, course, less, picked, press
 
 SLOW = 0.25  # of the speed that the acceleration makes over the longest step
@@ -150,9 +150,4 @@ def _time(frame, path, hit, root, slack, step, other):
 def _advance(frame, path, time, touch=None):
     """The path a free flight later."""
     motion = moved(frame, path.motion, time, touch)
-    return Path(*stage(place, frame, motion), motion, *stage(_less, path, time), path.contact)
-
-
-def _less(path, time):
-    rest, low = two_sum(path.rest, -time)
-    return two_sum(rest, low + path.rest_low)
+    return Path(*stage(place, frame, motion), motion, *stage(left, path, time), path.contact)

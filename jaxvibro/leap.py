@@ -11,8 +11,8 @@ import jax
 from jax import lax
 
 from . import contact, event, flow
-from .lanes import choose, least, mask, merge, stage, two_sum
-from .path import Motion
+from .lanes import choose, least, mask, merge, stage
+from .path import Motion, left
 from .plunge import is_sure
 
 PATIENCE = 8.0  # short steps before a long one is tried
@@ -95,8 +95,7 @@ def _plunged(frame, path):
 
 
 def _left(frame, path):
-    rest, low = two_sum(path.rest, -contact.plunges(frame, path.contact).time)
-    return two_sum(rest, low + path.rest_low)
+    return left(path, contact.plunges(frame, path.contact).time)
 
 
 def is_due(path, wait):
@@ -117,8 +116,7 @@ def leap(frame, path, wait):
     none = lax.full_like(x, 0.0)
     moved = Motion(x, none, v, none, *turned)
     moved = Motion(*(choose(taken, new, old) for new, old in zip(moved, path.motion, strict=True)))
-    rest, low = two_sum(path.rest, -time)
-    rest, low = two_sum(rest, low + path.rest_low)
+    rest, low = left(path, time)
     sign = lax.sign(path.contact)
     after = path._replace(
         x=choose(taken, x, path.x),

@@ -104,6 +104,12 @@ def _carry(frame, motion, gains, touch, more):
     return *two_sum(motion.slow_x, dx + motion.slow_x_low), *two_sum(motion.slow_v, dv + motion.slow_v_low)
 
 
+def left(path, time):
+    """The time to go, and its low part, a time later."""
+    rest, low = two_sum(path.rest, -time)
+    return two_sum(rest, low + path.rest_low)
+
+
 def absolute(frame, path):
     """(x, v) of the lanes, also of those that are within a soft wall."""
     x, v = path.x, path.v
