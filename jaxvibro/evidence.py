@@ -45,12 +45,10 @@ def periodic(scene, found, periods, settle, scale):
     rates, _ = exponents(scene, starts, scale)
     run = trail(scene, starts, POLISH * max(settle, KEEP))
     for k, (one, rate) in enumerate(zip(known, rates.tolist(), strict=True)):
-        last, n = run.lanes([k]), len(one.points)
-        if last.status[0] == FULL:
-            last = trail(scene, last.state, KEEP, WIDE)
+        last, n = whole(scene, run.lanes([k])), len(one.points)
         apart = float(abs(last.points[-n:] - last.points[-2 * n : -n]).max())
         if rate < -neutral and apart <= near:
-            seen.append(_orbit(scene, last, one.lanes, n, scale, _told(rate, f"recurs to within {apart:.0e}")))
+            seen.append(read_orbit(scene, last, one.lanes, n, scale, _told(rate, f"recurs to within {apart:.0e}")))
         else:
             lost |= dict.fromkeys(one.lanes, "recurs but does not attract")
     return seen, lost
@@ -64,7 +62,17 @@ def _told(rate, what):
     return {"exponent": rate, "note": f"{what}; exponent {rate:.3g} per period"}
 
 
-def _orbit(scene, last, lanes, n, scale, told):
+def watched(scene, state):
+    """The trail of the state of one lane over KEEP periods, with all of its impacts."""
+    return whole(scene, trail(scene, state, KEEP))
+
+
+def whole(scene, last):
+    """The trail of one lane, or, where its slots are full, one that goes on from there with all impacts."""
+    return trail(scene, last.state, KEEP, WIDE) if last.status[0] == FULL else last
+
+
+def read_orbit(scene, last, lanes, n, scale, told):
     """A periodic attractor from a trail of one lane on it, read from its least rotation on."""
     points, words = orbit_of(last, 0, n)
     after = words[1:] + words[:1]
@@ -116,22 +124,22 @@ def chaotic(scene, found, lanes, scale):
 
 def _grouped(scene, state, lanes, rates, scale, seen):
     """Puts chaotic lanes that fill the same set together, into `seen`; {lane: reason} of those that went bad."""
-    roams, lost = _roam(scene, state), {}
+    roams, lost = roam(scene, state), {}
     for k, (lane, rate) in enumerate(zip(lanes.tolist(), rates.tolist(), strict=True)):
         one = roams.lanes([k])
         if one.status[0] >= CAP:
             lost[lane] = f"status {STATUS[one.status[0]]}"
             continue
-        hits = meetings(float(scene.frequency), one.time, one.side, one.speed, scale)
-        home = next((other for other in seen if is_same_set(hits, other.hits)), None)
+        this = read_set(scene, one, scale, _told(rate, "does not recur"))
+        home = next((other for other in seen if is_same_set(this.hits, other.hits)), None)
         if home is None:
-            home = _wild(one, hits, _told(rate, "does not recur"))
+            home = this
             seen.append(home)
         home.lanes.append(lane)
     return lost
 
 
-def _roam(scene, state):
+def roam(scene, state):
     """A trail of SAMPLES times KEEP periods."""
     parts = []
     for _ in range(SAMPLES):
@@ -141,7 +149,8 @@ def _roam(scene, state):
     return Trail(state, worst, *map(np.concatenate, zip(*(part[2:] for part in parts), strict=True)))
 
 
-def _wild(one, hits, told):
+def read_set(scene, one, scale, told):
+    """A chaotic attractor, of no lanes yet, from a trail of one lane on it."""
     numbers = {
         "label": "chaotic",
         "kind": "chaotic",
@@ -151,4 +160,4 @@ def _wild(one, hits, told):
         "points": one.points[:, 0],
         "least_speed": _least_speed(one.side, one.speed),
     }
-    return Seen([], hits, numbers | told)
+    return Seen([], meetings(float(scene.frequency), one.time, one.side, one.speed, scale), numbers | told)
