@@ -20,7 +20,7 @@ ORDER = [
     *("told", "branch", "domain", "assemble", "follow", "switch", "mirror", "peaks", "tree"),
     *("curve", "codim", "track", "outset", "sensitivity", "locus", "family", "loci", "coexistence"),
     *("diagram", "probe", "explore", "diagrams"),
-    *("share", "carry", "evidence", "tried", "attractors", "visits", "trap", "capture", "fractal", "basins"),
+    *("share", "carry", "weak", "evidence", "tried", "attractors", "visits", "trap", "capture", "fractal", "basins"),
     *("backward", "germ", "strand", "manifold"),
     *("plot", "study", "stretch", "data", "report", "picture", "run", "paper"),
     *("cache", "starter", "command", "__main__"),
