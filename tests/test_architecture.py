@@ -12,7 +12,7 @@ ORDER = [
     *("gap", "text", "check", "rebound", "scene", "soften", "physical", "whole", "tables", "rules", "scenefile"),
     *("lanes", "blocks", "flow", "wall", "plunge", "contact", "path", "event", "impact", "frame", "leap", "flight"),
     *("log", "clearance", "entry", "journey", "state", "period", "taylor", "stay", "dwell", "replay", "slopes"),
-    *("strobe", "monodromy", "simulate"),
+    *("strobe", "monodromy", "simulate", "rest"),
     *("itinerary", "place", "section", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
     *("tangent", "spread", "rates", "growth", "spectrum"),
     *("meet", "cycle", "passes", "orbit", "solve", "shoot", "find", "free", "orbits"),
