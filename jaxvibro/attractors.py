@@ -5,13 +5,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from . import check
+from . import check, tried
 from .entry import CAP
 from .evidence import chaotic, periodic
 from .find import find_orbit
-from .meetings import is_same_orbit, is_same_set, is_symmetric, mirrored
+from .meetings import is_symmetric
 from .orbit import Orbit, OrbitError
 from .settling import settle_lanes
+from .share import share_bounds
 from .starts import box, random_starts
 from .state import STATUS, State
 
@@ -22,18 +23,21 @@ class Attractor:
 
     label: P n p q, "chaotic" or "unresolved". kind: "periodic", "chaotic" or "unresolved"; the last stands for all
     starts that gave evidence for neither. orbit: the `Orbit` of a periodic one, polished, with its multipliers; None
-    where there is none, or none was found. share: of the starts; all shares sum to 1. state: on it, at phase 0; of the
-    unresolved, the first of the starts. periods: minimal number of drive periods of a periodic one, else 0. itinerary:
-    the walls it hits, a word a period from `state` on, else (). points: x and v on Sigma from `state` on, shape
-    (periods, 2); a sample where chaotic. least_speed: of its impacts, inf if none. exponent: the largest Lyapunov
-    exponent per drive period; -inf where it is too low to be measured, nan where unknown. mirror_of: the place in the
-    tuple of its mirror image, its own where it is symmetric; None where none was found or the scene has no mirror
-    symmetry. note: what was seen.
+    where there is none, or none was found. share: of the starts; all shares sum to 1; 0 of what none settled on.
+    share_bounds: the lowest and the highest share that so many starts speak for, at 95 % (`share.share_bounds`).
+    starts: how many there were. state: on it, at phase 0; of the unresolved, the first of the starts. periods: minimal
+    number of drive periods of a periodic one, else 0. itinerary: the walls it hits, a word a period from `state` on,
+    else (). points: x and v on Sigma from `state` on, shape (periods, 2); a sample where chaotic. least_speed: of its
+    impacts, inf if none. exponent: the largest Lyapunov exponent per drive period; -inf where it is too low to be
+    measured, nan where unknown. mirror_of: the place in the tuple of its mirror image, its own where it is symmetric;
+    None where none was found or the scene has no mirror symmetry. note: what was seen.
     """
 
     label: str
     kind: str
     share: float
+    share_bounds: tuple[float, float]
+    starts: int
     state: State
     periods: int
     itinerary: tuple[str, ...]
@@ -48,10 +52,12 @@ class Attractor:
 def find_attractors(scene, starts=200, seed=0, settle=300):
     """What a scene settles on: a tuple of `Attractor`, the largest share first, unresolved starts last.
 
-    scene: a single one. starts: how many, at phase 0, drawn from `seed` as `starts.box` says, the same ones each time.
+    scene: a single one. starts: how many, at phase 0, the same ones each time: drawn from `seed`, uniformly in
+    `starts.box`, x between the walls, at most 3 max(1, omega A / sqrt(D)) fast. Shares are of that box.
     settle: drive periods before recurrence is looked for. Periodic is what recurs after at most 32 periods and draws
     nearby trajectories in. Chaotic is what does not recur and has a largest exponent that is positive beyond doubt, in
-    a scene that loses energy; starts that fill the same set there are one attractor. All else is unresolved.
+    a scene that loses energy; starts that fill the same set there are one attractor. All else is unresolved. Whatever
+    the starts say, the free response is there if it attracts and keeps off the walls, and so are mirror images.
 
     Raises SceneError for a batch of scenes and for counts that cannot be.
     """
@@ -63,28 +69,29 @@ def find_attractors(scene, starts=200, seed=0, settle=300):
     orbits, adrift = periodic(scene, found, periods, settle, scale)
     sets, restless = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < CAP)), scale)
     bad = {int(lane): f"status {STATUS[found.status[lane]]}" for lane in np.flatnonzero(found.status >= CAP)}
-    seen = sorted(orbits + sets, key=lambda one: (-len(one.lanes), one.numbers["label"], *one.numbers["points"][0]))
+    seen = orbits + sets
+    seen += tried.free(scene, seen)
+    seen += tried.images(scene, seen, scale)
+    seen.sort(key=lambda one: (-len(one.lanes), one.numbers["label"], *one.numbers["points"][0]))
     return _paired(scene, seen, starts) + _unresolved(given, adrift | restless | bad, starts)
 
 
 def _paired(scene, seen, starts):
     """The attractors with their shares, and their mirror images where the scene is symmetric."""
-
     symmetric = is_symmetric(scene)
-
-    def image(one):
-        test = is_same_orbit if one.numbers["periods"] else is_same_set
-        places = (
-            place
-            for place, other in enumerate(seen)
-            if one.numbers["periods"] == other.numbers["periods"] and test(mirrored(one.hits), other.hits)
-        )
-        return next(places, None) if symmetric else None
-
     return tuple(
-        Attractor(**one.numbers, share=len(one.lanes) / starts, mirror_of=image(one), orbit=_orbit(scene, one.numbers))
+        Attractor(
+            **one.numbers,
+            **_share(len(one.lanes), starts),
+            mirror_of=tried.image_place(one, seen) if symmetric else None,
+            orbit=_orbit(scene, one.numbers),
+        )
         for one in seen
     )
+
+
+def _share(count, starts):
+    return {"share": count / starts, "share_bounds": share_bounds(count, starts), "starts": starts}
 
 
 def _orbit(scene, numbers):
@@ -105,7 +112,7 @@ def _unresolved(given, reasons, starts):
     entry = Attractor(
         label="unresolved",
         kind="unresolved",
-        share=len(reasons) / starts,
+        **_share(len(reasons), starts),
         state=State(float(given.x[first]), float(given.v[first]), 0.0, 0.0),
         periods=0,
         itinerary=(),

@@ -6,6 +6,7 @@ import xarray as xr
 
 from . import __version__
 from .branch import labels
+from .starts import box
 
 NONE = -1  # in `attractor_mirror` and `orbit_mirror`, where no mirror image was found
 LENGTH, SPEED = {"units": "length"}, {"units": "length w0"}
@@ -14,7 +15,7 @@ LENGTH, SPEED = {"units": "length"}, {"units": "length w0"}
 def dataset(found):
     """An xarray.Dataset of all that was `Found`, with the job as TOML in its attribute `job`."""
     parts = [found.swept] if found.swept is not None else []
-    parts += [_attractors(found.attractors)] if found.attractors is not None else []
+    parts += [_attractors(found), _box(found)] if found.attractors is not None else []
     parts += [_orbits(found.orbits)] if found.orbits else []
     parts += [_branches(found.branches), _special(found.branches)] if found.branches else []
     parts += [_loci(found.loci), _codim2(found.loci)] if found.loci else []
@@ -27,21 +28,37 @@ def dataset(found):
     return whole.assign_attrs(attrs)
 
 
-def _attractors(attractors):
+def _attractors(found):
+    attractors = found.attractors
+
     def column(meaning, values, **attrs):
         return "attractor", np.array(values), {"long_name": meaning, **attrs}
 
-    states = [one.state for one in attractors]
+    states, bounds = [one.state for one in attractors], np.array([one.share_bounds for one in attractors])
     return xr.Dataset(
         {
             "attractor_label": column("P n p q: periods, impacts left, right", [one.label for one in attractors]),
             "attractor_share": column("share of the starts", [one.share for one in attractors]),
+            "attractor_share_low": column("lowest share that the starts speak for, at 95 %", bounds[:, 0], units="1"),
+            "attractor_share_high": column("highest share that the starts speak for, at 95 %", bounds[:, 1], units="1"),
             "attractor_periods": column("least number of drive periods, 0: none", [one.periods for one in attractors]),
             "attractor_x": column("position of a state on it, at phase 0", [one.x for one in states], **LENGTH),
             "attractor_v": column("velocity of that state", [one.v for one in states], **SPEED),
             "attractor_contact": column("contact of that state", [one.contact for one in states]),
             "attractor_exponent": column("largest Lyapunov exponent per period", [one.exponent for one in attractors]),
             "attractor_mirror": column(f"place of its mirror image, {NONE}: none", _images(attractors)),
+        }
+    )
+
+
+def _box(found):
+    """The box of the random starts."""
+    left, right, fast = box(found.there(found.file.attractors))
+    return xr.Dataset(
+        {
+            "start_x": ("start_bound", [left, right], {"long_name": "of random starts, phase 0: x from, to", **LENGTH}),
+            "start_v": ("start_bound", [-fast, fast], {"long_name": "of random starts, phase 0: v from, to", **SPEED}),
+            "start_count": ((), found.file.attractors.starts, {"long_name": "random starts", "units": "1"}),
         }
     )
 

@@ -12,10 +12,12 @@ from .meetings import is_same_set, meetings
 from .settling import clusters, orbit_of
 from .state import STATUS, State
 from .trail import KEEP, Trail, trail
+from .weak import weigh
 
 POLISH = 4  # times `settle` periods that a periodic orbit is run on before it is read
 WIDE = 1000  # slots for an orbit with more impacts in a period than `trail` records: as many as the impact cap
 LEAST_EXPONENT = 0.01  # per period, of chaos: mere shear passes for 0.002 over the periods that `exponents` averages
+WEIGHED = 4  # sets of motion at most that the spectrum's estimator is asked about
 SAMPLES = 8  # times KEEP periods of chaos that are looked at
 
 
@@ -45,12 +47,10 @@ def periodic(scene, found, periods, settle, scale):
     rates, _ = exponents(scene, starts, scale)
     run = trail(scene, starts, POLISH * max(settle, KEEP))
     for k, (one, rate) in enumerate(zip(known, rates.tolist(), strict=True)):
-        last, n = run.lanes([k]), len(one.points)
-        if last.status[0] == FULL:
-            last = trail(scene, last.state, KEEP, WIDE)
+        last, n = whole(scene, run.lanes([k])), len(one.points)
         apart = float(abs(last.points[-n:] - last.points[-2 * n : -n]).max())
         if rate < -neutral and apart <= near:
-            seen.append(_orbit(scene, last, one.lanes, n, scale, _told(rate, f"recurs to within {apart:.0e}")))
+            seen.append(read_orbit(scene, last, one.lanes, n, scale, _told(rate, f"recurs to within {apart:.0e}")))
         else:
             lost |= dict.fromkeys(one.lanes, "recurs but does not attract")
     return seen, lost
@@ -64,7 +64,17 @@ def _told(rate, what):
     return {"exponent": rate, "note": f"{what}; exponent {rate:.3g} per period"}
 
 
-def _orbit(scene, last, lanes, n, scale, told):
+def watched(scene, state):
+    """The trail of the state of one lane over KEEP periods, with all of its impacts."""
+    return whole(scene, trail(scene, state, KEEP))
+
+
+def whole(scene, last):
+    """The trail of one lane, or, where its slots are full, one that goes on from there with all impacts."""
+    return trail(scene, last.state, KEEP, WIDE) if last.status[0] == FULL else last
+
+
+def read_orbit(scene, last, lanes, n, scale, told):
     """A periodic attractor from a trail of one lane on it, read from its least rotation on."""
     points, words = orbit_of(last, 0, n)
     after = words[1:] + words[:1]
@@ -106,32 +116,60 @@ def chaotic(scene, found, lanes, scale):
     rates, errors = exponents(scene, _chosen(found.state, lanes), scale)
     with np.errstate(invalid="ignore"):
         wild = rates - 3.0 * errors > LEAST_EXPONENT
-    lost |= dict.fromkeys(lanes[~wild].tolist(), "does not recur, and its exponent is not positive beyond doubt")
     if not dissipates(scene):
+        lost |= dict.fromkeys(lanes[~wild].tolist(), "does not recur")
         return seen, lost | dict.fromkeys(lanes[wild].tolist(), "chaotic, but the scene loses no energy")
-    if wild.any():
-        lost |= _grouped(scene, _chosen(found.state, lanes[wild]), lanes[wild], rates[wild], scale, seen)
-    return seen, lost
+    order = np.argsort(~wild, kind="stable")
+    lanes, rates, wild = lanes[order], rates[order], wild[order]
+    return seen, lost | _grouped(scene, _chosen(found.state, lanes), lanes, rates, wild, scale, seen)
 
 
-def _grouped(scene, state, lanes, rates, scale, seen):
-    """Puts chaotic lanes that fill the same set together, into `seen`; {lane: reason} of those that went bad."""
-    roams, lost = _roam(scene, state), {}
-    for k, (lane, rate) in enumerate(zip(lanes.tolist(), rates.tolist(), strict=True)):
+def _grouped(scene, state, lanes, rates, wild, scale, seen):
+    """Puts chaotic lanes that fill the same set together, into `seen`; {lane: reason} of those that are on none.
+
+    wild: the lanes whose exponents, the rates, are positive beyond doubt. Of each set of others one lane is weighed.
+    """
+    roams, lost, weighed = roam(scene, state), {}, []
+    for k, lane in enumerate(lanes.tolist()):
         one = roams.lanes([k])
         if one.status[0] >= CAP:
             lost[lane] = f"status {STATUS[one.status[0]]}"
             continue
-        hits = meetings(float(scene.frequency), one.time, one.side, one.speed, scale)
-        home = next((other for other in seen if is_same_set(hits, other.hits)), None)
+        this = read_set(scene, one, scale, {})
+        home = next((other for other in seen if is_same_set(this.hits, other.hits)), None)
         if home is None:
-            home = _wild(one, hits, _told(rate, "does not recur"))
+            why = None if wild[k] else _refused(scene, one.state, this, weighed)
+            if why is not None:
+                lost[lane] = why
+                continue
+            home = this
             seen.append(home)
         home.lanes.append(lane)
+    for one in seen:
+        if "note" not in one.numbers:
+            one.numbers.update(_told(float(np.nanmean(rates[np.isin(lanes, one.lanes)])), "does not recur"))
     return lost
 
 
-def _roam(scene, state):
+def _refused(scene, state, this, weighed):
+    """Why the motion of one lane is not taken for chaos; None where it is: its exponent is then among its numbers.
+
+    weighed: (hits, why not) of those that were weighed before, to which it is added.
+    """
+    known = next((why for hits, why in weighed if why is not None and is_same_set(this.hits, hits)), None)
+    if known is not None:
+        return known
+    if len(weighed) == WEIGHED:
+        return "does not recur, and was not looked at for long"
+    rate, told = weigh(scene, state)
+    chaos = bool(np.isfinite(rate))
+    if chaos:
+        this.numbers.update(exponent=rate, note=told)
+    weighed.append((this.hits, None if chaos else told))
+    return weighed[-1][1]
+
+
+def roam(scene, state):
     """A trail of SAMPLES times KEEP periods."""
     parts = []
     for _ in range(SAMPLES):
@@ -141,7 +179,8 @@ def _roam(scene, state):
     return Trail(state, worst, *map(np.concatenate, zip(*(part[2:] for part in parts), strict=True)))
 
 
-def _wild(one, hits, told):
+def read_set(scene, one, scale, told):
+    """A chaotic attractor, of no lanes yet, from a trail of one lane on it."""
     numbers = {
         "label": "chaotic",
         "kind": "chaotic",
@@ -151,4 +190,4 @@ def _wild(one, hits, told):
         "points": one.points[:, 0],
         "least_speed": _least_speed(one.side, one.speed),
     }
-    return Seen([], hits, numbers | told)
+    return Seen([], meetings(float(scene.frequency), one.time, one.side, one.speed, scale), numbers | told)

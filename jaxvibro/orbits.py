@@ -7,13 +7,13 @@ periods, those with the nearest ends and some at random, is a guess of the impac
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from continuation import newton
 
-from . import check, flow
+from . import check
 from .entry import CAP
+from .free import free_response
 from .meetings import is_symmetric, meetings, mirrored
 from .orbit import OrbitError
 from .shoot import by_state
@@ -48,7 +48,7 @@ def find_orbits(scene, max_period=4, starts=200, seed=0):
     looks = [begun, trail(scene, begun.state, SETTLE)]
     fast = box(scene)[2]
     found = _Known(scene, fast)
-    found.add(lambda: by_state(scene, _unmet(scene), 1))
+    found.add(lambda: by_state(scene, free_response(scene), 1))
     rng = np.random.default_rng(seed)
     for periods in range(1, longest + 1):
         for guess in _distinct(scene, _stretches(scene, looks, periods, rng)):
@@ -191,16 +191,3 @@ def _settled(look, periods):
         if key not in seen:
             seen.add(key)
             yield State(*(float(each[lane]) for each in (look.x[-1], look.v[-1])), 0.0, float(look.contact[-1, lane]))
-
-
-def _unmet(scene):
-    """The state at phase 0 of the motion that is periodic if there are no walls."""
-    period = jnp.asarray(2.0 * jnp.pi / scene.frequency)
-    (p00, p01, p11), ((x, v), _) = flow.responses(scene.frequency, scene.damping, period)
-    matrix = np.array([[1.0 - p00, -p01], [p01, 1.0 - p11]])
-    force = float(scene.amplitude)
-    try:
-        state = np.linalg.solve(matrix, force * np.array([x, v]))
-    except np.linalg.LinAlgError:
-        state = np.full(2, np.nan)
-    return State(float(state[0]), float(state[1]))

@@ -15,7 +15,9 @@ from .loci import image
 from .plot import style
 from .plot.locus import name as of_locus
 from .plot.orbit import title
+from .share import share_text
 from .simulate import simulate
+from .starts import box_text
 from .state import State
 from .stretch import recurrence
 
@@ -129,7 +131,7 @@ def _motions(found):
     """(what draws it into Axes, title) of each motion that there is to draw."""
     for one in found.attractors or ():
         if one.kind != "unresolved":
-            name = f"{one.label}, {100 * one.share:.1f} % of starts" + _at(found, found.file.attractors)
+            name = f"{one.label}, {share_text(one)}" + _at(found, found.file.attractors)
             yield _drawing(found.there(found.file.attractors), one.state, one.periods or ROAMED), name
     for one in found.others:
         yield partial(plot.orbit, one), title(one) + _at(found, found.file.orbits)
@@ -162,8 +164,11 @@ def _at(found, asked):
 
 
 def _heading(found):
-    """The scene in a line or two, but for what is swept."""
-    return f"{_described(_shared(found), [found.across])};  states at phase 0 of the drive"
+    """The scene in a line or two, but for what is swept, and the box of the starts."""
+    told = f"{_described(_shared(found), [found.across])};  states at phase 0 of the drive"
+    if found.attractors is None:
+        return told
+    return f"{told}\nstarts at phase 0: {box_text(found.there(found.file.attractors))}"
 
 
 def _described(scene, without):

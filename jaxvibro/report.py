@@ -7,6 +7,8 @@ import msgspec
 from . import __version__
 from .branch import MEANINGS, labels
 from .locus import MEANINGS as ON_LOCI
+from .share import share_text
+from .starts import box, box_text
 from .stretch import longest, stretches
 from .study import KEEP, SETTLE
 from .text import columns, pair
@@ -56,10 +58,11 @@ def _periods(number):
 def _attractors(found):
     asked = found.file.attractors
     yield f"attractors at {_at(asked)}, from {asked.starts} starts (seed {asked.seed}); x and v at phase 0"
+    yield f"starts: random at phase 0, {box_text(found.there(asked))}; their shares with bounds at 95 %"
     rows = [("", "label", "share", "periods", "x", "v", "impacts", "exponent", "mirror image")]
     for place, one in enumerate(found.attractors, 1):
         state = (f"{one.state.x:.12f}", f"{one.state.v:.12f}")
-        share, rate = f"{100 * one.share:.1f} %", f"{one.exponent:.4f}"
+        share, rate = share_text(one), f"{one.exponent:.4f}"
         walls, twin = _walls(one.itinerary), _mirror(place, one.mirror_of)
         rows.append((place, one.label, share, one.periods or "-", *state, walls, rate, twin))
     yield columns(rows)
@@ -140,6 +143,7 @@ def summary(found, files):
     if found.swept is not None:
         told["stretches"] = [msgspec.to_builtins(one) for one in stretches(found.swept)]
     if found.attractors is not None:
+        told["starts"] = dict(zip(("left", "right", "fast"), _box(found), strict=True))
         told["attractors"] = [_attractor(one) for one in found.attractors]
     if found.orbits is not None:
         told["orbits"] = [_orbit(one) for one in found.orbits]
@@ -155,9 +159,15 @@ def summary(found, files):
     return told
 
 
+def _box(found):
+    return (float(edge) for edge in box(found.there(found.file.attractors)))
+
+
 def _attractor(one):
     return {
         "kind": one.kind,
+        "share_bounds": list(one.share_bounds),
+        "starts": one.starts,
         "points": one.points.tolist() if one.periods else [],
         "note": one.note,
         **_plain(one, ("share", "least_speed", "exponent")),

@@ -39,3 +39,9 @@ def random_starts(scene, count, seed):
     x, v = left + (right - left) * draws[:, 0], fast * (2.0 * draws[:, 1] - 1.0)
     zero = np.zeros(count, scene.dtype)
     return State(np.clip(x, left, right).astype(scene.dtype), v.astype(scene.dtype), zero, zero)
+
+
+def box_text(scene):
+    """The box of starts of a single scene for reading."""
+    left, right, fast = (float(edge) for edge in box(scene))
+    return f"x from {left:.4g} to {right:.4g}, v from {-fast:.4g} to {fast:.4g}"

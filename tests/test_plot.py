@@ -31,7 +31,8 @@ def swept(legs=2, count=7, kept=3):
 
 def attractor(label, mirror, x):
     points = np.array([[x, -x]])
-    return Attractor(label, "periodic", 0.4, jv.State(x, -x), 1, ("LR",), points, 1.0, -0.1, mirror, "")
+    found = "periodic", 0.4, (0.3, 0.5), 10, jv.State(x, -x), 1, ("LR",), points, 1.0, -0.1, mirror, ""
+    return Attractor(label, *found)
 
 
 def numbers(line):
@@ -92,7 +93,7 @@ def test_attractors_are_marked_where_they_are_and_twins_share_a_shape():
     assert [line.get_xydata().tolist() for line in marks] == [[[4.65, -0.2]], [[4.65, 0.3]], [[4.65, -0.5]]]
     one, twin, other = ((line.get_marker(), line.get_markerfacecolor()) for line in marks)
     assert one[0] == twin[0] != other[0] and one[1] != twin[1]
-    assert ax.get_legend_handles_labels()[1][0] == "P111, 40.0 % of starts"
+    assert ax.get_legend_handles_labels()[1][0] == "P111, 40.0 % of starts (30.0 to 50.0 %)"
 
 
 @pytest.fixture(scope="module")

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.markers import TICKLEFT, TICKRIGHT
 
+from ..share import share_text
 from .style import COLOURS, COORDINATES, WALL, axes, label, paler, plain
 
 SIZE = 1.2  # points, of the first leg's dots; later ones are smaller, so that where legs agree both are seen
@@ -57,7 +58,7 @@ def mark(attractors, value, variable="x", ax=None):
     """Draw attractors into a diagram, at the value of the swept parameter that they belong to: the Axes.
 
     Mirror images of each other have one shape, the first of them open and the second filled; a chaotic one is a row of
-    ticks, to the left or, its image, to the right.
+    ticks, to the left or, its image, to the right. The legend tells their shares of the starts, with bounds at 95 %.
     """
     ax, shapes = axes(ax), {}
     ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
@@ -72,6 +73,6 @@ def mark(attractors, value, variable="x", ax=None):
             look = {"marker": TICKLEFT if place == first else TICKRIGHT, "markeredgewidth": 0.3, "zorder": 4}
         else:
             look = {"marker": shape, "markerfacecolor": "white" if place == first else "black", "zorder": 5}
-        text = f"{one.label}, {100 * one.share:.1f} % of starts"
+        text = f"{one.label}, {share_text(one)}"
         ax.plot(np.full(len(up), value), up, color="black", markersize=5.5, linestyle="none", label=text, **look)
     return ax
