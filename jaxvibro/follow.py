@@ -11,9 +11,10 @@ from .along import Along, problem
 from .assemble import assembled
 from .cycle import Cycle
 from .domain import bounds_of, domain, marked, scene_length
+from .end import End
 from .graze import free_start, padded, scales
 from .orbit import Orbit, OrbitError
-from .piece import CLOSED, Asked
+from .piece import Asked
 from .told import Spot
 from .walk import walked
 
@@ -61,7 +62,7 @@ def through(scene, name, bounds, start, direction, settings):
     asked = asking(scene, name, bounds, length, start, **settings)
     ahead = tangent(problem(along), z, scales(along, length), along)
     on = walked(along, point(z, ahead), asked) if direction != "backward" else None
-    closed = on is not None and on.pieces[-1].why == CLOSED
+    closed = on is not None and on.reason.end is End.CLOSED
     back = walked(along, point(z, -ahead), asked) if direction != "forward" and not closed else None
     return assembled(scene, name, bounds, settings, back, on)
 
