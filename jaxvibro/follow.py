@@ -125,9 +125,11 @@ def settled(first_step, largest_step, tolerance, monitors, stop):
     for key, value in settings.items():
         if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
             raise check.SceneError(key, "must be a positive number", value)
-    monitors = dict(monitors)
+    try:
+        monitors = dict(monitors)
+    except (TypeError, ValueError):
+        raise check.SceneError("monitors", "must be functions by their labels, {label: function}", monitors) from None
     for label, function in monitors.items():
         if not callable(function):
             raise check.SceneError(f"monitors.{label}", "must be a function of a point", function)
-    stop = (stop,) if isinstance(stop, str) else tuple(stop or ())
-    return settings | {"monitors": monitors, "stop": stop}
+    return settings | {"monitors": monitors, "stop": check.sequence("stop", stop or ())}
