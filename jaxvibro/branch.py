@@ -12,6 +12,7 @@ import xarray as xr
 from . import __version__
 from . import itinerary as words
 from .check import SceneError
+from .end import End, read
 from .scene import Scene
 from .tables import SceneTable, table_of
 from .text import columns, pair
@@ -91,7 +92,7 @@ class Branch:
 
     name: the parameter; bounds: of it; scene: at the start; data: an xarray.Dataset with a row a point, in order along
     the branch (see `jaxvibro.follow`); segments: stretches of one itinerary; special: special points in order; reasons:
-    why it ends, at its first and at its last point; settings: steps and tolerance.
+    why it ends, at its first and at its last point; settings: steps and tolerance; ends: the `End` of each reason.
     """
 
     name: str
@@ -102,6 +103,7 @@ class Branch:
     special: tuple[Special, ...]
     reasons: tuple[str, str]
     settings: dict
+    ends: tuple[End, End]
 
     def __repr__(self):
         values, kinds = self.values, " ".join(one.kind for one in self.special)
@@ -159,6 +161,7 @@ class Branch:
             "special": json.dumps(known),
             "segments": json.dumps([[one.first, one.last, one.label, one.itinerary] for one in self.segments]),
             "reasons": json.dumps(self.reasons),
+            "ends": json.dumps([one.name for one in self.ends]),
             "settings": json.dumps({key: self.settings[key] for key in NUMBERS}),
         }
         with whole(path, force) as part:
@@ -193,10 +196,13 @@ def load_branch(path):
             for kind, place, residual, joins, aside in json.loads(attrs["special"])
         ]
         reasons, settings = tuple(json.loads(attrs["reasons"])), json.loads(attrs["settings"])
+        known = json.loads(attrs["ends"]) if "ends" in attrs else None  # files of before have texts alone
+        ends = tuple(map(read, reasons)) if known is None else tuple(End[each] for each in known)
     except (KeyError, ValueError, TypeError, msgspec.MsgspecError) as error:
         raise SceneError("path", f"must be a file of Branch.save ({error})", str(path)) from None
     settings = settings | {"monitors": {}, "stop": ()}
-    return Branch(name, bounds, scene, data.assign_attrs(parameter=name), segments, tuple(special), reasons, settings)
+    data = data.assign_attrs(parameter=name)
+    return Branch(name, bounds, scene, data, segments, tuple(special), reasons, settings, ends)
 
 
 def _plain(spot):

@@ -41,8 +41,20 @@ def is_traced(*values):
 
 def is_known(name, names, value):
     """Refuse a name that is none of these parameters."""
+    if not isinstance(name, str):
+        raise SceneError("name", f"must be a parameter of this scene ({', '.join(names)})", name)
     if name not in names:
         raise SceneError(name, f"is not a parameter of this scene ({', '.join(names)})", value)
+
+
+def sequence(key, names):
+    """Names as a tuple; a text is one name, not its letters."""
+    if isinstance(names, str):
+        return (names,)
+    try:
+        return tuple(names)
+    except TypeError:
+        raise SceneError(key, "must be a name or a sequence of names", names) from None
 
 
 def are_apart(*names):

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from .. import __version__, scenefile
-from ..check import SceneError
+from ..check import SceneError, sequence
 from ..whole import whole
 from .claim import Claim
 from .figures import JOBS
@@ -42,7 +42,7 @@ def paper(names=(), out="out/paper", scenes=None, force=False, progress=False):
     or written.
     """
     out, folder = Path(out), _scenes() if scenes is None else Path(scenes)
-    names = tuple(names) or tuple(JOBS)
+    names = sequence("names", names) or tuple(JOBS)
     for name in names:
         if name not in JOBS:
             raise SceneError("figure", f"must be one of {', '.join(JOBS)}", name)
