@@ -22,6 +22,12 @@ class SceneError(ValueError):
         return " ".join(f"{self.key}: {self.rule}; got {shown(self.value)}{place}".split())
 
 
+def short(text, most=80):
+    """A text on one line of at most so many characters."""
+    line = " ".join(str(text)[: 100 * most].split())
+    return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
 def shown(value):
     """A value on one short line."""
     array = hasattr(value, "dtype")

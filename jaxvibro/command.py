@@ -78,8 +78,8 @@ def _parser():
 
 
 def _init(given):
-    with whole(given.path, given.force) as part:
-        part.write_text(starter.SCENE, encoding="utf-8")
+    with whole(given.path, given.force) as file:
+        file.write(starter.SCENE.encode())
     print(f"wrote {given.path}; next: jaxvibro run {given.path}")
 
 

@@ -70,8 +70,8 @@ def read(path, changes=()):
 def dump(file, path, force=False):
     """Write a `SceneFile` to a file, whole or not at all. Raises FileExistsError unless force is given."""
     text = msgspec.toml.encode(file)
-    with whole(path, force) as part:
-        part.write_bytes(text)
+    with whole(path, force) as file:
+        file.write(text)
 
 
 def apply(found, change):
