@@ -1,5 +1,7 @@
 """The rules for a scene: each broken one is a single line that names the key, the rule and the value."""
 
+import difflib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import numpy as np
 from .gap import least_gap
 
 HIGHEST_HARMONIC = 1000
+LONGEST = 300  # characters of a message
 
 
 class SceneError(ValueError):
@@ -19,13 +22,20 @@ class SceneError(ValueError):
 
     def __str__(self):
         place = "" if self.index is None else f" at index {self.index}"
-        return " ".join(f"{self.key}: {self.rule}; got {shown(self.value)}{place}".split())
+        end = f"; got {shown(self.value)}{place}"
+        return short(f"{short(self.key)}: {self.rule}", LONGEST - len(end)) + end
 
 
 def short(text, most=80):
     """A text on one line of at most so many characters."""
     line = " ".join(str(text)[: 100 * most].split())
     return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
+def among(name, names):
+    """The end of a rule that a name breaks as it is none of these: the nearest of them, and all."""
+    near = difflib.get_close_matches(short(name), names, 1)
+    return f"{', perhaps ' + near[0] if near else ''} ({', '.join(names)})"
 
 
 def shown(value):
@@ -37,7 +47,9 @@ def shown(value):
         line = " ".join((str(value) if array else repr(value)).split())
     except ValueError:
         return "a whole number too long to show"
-    return line if len(line) <= 80 else line[:77] + "..."
+    except RecursionError:
+        return "a value too deep to show"
+    return short(line)
 
 
 def is_traced(*values):
@@ -48,7 +60,7 @@ def is_traced(*values):
 def is_known(name, names, value):
     """Refuse a name that is none of these parameters."""
     if name not in names:
-        raise SceneError(name, f"is not a parameter of this scene ({', '.join(names)})", value)
+        raise SceneError(name, f"is not a parameter of this scene{among(name, names)}", value)
 
 
 def are_apart(*names):

@@ -225,3 +225,15 @@ def _numbers(scene, dtype):
     if scene.harder is not None:
         plain["harder"] = number("harder", scene.harder)
     return Scene(**plain, left=standing("left", scene.left), right=standing("right", scene.right))
+
+
+def between(scene, phase):
+    """Where the walls of a known scene are at a phase of the drive, NumPy's: (left, right), infinite where there is
+    none."""
+    places = [-np.inf, np.inf]
+    for k, side in enumerate(SIDES):
+        if (wall := getattr(scene, side)) is not None:
+            move = wall.motion
+            swing = 0.0 if move is None else move.amplitude * np.cos(move.harmonic * np.asarray(phase) + move.phase)
+            places[k] = np.asarray(wall.position) + swing
+    return tuple(places)

@@ -10,7 +10,7 @@ FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROO
 # A file imports only from files named before it; `plot` and `paper` stand for all files of those folders.
 ORDER = [
     *("gap", "text", "check", "rebound", "scene", "soften", "physical"),
-    *("whole", "sealed", "tables", "rules", "scenefile"),
+    *("whole", "sealed", "limits", "tables", "rules", "scenefile"),
     *("lanes", "blocks", "flow", "wall", "plunge", "contact", "path", "event", "impact", "frame", "leap", "flight"),
     *("log", "clearance", "entry", "journey", "state", "period", "taylor", "stay", "dwell", "replay", "slopes"),
     *("strobe", "monodromy", "simulate"),

@@ -223,7 +223,9 @@ def test_a_reason_is_given_only_where_a_claim_is_not_right():
 def test_an_unknown_figure_is_refused(tmp_path, capsys):
     assert main(["paper", "fig99", "--out", str(tmp_path)]) == 2
     told = capsys.readouterr().err
-    assert told.startswith("jaxvibro: figure: must be one of fig2, ") and told.count("\n") == 1
+    assert (
+        told.startswith("jaxvibro: figure: must be one of those known, perhaps fig9 (fig2, ") and told.count("\n") == 1
+    )
     assert list(tmp_path.iterdir()) == []
 
 

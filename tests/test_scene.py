@@ -150,7 +150,9 @@ def test_replace_and_parameter():
     assert own.right.motion.phase == -1.0
     assert scene.amplitude == 2.0
     assert own.replace(**{"right.restitution": None}).parameter("right.restitution") == 0.7
-    with pytest.raises(jv.SceneError, match=r"amplitud: is not a parameter of this scene \(amplitude, frequency"):
+    with pytest.raises(
+        jv.SceneError, match=r"amplitud: is not a parameter of this scene, perhaps amplitude \(amplitude, freq"
+    ):
         scene.replace(amplitud=1.0)
     with pytest.raises(jv.SceneError, match=r"left\.motion\.phase: is not a parameter"):
         scene.parameter("left.motion.phase")

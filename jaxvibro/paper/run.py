@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from .. import __version__, scenefile
-from ..check import SceneError
+from ..check import SceneError, among
 from ..sealed import MARKS, is_sealed, netcdf, sealed
 from ..whole import refuse_folder, whole
 from .claim import Claim
@@ -46,7 +46,7 @@ def paper(names=(), out="out/paper", scenes=None, force=False, progress=False):
     names = tuple(names) or tuple(JOBS)
     for name in names:
         if name not in JOBS:
-            raise SceneError("figure", f"must be one of {', '.join(JOBS)}", name)
+            raise SceneError("figure", f"must be one of those known{among(name, JOBS)}", name)
     files = {name: [scenefile.read(folder / f"{one}.toml") for one in JOBS[name].files] for name in names}
     keys = {name: _key(folder, JOBS[name].files) for name in JOBS if _exist(folder, JOBS[name].files)}
     refuse_folder(out)
