@@ -90,10 +90,12 @@ def is_single(scene):
         raise SceneError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")
 
 
-def is_pair(walls):
-    """Refuse walls that are not two entries, left and right."""
-    if not isinstance(walls, tuple | list) or len(walls) != 2:
+def pair(walls):
+    """The walls as a tuple of two entries, left and right: of a tuple, a list or an array of two positions."""
+    array = hasattr(walls, "dtype") and np.shape(walls) == (2,)
+    if not array and (not isinstance(walls, tuple | list) or len(walls) != 2):
         raise SceneError("walls", "must be a pair (left, right), each a position, None or a Wall", walls)
+    return tuple(walls)
 
 
 def float_type(dtype):
@@ -129,6 +131,14 @@ def number(key, value, dtype):
     if not is_traced(array):
         require(key, "must be finite", array, np.isfinite(array))
     return array
+
+
+def quantity(key, value, dtype):
+    """Like `number`, for what a scene is made of: there a list is taken neither for a batch nor for the two walls'."""
+    if isinstance(value, list | tuple):
+        told = "what each wall has of its own is written walls=(Wall(...), Wall(...)), a batch np.array([...])"
+        raise SceneError(key, f"must be a number or an array, not a {type(value).__name__}: {told}", value)
+    return number(key, value, dtype)
 
 
 def _plain(value):

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -202,7 +203,7 @@ def test_nothing_is_overwritten_or_left_half_written(tmp_path):
     with pytest.raises(FileExistsError):
         jv.save_scene(scene.replace(amplitude=1.0), path)
     with pytest.raises(jv.SceneError, match="only a single scene can be written"):
-        jv.save_scene(scene.replace(amplitude=[1.0, 2.0]), path, force=True)
+        jv.save_scene(scene.replace(amplitude=np.array([1.0, 2.0])), path, force=True)
     assert path.read_bytes() == before
     jv.save_scene(scene.replace(amplitude=1.0), path, force=True)
     assert tomllib.loads(path.read_text())["scene"]["amplitude"] == 1.0
