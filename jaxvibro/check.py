@@ -1,5 +1,7 @@
 """The rules for a scene: each broken one is a single line that names the key, the rule and the value."""
 
+import difflib
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,6 +9,7 @@ import numpy as np
 from .gap import least_gap
 
 HIGHEST_HARMONIC = 1000
+LONGEST = 300  # characters of a message
 
 
 class SceneError(ValueError):
@@ -19,7 +22,20 @@ class SceneError(ValueError):
 
     def __str__(self):
         place = "" if self.index is None else f" at index {self.index}"
-        return " ".join(f"{self.key}: {self.rule}; got {shown(self.value)}{place}".split())
+        end = f"; got {shown(self.value)}{place}"
+        return short(f"{short(self.key)}: {self.rule}", LONGEST - len(end)) + end
+
+
+def short(text, most=80):
+    """A text on one line of at most so many characters."""
+    line = " ".join(str(text)[: 100 * most].split())
+    return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
+def among(name, names):
+    """The end of a rule that a name breaks as it is none of these: the nearest of them, and all."""
+    near = difflib.get_close_matches(short(name), names, 1)
+    return f"{', perhaps ' + near[0] if near else ''} ({', '.join(names)})"
 
 
 def shown(value):
@@ -31,7 +47,9 @@ def shown(value):
         line = " ".join((str(value) if array else repr(value)).split())
     except ValueError:
         return "a whole number too long to show"
-    return line if len(line) <= 80 else line[:77] + "..."
+    except RecursionError:
+        return "a value too deep to show"
+    return short(line)
 
 
 def is_traced(*values):
@@ -44,7 +62,7 @@ def is_known(name, names, value):
     if not isinstance(name, str):
         raise SceneError("name", f"must be a parameter of this scene ({', '.join(names)})", name)
     if name not in names:
-        raise SceneError(name, f"is not a parameter of this scene ({', '.join(names)})", value)
+        raise SceneError(name, f"is not a parameter of this scene{among(name, names)}", value)
 
 
 def sequence(key, names):
@@ -84,10 +102,12 @@ def is_single(scene):
         raise SceneError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")
 
 
-def is_pair(walls):
-    """Refuse walls that are not two entries, left and right."""
-    if not isinstance(walls, tuple | list) or len(walls) != 2:
+def pair(walls):
+    """The walls as a tuple of two entries, left and right: of a tuple, a list or an array of two positions."""
+    array = hasattr(walls, "dtype") and np.shape(walls) == (2,)
+    if not array and (not isinstance(walls, tuple | list) or len(walls) != 2):
         raise SceneError("walls", "must be a pair (left, right), each a position, None or a Wall", walls)
+    return tuple(walls)
 
 
 def float_type(dtype):
@@ -123,6 +143,14 @@ def number(key, value, dtype):
     if not is_traced(array):
         require(key, "must be finite", array, np.isfinite(array))
     return array
+
+
+def quantity(key, value, dtype):
+    """Like `number`, for what a scene is made of: there a list is taken neither for a batch nor for the two walls'."""
+    if isinstance(value, list | tuple):
+        told = "what each wall has of its own is written walls=(Wall(...), Wall(...)), a batch np.array([...])"
+        raise SceneError(key, f"must be a number or an array, not a {type(value).__name__}: {told}", value)
+    return number(key, value, dtype)
 
 
 def _plain(value):

@@ -11,6 +11,7 @@ from . import __version__, cache, starter
 from .whole import whole
 
 BAD, INTERRUPTED = 2, 130
+LONGEST = 300  # characters of a complaint
 
 _RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
 periodic [orbits], stable and unstable; a [branch] of them is followed along a parameter, with the branches that leave
@@ -78,8 +79,8 @@ def _parser():
 
 
 def _init(given):
-    with whole(given.path, given.force) as part:
-        part.write_text(starter.SCENE, encoding="utf-8")
+    with whole(given.path, given.force) as file:
+        file.write(starter.SCENE.encode())
     print(f"wrote {given.path}; next: jaxvibro run {given.path}")
 
 
@@ -114,7 +115,7 @@ def _loaded(name):
 
 def _complaint(error):
     if error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        return f"{str(error.filename)[-LONGEST // 2 :]}: {error.strerror}" if error.filename else error.strerror
     return str(error)
 
 
@@ -124,4 +125,4 @@ def _told(message, code):
 
 
 def _line(text):
-    return " ".join(str(text).split())
+    return " ".join(str(text)[: 10 * LONGEST].split())[:LONGEST]

@@ -10,7 +10,7 @@ from .orbit import OrbitError
 from .shoot import by_state
 from .solve import by_impacts, guessed
 from .starts import box
-from .state import STATUS, State, real_state
+from .state import STATUS, State, check_start, real_state
 from .trail import KEEP, trail
 
 LONGEST = 32  # periods of an orbit whose period is not given
@@ -31,6 +31,7 @@ def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
     """
     check.is_single(scene)
     state, settle = _lane(real_state(scene, state)), check.whole("settle", settle, 0)
+    check_start(scene, state)
     if itinerary is not None:
         itinerary = _checked(itinerary, periods)
         periods = len(itinerary)

@@ -7,6 +7,7 @@ import jax
 import mpmath as mp
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.integrate import quad
 
 import jaxvibro as jv
@@ -149,7 +150,8 @@ def jobs(monkeypatch):
 
     def one(file, progress):
         calls.append("one")
-        return Drawn(b"\x89PNG", "<b> & so on", (number("1", "a|b <i>", "0.5", (0.51, 0.0)),))
+        claim = number("1", "a|b <i>", "0.5", (0.51, 0.0))
+        return Drawn(b"\x89PNG", "<b> & so on", (claim,), {"": xr.Dataset({"a": ("b", np.arange(3.0))})})
 
     def two(file, progress):
         calls.append("two")
@@ -165,7 +167,7 @@ def jobs(monkeypatch):
 def test_an_interrupted_run_goes_on_where_it_stopped(jobs, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         jv.paper(out=tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.json", "one.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.json", "one.nc", "one.png"]
     done = jv.paper(out=tmp_path)
     assert jobs == ["one", "two", "two"]
     assert [one.verdict for one in done.claims] == [AGREES, FALSE]
@@ -175,6 +177,23 @@ def test_an_interrupted_run_goes_on_where_it_stopped(jobs, tmp_path):
     (tmp_path / "two.json").write_text("{")
     jv.paper(out=tmp_path)
     assert jobs[3:] == ["one", "two"]
+
+
+def test_what_is_damaged_or_gone_is_computed_again(jobs, tmp_path):
+    jv.paper(["one"], tmp_path)
+    files, draw = [tmp_path / f"one.{ending}" for ending in ("json", "png", "nc")], np.random.default_rng(1)
+    before = {path: path.read_bytes() for path in files}
+    for round_ in range(20):
+        path = files[round_ % 3]
+        content = bytearray(before[path])
+        content[draw.integers(len(content))] ^= 1 << draw.integers(8)
+        path.write_bytes(content[: len(content) - round_ // 15])
+        jv.paper(["one"], tmp_path)
+        assert len(jobs) == round_ + 2 and {path: path.read_bytes() for path in files} == before
+    files[2].unlink()
+    jv.paper(["one"], tmp_path)
+    jv.paper(["one"], tmp_path)
+    assert len(jobs) == 22
 
 
 def test_another_scene_is_computed_again(jobs, tmp_path):
@@ -204,7 +223,9 @@ def test_a_reason_is_given_only_where_a_claim_is_not_right():
 def test_an_unknown_figure_is_refused(tmp_path, capsys):
     assert main(["paper", "fig99", "--out", str(tmp_path)]) == 2
     told = capsys.readouterr().err
-    assert told.startswith("jaxvibro: figure: must be one of fig2, ") and told.count("\n") == 1
+    assert (
+        told.startswith("jaxvibro: figure: must be one of those known, perhaps fig9 (fig2, ") and told.count("\n") == 1
+    )
     assert list(tmp_path.iterdir()) == []
 
 
