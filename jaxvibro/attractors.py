@@ -1,7 +1,7 @@
 """What a scene settles on from many random starts: its attractors, each with its share of the starts."""
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from .meetings import is_symmetric
 from .orbit import Orbit, OrbitError
 from .settling import settle_lanes
 from .share import share_bounds
+from .solve import from_phase_0
 from .starts import box, random_starts
 from .state import STATUS, State
 
@@ -21,16 +22,18 @@ from .state import STATUS, State
 class Attractor:
     """One of the things that starts settle on.
 
-    label: P n p q, "chaotic" or "unresolved". kind: "periodic", "chaotic" or "unresolved"; the last stands for all
-    starts that gave evidence for neither. orbit: the `Orbit` of a periodic one, polished, with its multipliers; None
-    where there is none, or none was found. share: of the starts; all shares sum to 1; 0 of what none settled on.
-    share_bounds: the lowest and the highest share that so many starts speak for, at 95 % (`share.share_bounds`).
-    starts: how many there were. state: on it, at phase 0; of the unresolved, the first of the starts. periods: minimal
-    number of drive periods of a periodic one, else 0. itinerary: the walls it hits, a word a period from `state` on,
-    else (). points: x and v on Sigma from `state` on, shape (periods, 2); a sample where chaotic. least_speed: of its
-    impacts, inf if none. exponent: the largest Lyapunov exponent per drive period; -inf where it is too low to be
-    measured, nan where unknown. mirror_of: the place in the tuple of its mirror image, its own where it is symmetric;
-    None where none was found or the scene has no mirror symmetry. note: what was seen.
+    label: P n p q (P1-0-inf with complete chatter on the right), "chaotic" or "unresolved". kind: "periodic", "chaotic"
+    or "unresolved"; the last stands for all starts that gave evidence for neither. orbit: the `Orbit` of a periodic
+    one, polished, with its multipliers; None where there is none, or none was found; its state and itinerary are these
+    here, read from phase 0 on. share: of the starts; all shares sum to 1; 0 of what none settled on. share_bounds: the
+    lowest and the highest share that so many starts speak for, at 95 % (`share.share_bounds`). starts: how many there
+    were. state: on it, at phase 0; of the unresolved, the first of the starts. periods: minimal number of drive periods
+    of a periodic one, else 0. itinerary: the walls it hits, a word a period from `state` on, else (). points: x and v
+    on Sigma from `state` on, shape (periods, 2); a sample where chaotic. least_speed: of its impacts, inf if none.
+    exponent: the largest Lyapunov exponent per drive period; -inf where it is too low to be measured, nan where
+    unknown. mirror_of: the place in the tuple of its mirror image, its own where it is symmetric; None where none was
+    found or the scene has no mirror symmetry. note: what was seen. rests: whether the mass of a periodic one rests on a
+    wall for a while; the itinerary has the hops of complete chatter up to where they are certain to end.
     """
 
     label: str
@@ -47,6 +50,7 @@ class Attractor:
     mirror_of: int | None
     note: str
     orbit: Orbit | None = None
+    rests: bool = False
 
 
 def find_attractors(scene, starts=200, seed=0, settle=300):
@@ -95,12 +99,16 @@ def _share(count, starts):
 
 
 def _orbit(scene, numbers):
+    """The `Orbit` of a periodic attractor, at the attractor's own phase and period; None where there is none."""
     if not numbers["periods"]:
         return None
     try:
-        return find_orbit(scene, numbers["state"], numbers["periods"], settle=0)
+        orbit = find_orbit(scene, numbers["state"], numbers["periods"], settle=0)
     except OrbitError:
         return None
+    if orbit.unknowns == "impacts":
+        orbit = from_phase_0(orbit, numbers["itinerary"])
+    return replace(orbit, state=replace(orbit.state, contact=numbers["state"].contact))
 
 
 def _unresolved(given, reasons, starts):

@@ -45,6 +45,7 @@ def _attractors(found):
             "attractor_x": column("position of a state on it, at phase 0", [one.x for one in states], **LENGTH),
             "attractor_v": column("velocity of that state", [one.v for one in states], **SPEED),
             "attractor_contact": column("contact of that state", [one.contact for one in states]),
+            "attractor_rests": column("1: the mass rests on a wall", [int(one.rests) for one in attractors], units="1"),
             "attractor_exponent": column("largest Lyapunov exponent per period", [one.exponent for one in attractors]),
             "attractor_mirror": column(f"place of its mirror image, {NONE}: none", _images(attractors)),
         }
@@ -79,6 +80,7 @@ def _orbits(orbits):
             "orbit_phase": column("phase of the drive of that state", [one.phase for one in states], units="rad"),
             "orbit_contact": column("contact of that state", [one.contact for one in states]),
             "orbit_stable": column("1: both multipliers are smaller than 1", [int(one.stable) for one in orbits]),
+            "orbit_rests": column("1: the mass rests on a wall", [int(one.rests) for one in orbits], units="1"),
             "orbit_multiplier_real": (larger[0], roots.real, {**larger[1], "units": "1"}),
             "orbit_multiplier_imag": (larger[0], roots.imag, {**larger[1], "units": "1"}),
             "orbit_least_speed": column("least speed of its impacts", [one.least_speed for one in orbits], **SPEED),

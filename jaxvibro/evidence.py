@@ -9,6 +9,7 @@ from . import itinerary
 from .entry import CAP, FULL
 from .exponent import exponents
 from .meetings import is_same_set, meetings
+from .rest import NO_RESTS, may_rest, rests
 from .settling import clusters, orbit_of
 from .state import STATUS, State
 from .trail import KEEP, Trail, trail
@@ -80,10 +81,14 @@ def read_orbit(scene, last, lanes, n, scale, told):
     after = words[1:] + words[:1]
     turn = min(range(n), key=lambda k: (after[k:] + after[:k], *points[k]))
     impacts = [part[-n:, 0] for part in (last.time, last.side, last.speed)]
+    state = _state(last, turn - n)
+    may = may_rest(scene, last.status, last.contact[-n:])
+    resting = rests(scene, state, n) if may else NO_RESTS
     numbers = {
-        "label": itinerary.label(words),
+        "label": itinerary.label(words, resting.endless),
         "kind": "periodic",
-        "state": _state(last, turn - n),
+        "rests": resting.rests,
+        "state": state,
         "periods": n,
         "itinerary": after[turn:] + after[:turn],
         "points": np.roll(points, -turn, axis=0),

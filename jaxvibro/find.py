@@ -4,9 +4,9 @@ import numpy as np
 
 from . import check
 from . import itinerary as words
-from .entry import CAP, FULL
-from .impact import STUCK
+from .entry import CAP
 from .orbit import OrbitError
+from .rest import may_rest
 from .shoot import by_state
 from .solve import by_impacts, guessed
 from .starts import box
@@ -85,15 +85,9 @@ def _near(scene, state, periods, itinerary):
     plain = State(*(float(each[0]) for each in (state.x, state.v, state.phase, state.contact)))
     if itinerary is not None and not words.same(found, itinerary):
         return guessed(scene, itinerary, plain, box(scene)[2])
-    if not any(found) or _rests(scene, kept):
+    if not any(found) or may_rest(scene, kept.status, kept.contact):
         return by_state(scene, plain, periods)
     length = 2.0 * np.pi / float(scene.frequency)
     hit = kept.side[:, 0] != 0
     times = (kept.time[:, 0] + length * np.arange(periods)[:, None])[hit]
     return by_impacts(scene, times, kept.speed[:, 0][hit], kept.side[:, 0][hit], plain.phase, periods)
-
-
-def _rests(scene, kept):
-    """Whether the mass may rest on a wall: it chatters, ends a period there, or a wall takes all of its speed."""
-    plastic = any(float(scene.bounce(side)) == 0 for side in scene.walls)
-    return plastic or kept.status[0] == FULL or bool((abs(kept.contact) == STUCK).any())

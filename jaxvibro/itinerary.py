@@ -28,10 +28,14 @@ def split(time, side, periods, length):
     return tuple("".join(LETTERS[int(one)] for one in side[hit][place == k]) for k in range(periods))
 
 
-def label(itinerary):
-    """P n p q: n drive periods, p impacts on the left wall, q on the right; P8-8-16 once a number has two digits."""
+def label(itinerary, endless=""):
+    """P n p q: n drive periods, p impacts on the left wall, q on the right; P8-8-16 once a number has two digits.
+
+    endless: letters of the walls on which the mass comes to rest by infinitely many hops: P1-0-inf.
+    """
     flat = "".join(itinerary)
-    numbers = [str(number) for number in (len(itinerary), flat.count("L"), flat.count("R"))]
+    hits = ["inf" if side in endless else str(flat.count(side)) for side in "LR"]
+    numbers = [str(len(itinerary)), *hits]
     return "P" + ("" if all(len(number) == 1 for number in numbers) else "-").join(numbers)
 
 

@@ -114,7 +114,7 @@ def _product(scene, state, impacts, zero, periods, slots):
         cosine, sine = flow.turn(cosine, sine, *angle)
         matrix = product((p00, p01, -p01, p11), matrix)
         if built.walls:
-            bounce, shear = stage(_saltation, built, side, speed, cosine, sine)
+            bounce, shear = stage(saltation, built, side, speed, cosine, sine)
             after = product((-bounce, zero, shear, -bounce), matrix)
             matrix = tuple(choose(hit, new, old) for new, old in zip(after, matrix, strict=True))
         past = past + span
@@ -158,7 +158,7 @@ def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):
     return past + time, *after, new
 
 
-def _saltation(frame, side, speed, cosine, sine):
+def saltation(frame, side, speed, cosine, sine):
     """R and the lower left entry of Q, of an impact on a side with this speed; side 0: of none, any numbers."""
     walls = frame.walls
     where, pace, bend = picked(side, walls, [course(wall, frame.frequency, cosine, sine, 2) for wall in walls])

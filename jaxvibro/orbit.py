@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from . import itinerary as words
+from .rest import NO_RESTS
 from .scene import Scene
 from .state import Impacts, State
 
@@ -28,14 +29,16 @@ class OrbitError(ValueError):
 class Orbit:
     """A periodic orbit of a scene.
 
-    label: P n p q. periods: n, the least number of drive periods. state: on it, at the section's phase: the phase asked
-    for, unless an impact is within a thousandth of a period of it; then the middle of the longest flight. impacts: in n
-    periods from there, without empty slots. itinerary: the walls hit, a word a period. multipliers: Floquet's, the
-    larger first, complex, shape (2,). stable: both are smaller than 1, by more than rounding. residual: the largest
-    error left in the equations that were solved (lengths, lengths per t). least_speed, least_clearance: of the impacts,
-    and of turning points towards a wall; inf where there are none. unknowns: "impacts" where their times and speeds
-    were solved for, "state" where the state was. scene: whose orbit it is. mirror_of: in a tuple of `find_orbits` the
-    place of its mirror image, its own where it is symmetric; else None.
+    label: P n p q, inf for p or q on a wall with complete chatter: P1-0-inf. periods: n, the least number of drive
+    periods. state: on it, at the section's phase: the phase asked for, unless an impact is within a thousandth of a
+    period of it; then the middle of the longest flight. impacts: in n periods from there, without empty slots.
+    itinerary: the walls hit, a word a period. multipliers: Floquet's, the larger first, complex, shape (2,). stable:
+    both are smaller than 1, by more than rounding. residual: the largest error left in the equations that were solved
+    (lengths, lengths per t). least_speed, least_clearance: of the impacts, and of turning points towards a wall; inf
+    where there are none. unknowns: "impacts" where their times and speeds were solved for, "state" where the state was.
+    scene: whose orbit it is. mirror_of: in a tuple of `find_orbits` the place of its mirror image, its own where it is
+    symmetric; else None. rests: whether the mass rests on a wall for a while; hops of complete chatter are recorded up
+    to where they are certain to end.
     """
 
     label: str
@@ -51,6 +54,7 @@ class Orbit:
     unknowns: str
     scene: Scene = field(repr=False)
     mirror_of: int | None = None
+    rests: bool = False
 
 
 def multipliers(trace, determinant):
@@ -74,10 +78,10 @@ def roots(trace, determinant):
     return np.where(np.isfinite(found).all(axis=1)[:, None], found, np.inf)
 
 
-def described(scene, state, impacts, itinerary, roots, residual, unknowns):
+def described(scene, state, impacts, itinerary, roots, residual, unknowns, resting=NO_RESTS):
     """The `Orbit` of these, its label and its stability read from them."""
     return Orbit(
-        label=words.label(itinerary),
+        label=words.label(itinerary, resting.endless),
         periods=len(itinerary),
         state=state,
         impacts=impacts,
@@ -89,4 +93,5 @@ def described(scene, state, impacts, itinerary, roots, residual, unknowns):
         least_clearance=impacts.least_clearance,
         unknowns=unknowns,
         scene=scene,
+        rests=resting.rests,
     )

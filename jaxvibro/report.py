@@ -13,6 +13,8 @@ from .stretch import longest, stretches
 from .study import KEEP, SETTLE
 from .text import columns, pair
 
+RESTS = "inf: the mass comes to rest by infinitely many hops, of which impacts has those before they are sure to end"
+
 
 def table(found, name):
     """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci."""
@@ -59,20 +61,26 @@ def _attractors(found):
     asked = found.file.attractors
     yield f"attractors at {_at(asked)}, from {asked.starts} starts (seed {asked.seed}); x and v at phase 0"
     yield f"starts: random at phase 0, {box_text(found.there(asked))}; their shares with bounds at 95 %"
-    rows = [("", "label", "share", "periods", "x", "v", "impacts", "exponent", "mirror image")]
+    rows = [("", "label", "share", "periods", "x", "v", "impacts", "exponent", "rests", "mirror image")]
     for place, one in enumerate(found.attractors, 1):
         state = (f"{one.state.x:.12f}", f"{one.state.v:.12f}")
         share, rate = share_text(one), f"{one.exponent:.4f}"
         walls, twin = _walls(one.itinerary), _mirror(place, one.mirror_of)
-        rows.append((place, one.label, share, one.periods or "-", *state, walls, rate, twin))
+        rows.append((place, one.label, share, one.periods or "-", *state, walls, rate, _yes(one.rests), twin))
     yield columns(rows)
     yield "impacts: L left, R right, a word a period; exponent: the largest, per drive period"
+    if any(one.rests for one in found.attractors):
+        yield RESTS
     for place, one in enumerate(found.attractors, 1):
         yield f"{place}: {one.note}"
 
 
 def _at(asked):
     return ", ".join(f"{key} = {value:g}" for key, value in asked.at.items()) or "the scene's own values"
+
+
+def _yes(rests):
+    return "yes" if rests else "-"
 
 
 def _walls(itinerary):
@@ -91,11 +99,14 @@ def _orbits(found):
     for place, one in enumerate(found.orbits, 1):
         state = [f"{getattr(one.state, key):.12f}" for key in ("x", "v", "phase")]
         least = (float(one.least_speed), float(one.least_clearance), f"{one.residual:.1e}")
-        told = (one.label, "stable" if one.stable else "unstable", pair(one.multipliers, 7))
+        kind = "stable" if one.stable else "unstable"
+        told = (one.label, kind + ", rests" if one.rests else kind, pair(one.multipliers, 7))
         rows.append((place, *told, *state, _walls(one.itinerary), *least, _mirror(place, one.mirror_of)))
     yield columns(rows if turned else [row[:6] + row[7:] for row in rows])
     where = "at the phase (rad) given" if turned else "at phase 0"
     yield f"x and v {where}; impacts: L left, R right, a word a period; multipliers: Floquet's, the larger first"
+    if any(one.rests for one in found.orbits):
+        yield RESTS
 
 
 def _branches(found):
@@ -168,6 +179,7 @@ def _attractor(one):
         "kind": one.kind,
         "share_bounds": list(one.share_bounds),
         "starts": one.starts,
+        "rests": one.rests,
         "points": one.points.tolist() if one.periods else [],
         "note": one.note,
         **_plain(one, ("share", "least_speed", "exponent")),
@@ -178,6 +190,7 @@ def _orbit(one):
     """Multipliers are pairs, real and imaginary part."""
     return {
         "stable": one.stable,
+        "rests": one.rests,
         "unknowns": one.unknowns,
         "multipliers": _pairs(one.multipliers),
         **_plain(one, ("residual", "least_speed", "least_clearance")),

@@ -11,6 +11,7 @@ from . import itinerary as words
 from .entry import CAP
 from .monodromy import monodromy
 from .orbit import OrbitError, described, multipliers
+from .rest import NO_RESTS, may_rest, rests
 from .state import STATUS, Impacts, State
 from .strobe import strobe
 
@@ -37,7 +38,9 @@ def by_state(scene, state, periods):
     itinerary = words.split(impacts.time, impacts.side, periods, length)
     roots = multipliers(float(np.trace(matrix)), float(np.linalg.det(matrix)))
     state = jax.tree.map(float, state)
-    return described(scene, state, impacts, itinerary, roots, float(abs(miss).max()), "state")
+    may = may_rest(scene, [each.status for _, each in told], [end.contact for end, _ in told])
+    resting = rests(scene, state, periods) if may else NO_RESTS
+    return described(scene, state, impacts, itinerary, roots, float(abs(miss).max()), "state", resting)
 
 
 def _near(point, other, scale):

@@ -98,9 +98,36 @@ def by_section(scene, times, speeds, sides, periods, residual):
     turned = np.mod(times - later, periods * length)
     order = np.argsort(turned)
     phase = np.mod(float(scene.frequency) * later, 2.0 * np.pi)
-    given = padded(scene, turned[order], speeds[order], sides[order], phase, periods)
+    return _read(scene, turned[order], speeds[order], sides[order], phase, periods, residual)
+
+
+def from_phase_0(orbit, itinerary):
+    """An orbit that was solved by its impacts, read from phase 0 of its first drive period on.
+
+    An impact that is not told from phase 0 is put to the period, before or after, in which this itinerary has it.
+    """
+    scene, impacts, n = orbit.scene, orbit.impacts, orbit.periods
+    length = 2.0 * np.pi / float(scene.frequency)
+    span, tiny = n * length, float(np.finfo(scene.dtype).eps) * length
+    times, near = np.mod(impacts.time + orbit.state.phase / float(scene.frequency), span), TIMELY * length
+    choices = [times, np.where(times < near, span, times), np.where(times > span - near, tiny, times)]
+    orders = [np.argsort(late, kind="stable") for late in choices]
+    alike = (
+        k
+        for k, (late, order) in enumerate(zip(choices, orders, strict=True))
+        if words.split(late[order], impacts.side[order], n, length) == itinerary
+    )
+    k = next(alike, 0)
+    times, order = choices[k], orders[k]
+    return _read(scene, times[order], impacts.speed[order], impacts.side[order], 0.0, n, orbit.residual)
+
+
+def _read(scene, times, speeds, sides, phase, periods, residual):
+    """The orbit with these impacts, times since the section's phase; nothing is solved."""
+    given = padded(scene, times, speeds, sides, phase, periods)
     zero = np.zeros((), scene.dtype)
     solved = newton.Solved(zero, zero + residual, zero, zero + 1.0, newton.OK)
+    length = 2.0 * np.pi / float(scene.frequency)
     return _described(scene, jax.device_get(_known(scene, given, solved)), len(times), length)
 
 

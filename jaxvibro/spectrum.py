@@ -11,9 +11,10 @@ from . import check
 from .growth import of_motion, settled
 from .lanes import WIDTH
 from .rates import lost, of_orbits
+from .rest import NO_RESTS, rests
 from .state import check_start, real_state
 from .sweep import EQUATION, MEANING, UNITS, others, started, static
-from .tangent import begin
+from .tangent import LAPS, begin
 
 FEW, MANY = 8, 64  # rounds after which most values have settled, and after which the others are averaged
 
@@ -31,8 +32,12 @@ def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, pro
     standard error (of an orbit: what rounding leaves unsure); impacts per period, and impacts_on (name, wall), of the
     first 32 in a period; periods of the orbit, 0 where none was recognised; count, drive periods averaged; status, as
     `Impacts` has it. The exponents' sum is -2 gamma T + 2 ln R times impacts_on, without error. Both are -inf where the
-    mass comes to rest on a wall; where a wall that is hit has R = 0 the second is. Both are nan where the motion has no
-    end, with more than 32 impacts a period in flight (status full), and on an impact without speed (nonfinite).
+    mass comes to rest on a wall, as it then forgets all. rests: how often a period it does so; between: the largest
+    growth of tangents from where a wall lets it go to where it next comes to rest, the hops of complete chatter
+    included, a drive period of the time between (`rest`: to within some hundredths); nan where it has no such flight.
+    Where a wall that is hit has R = 0 and the mass does not rest the second exponent is -inf. Both are nan where the
+    motion has no end, with more than 32 impacts a period in flight (status full), and on an impact without speed
+    (nonfinite).
 
     Sources: Benettin et al., Meccanica 15 (1980) 9-20; at impacts Mueller, Chaos, Solitons and Fractals 5 (1995)
     1671-1681; paper, (38). Errors by batch means (`spread.standard_error`).
@@ -50,8 +55,8 @@ def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, pro
     scenes = scene.replace(**{name: values})
     starts = jax.tree.map(lambda leaf: np.broadcast_to(leaf, values.shape), state)
     with ThreadPoolExecutor(_cores()) as pool:
-        found = _found(pool, scenes, starts, settle, float(goal), most, progress or (lambda done: None))
-    return _dataset(scene, name, values, state, found)
+        found, resting = _found(pool, scenes, starts, settle, float(goal), most, progress or (lambda done: None))
+    return _dataset(scene, name, values, state, found, resting)
 
 
 def _checked(scene, name, values, state):
@@ -72,7 +77,7 @@ def _cores():
 
 
 def _found(pool, scenes, state, settle, goal, most, progress):
-    """The `Rates` of each value, in order."""
+    """The `Rates` and the `Rests`, their count a period, of each value, in order."""
     everyone = np.arange(len(state.x))
 
     def early(index):
@@ -102,7 +107,12 @@ def _found(pool, scenes, state, settle, goal, most, progress):
             seen[k] = end
         progress(len(found))
     found |= _orbits(pool, orbits, [k for k in rest if seen[k].periods[0]])
-    return [found[k] for k in everyone.tolist()]
+    resting = [NO_RESTS] * len(everyone)
+    for k in (k for k, one in found.items() if np.isneginf(one.exponent[0])):
+        one, state = _some(scenes, k), jax.tree.map(lambda leaf: leaf[0], seen[k].lanes.state)
+        resting[k] = rests(one, state, found[k].periods or LAPS)
+        resting[k] = resting[k]._replace(count=resting[k].count / (found[k].periods or LAPS))
+    return [found[k] for k in everyone.tolist()], resting
 
 
 def _some(tree, index):
@@ -141,8 +151,8 @@ def _orbits(pool, orbits, index):
     return {k: one for k, one in zip(index, rates, strict=True) if not one.repels}
 
 
-def _dataset(scene, name, values, state, found):
-    """The named result of the `Rates` of each value."""
+def _dataset(scene, name, values, state, found, resting):
+    """The named result of the `Rates` and the `Rests` of each value."""
     exponent, error, impacts, periods, status, count = (np.stack(part) for part in zip(*found, strict=True))
     coords = {
         name: (name, values, {"long_name": name}),
@@ -159,6 +169,8 @@ def _dataset(scene, name, values, state, found):
     variables = {
         "exponent": ([name, "order"], exponent, {"long_name": "Lyapunov exponents", **rate}),
         "error": ([name, "order"], error, {"long_name": "standard errors of the exponents", **rate}),
+        "rests": (name, [float(one.count) for one in resting], {"long_name": "comings to rest on a wall", **rate}),
+        "between": (name, [one.rate for one in resting], {"long_name": "largest growth between rests", **rate}),
         "impacts": (name, impacts[:, 0], {"long_name": "impacts", **rate}),
         "impacts_on": ([name, "wall"], impacts[:, 1:], {"long_name": "impacts on a wall", **rate}),
         "periods": (name, periods, {"long_name": "drive periods of the orbit, 0 where none was recognised"}),

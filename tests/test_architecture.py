@@ -13,7 +13,7 @@ ORDER = [
     *("whole", "sealed", "limits", "tables", "rules", "scenefile"),
     *("lanes", "blocks", "flow", "wall", "plunge", "contact", "path", "event", "impact", "frame", "leap", "flight"),
     *("log", "clearance", "entry", "journey", "state", "period", "taylor", "stay", "dwell", "replay", "slopes"),
-    *("strobe", "monodromy", "simulate"),
+    *("strobe", "monodromy", "simulate", "rest"),
     *("itinerary", "place", "section", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
     *("tangent", "spread", "rates", "growth", "spectrum"),
     *("meet", "cycle", "passes", "orbit", "solve", "shoot", "find", "free", "orbits"),

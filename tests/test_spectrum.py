@@ -15,6 +15,7 @@ from jaxvibro.growth import of_motion
 from jaxvibro.spread import standard_error
 from tests.reference import closed
 from tests.spectrum_proof import other
+from tests.test_rest import BY_HAND, NEAR, next_rest
 
 OMEGA, GAMMA = 2.1, 0.05
 LENGTH = 2 * np.pi / OMEGA
@@ -87,6 +88,17 @@ def test_a_mass_that_rests_forgets_all():
     chatter = jv.make_scene(0.3, 0.5, 0.1, 0.6, (None, -1.0))
     found = jv.spectrum(chatter, "amplitude", [0.3, 0.2], jv.State(-1.2, 0.3))
     assert np.isneginf(found.exponent).all() and (found.error == 0).all() and (found.status == 0).all()
+    assert (found.rests == 0).all() and np.isnan(found.between).all()  # pressed on all the time
+
+
+def test_the_rests_of_a_period_and_the_growth_between_them_are_told():
+    """Against the moment of rest by brute force (test_rest)."""
+    hopping = jv.make_scene(1.5, 0.5, 0.1, 0.6, (None, -1.0))
+    found = jv.spectrum(hopping, "amplitude", [0.3, 1.5], jv.State(-1.2, 0.0))
+    assert found.rests.values.tolist() == [0.0, 1.0] and np.isneginf(found.exponent).all()
+    growth, span = next_rest(*BY_HAND[0])
+    assert abs(float(found.between[1]) * span / (4 * np.pi) - np.log(growth)) < NEAR and found.between[1] > 0
+    assert found.between.attrs["units"] == found.rests.attrs["units"] == "per drive period"
 
 
 def test_no_wall_any_damping():
@@ -238,6 +250,12 @@ def test_a_picture_of_both_exponents():
     (shade,) = (one for one in ax.patches if one.get_label() == "_chaotic")
     assert (shade.get_x(), shade.get_width()) == (1.0, 4.0)
     assert len(ax.collections) == 2 and "A = F" in ax.get_xlabel() and "drive period" in ax.get_ylabel()
+    apart = drawn([[np.nan, np.nan], [0.2, -1.0], [-np.inf, -np.inf], [0.1, -np.inf], [0.1, -1.0]])
+    dots = [line for line in jv.plot.spectrum(apart, Figure().subplots()).lines if line.get_marker() == "o"]
+    assert [line.get_xydata().tolist() for line in dots] == [[[1.5, 0.2]], [[1.5, -1.0], [6.0, -1.0]]]
+    between = apart.assign(between=("amplitude", [np.nan, np.nan, 1.5, np.nan, np.nan]))
+    ax = jv.plot.spectrum(between, Figure().subplots())
+    assert ax.get_legend_handles_labels()[1][-1] == "growth between rests"
     doubtful = jv.plot.spectrum(drawn([[0.02, -1.0], [0.02, -1.0]], 0.01), Figure().subplots())
     assert not doubtful.patches
 

@@ -16,7 +16,8 @@ def spectrum(found, ax=None):
 
     Both exponents per drive period against the parameter, solid and dashed, with bands of two standard errors, which
     are seen where the errors are; a line at zero; grey behind the values where the first exponent is positive beyond
-    doubt. An exponent of -inf is a tick at the lower edge; where there is none, the line has a gap.
+    doubt. An exponent of -inf is a tick at the lower edge; where there is none, the line has a gap; a value that stands
+    alone is a dot. Open circles are the growth between rests of a mass that comes to rest.
     """
     ax, name = axes(ax), found.attrs["swept"]
     order = np.argsort(found[name].values, kind="stable")
@@ -30,12 +31,24 @@ def spectrum(found, ax=None):
         spread = np.where(np.isfinite(error[:, k]), BAND * error[:, k], 0.0)
         ax.fill_between(across, line - spread, line + spread, color=colour, alpha=PALE, linewidth=0)
         ax.plot(across, line, dashes, linewidth=width, color=colour, label=NAMES[k])
+        alone = _alone(np.isfinite(line))
+        if alone.any():
+            ax.plot(across[alone], line[alone], "o", markersize=3, color=colour, label="_alone")
         deep = across[np.isneginf(exponent[:, k])]
         ticks = {"linestyle": "none", "marker": "v", "markersize": 4, "color": colour, "clip_on": False}
         ax.plot(deep, np.zeros(len(deep)), transform=ax.get_xaxis_transform(), label="_-inf", **ticks)
+    if "between" in found and np.isfinite(found["between"]).any():
+        look = {"linestyle": "none", "marker": "o", "markersize": 4, "markerfacecolor": "none", "color": COLOURS[5]}
+        ax.plot(across, found["between"].values, label="growth between rests", **look)
     ax.set(xlabel=label(name), ylabel="Lyapunov exponents per drive period")
     ax.margins(x=0.01)
     return ax
+
+
+def _alone(finite):
+    """Which values have no neighbour to draw a line to."""
+    beside = np.pad(finite, 1)
+    return finite & ~beside[:-2] & ~beside[2:]
 
 
 def _ranges(across, holds):
