@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .style import COLOURS, WALL, axes, label
+from .style import COLOURS, WALL, axes, is_from, label
 
 SURE = 3.0  # standard errors by which the first exponent must exceed 0, for a value to be shaded as chaotic
 BAND = 2.0  # standard errors to either side
@@ -18,6 +18,7 @@ def spectrum(found, ax=None):
     are seen where the errors are; a line at zero; grey behind the values where the first exponent is positive beyond
     doubt. An exponent of -inf is a tick at the lower edge; where there is none, the line has a gap.
     """
+    is_from("spectrum", "spectrum", ("swept", "exponent", "error"), found)
     ax, name = axes(ax), found.attrs["swept"]
     order = np.argsort(found[name].values, kind="stable")
     found = found.isel({name: order})
