@@ -1,4 +1,4 @@
-"""Vibro-impact oscillators between rigid walls: exact flight, certified impacts, and the studies built on them."""
+"""Vibro-impact oscillators with rigid and soft walls: exact flight, certified impacts, studies built on them."""
 
 import sys
 from importlib import import_module

@@ -24,6 +24,7 @@ Join = tuple[float, list[float], list[float], list[float], int, float, float, fl
 Point = tuple[str, int, float, list[Join], list[bool]]  # a special point: kind, place, residual, joins, aside
 
 
+@check.host("use what was loaded before")
 def load_branch(path):
     """The `Branch` of a file that `Branch.save` wrote. Monitors and stops are not kept.
 

@@ -1,10 +1,12 @@
 """The rules for a scene: each broken one is a single line that names the key, the rule and the value."""
 
 import difflib
+from functools import wraps
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import get_opaque_trace_state
 
 from .gap import least_gap
 
@@ -55,6 +57,33 @@ def shown(value):
 def is_traced(*values):
     """True where any of the values is known only to a transformation (jit, vmap, grad)."""
     return any(isinstance(value, jax.core.Tracer) for value in values)
+
+
+def is_transformed():
+    """Whether this is called within a transformation (jit, vmap, grad), whatever it is called with."""
+    now = get_opaque_trace_state()
+    with jax.core.eval_context():
+        return now != get_opaque_trace_state()
+
+
+def host(instead):
+    """Decorates a function that runs on the host: under a transformation it says so at once, and what does it there.
+
+    Raises SceneError where an argument is traced, and within jit, vmap and grad where none is.
+    """
+
+    def decorated(function):
+        @wraps(function)
+        def called(*args, **named):
+            traced = [each for each in jax.tree.leaves((args, named)) if is_traced(each)]
+            if traced or is_transformed():
+                rule = "runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, " + instead
+                raise SceneError(function.__name__, rule, traced[0] if traced else "a call within one")
+            return function(*args, **named)
+
+        return called
+
+    return decorated
 
 
 def is_known(name, names, value):

@@ -11,7 +11,7 @@ import msgspec
 
 from .branch import Branch
 from .branchfile import branch_of
-from .check import SceneError, short
+from .check import SceneError, host, short
 from .scene import Scene
 from .sealed import MARKS, is_format, opened, sealed
 from .tables import SceneTable, table_of
@@ -112,6 +112,7 @@ class Index(msgspec.Struct):
     format: int = 1
 
 
+@host("use what was loaded before")
 def load_diagram(folder):
     """The `Diagram` of a folder that `Diagram.save` wrote.
 

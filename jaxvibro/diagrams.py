@@ -5,6 +5,7 @@ from .domain import values_of
 from .explore import asked, explored, settled_on
 
 
+@check.host("use strobe or monodromy")
 def diagrams(scene, name, bounds, third, values, max_period=8, seed=0, budget=None, largest_step=0.1, progress=None):
     """The periodic orbits along a parameter for each value of another: a tuple of `Diagram`, one a value.
 

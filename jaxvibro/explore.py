@@ -29,6 +29,7 @@ DONE = "all that was found has been followed"
 SPENT = "the budget of {} branches is spent"
 
 
+@check.host("use strobe or monodromy")
 def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None, largest_step=0.1, progress=None):
     """The periodic orbits of a scene along a parameter: a `Diagram`.
 

@@ -13,6 +13,7 @@ from .told import Spot
 from .track import together, tracked
 
 
+@check.host("use strobe or monodromy")
 def family(special, names, bounds, third, values, first_step=0.02, largest_step=0.1, tolerance=1e-12):
     """The loci of a special point for values of a third parameter: a tuple, for each value a `Locus` or None.
 

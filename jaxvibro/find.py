@@ -17,6 +17,7 @@ LONGEST = 32  # periods of an orbit whose period is not given
 SETTLED = 1e-3  # of the largest x and v: a return as near as this
 
 
+@check.host("use strobe or monodromy")
 def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
     """The periodic orbit that a state settles on, or, with settle=0, an orbit near it, stable or not: an `Orbit`.
 

@@ -23,6 +23,7 @@ SMALLEST = 1e-8  # step
 NO_ORBIT = 1e-6  # of the scene's length: a start with as large a residual is no orbit
 
 
+@check.host("use strobe or monodromy; sensitivity has derivatives of special points")
 def follow(
     orbit, name, bounds, direction="both", first_step=0.05, largest_step=0.1, tolerance=1e-10, monitors=(), stop=()
 ):

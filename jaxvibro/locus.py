@@ -121,6 +121,7 @@ class Locus:
         return "\n".join([columns(rows), *ends])
 
 
+@check.host("use strobe or monodromy")
 def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1e-12):
     """The curve of a special point in two parameters of its scene: a `Locus`.
 

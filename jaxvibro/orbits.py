@@ -30,6 +30,7 @@ MOST = 32  # impacts of an orbit
 SAME = 1e-7  # of the largest speed: two orbits as near are one
 
 
+@check.host("use strobe or monodromy")
 def find_orbits(scene, max_period=4, starts=200, seed=0):
     """The periodic orbits of a scene up to a number of drive periods, stable and unstable: a tuple of `Orbit`.
 

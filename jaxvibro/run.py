@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from . import report, scenefile
-from .check import SceneError
+from .check import SceneError, host
 from .data import dataset
 from .picture import loci, picture
 from .sealed import netcdf
@@ -28,6 +28,7 @@ class Done:
     table: str
 
 
+@host("use strobe or monodromy")
 def run(path, out="out", changes=(), force=False, progress=False):
     """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus] a picture of
     the loci too: `Done`.

@@ -6,7 +6,7 @@ from pathlib import Path
 import msgspec
 
 from . import tables
-from .check import SceneError, among
+from .check import SceneError, among, host
 from .limits import LARGEST, content, parsed
 from .rules import checked
 from .tables import SceneFile, table_of
@@ -44,6 +44,7 @@ def load_scene(path, dtype=None):
     return read(path).scene.make(dtype)
 
 
+@host("return the scene")
 def save_scene(scene, path, force=False):
     """Write a single scene to a scene file, from which `load_scene` reads the same numbers bit for bit.
 

@@ -42,6 +42,7 @@ class Held(NamedTuple):
         return float(self.z[-1])
 
 
+@check.host("use monodromy")
 def sensitivity(special, names):
     """How the value of a special point changes with other parameters of its scene: an array, a number for each name.
 

@@ -19,6 +19,7 @@ from .state import STATUS, check_start, real_state
 SLOTS = 1024
 
 
+@check.host("use strobe")
 def simulate(scene, state, periods=1, samples=200):
     """The trajectory of one state over whole drive periods, as an xarray.Dataset.
 

@@ -19,6 +19,7 @@ from .tangent import LAPS, begin
 FEW, MANY = 8, 64  # rounds after which most values have settled, and after which the others are averaged
 
 
+@check.host("use monodromy")
 def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, progress=None):
     """Both Lyapunov exponents per drive period of what a scene settles on, for many values of a parameter: a Dataset.
 

@@ -23,6 +23,7 @@ MEANING = {"flag_values": list(range(len(STATUS))), "flag_meanings": " ".join(ST
 UNITS = "lengths in that of the walls, time t in 1/w0"
 
 
+@check.host("use strobe")
 def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progress=None):
     """What a scene settles on as one of its parameters goes through values, in their order: an xarray.Dataset.
 

@@ -23,6 +23,7 @@ FIRST = 0.01  # step of a branch that leaves a point
 KINDS = ("SB", "BP", "PD", "GR")
 
 
+@check.host("use strobe or monodromy")
 def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1e-10, monitors=(), stop=()):
     """The branches that leave a special point besides the one it was found on: a tuple of `Branch`, each from the point
     on, to where it ends.
@@ -60,6 +61,7 @@ def left(special, start, bounds, **settings):
     return assembled(scene, special.name, bounds, settings, None, walked(along, begun, asked), start)
 
 
+@check.host("use strobe or monodromy")
 def extend(branch, bounds):
     """The branch with wider bounds, followed on from each end that had come to its bound: a `Branch`.
 

@@ -14,6 +14,7 @@ from .trail import KEEP, ends, trail
 LENGTH, SPEED = {"units": "length"}, {"units": "length w0"}
 
 
+@check.host("use return_map or strobe")
 def sections(scene, state, phase=0.0, periods=1000, settle=300):
     """A motion's points on Sigma, L and R: an xarray.Dataset.
 
