@@ -8,14 +8,14 @@ import xarray as xr
 from . import itinerary as words
 from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
 from .end import End
-from .meetings import is_symmetric
+from .meetings import is_same_orbit, is_symmetric, mirrored
 from .orbit import MARGIN, roots
 from .piece import Piece
 from .rows import joined, turned
-from .told import Spot, itinerary
+from .told import Spot, impacts, itinerary
 
 START = End.START.reason()
-SAME = 1e-6  # of speeds and times over the period: two orbits as near are one
+SAME = 1e-6  # of the largest speed: two impacts as near are one
 
 
 def assembled(scene, name, bounds, settings, back, on, start=START):
@@ -193,14 +193,5 @@ def _joined(way):
 
 def is_own_image(spot, frequency):
     """Whether an orbit is its own mirror image."""
-    period = 2.0 * np.pi / frequency
-    span = spot.periods * period
-    for shift in 0.5 * period + period * np.arange(spot.periods):
-        late = np.mod(spot.times + shift, span)
-        order, own = np.argsort(late), np.argsort(np.mod(spot.times, span))
-        apart = abs(late[order] - np.mod(spot.times, span)[own])
-        apart = np.minimum(apart, span - apart).max(initial=0.0) / period
-        alike = np.array_equal(-spot.sides[order], spot.sides[own])
-        if alike and apart < SAME and np.allclose(spot.speeds[order], spot.speeds[own], rtol=SAME, atol=SAME):
-            return True
-    return False
+    points = impacts(spot, frequency)
+    return is_same_orbit(points, mirrored(points), SAME)

@@ -155,4 +155,8 @@ def _doubled(special, along, z):
 def _grazing(special, along, z):
     """Each branch that leaves a grazing and is not one that the point was found on."""
     _, ways, _ = exits(along, z, scene_length(special.scene))
+    if len(ways) != len(special.aside):
+        raise check.SceneError(
+            "special", "must be a grazing that this version finds alike: follow its branch anew", special
+        )
     return [(way.along, way.point) for way, aside in zip(ways, special.aside, strict=True) if aside]

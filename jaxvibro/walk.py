@@ -6,11 +6,12 @@ import numpy as np
 
 from .end import End, Reason
 from .graze import scales
-from .image import is_repeated
+from .image import impacts, is_repeated
+from .meetings import is_same_orbit
 from .piece import Piece, piece
 
 MOST = 200  # pieces of a branch
-SAME = 1e-7  # two grazings as near are one
+SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
 SLOW = 1e-4  # of the scene's length per t: below, the flights between impacts are lost in rounding
 
 
@@ -30,8 +31,8 @@ def walked(along, start, asked):
         way = None
         if one.why is End.GRAZE:
             one, way = _onwards(one, scale)
-            here = _orbit(along, one.points.z[-1])
-            if any(len(each) == len(here) and abs(each - here).max() < SAME for each in met):
+            here = one.points.z[-1, -1], impacts(along, one.points.z[-1], asked.length)
+            if any(_is_met(here, each) for each in met):
                 one, way = one._replace(why=End.CLOSED), None
             elif is_repeated(along, one.points.z[-1]):
                 one, way = one._replace(why=End.HALVED), None
@@ -76,15 +77,9 @@ def _is_chatter(along, z, length):
     return bool(((speeds > 0) & (speeds < SLOW * length)).any())
 
 
-def _orbit(along, z):
-    """What tells an orbit from others, from whichever impact it is counted, and with a touch as an impact or not: the
-    speeds at each wall and the parameter; without impacts the state."""
-    rows = len(along.cycle.sides)
-    if not rows:
-        return np.array([0.0, *z])
-    speeds = z[rows : 2 * rows]
-    fast = [np.sort(speeds[(along.cycle.sides == side) & (speeds > 0)]) for side in (-1, 1)]
-    return np.concatenate([[len(fast[0]), z[-1]], *fast])
+def _is_met(here, other):
+    """Whether two grazings, (value, impacts) each, are one."""
+    return abs(here[0] - other[0]) < SAME and is_same_orbit(here[1], other[1], NEAR)
 
 
 def _reason(one):

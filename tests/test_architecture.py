@@ -17,7 +17,7 @@ ORDER = [
     *("itinerary", "place", "section", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
     *("tangent", "spread", "rates", "growth", "spectrum"),
     *("meet", "cycle", "passes", "orbit", "solve", "shoot", "find", "free", "orbits"),
-    *("ring", "along", "look", "rows", "end", "graze", "brush", "dips", "image", "monitor", "piece", "walk"),
+    *("ring", "along", "look", "rows", "end", "image", "graze", "brush", "dips", "monitor", "piece", "walk"),
     *("told", "branch", "branchfile", "domain", "assemble", "follow", "switch", "mirror", "peaks", "tree"),
     *("curve", "codim", "track", "outset", "sensitivity", "locus", "family", "loci", "coexistence"),
     *("diagram", "probe", "explore", "diagrams"),
