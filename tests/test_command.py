@@ -6,6 +6,7 @@ import os
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import matplotlib.pyplot as plt
@@ -60,7 +61,7 @@ def test_the_data_hold_sweep_attractors_and_job(done):
         np.testing.assert_array_equal(data["amplitude"].sel(leg="down"), np.linspace(6.0, 0.0, 5))
         assert (data["status"].values == 0).all()
         assert data["attractor_label"].values.tolist() == [one["label"] for one in told["attractors"]]
-        job = scenefile.tomllib.loads(data.attrs["job"])
+        job = tomllib.loads(data.attrs["job"])
     assert scenefile.understood(job) == scenefile.read(SCENE_FILE, QUICK)
 
 
