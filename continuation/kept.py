@@ -12,6 +12,7 @@ import os
 import shutil
 import sys
 import tempfile
+from contextlib import suppress
 from functools import lru_cache, partial, reduce, wraps
 from pathlib import Path
 
@@ -144,16 +145,15 @@ def _made(function, args, named, place):
 
 def _write(place, content):
     """A whole file or none: written beside its place and renamed into it."""
-    try:
+    with suppress(OSError):
         handle, part = tempfile.mkstemp(dir=place.parent)
         try:
             with os.fdopen(handle, "wb") as file:
                 file.write(hashlib.sha256(content).digest() + content)
             os.replace(part, place)
-        except OSError:
+        except BaseException:
             os.unlink(part)
-    except OSError:
-        pass
+            raise
 
 
 def _described(value):

@@ -1,4 +1,4 @@
-"""Vibro-impact oscillators between rigid walls: exact flight, certified impacts, and the studies built on them."""
+"""Vibro-impact oscillators with rigid and soft walls: exact flight, certified impacts, studies built on them."""
 
 import sys
 from importlib import import_module
@@ -19,6 +19,7 @@ _HOMES = {
     "contact_damping": "rebound",
     "load_scene": "scenefile",
     "save_scene": "scenefile",
+    "load_data": "sealed",
     "State": "state",
     "Impacts": "state",
     "strobe": "strobe",
@@ -35,7 +36,7 @@ _HOMES = {
     "switch": "switch",
     "extend": "switch",
     "Branch": "branch",
-    "load_branch": "branch",
+    "load_branch": "branchfile",
     "peaks": "peaks",
     "peak": "peaks",
     "sensitivity": "sensitivity",

@@ -1,45 +1,39 @@
 """From the pieces of a walk to a `Branch`: its data, segments and special points."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
 from . import itinerary as words
 from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
-from .meetings import is_symmetric
+from .end import End
+from .meetings import is_same_orbit, is_symmetric, mirrored
 from .orbit import MARGIN, roots
 from .piece import Piece
 from .rows import joined, turned
-from .told import Spot, itinerary
+from .told import Spot, impacts, itinerary
 
-SAME = 1e-6  # of speeds and times over the period: two orbits as near are one
-
-
-class Ends(NamedTuple):
-    """Why a branch ends, at its first and its last point."""
-
-    first: str
-    last: str
+START = End.START.reason()
+SAME = 1e-6  # of the largest speed: two impacts as near are one
 
 
-def assembled(scene, name, bounds, settings, back, on, start="the start"):
-    """The `Branch` of what was walked from a start backwards and onwards; either may be None. start: what that end is
-    told to be."""
+def assembled(scene, name, bounds, settings, back, on, start=START):
+    """The `Branch` of what was walked from a start backwards and onwards; either may be None. start: the `Reason` of
+    that end."""
     pieces = [_turned(one) for one in reversed(back.pieces)] if back else []
     if back and on:
         pieces[-1] = _glued(pieces[-1], on.pieces[0])
         pieces += on.pieces[1:]
     elif on:
         pieces = on.pieces
-    reasons = Ends(back.reason if back else start, on.reason if on else start)
+    ends, reasons = zip(back.reason if back else start, on.reason if on else start, strict=True)
     data, segments, special = _told(scene, name, bounds, pieces)
-    return Branch(name, bounds, scene, data, segments, special, tuple(reasons), settings)
+    return Branch(name, bounds, scene, data, segments, special, reasons, settings, ends)
 
 
 def merged(one, other):
-    """Two branches as one, the second beginning where the first ends."""
+    """Two branches as one, the second, of two points at least, beginning where the first ends."""
     shift = len(one) - 1
     widest = max(one.data.sizes["impact"], other.data.sizes["impact"])
     more = other.data.isel(point=slice(1, None))
@@ -47,15 +41,14 @@ def merged(one, other):
     data = xr.concat([_widened(one.data, widest), _widened(more, widest)], "point")
     moved = [replace(each, first=each.first + shift, last=each.last + shift) for each in other.segments]
     last = replace(one.segments[-1], last=moved[0].last)
-    ahead = [replace(each, place=each.place + shift) for each in other.special if each.place]
-    behind = [each for each in one.special if not (each.kind == "EP" and each.place == shift)]
+    special = (*one.special, *(replace(each, place=each.place + shift) for each in other.special))
     return replace(
-        other,
-        scene=one.scene,
+        one,
         data=data,
         segments=(*one.segments[:-1], last, *moved[1:]),
-        special=(*behind, *ahead),
+        special=tuple(each for each in special if each.kind != "EP" or each.place != shift),
         reasons=(one.reasons[0], other.reasons[1]),
+        ends=(one.ends[0], other.ends[1]),
     )
 
 
@@ -200,14 +193,5 @@ def _joined(way):
 
 def is_own_image(spot, frequency):
     """Whether an orbit is its own mirror image."""
-    period = 2.0 * np.pi / frequency
-    span = spot.periods * period
-    for shift in 0.5 * period + period * np.arange(spot.periods):
-        late = np.mod(spot.times + shift, span)
-        order, own = np.argsort(late), np.argsort(np.mod(spot.times, span))
-        apart = abs(late[order] - np.mod(spot.times, span)[own])
-        apart = np.minimum(apart, span - apart).max(initial=0.0) / period
-        alike = np.array_equal(-spot.sides[order], spot.sides[own])
-        if alike and apart < SAME and np.allclose(spot.speeds[order], spot.speeds[own], rtol=SAME, atol=SAME):
-            return True
-    return False
+    points = impacts(spot, frequency)
+    return is_same_orbit(points, mirrored(points), SAME)

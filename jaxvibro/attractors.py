@@ -53,6 +53,7 @@ class Attractor:
     rests: bool = False
 
 
+@check.host("use strobe")
 def find_attractors(scene, starts=200, seed=0, settle=300):
     """What a scene settles on: a tuple of `Attractor`, the largest share first, unresolved starts last.
 

@@ -13,6 +13,7 @@ PATIENCE = 2000  # drive periods after which a start is given up
 LENGTH, SPEED = {"units": "length of the walls"}, {"units": "length per t"}
 
 
+@check.host("use strobe")
 def basins(scene, x, v, phase=0.0, attractors=None, patience=PATIENCE, progress=None):
     """The basins of attraction on Sigma: an xarray.Dataset.
 

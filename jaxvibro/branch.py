@@ -3,7 +3,6 @@
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -12,8 +11,10 @@ import xarray as xr
 from . import __version__
 from . import itinerary as words
 from .check import SceneError
+from .end import End
 from .scene import Scene
-from .tables import SceneTable, table_of
+from .sealed import netcdf
+from .tables import table_of
 from .text import columns, pair
 from .told import Spot, itinerary, told
 from .whole import whole
@@ -91,7 +92,7 @@ class Branch:
 
     name: the parameter; bounds: of it; scene: at the start; data: an xarray.Dataset with a row a point, in order along
     the branch (see `jaxvibro.follow`); segments: stretches of one itinerary; special: special points in order; reasons:
-    why it ends, at its first and at its last point; settings: steps and tolerance.
+    why it ends, at its first and at its last point; settings: steps and tolerance; ends: the `End` of each reason.
     """
 
     name: str
@@ -102,6 +103,7 @@ class Branch:
     special: tuple[Special, ...]
     reasons: tuple[str, str]
     settings: dict
+    ends: tuple[End, End]
 
     def __repr__(self):
         values, kinds = self.values, " ".join(one.kind for one in self.special)
@@ -145,8 +147,15 @@ class Branch:
     def save(self, path, force=False):
         """Write the branch to a NetCDF file, from which `load_branch` reads the same numbers.
 
-        Raises FileExistsError where the file is there already, unless force is given.
+        Raises FileExistsError where the file is there already, unless force is given; OSError where it cannot be
+        written.
         """
+        with whole(path, force) as file:
+            file.write(self.content)
+
+    @property
+    def content(self):
+        """The bytes of the file that `save` writes."""
         known = [
             [one.kind, one.place, one.residual, [_plain(each) for each in one.joins], one.aside] for one in self.special
         ]
@@ -159,10 +168,10 @@ class Branch:
             "special": json.dumps(known),
             "segments": json.dumps([[one.first, one.last, one.label, one.itinerary] for one in self.segments]),
             "reasons": json.dumps(self.reasons),
+            "ends": json.dumps([one.name for one in self.ends]),
             "settings": json.dumps({key: self.settings[key] for key in NUMBERS}),
         }
-        with whole(path, force) as part:
-            part.write_bytes(self.data.assign_attrs(attrs).to_netcdf(engine="scipy"))
+        return netcdf(self.data.assign_attrs(attrs))
 
     def table(self):
         """The special points as a text, a line each, and why the branch ends."""
@@ -176,35 +185,8 @@ class Branch:
         return "\n".join([columns(rows), *ends])
 
 
-def load_branch(path):
-    """The `Branch` of a file that `Branch.save` wrote. Monitors and stops are not kept.
-
-    Raises SceneError where the file is no branch, OSError where it cannot be read.
-    """
-    told = Path(path).read_bytes()
-    try:
-        data = xr.load_dataset(told, engine="scipy")
-        attrs = data.attrs
-        name, bounds = attrs["parameter"], tuple(float(each) for each in attrs["bounds"])
-        scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
-        segments = tuple(Segment(*one[:3], tuple(one[3])) for one in json.loads(attrs["segments"]))
-        special = [
-            special_of(scene, name, bounds, place, row_of(data, place), kind, residual, map(_spot, joins), aside)
-            for kind, place, residual, joins, aside in json.loads(attrs["special"])
-        ]
-        reasons, settings = tuple(json.loads(attrs["reasons"])), json.loads(attrs["settings"])
-    except (KeyError, ValueError, TypeError, msgspec.MsgspecError) as error:
-        raise SceneError("path", f"must be a file of Branch.save ({error})", str(path)) from None
-    settings = settings | {"monitors": {}, "stop": ()}
-    return Branch(name, bounds, scene, data.assign_attrs(parameter=name), segments, tuple(special), reasons, settings)
-
-
 def _plain(spot):
     return [each.tolist() if isinstance(each, np.ndarray) else each for each in spot]
-
-
-def _spot(given):
-    return Spot(*(np.array(each, float) if isinstance(each, list) else each for each in given))
 
 
 def labels(special):

@@ -1,12 +1,17 @@
 """The rules for a scene: each broken one is a single line that names the key, the rule and the value."""
 
+import difflib
+from functools import wraps
+
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.extend.core import get_opaque_trace_state
 
 from .gap import least_gap
 
 HIGHEST_HARMONIC = 1000
+LONGEST = 300  # characters of a message
 
 
 class SceneError(ValueError):
@@ -19,7 +24,20 @@ class SceneError(ValueError):
 
     def __str__(self):
         place = "" if self.index is None else f" at index {self.index}"
-        return " ".join(f"{self.key}: {self.rule}; got {shown(self.value)}{place}".split())
+        end = f"; got {shown(self.value)}{place}"
+        return short(f"{short(self.key)}: {self.rule}", LONGEST - len(end)) + end
+
+
+def short(text, most=80):
+    """A text on one line of at most so many characters."""
+    line = " ".join(str(text)[: 100 * most].split())
+    return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
+def among(name, names):
+    """The end of a rule that a name breaks as it is none of these: the nearest of them, and all."""
+    near = difflib.get_close_matches(short(name), names, 1)
+    return f"{', perhaps ' + near[0] if near else ''} ({', '.join(names)})"
 
 
 def shown(value):
@@ -31,7 +49,9 @@ def shown(value):
         line = " ".join((str(value) if array else repr(value)).split())
     except ValueError:
         return "a whole number too long to show"
-    return line if len(line) <= 80 else line[:77] + "..."
+    except RecursionError:
+        return "a value too deep to show"
+    return short(line)
 
 
 def is_traced(*values):
@@ -39,10 +59,49 @@ def is_traced(*values):
     return any(isinstance(value, jax.core.Tracer) for value in values)
 
 
+def is_transformed():
+    """Whether this is called within a transformation (jit, vmap, grad), whatever it is called with."""
+    now = get_opaque_trace_state()
+    with jax.core.eval_context():
+        return now != get_opaque_trace_state()
+
+
+def host(instead):
+    """Decorates a function that runs on the host: under a transformation it says so at once, and what does it there.
+
+    Raises SceneError where an argument is traced, and within jit, vmap and grad where none is.
+    """
+
+    def decorated(function):
+        @wraps(function)
+        def called(*args, **named):
+            traced = [each for each in jax.tree.leaves((args, named)) if is_traced(each)]
+            if traced or is_transformed():
+                rule = "runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, " + instead
+                raise SceneError(function.__name__, rule, traced[0] if traced else "a call within one")
+            return function(*args, **named)
+
+        return called
+
+    return decorated
+
+
 def is_known(name, names, value):
     """Refuse a name that is none of these parameters."""
+    if not isinstance(name, str):
+        raise SceneError("name", f"must be a parameter of this scene ({', '.join(names)})", name)
     if name not in names:
-        raise SceneError(name, f"is not a parameter of this scene ({', '.join(names)})", value)
+        raise SceneError(name, f"is not a parameter of this scene{among(name, names)}", value)
+
+
+def sequence(key, names):
+    """Names as a tuple; a text is one name, not its letters."""
+    if isinstance(names, str):
+        return (names,)
+    try:
+        return tuple(names)
+    except TypeError:
+        raise SceneError(key, "must be a name or a sequence of names", names) from None
 
 
 def are_apart(*names):
@@ -72,10 +131,12 @@ def is_single(scene):
         raise SceneError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")
 
 
-def is_pair(walls):
-    """Refuse walls that are not two entries, left and right."""
-    if not isinstance(walls, tuple | list) or len(walls) != 2:
+def pair(walls):
+    """The walls as a tuple of two entries, left and right: of a tuple, a list or an array of two positions."""
+    array = hasattr(walls, "dtype") and np.shape(walls) == (2,)
+    if not array and (not isinstance(walls, tuple | list) or len(walls) != 2):
         raise SceneError("walls", "must be a pair (left, right), each a position, None or a Wall", walls)
+    return tuple(walls)
 
 
 def float_type(dtype):
@@ -111,6 +172,14 @@ def number(key, value, dtype):
     if not is_traced(array):
         require(key, "must be finite", array, np.isfinite(array))
     return array
+
+
+def quantity(key, value, dtype):
+    """Like `number`, for what a scene is made of: there a list is taken neither for a batch nor for the two walls'."""
+    if isinstance(value, list | tuple):
+        told = "what each wall has of its own is written walls=(Wall(...), Wall(...)), a batch np.array([...])"
+        raise SceneError(key, f"must be a number or an array, not a {type(value).__name__}: {told}", value)
+    return number(key, value, dtype)
 
 
 def _plain(value):

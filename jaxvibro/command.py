@@ -11,14 +11,17 @@ from . import __version__, cache, starter
 from .whole import whole
 
 BAD, INTERRUPTED = 2, 130
+LONGEST = 300  # characters of a complaint
 
 _RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
 periodic [orbits], stable and unstable; a [branch] of them is followed along a parameter, with the branches that leave
-it; a scene with none of these is followed from rest. Writes DIR/NAME.png, NAME.nc and NAME.txt, for a scene file
-NAME.toml."""
-_PAPER = """Recomputes figures 2 to 8 and 12 of Cheng and Xu (2007) and judges every claim of theirs by numbers. Writes
-DIR/report.html, DIR/report.md and, for each NAME, DIR/NAME.png and DIR/NAME.json. What an earlier run has done is kept:
-an interrupted one goes on where it stopped."""
+it, or all branches are found by themselves ([explore]); a [locus] follows their special points in two parameters; a
+scene with none of these is followed from rest. Walls are rigid or soft. Writes DIR/NAME.png, NAME.nc and NAME.txt, for
+a scene file NAME.toml, and with a [locus] NAME.loci.png. The tables [spectrum], [basins] and [panels] are for paper."""
+_PAPER = """Recomputes figures 2 to 12 of Cheng and Xu (2007), its formulas and what it says of one wall and of walls
+that move, and judges every claim by numbers. Writes DIR/report.html, DIR/report.md and, for each NAME, NAME.json (the
+claims) and, where there are such, NAME.png and NAME.nc. What an earlier run has done is kept: an interrupted one goes
+on where it stopped."""
 _SET = """another value for this run, both as in the scene file: --set sweep.count=201. The "scene." may go:
 --set amplitude=3. A text keeps its quotes: --set 'sweep.parameter="frequency"'. May be given more than once."""
 
@@ -50,7 +53,7 @@ def main(arguments=None):
 
 
 def _parser():
-    parser = _Parser("jaxvibro", description="Vibro-impact oscillators between rigid walls.", allow_abbrev=False)
+    parser = _Parser("jaxvibro", description="Vibro-impact oscillators with rigid and soft walls.", allow_abbrev=False)
     parser.add_argument("--version", action="version", version=__version__)
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
 
@@ -69,7 +72,7 @@ def _parser():
     run.set_defaults(does=_run)
 
     paper = commands.add_parser("paper", help="recompute the paper", description=_PAPER, allow_abbrev=False)
-    paper.add_argument("names", metavar="NAME", nargs="*", help="fig2 to fig8, fig12, walls, formulas; default: all")
+    paper.add_argument("names", metavar="NAME", nargs="*", help="fig2 to fig12, walls, formulas; default: all")
     paper.add_argument("--scenes", metavar="DIR", help="folder of the scene files; default: those of the package")
     paper.add_argument("--out", metavar="DIR", default="out/paper", help="folder to write into; default: out/paper")
     paper.add_argument("--force", action="store_true", help="compute again what is there already")
@@ -78,8 +81,8 @@ def _parser():
 
 
 def _init(given):
-    with whole(given.path, given.force) as part:
-        part.write_text(starter.SCENE, encoding="utf-8")
+    with whole(given.path, given.force) as file:
+        file.write(starter.SCENE.encode())
     print(f"wrote {given.path}; next: jaxvibro run {given.path}")
 
 
@@ -114,7 +117,7 @@ def _loaded(name):
 
 def _complaint(error):
     if error.strerror:
-        return f"{error.filename}: {error.strerror}" if error.filename else error.strerror
+        return f"{str(error.filename)[-LONGEST // 2 :]}: {error.strerror}" if error.filename else error.strerror
     return str(error)
 
 
@@ -124,4 +127,4 @@ def _told(message, code):
 
 
 def _line(text):
-    return " ".join(str(text).split())
+    return " ".join(str(text)[: 10 * LONGEST].split())[:LONGEST]

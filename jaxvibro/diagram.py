@@ -1,17 +1,26 @@
 """A whole diagram: the branches of a scene along a parameter, with what tells how far it was explored."""
 
+import hashlib
 import json
+import os
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from .branch import Branch, load_branch
-from .check import SceneError
+import msgspec
+
+from .branch import Branch
+from .branchfile import branch_of
+from .check import SceneError, host, short
 from .scene import Scene
+from .sealed import MARKS, is_format, opened, sealed
+from .tables import SceneTable, table_of
 from .text import columns
 from .tree import is_same
 from .whole import whole
 
 INDEX = "diagram.json"
+NAME = re.compile(r"branch_\d+(_[0-9a-f]{16})?\.nc")  # of a branch's file
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,31 +72,91 @@ class Diagram:
     def save(self, folder, force=False):
         """Write the diagram into a folder, a NetCDF file a branch and an index; `load_diagram` reads the same numbers.
 
-        Raises FileExistsError where the index is there already, unless force is given.
+        The branches' files bear their checksums in their names, so that those of a diagram that is there already stay
+        as they are until the index, written last, names the new ones. Raises FileExistsError where the index is there
+        already, unless force is given.
         """
         folder = Path(folder)
-        if not force and (folder / INDEX).exists():
-            raise FileExistsError(f"{folder / INDEX} is there already")
+        index = folder / INDEX
+        if not force and os.path.lexists(index):
+            raise FileExistsError(f"{index} is there already")
         folder.mkdir(parents=True, exist_ok=True)
-        files = [f"branch_{place:03d}.nc" for place in range(len(self))]
-        for name, one in zip(files, self.branches, strict=True):
-            one.save(folder / name, True)
+        before, files = _named(index), {}
+        for place, one in enumerate(self.branches):
+            content = one.content
+            digest = hashlib.sha256(content).hexdigest()
+            name = f"branch_{place:03d}_{digest[:16]}.nc"
+            with whole(folder / name, True) as file:
+                file.write(content)
+            files[name] = digest
         told = {key: getattr(self, key) for key in ("name", "bounds", "left", "complete", "reason", "settings")}
-        with whole(folder / INDEX, force) as part:
-            part.write_text(json.dumps(told | {"branches": files}, indent=1))
+        told |= {"scene": msgspec.toml.encode(table_of(self.scene)).decode(), "branches": files}
+        with whole(index, force) as file:
+            file.write(sealed(json.dumps(MARKS | told, indent=1).encode()))
+        for name in before - set(files):
+            (folder / name).unlink(missing_ok=True)
 
 
+class Index(msgspec.Struct):
+    """What the index of a diagram's folder says; branches: {file: its SHA-256}, a list of files in format 1, which had
+    no scene."""
+
+    name: str
+    bounds: tuple[float, float]
+    left: list[tuple[int, int]]
+    complete: bool
+    reason: str
+    settings: dict[str, int | float]
+    branches: dict[str, str] | list[str]
+    scene: str | None = None
+    format: int = 1
+
+
+@host("use what was loaded before")
 def load_diagram(folder):
     """The `Diagram` of a folder that `Diagram.save` wrote.
 
-    Raises SceneError where the folder holds none, OSError where it cannot be read.
+    A folder of before, without checksums, is read with a warning. Raises SceneError where the folder holds none or a
+    file is damaged, OSError where one cannot be read.
     """
-    told = (Path(folder) / INDEX).read_text()
+    path = Path(folder) / INDEX
+    index = opened(path, _index)
+    digests = index.branches if isinstance(index.branches, dict) else dict.fromkeys(index.branches)
+    branches = tuple(_branch(Path(folder) / Path(name).name, digest) for name, digest in digests.items())
     try:
-        told = json.loads(told)
-        branches = tuple(load_branch(Path(folder) / Path(name).name) for name in told["branches"])
-        left = tuple((int(k), int(j)) for k, j in told["left"])
-        plain = (told[key] for key in ("complete", "reason", "settings"))
-        return Diagram(told["name"], tuple(told["bounds"]), branches[0].scene, branches, left, *plain)
-    except (KeyError, ValueError, TypeError, IndexError) as error:
-        raise SceneError("folder", f"must be a folder of Diagram.save ({error})", str(folder)) from None
+        scene = branches[0].scene if index.scene is None else msgspec.toml.decode(index.scene, type=SceneTable).make()
+        left = tuple((k, j) for k, j in index.left if branches[k].special[j])
+        alike = all(one.name == index.name for one in branches)
+    except (LookupError, ValueError) as error:
+        raise _refused(error, path) from None
+    if not alike or min((one for pair in left for one in pair), default=0) < 0:
+        raise _refused("its branches are another's", path)
+    return Diagram(index.name, index.bounds, scene, branches, left, index.complete, index.reason, index.settings)
+
+
+def _index(content, path):
+    try:
+        index = msgspec.convert(json.loads(content), Index)
+    except (ValueError, RecursionError) as error:
+        raise _refused(error, path) from None
+    is_format(index.format, path)
+    return index
+
+
+def _refused(error, path):
+    return SceneError("folder", f"must be a folder of Diagram.save ({short(error)})", str(path.parent))
+
+
+def _named(index):
+    """The files of branches that an index names, none where there is none that can be read."""
+    try:
+        return set(filter(NAME.fullmatch, _index(index.read_bytes(), index).branches))
+    except (OSError, SceneError):
+        return set()
+
+
+def _branch(path, digest):
+    content = path.read_bytes()
+    if digest is not None and hashlib.sha256(content).hexdigest() != digest:
+        raise SceneError("path", "must be the file that the diagram was saved with", str(path))
+    return branch_of(content, path)

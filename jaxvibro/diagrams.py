@@ -5,6 +5,7 @@ from .domain import values_of
 from .explore import asked, explored, settled_on
 
 
+@check.host("use strobe or monodromy")
 def diagrams(scene, name, bounds, third, values, max_period=8, seed=0, budget=None, largest_step=0.1, progress=None):
     """The periodic orbits along a parameter for each value of another: a tuple of `Diagram`, one a value.
 
@@ -16,6 +17,7 @@ def diagrams(scene, name, bounds, third, values, max_period=8, seed=0, budget=No
     Raises SceneError for arguments that cannot be.
     """
     check.is_single(scene)
+    check.is_known(name, scene.names, name)
     values = values_of(scene, third, values)
     if third == name:
         raise check.SceneError("third", "must be another parameter than name", third)

@@ -9,6 +9,8 @@ from . import check
 from .path import swift
 from .scene import changed
 
+ROUNDING = 8.0 * np.finfo(float).eps  # of a value: as near are two equal
+
 
 def domain(scene, name):
     """(low, high): between them, ends left out where the walls would meet or the drive stand, the scene is one."""
@@ -69,7 +71,20 @@ def marked(scene, *names):
 
 def flat(names):
     """Names of parameters, those in tuples too, in a row."""
-    return [one for given in names for one in ((given,) if isinstance(given, str) else given)]
+    return [one for given in names for one in check.sequence("names", given)]
+
+
+def tied(scene, name):
+    """The value of a parameter, or of several that are one, a tuple of names.
+
+    Raises SceneError where their values differ: no number is then that of all.
+    """
+    values = {one: float(scene.parameter(one)) for one in check.sequence("names", name)}
+    low, high = min(values.values()), max(values.values())
+    if high - low > ROUNDING * max(abs(low), abs(high)):
+        rule = "in one tuple must have one value; for a common shift take the sum of what each gives alone"
+        raise check.SceneError("names", rule, values)
+    return low
 
 
 def scene_length(scene):

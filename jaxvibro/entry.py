@@ -1,5 +1,7 @@
 """How a given state begins its path: the rules for a start on a wall, and the starts that are refused."""
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 from jax import lax
 
@@ -8,17 +10,18 @@ from .contact import ENTERED, WITHIN, is_inside
 from .frame import is_valid
 from .lanes import choose, positive
 from .path import Motion, Path, motion
-from .wall import course, less
+from .wall import course, extent, less
 
 OK, FULL, CAP, INVALID, NONFINITE = range(5)
-WIDE = 0.4  # of the exponents: lengths whose squares and products stay finite
+WIDE = 0.4  # of the exponents: lengths whose squares and products stay finite, and are not lost
 
 
 def enter(frame, state, rules=is_valid):
     """(path, fault): a path with no time to go yet, and OK, INVALID or NONFINITE; rules: what the scene must keep.
 
     A start on a wall that moves into it stays free, so that its first event is that impact. One that moves away has
-    landed; one without speed is decided by the press, then by its change (`impact.settle`).
+    landed; one without speed is decided by the press, then by its change (`impact.settle`). A position or a speed whose
+    square would be lost is none.
     """
     cosine, sine = jnp.cos(state.phase), jnp.sin(state.phase)
     valid, finite = rules(frame)
@@ -26,8 +29,10 @@ def enter(frame, state, rules=is_valid):
         finite &= jnp.isfinite(number)
     largest = jnp.maximum(frame.size, jnp.maximum(abs(state.x), abs(state.v)))
     kind = jnp.finfo(largest.dtype)
-    finite &= (largest == 0) | ((largest > float(kind.tiny) ** WIDE) & (largest < float(kind.max) ** WIDE))
-    none = jnp.zeros_like(state.x)
+    small = float(kind.tiny) ** WIDE
+    finite &= (largest == 0) | ((largest > small) & (largest < float(kind.max) ** WIDE))
+    x, v = (choose(abs(each) > small, each, 0.0) for each in (state.x, state.v))
+    state, none = replace(state, x=x, v=v), jnp.zeros_like(state.x)
     cosine, sine = cosine + none, sine + none
     start = Motion(none, none, none, none, cosine, sine)
     path = Path(state.x + none, none, state.v + none, start, none, none, none)
@@ -57,7 +62,7 @@ def _at_soft_wall(frame, wall, place, path, given):
     pace = jnp.zeros_like(where) if speed is None else speed
     depth, closing = wall.sign * (path.x - where), wall.sign * (path.v - pace)
     eps = 2.0 * event.rounding(depth.dtype)
-    near = 0.0 if wall.swing is None else 4.0 * eps * abs(wall.swing)
+    near = _near(wall, depth)
     within, landed = given == WITHIN, given == impact.LANDED
     met = landed | (abs(depth) <= near) | (within & (depth <= 0))
     push, change = impact.surface(frame, path.x * 0.0 + wall.sign, path.cosine, path.sine)[2:]
@@ -85,7 +90,7 @@ def _at_wall(frame, wall, place, path, given):
     gap = wall.sign * ((where - path.x) + path.x_low)
     closing = wall.sign * less(path.v, speed)
     eps = 2.0 * event.rounding(gap.dtype)
-    near = jnp.zeros_like(gap) if wall.swing is None else 4.0 * eps * abs(wall.swing)
+    near = _near(wall, gap)
     loose = eps**0.5
     touching = given > 0
     met = ~touching & (abs(gap) <= near)
@@ -104,3 +109,8 @@ def _at_wall(frame, wall, place, path, given):
         v=choose(rests, still, path.v),
         contact=choose(on, kind, path.contact),
     ), fits
+
+
+def _near(wall, like):
+    """How far from a wall that moves a start is on it: where such a wall is comes rounded to whoever works it out."""
+    return jnp.zeros_like(like) if wall.swing is None else 8.0 * event.rounding(like.dtype) * extent(wall)

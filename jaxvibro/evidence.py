@@ -79,7 +79,7 @@ def read_orbit(scene, last, lanes, n, scale, told):
     """A periodic attractor from a trail of one lane on it, read from its least rotation on."""
     points, words = orbit_of(last, 0, n)
     after = words[1:] + words[:1]
-    turn = min(range(n), key=lambda k: (after[k:] + after[:k], *points[k]))
+    turn = itinerary.first(after, points)
     impacts = [part[-n:, 0] for part in (last.time, last.side, last.speed)]
     state = _state(last, turn - n)
     may = may_rest(scene, last.status, last.contact[-n:])
@@ -90,7 +90,7 @@ def read_orbit(scene, last, lanes, n, scale, told):
         "rests": resting.rests,
         "state": state,
         "periods": n,
-        "itinerary": after[turn:] + after[:turn],
+        "itinerary": itinerary.turned(after, turn),
         "points": np.roll(points, -turn, axis=0),
         "least_speed": _least_speed(*impacts[1:]),
     }

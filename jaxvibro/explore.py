@@ -9,26 +9,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from . import check
+from . import check, image
+from .along import there
 from .branch import row_of, spot_of
 from .diagram import Diagram
 from .domain import bounds_of, domain
 from .follow import brought, placed, settled, through
+from .meetings import is_same_orbit
 from .mirror import stays_symmetric
 from .probe import probes
 from .scene import Scene
 from .switch import FIRST
+from .told import impacts
 from .tree import Tree
 
 MOST = 400  # branches, where no budget is given
 NEAR = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
 SAME = 1e-12  # of a soft wall's numbers: as near is rounding
-ON = 1e-5  # of the largest speed: an orbit as near is on the branch
+ON = 1e-5  # of the largest speed: an orbit with impacts as near is on the branch
 PERIODS = 32  # the longest orbits
 DONE = "all that was found has been followed"
 SPENT = "the budget of {} branches is spent"
 
 
+@check.host("use strobe or monodromy")
 def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None, largest_step=0.1, progress=None):
     """The periodic orbits of a scene along a parameter: a `Diagram`.
 
@@ -172,11 +176,8 @@ def _settled_at(probe, along, z):
 
 
 def _is_orbit(probe, along, z):
-    rows, size, (_, _, speeds, sides, *_) = len(along.cycle.sides), ON * max(1.0, abs(probe.points).max()), probe.spot
-    if not rows:
-        return not len(speeds) and abs(z[:2] - probe.points[0]).max() < size
-    for side in (-1, 1):
-        here, there = z[rows : 2 * rows][along.cycle.sides == side], speeds[sides == side]
-        if len(here) != len(there) or abs(np.sort(here) - np.sort(there)).max(initial=0.0) > size:
-            return False
-    return True
+    if not len(along.cycle.sides):
+        return not len(probe.spot.times) and abs(z[:2] - probe.points[0]).max() < ON * max(1.0, abs(probe.points).max())
+    pace = probe.spot.speeds.max(initial=0.0)
+    theirs = impacts(probe.spot, float(there(along, z).frequency), pace)
+    return is_same_orbit(image.impacts(along, z, pace), theirs, ON)

@@ -4,14 +4,16 @@ import numpy as np
 
 from . import check
 from .domain import values_of
+from .end import End
 from .locus import locus_of
 from .mirror import stays_symmetric
 from .outset import Begun, backward, begun, impacts_of, named, outset
-from .piece import CLOSED, to_value
+from .piece import to_value
 from .told import Spot
 from .track import together, tracked
 
 
+@check.host("use strobe or monodromy")
 def family(special, names, bounds, third, values, first_step=0.02, largest_step=0.1, tolerance=1e-12):
     """The loci of a special point for values of a third parameter: a tuple, for each value a `Locus` or None.
 
@@ -37,7 +39,7 @@ def family(special, names, bounds, third, values, first_step=0.02, largest_step=
     ways = [outset(one, names, bounds, *steps) for one in starts]
     traced = together([each for way in ways for each in (way, backward(way))])
     both = zip(starts, ways, traced[::2], traced[1::2], strict=True)
-    loci = iter([locus_of(one, way, None if on.why == CLOSED else back, on) for one, way, on, back in both])
+    loci = iter([locus_of(one, way, None if on.why is End.CLOSED else back, on) for one, way, on, back in both])
     return tuple(None if one is None else next(loci) for one in found)
 
 

@@ -10,13 +10,14 @@ from .rest import may_rest
 from .shoot import by_state
 from .solve import by_impacts, guessed
 from .starts import box
-from .state import STATUS, State, real_state
+from .state import STATUS, State, check_start, real_state
 from .trail import KEEP, trail
 
 LONGEST = 32  # periods of an orbit whose period is not given
 SETTLED = 1e-3  # of the largest x and v: a return as near as this
 
 
+@check.host("use strobe or monodromy")
 def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
     """The periodic orbit that a state settles on, or, with settle=0, an orbit near it, stable or not: an `Orbit`.
 
@@ -31,6 +32,7 @@ def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
     """
     check.is_single(scene)
     state, settle = _lane(real_state(scene, state)), check.whole("settle", settle, 0)
+    check_start(scene, state)
     if itinerary is not None:
         itinerary = _checked(itinerary, periods)
         periods = len(itinerary)

@@ -11,9 +11,10 @@ from .along import Along, problem
 from .assemble import assembled
 from .cycle import Cycle
 from .domain import bounds_of, domain, marked, scene_length
+from .end import End
 from .graze import free_start, padded, scales
 from .orbit import Orbit, OrbitError
-from .piece import CLOSED, Asked
+from .piece import Asked
 from .told import Spot
 from .walk import walked
 
@@ -22,6 +23,7 @@ SMALLEST = 1e-8  # step
 NO_ORBIT = 1e-6  # of the scene's length: a start with as large a residual is no orbit
 
 
+@check.host("use strobe or monodromy; sensitivity has derivatives of special points")
 def follow(
     orbit, name, bounds, direction="both", first_step=0.05, largest_step=0.1, tolerance=1e-10, monitors=(), stop=()
 ):
@@ -61,7 +63,7 @@ def through(scene, name, bounds, start, direction, settings):
     asked = asking(scene, name, bounds, length, start, **settings)
     ahead = tangent(problem(along), z, scales(along, length), along)
     on = walked(along, point(z, ahead), asked) if direction != "backward" else None
-    closed = on is not None and on.pieces[-1].why == CLOSED
+    closed = on is not None and on.reason.end is End.CLOSED
     back = walked(along, point(z, -ahead), asked) if direction != "forward" and not closed else None
     return assembled(scene, name, bounds, settings, back, on)
 
@@ -124,9 +126,11 @@ def settled(first_step, largest_step, tolerance, monitors, stop):
     for key, value in settings.items():
         if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
             raise check.SceneError(key, "must be a positive number", value)
-    monitors = dict(monitors)
+    try:
+        monitors = dict(monitors)
+    except (TypeError, ValueError):
+        raise check.SceneError("monitors", "must be functions by their labels, {label: function}", monitors) from None
     for label, function in monitors.items():
         if not callable(function):
             raise check.SceneError(f"monitors.{label}", "must be a function of a point", function)
-    stop = (stop,) if isinstance(stop, str) else tuple(stop or ())
-    return settings | {"monitors": monitors, "stop": stop}
+    return settings | {"monitors": monitors, "stop": check.sequence("stop", stop or ())}

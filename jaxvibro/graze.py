@@ -19,6 +19,7 @@ from continuation.kept import kept
 from . import cycle, passes
 from .along import Along, cycle_at, problem, there
 from .frame import frame
+from .image import turns
 from .lanes import one_kernel
 from .look import Look, flight, looked
 
@@ -184,7 +185,7 @@ def wall_sides(scene):
 
 def each_choice(along, z, met, length):
     """What `leave` finds in both directions along the orbits of each itinerary that the touches give."""
-    for included in _choices(met):
+    for included in _distinct(along, z, met):
         new, start, out = with_touches(along, z, met, included)
         for sign in (1.0, -1.0):
             yield leave(new, start, out, sign, length, included)
@@ -218,6 +219,19 @@ def with_impacts(along, z, hits, rows=()):
 def recut(along, cycle, rows):
     """What is followed, with a cycle of some rows' impacts alone."""
     return along._replace(cycle=cycle)
+
+
+def _distinct(along, z, met):
+    """The choices of touches to be impacts: of those that are one orbit, counted from another period, the branch's own
+    or the first."""
+    own, kept = tuple(one.own for one in met), []
+    times = np.array([one.late + (z[one.row] if len(along.cycle.sides) else 0.0) for one in met])
+    places = turns(along, z, times, np.array([one.side for one in met]))
+    for included in _choices(met):
+        alike = [tuple(included[k] for k in row) for row in places]
+        if (included == own or own not in alike) and not any(one in kept for one in alike):
+            kept.append(included)
+    return kept
 
 
 def _choices(met):

@@ -2,6 +2,9 @@
 
 import numpy as np
 
+from .along import there
+from .meetings import meetings, times_round
+
 REPEATED = 1e-6  # times and speeds as near are one
 
 
@@ -30,14 +33,23 @@ def images(along, cycle, value, near):
 
 def is_repeated(along, z):
     """Whether an orbit, but for impacts without speed, is a shorter one, gone through more than once."""
-    rows, periods = len(along.cycle.sides), int(along.cycle.periods)
-    speeds, sides = z[rows : 2 * rows], np.asarray(along.cycle.sides)
-    hit = (sides != 0) & (speeds > REPEATED * speeds.max(initial=0.0))
-    turns = np.column_stack([np.diff(z[:rows][hit], append=np.inf), speeds[hit], sides[hit]])
-    count, near = len(turns), REPEATED * (1.0 + abs(turns[:-1]).max(initial=0.0))
-    for part in range(1, count):
-        if count % part == 0 and periods % (count // part) == 0:
-            apart = abs(np.roll(turns, part, axis=0) - turns)
-            if apart[np.isfinite(apart)].max(initial=0.0) < near:
-                return True
-    return False
+    return times_round(impacts(along, z), int(along.cycle.periods), REPEATED) > 1
+
+
+def turns(along, z, times, sides):
+    """Which of some touches each is when an orbit, repeated but for impacts without speed, has gone through the shorter
+    one so many times: (times round, touches), the first row being each itself."""
+    periods = int(along.cycle.periods)
+    rounds = times_round(impacts(along, z), periods, REPEATED)
+    span = periods * 2.0 * np.pi / float(there(along, z).frequency)
+    late = times - times[:, None] - span / rounds * np.arange(rounds)[:, None, None]
+    apart = abs(late - span * np.round(late / span)) + span * (sides != sides[:, None])
+    return apart.argmin(axis=2)
+
+
+def impacts(along, z, pace=None):
+    """The impacts of an orbit in order as points (`meetings`), speeds over a pace, or over the largest."""
+    rows = len(along.cycle.sides)
+    times, speeds = z[:rows], z[rows : 2 * rows]
+    pace = pace or speeds.max(initial=0.0) or 1.0
+    return meetings(float(there(along, z).frequency), times, along.cycle.sides, speeds, pace)

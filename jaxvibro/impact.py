@@ -14,6 +14,7 @@ from .wall import chosen, course, less, picked, press
 LANDED, STUCK, RELEASED = 1.0, 2.0, 5.0  # as a lane's contact, between them those of soft walls
 ENDLESS = -1.0  # the least speed of a chatter
 HOPS = 4.85  # 2 (1 + sqrt(2)), and for rounding
+NEAR = 0.25  # by what part of itself a speed may change up to the event: more, and it is rounding that is far from it
 
 
 class Strike(NamedTuple):
@@ -28,7 +29,10 @@ class Strike(NamedTuple):
 
 
 def late(frame, path, side):
-    """How much later than the end of a step its event is: one step of Halley's, from nearer than `event.landing`."""
+    """How much later than the end of a step its event is: one step of Halley's, from nearer than `event.landing`.
+
+    What is left to the event of a slow impact may be rounding, which is not to be divided by its speed: none.
+    """
     values = (frame.force, frame.frequency, frame.damping, path.cosine, path.sine)
     where, speed, bend = picked(side, frame.walls, [course(wall, values[1], *values[3:], 2) for wall in frame.walls])
     push, change = picked(side, frame.walls, [press(wall, *values, 1) for wall in frame.walls])
@@ -41,8 +45,9 @@ def late(frame, path, side):
     closing, bending = less(path.v, speed), less(pull, bend)
     stuck = lax.abs(path.contact) == STUCK
     time = choose(stuck, -push, (where - path.x) - path.x_low) / choose(stuck, change, closing)
-    time = time * choose(stuck, 1.0, 1.0 - 0.5 * bending * time / closing)
-    return choose(side != 0, time, 0.0)
+    turned = choose(stuck, time * frame.pace, bending * time / closing)
+    time = time * choose(stuck, 1.0, 1.0 - 0.5 * turned)
+    return choose((side != 0) & (lax.abs(turned) < NEAR), time, 0.0)
 
 
 def strike(frame, path, side, late):

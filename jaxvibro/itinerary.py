@@ -1,12 +1,14 @@
 """Itineraries: the walls hit, in order, a word of "L" and "R" for each drive period; labels P n p q; the mirror image.
 
 An itinerary is a tuple of words, one a period: ("LR",) or ("LRL", "R"). Orbits are compared cyclically: where along
-the orbit one starts to read does not matter.
+the orbit one starts to read does not matter. Written is one rotation, the `canonical`, whatever a solver began with.
 """
 
 import numpy as np
 
 LETTERS = {-1: "L", 1: "R"}
+NEAR = 1e-9  # of a drive period: as little after the section's phase is an impact at it
+DIGITS = 9  # of the largest number: as near are two states one
 _MIRROR = str.maketrans("LR", "RL")
 
 
@@ -26,6 +28,19 @@ def split(time, side, periods, length):
     slack = 8.0 * np.finfo(time.dtype).eps * periods  # so much may rounding put an impact beyond the end
     place = np.clip(np.ceil(time[hit] / length - slack).astype(int) - 1, 0, periods - 1)
     return tuple("".join(LETTERS[int(one)] for one in side[hit][place == k]) for k in range(periods))
+
+
+def around(time, side, periods, length):
+    """The canonical itinerary of a periodic orbit, of its impacts' times since the section's phase, in any order.
+
+    An impact at the section's phase belongs to the period that ends.
+    """
+    spare = NEAR * length
+    late = np.mod(np.asarray(time) - spare, periods * length)
+    order = np.argsort(late)
+    place = np.minimum(late[order] // length, periods - 1)
+    sides = np.asarray(side)[order]
+    return canonical(tuple("".join(LETTERS[int(one)] for one in sides[place == k]) for k in range(periods)))
 
 
 def label(itinerary, endless=""):
@@ -54,10 +69,22 @@ def least_turn(sequence):
     return min(range(len(sequence)), key=lambda k: sequence[k:] + sequence[:k], default=0)
 
 
+def turned(itinerary, turn):
+    """The itinerary, or other rows, from another of its periods on."""
+    return tuple(itinerary[turn:]) + tuple(itinerary[:turn])
+
+
 def canonical(itinerary):
     """The rotation, period by period, that comes first: equal for all starts along one orbit at one section."""
-    turn = least_turn(itinerary)
-    return tuple(itinerary[turn:]) + tuple(itinerary[:turn])
+    return turned(itinerary, least_turn(itinerary))
+
+
+def first(itinerary, points):
+    """How many periods to turn an orbit on by, so that its itinerary is `canonical`; where several rotations are, the
+    least state begins. points: x and v at the start of each period, (periods, 2)."""
+    size = abs(points).max() or 1.0
+    rows = [tuple(row) for row in (np.round(points / size, DIGITS) + 0.0).tolist()]
+    return min(range(len(rows)), key=lambda k: (turned(itinerary, k), turned(rows, k)))
 
 
 def same(one, other):

@@ -70,9 +70,11 @@ def run(frame, journey, cap, again=None):
         wait = stage(_waited, journey.wait, step.path.contact) if frame.soft else None
         journey = journey._replace(path=step.path, log=book, calls=calls, wait=wait)
         journey = again(journey) if again else journey
-        over = (journey.log.count >= cap.impacts) | (journey.log.steps > cap.steps)
-        rest = choose(over & (journey.path.rest > 0), CAPPED, journey.path.rest)
-        return journey._replace(path=journey.path._replace(rest=rest))
+        path = journey.path
+        over = ((journey.log.count >= cap.impacts) | (journey.log.steps > cap.steps)) & (path.rest > 0)
+        # with a low part left, the next step would round CAPPED to a time that has been used up
+        rest, low = choose(over, CAPPED, path.rest), choose(over, 0.0, path.rest_low)
+        return journey._replace(path=path._replace(rest=rest, rest_low=low))
 
     def leg(journey):
         slots, journey = journey.slots, journey._replace(slots=None)

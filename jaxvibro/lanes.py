@@ -85,8 +85,9 @@ def stage(function, *lanes, **static):
 def one_kernel(function, *lanes, **static):
     """function(*lanes), its loops compiled as one kernel in place of one launch for each operation.
 
-    Operands of one shape are handed over in one array: the emitter aborts on an operand that is a constant which a loop
-    outside starts from too. The function is one of a module, traced once for lanes of a kind.
+    Operands of one shape are handed over in one array, and given back: the emitter aborts on an operand that is a
+    constant which a loop outside starts from too, and on one that XLA finds to be of no use, such as a number that a
+    loop carries and no result needs. The function is one of a module, traced once for lanes of a kind.
     """
     call, operands = _trimmed(function, lanes, static)
     places = {}
@@ -99,11 +100,12 @@ def one_kernel(function, *lanes, **static):
             for row, place in enumerate(group):
                 given[place] = lax.index_in_dim(pack, row, keepdims=False)
         with set_xla_metadata(inlineable=None, xla_cpu_small_call=None):
-            return call(*given)
+            return call(*given), packs
 
     packs = [jnp.stack([operands[place] for place in group]) for group in places.values()]
     with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
-        return jax.jit(plain)(*packs)
+        results = jax.jit(plain)(*packs)
+    return lax.optimization_barrier(results)[0]  # jax would leave out what is given back and not used
 
 
 def _trimmed(function, lanes, static):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .branch import labels
-from .check import SceneError
+from .check import SceneError, sequence
 from .itinerary import mirrored, same
 from .locus import locus
 from .outset import KINDS
@@ -19,6 +19,7 @@ def loci(branches, names, bounds, kinds=KINDS, largest_step=0.1, progress=None):
     outside the bounds, and those that a locus found before leads through. progress: called with the points so far.
     """
     found, refused = [], []
+    kinds = sequence("kinds", kinds)
     begun = [one for branch in branches for one in branch.special if one.kind in kinds and _is_within(one, bounds)]
     for count, one in enumerate(begun, 1):
         if not any(leads_through(other, one) for other in found):
@@ -33,6 +34,7 @@ def loci(branches, names, bounds, kinds=KINDS, largest_step=0.1, progress=None):
 
 def count(branches, bounds, kinds=KINDS):
     """How many special points `loci` looks at."""
+    kinds = sequence("kinds", kinds)
     return sum(one.kind in kinds and _is_within(one, bounds) for branch in branches for one in branch.special)
 
 

@@ -10,9 +10,9 @@ import xarray as xr
 from . import check
 from . import itinerary as words
 from .branch import row_of
+from .end import End
 from .orbit import roots
 from .outset import backward, begun, impacts_of, outset
-from .piece import CLOSED
 from .rows import joined, turned
 from .scene import Scene, changed
 from .text import columns
@@ -121,6 +121,7 @@ class Locus:
         return "\n".join([columns(rows), *ends])
 
 
+@check.host("use strobe or monodromy")
 def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1e-12):
     """The curve of a special point in two parameters of its scene: a `Locus`.
 
@@ -140,7 +141,7 @@ def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1
     """
     way = outset(begun(special), names, bounds, first_step, largest_step, tolerance)
     on = tracked(*way)
-    back = None if on.why == CLOSED else tracked(*backward(way))
+    back = None if on.why is End.CLOSED else tracked(*backward(way))
     return locus_of(special, way, back, on)
 
 

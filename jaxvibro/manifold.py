@@ -18,6 +18,7 @@ KINDS = ("stable", "unstable")
 SAME = 1e-6  # of the scene's size: two points as near are one, and a point as near to a wall is on it
 
 
+@check.host("use strobe or monodromy")
 def manifold(orbit, kind, length=20.0, phase=None, spacing=0.01, angle=0.05, fastest=None, most=200_000):
     """The stable or the unstable manifold of a saddle on Sigma, both sides of each of its points: an xarray.Dataset.
 

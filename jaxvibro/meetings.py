@@ -1,6 +1,8 @@
-"""Orbits seen at the walls: each impact is a point (wall, phase, speed). Mirror images and equal sets are told there.
+"""Orbits seen at the walls: each impact is a point (wall, phase, speed). Whether two are one is told there.
 
-The mirror image of an orbit exchanges the walls and comes half a drive period later, with the same speeds.
+An impact tells the whole motion that follows. So orbits are the same where their impacts are, from whichever impact or
+period they are counted and however often they are gone through. The mirror image of an orbit exchanges the walls and
+comes half a drive period later, with the same speeds.
 """
 
 import numpy as np
@@ -54,15 +56,34 @@ def _swing(motion):
     return motion.harmonic, complex(motion.amplitude * np.exp(1j * float(motion.phase)))
 
 
-def is_same_orbit(points, others):
-    """Whether two periodic orbits have the same impacts: as many, each near one of the other's.
+def is_same_orbit(points, others, near=None):
+    """Whether two periodic orbits of a scene are one, or one several times the other: each impact is near one of the
+    other's, but for those without speed, which may be there or not. Without impacts there is one orbit.
 
-    Near is eps^(1/4): the phase of a slow impact is worse known than the orbit itself.
+    near: of two points; None is eps^(1/4), for orbits that starts have settled on.
     """
-    if len(points) != len(others):
-        return False
-    near = np.finfo(points.dtype).eps ** 0.25
-    return all(abs(others - point).max(axis=1).min() <= near for point in points)
+    near = np.finfo(points.dtype).eps ** 0.25 if near is None else near
+    points, others = (_weighed(each[each[:, -1] > near]) for each in (points, others))
+    if not len(points) or not len(others):
+        return len(points) == len(others)
+    apart = abs(points[:, None] - others).max(axis=-1)
+    return bool(max(apart.min(axis=0).max(), apart.min(axis=1).max()) <= near)
+
+
+def times_round(points, periods, near):
+    """How many times an orbit of so many drive periods, its impacts in order of travel, goes through a shorter one;
+    impacts without speed do not count. Without others it is the response to the drive, which has the drive's period."""
+    points = _weighed(points[points[:, -1] > near])
+    count = len(points)
+    if not count:
+        return periods
+    parts = (k for k in range(periods, 0, -1) if periods % k == 0 and count % k == 0)
+    return next((k for k in parts if abs(np.roll(points, count // k, axis=0) - points).max() <= near), 1)
+
+
+def _weighed(points):
+    """The points with phases that count by the speed where that is small: as much worse is the time of it known."""
+    return np.concatenate([points[:, :1], points[:, 1:3] * np.minimum(points[:, 3:], 1.0), points[:, 3:]], axis=1)
 
 
 def is_same_set(points, others):

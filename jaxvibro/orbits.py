@@ -14,7 +14,7 @@ from continuation import newton
 from . import check
 from .entry import CAP
 from .free import free_response
-from .meetings import is_symmetric, meetings, mirrored
+from .meetings import is_same_orbit, is_symmetric, meetings, mirrored
 from .orbit import OrbitError
 from .shoot import by_state
 from .solve import by_impacts, padded, solutions
@@ -30,6 +30,7 @@ MOST = 32  # impacts of an orbit
 SAME = 1e-7  # of the largest speed: two orbits as near are one
 
 
+@check.host("use strobe or monodromy")
 def find_orbits(scene, max_period=4, starts=200, seed=0):
     """The periodic orbits of a scene up to a number of drive periods, stable and unstable: a tuple of `Orbit`.
 
@@ -83,7 +84,7 @@ class _Known:
     def place(self, periods, hits):
         """The place of the orbit with these impacts, None where it is not known."""
         for place, (other, theirs) in enumerate(zip(self.orbits, self.hits, strict=True)):
-            if other.periods == periods and _is_same(hits, theirs):
+            if other.periods == periods and is_same_orbit(hits, theirs, SAME):
                 return place
         return None
 
@@ -105,12 +106,6 @@ class _Known:
 
 def _rank(orbit):
     return orbit.periods, len(orbit.label), orbit.label, orbit.itinerary, orbit.state.x
-
-
-def _is_same(hits, others):
-    if len(hits) != len(others):
-        return False
-    return all(abs(others - point).max(axis=1).min() <= SAME for point in hits)
 
 
 def _image(orbit):

@@ -14,7 +14,7 @@ from .assemble import is_own_image
 from .branch import Special
 from .curve import Grazing, Singular
 from .cycle import Cycle
-from .domain import bounds_of, domain, flat, marked, scene_length
+from .domain import bounds_of, domain, flat, marked, scene_length, tied
 from .follow import SMALLEST, placed, point, settled
 from .graze import TOUCH, padded, scales, touches
 from .mirror import stays_symmetric
@@ -77,10 +77,10 @@ def backward(way):
 def named(scene, names):
     """Two parameters of a scene by name. Raises SceneError."""
     pair = tuple(names) if isinstance(names, tuple | list) else ()
-    if len(pair) != 2 or pair[0] == pair[1]:
-        raise check.SceneError("names", "must be two different parameters of the scene", names)
     for name in pair:
         check.is_known(name, scene.names, name)
+    if len(pair) != 2 or pair[0] == pair[1]:
+        raise check.SceneError("names", "must be two different parameters of the scene", names)
     check.are_apart(*pair)
     return pair
 
@@ -90,7 +90,7 @@ def equations(start, names):
     that have one value. Raises SceneError."""
     scene, spot = start.scene, start.spot
     impacts = _impacts(start)
-    values = [float(scene.parameter(flat([name])[0])) for name in names]
+    values = [tied(scene, name) for name in names]
     numbered, which = marked(scene, *names)
     half = _is_half(start, impacts, names)
     if start.kind == "SB" and not half:

@@ -31,7 +31,7 @@ class Motion(NamedTuple):
 class Path(NamedTuple):
     """Where a lane is: x and its low part, v; the motion; the time to go and its low part; the contact.
 
-    A lane that was given up has CAPPED to go.
+    A lane that was given up has CAPPED to go, its low part 0.
 
     contact: 0 free; times the wall's sign: 1 has landed and leaves, 2 rests on the wall, 3 is within a soft wall, 4 has
     just entered it, 5 is released, no push on it. Within a wall x and v are counted from the wall's.

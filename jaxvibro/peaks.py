@@ -20,6 +20,7 @@ from .told import Spot
 ROUNDS = 6  # of false position: x at a turning point is right to the square of its time's error
 
 
+@check.host("use strobe")
 def peaks(branch):
     """The largest abs x on the orbit of each point of a `Branch`, (points,), in the scene's lengths."""
     if not isinstance(branch, Branch):
@@ -33,6 +34,7 @@ def peaks(branch):
     return found
 
 
+@check.host("use strobe")
 def peak(orbit):
     """The largest abs x on an `Orbit` of separate impacts, a number in the scene's lengths.
 

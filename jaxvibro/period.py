@@ -84,7 +84,8 @@ def finish(frame, told, state, fault):
     full = (book.count > slots.times.shape[-1]) | (book.least_speed < 0)
     status = choose(full, lax.full_like(book.count, FULL), OK)
     status = choose(path.rest == CAPPED, CAP, status)
-    status = choose(jnp.isfinite(x) & jnp.isfinite(v), status, NONFINITE)
+    finite = jnp.isfinite(x) & jnp.isfinite(v) & jnp.isfinite(path.cosine)
+    status = choose(finite, status, NONFINITE)
     status = choose(fault == OK, status, fault)
     good = status < CAP
     kind = choose(is_inside(path.contact), WITHIN, abs(jnp.sign(path.contact)))

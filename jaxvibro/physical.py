@@ -24,10 +24,10 @@ def scene_from_physical(mass, damping, stiffness, force, frequency, restitution,
     Raises SceneError for a quantity that breaks its rule; the scene itself is then checked as in `make_scene`.
     """
     kind = check.float_type(dtype)
-    check.is_pair(walls)
+    walls = check.pair(walls)
     given = {"mass": mass, "damping": damping, "stiffness": stiffness, "force": force, "frequency": frequency}
     given["length"] = _length(walls) if length is None else length
-    of = {key: check.number(key, value, kind) for key, value in given.items()}
+    of = {key: check.quantity(key, value, kind) for key, value in given.items()}
     check.shapes_agree(of.items())
     for key, value in of.items():
         check.obey(key, value)
@@ -59,8 +59,8 @@ def _scaled(side, wall, of, natural, kind):
         wall = Wall(wall)
     units = {"position": of["length"], "stiffness": of["stiffness"], "damping": 2 * of["mass"] * natural}
     given = {name: getattr(wall, name) for name in units if getattr(wall, name) is not None}
-    scaled = {name: check.number(f"{side}.{name}", value, kind) / units[name] for name, value in given.items()}
+    scaled = {name: check.quantity(f"{side}.{name}", value, kind) / units[name] for name, value in given.items()}
     if isinstance(wall.motion, Motion):
-        amplitude = check.number(f"{side}.motion.amplitude", wall.motion.amplitude, kind) / of["length"]
+        amplitude = check.quantity(f"{side}.motion.amplitude", wall.motion.amplitude, kind) / of["length"]
         scaled["motion"] = replace(wall.motion, amplitude=amplitude)
     return replace(wall, **scaled)

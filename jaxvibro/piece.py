@@ -11,6 +11,7 @@ from continuation.locate import Located
 from . import brush
 from .along import Along, problem
 from .dips import with_dips
+from .end import End
 from .graze import TOUCH, Touch, admissible, is_pressed, stilled, touched
 from .image import images, is_repeated
 from .look import Look, looked
@@ -20,8 +21,7 @@ from .rows import at, between, joined, put, upto
 MOST = 20_000  # points of a piece
 SMALLER = 0.25  # times the step that came to no point of the branch, to try again
 HALVES = 60  # of an interval in which a grazing is looked for
-BOUND, DOMAIN, CLOSED, STOPPED, STEP, GRAZE, REST, POINTS, NUMBER, HALVED, CHATTER = range(11)
-ENDS = {ON: None, OUT: BOUND, arclength.UNDERFLOW: STEP, arclength.NONFINITE: NUMBER}  # of a chunk of steps
+ENDS = {ON: None, OUT: End.BOUND, arclength.UNDERFLOW: End.STEP, arclength.NONFINITE: End.NUMBER}  # of some steps
 
 
 class Asked(NamedTuple):
@@ -52,13 +52,13 @@ class Mark(NamedTuple):
 
 
 class Piece(NamedTuple):
-    """along: its orbits; points, look: a row a point; marks: in order; why: the end, one of BOUND to CHATTER."""
+    """along: its orbits; points, look: a row a point; marks: in order; why: its `End`."""
 
     along: Along
     points: Point
     look: Look
     marks: tuple[Mark, ...]
-    why: int
+    why: End
 
 
 def piece(along, start, asked):
@@ -89,7 +89,7 @@ class _Part(NamedTuple):
     points: Point
     look: Look
     marks: tuple
-    why: int | None
+    why: End | None
     again: float | None
 
 
@@ -106,16 +106,16 @@ def _part(along, points, status, asked):
     jump, known = follow.jump(problem(along), upto(points, bad + 1), control, along)
     brushed, last = _to_brush(along, upto(points, bad if jump is None else jump), asked)
     if last:
-        points, why = brushed, GRAZE
+        points, why = brushed, End.GRAZE
     elif jump is not None:
         points, (why, again) = upto(points, jump), _retried(points.step[jump], control)
     elif bad < size:
         step = points.step[bad]
         points, last = _to_graze(along, points, look, bad, asked)
-        why, again = ({"GR": GRAZE, "CH": REST}[last[0].kind], None) if last else _retried(step, control)
+        why, again = ({"GR": End.GRAZE, "CH": End.REST}[last[0].kind], None) if last else _retried(step, control)
     loop = _met(along, points, asked)
     if loop is not None:
-        points, last, why = cut_at(along, points, *loop, control), [], CLOSED
+        points, last, why = cut_at(along, points, *loop, control), [], End.CLOSED
     if len(points.z) != size or last or loop is not None:
         look = looked(along, points.z)
     marks = _events(along, points, look, control, known, bool(last) and brush.is_singular(along, last[0]))
@@ -127,7 +127,7 @@ def _part(along, points, status, asked):
     stops = [one.place for one in placed if one.kind in asked.stop] + halved
     if stops:
         first = min(stops)
-        points, why = upto(points, first + 1), HALVED if first in halved else STOPPED
+        points, why = upto(points, first + 1), End.HALVED if first in halved else End.STOPPED
         placed = [one for one in placed if one.place <= first]
     return _Part(points, looked(along, points.z) if marks or stops else look, tuple(placed), why, again)
 
@@ -135,7 +135,7 @@ def _part(along, points, status, asked):
 def _retried(step, control):
     """(why, again) of a `_Part` where a step came to no point of the branch."""
     again = SMALLER * float(step)
-    return (STEP, None) if again < control.smallest else (None, again)
+    return (End.STEP, None) if again < control.smallest else (None, again)
 
 
 def _joined(along, parts):
@@ -144,7 +144,7 @@ def _joined(along, parts):
     for part in parts:
         marks += [one._replace(place=one.place + offset) for one in part.marks]
         offset += len(part.points.z) - 1
-    return Piece(along, points, look, tuple(marks), POINTS if parts[-1].why is None else parts[-1].why)
+    return Piece(along, points, look, tuple(marks), End.POINTS if parts[-1].why is None else parts[-1].why)
 
 
 def _to_graze(along, points, look, bad, asked):
@@ -258,8 +258,8 @@ def _to_bound(along, points, asked):
     control = asked.control
     value = control.low if points.z[-1, -1] < control.low else control.high
     points, there = to_value(along, points, len(points.z) - 1, -1, value, asked)
-    why = DOMAIN if value in asked.domain else BOUND
-    return points, why if there else STEP
+    why = End.DOMAIN if value in asked.domain else End.BOUND
+    return points, why if there else End.STEP
 
 
 def to_value(along, points, last, index, value, asked):

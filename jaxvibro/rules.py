@@ -5,7 +5,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from . import check
-from .scene import SIDES, Scene, changed, known
+from .scene import Scene, between, changed, known
 from .tables import KINDS, MOST_STATES
 
 
@@ -51,15 +51,15 @@ def _under(prefix):
 
 def _check_sweep(scene, sweep):
     _check_name("sweep.parameter", scene, sweep.parameter)
+    if sweep.count * sweep.keep * len(sweep.legs) > MOST_STATES:
+        rule = f"must keep at most {MOST_STATES:,} states: count times keep times the number of legs"
+        raise check.SceneError("sweep.keep", rule, sweep.keep)
     met = set()
     for place, leg in enumerate(sweep.legs):
         if leg.name in met:
             raise check.SceneError(f"sweep.legs[{place}].name", "must differ from the other legs' names", leg.name)
         met.add(leg.name)
         _check_leg(f"sweep.legs[{place}]", scene, sweep, leg)
-    if sweep.count * sweep.keep * len(sweep.legs) > MOST_STATES:
-        rule = f"must keep at most {MOST_STATES:,} states: count times keep times the number of legs"
-        raise check.SceneError("sweep.keep", rule, sweep.keep)
 
 
 def _check_leg(key, scene, sweep, leg):
@@ -87,7 +87,7 @@ def _check_basins(scene, asked):
     check.number("basins.phase", asked.phase, np.float64)
     with _under("basins.at."):
         scene = known(changed(scene, asked.at), np.float64)
-    low, high = _between(scene, asked.phase)
+    low, high = map(float, between(scene, asked.phase))
     if asked.x[0] < low or asked.x[1] > high:
         raise check.SceneError("basins.x", f"must lie between the walls, here at {low} and {high}", list(asked.x))
 
@@ -178,23 +178,12 @@ def _check_step(key, step):
 
 def _check_name(key, scene, name):
     if name not in scene.names:
-        raise check.SceneError(key, f"must be a parameter of the scene ({', '.join(scene.names)})", name)
+        raise check.SceneError(key, f"must be a parameter of the scene{check.among(name, scene.names)}", name)
 
 
 def _check_start(key, scene, start):
     for name in ("x", "v"):
         check.number(f"{key}.{name}", getattr(start, name), np.float64)
-    low, high = _between(scene, 0.0)
+    low, high = map(float, between(scene, 0.0))
     rule = f"must lie between the walls, here at {low} and {high}"
     check.require(f"{key}.x", rule, start.x, low <= start.x <= high)
-
-
-def _between(scene, phase):
-    """Where the walls are at a phase of the drive, infinitely far where there is none."""
-    places = [-np.inf, np.inf]
-    for k, wall in enumerate(getattr(scene, side) for side in SIDES):
-        if wall is not None:
-            move = wall.motion
-            swing = 0.0 if move is None else move.amplitude * np.cos(move.harmonic * phase + move.phase)
-            places[k] = float(wall.position + swing)
-    return tuple(places)

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from . import report, scenefile
-from .check import SceneError
+from .check import SceneError, host
 from .data import dataset
 from .picture import loci, picture
+from .sealed import netcdf
 from .study import study
 from .tables import SceneFile, SceneTable
-from .whole import whole
+from .whole import refuse_folder, whole
 
 ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}
 LOCI = {"loci": ".loci.png"}  # where they are asked for
@@ -27,6 +28,7 @@ class Done:
     table: str
 
 
+@host("use strobe or monodromy")
 def run(path, out="out", changes=(), force=False, progress=False):
     """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus] a picture of
     the loci too: `Done`.
@@ -50,7 +52,7 @@ def run(path, out="out", changes=(), force=False, progress=False):
     _refuse(path, out, files.values(), force)
     found = study(file, progress)
     table = report.table(found, path.name)
-    contents = {"picture": picture(found), "data": dataset(found).to_netcdf(engine="scipy"), "table": table.encode()}
+    contents = {"picture": picture(found), "data": netcdf(dataset(found)), "table": table.encode()}
     contents |= {"loci": loci(found)} if "loci" in files else {}
     _write({files[kind]: content for kind, content in contents.items()}, force)
     summary = report.summary(found, {kind: str(one) for kind, one in files.items()})
@@ -66,15 +68,11 @@ def _full(change):
 
 def _refuse(path, out, files, force):
     """Refuse what could not be written at the end."""
-    if not os.path.isdir(out) and os.path.lexists(out):
-        raise NotADirectoryError(f"out: {out} is no folder")
-    above = next(one for one in (out, *out.absolute().parents) if os.path.lexists(one))
-    if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
-        raise PermissionError(f"out: {above} cannot be written to")
+    refuse_folder(out)
     for one in files:
         if one.is_dir() or (one.exists() and one.samefile(path)):
             raise FileExistsError(f"out: {one} is in the way")
-        if one.exists() and not force:
+        if os.path.lexists(one) and not force:
             raise FileExistsError(f"out: {one} is there already; --force overwrites it")
 
 
@@ -83,4 +81,6 @@ def _write(contents, force):
     with ExitStack() as stack:
         for path, content in contents.items():
             path.parent.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(whole(path, force)).write_bytes(content)
+            file = stack.enter_context(whole(path, force))
+            file.write(content)
+            file.flush()

@@ -143,15 +143,15 @@ def make_scene(amplitude, frequency, damping, restitution, walls, dtype=None):
     """A checked scene.
 
     amplitude A, frequency omega > 0, damping gamma >= 0 (1 is critical), restitution 0 <= R <= 1: numbers or arrays
-    that broadcast together as a batch. walls: (left, right), each a position, None (no wall there) or a `Wall`.
+    that broadcast together as a batch; a list is refused. walls: (left, right), each a position, None (no wall there)
+    or a `Wall`, which may have a restitution of its own; or an array of two positions.
     Units: lengths in the unit of the walls, time in 1/w0, w0 the undamped natural frequency (paper, section 1).
     dtype: None is float64 and needs jax's jax_enable_x64; jnp.float32 asks for single precision.
 
     Raises SceneError, which names the argument, the rule and the first offending value. Under tracing only types and
     shapes are checked.
     """
-    check.is_pair(walls)
-    left, right = (_wall(side, wall) for side, wall in zip(SIDES, walls, strict=True))
+    left, right = (_wall(side, wall) for side, wall in zip(SIDES, check.pair(walls), strict=True))
     return _checked(Scene(amplitude, frequency, damping, restitution, left, right), dtype)
 
 
@@ -173,7 +173,7 @@ def changed(scene, changes):
 
 def _of_hardness(scene, value):
     if not check.is_traced(value):
-        value = check.number("hardness", value, np.float64)
+        value = check.quantity("hardness", value, np.float64)
     decades, walls = value - scene.parameter("hardness"), {}
     for side in scene.soft_sides:
         wall = getattr(scene, side)
@@ -200,7 +200,7 @@ def _numbers(scene, dtype):
     """The scene with every number an array of this type, refused where it is no finite real number."""
 
     def number(key, value):
-        return check.number(key, value, dtype)
+        return check.quantity(key, value, dtype)
 
     def moving(side, motion):
         if motion is None:
@@ -225,3 +225,15 @@ def _numbers(scene, dtype):
     if scene.harder is not None:
         plain["harder"] = number("harder", scene.harder)
     return Scene(**plain, left=standing("left", scene.left), right=standing("right", scene.right))
+
+
+def between(scene, phase):
+    """Where the walls of a known scene are at a phase of the drive, NumPy's: (left, right), infinite where there is
+    none."""
+    places = [-np.inf, np.inf]
+    for k, side in enumerate(SIDES):
+        if (wall := getattr(scene, side)) is not None:
+            move = wall.motion
+            swing = 0.0 if move is None else move.amplitude * np.cos(move.harmonic * np.asarray(phase) + move.phase)
+            places[k] = np.asarray(wall.position) + swing
+    return tuple(places)

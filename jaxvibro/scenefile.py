@@ -1,13 +1,13 @@
 """Scene files: TOML in, strictly, and TOML out."""
 
 import re
-import tomllib
 from pathlib import Path
 
 import msgspec
 
 from . import tables
-from .check import SceneError
+from .check import SceneError, among, host
+from .limits import LARGEST, content, parsed
 from .rules import checked
 from .tables import SceneFile, table_of
 from .whole import whole
@@ -44,6 +44,7 @@ def load_scene(path, dtype=None):
     return read(path).scene.make(dtype)
 
 
+@host("return the scene")
 def save_scene(scene, path, force=False):
     """Write a single scene to a scene file, from which `load_scene` reads the same numbers bit for bit.
 
@@ -57,11 +58,13 @@ def read(path, changes=()):
 
     Raises SceneError and OSError as `load_scene` does.
     """
-    name = Path(path).name
+    path = Path(path)
     try:
-        found = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        found = parsed(path.name, content(path).decode("utf-8-sig"))
+    except SceneError:
+        raise
     except (ValueError, RecursionError) as error:
-        raise SceneError(name, "must be a TOML file", str(error)) from None
+        raise SceneError(path.name, "must be a TOML file", str(error)) from None
     for change in changes:
         found = apply(found, change)
     return understood(found)
@@ -70,8 +73,8 @@ def read(path, changes=()):
 def dump(file, path, force=False):
     """Write a `SceneFile` to a file, whole or not at all. Raises FileExistsError unless force is given."""
     text = msgspec.toml.encode(file)
-    with whole(path, force) as part:
-        part.write_bytes(text)
+    with whole(path, force) as file:
+        file.write(text)
 
 
 def apply(found, change):
@@ -80,12 +83,17 @@ def apply(found, change):
     Key and value are TOML; a table is merged with the one that stands there, a list's entries go by number from 0.
     Raises SceneError where the change is no TOML; a key that no scene file has is refused by `understood`.
     """
+    key = change.split("=")[0].strip() or "change"
+    if len(change) > LARGEST:
+        raise SceneError(key, f"must be at most {LARGEST:,} characters long", "more")
     try:
-        new = tomllib.loads(change)
+        new = parsed(key, change)
+    except SceneError:
+        raise
     except (ValueError, RecursionError):
         new = {}
     if not new:
-        raise SceneError(change.split("=")[0].strip() or "change", "must be KEY=VALUE, the value as in TOML", change)
+        raise SceneError(key, "must be KEY=VALUE, the value as in TOML", change)
     return _merged(found, new)
 
 
@@ -112,7 +120,7 @@ def _refuse_unknown(kind, place, table):
     names = _KINDS[kind].__struct_encode_fields__
     for name, value in table.items():
         if name not in names:
-            raise SceneError(_joined(place, name), f"is not a key here ({', '.join(names)})", value)
+            raise SceneError(_joined(place, name), f"is not a key here{among(name, names)}", value)
         below, there = _joined(kind, name), _joined(place, name)
         entries = enumerate(value) if isinstance(value, list) else [(None, value)]
         for number, entry in entries:

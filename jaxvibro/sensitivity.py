@@ -42,11 +42,13 @@ class Held(NamedTuple):
         return float(self.z[-1])
 
 
+@check.host("use monodromy")
 def sensitivity(special, names):
     """How the value of a special point changes with other parameters of its scene: an array, a number for each name.
 
-    special: a `Special` of a branch, SN or GR; names: of parameters but the point's own; a tuple of names is one
-    parameter, of several that have one value and change together: ("left.damping", "right.damping").
+    special: a `Special` of a branch, SN or GR; names: of parameters but the point's own, one or a sequence; a tuple
+    among them is one parameter, of several that have one value and change together: [("left.damping",
+    "right.damping")]. Where their values differ, a common shift does what the single ones do, added.
 
     Raises SceneError for points of other kinds and names that cannot be.
     """
@@ -58,10 +60,11 @@ def held(special, names):
     start = begun(special)
     if start.kind not in KINDS:
         raise check.SceneError("special", f"must be a special point of kind {', '.join(KINDS)}", start.kind)
+    names = check.sequence("names", names)
     each = flat(names)
     for name in each:
         check.is_known(name, start.scene.names, name)
-    if not each or special.name in each or len(set(each)) < len(each):
+    if not all(map(len, names)) or not names or special.name in each or len(set(each)) < len(each):
         raise check.SceneError("names", f"must be different, one at least, and none {special.name}", names)
     check.are_apart(special.name, *each)
     curve, z = equations(start, (special.name, *names))

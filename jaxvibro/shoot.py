@@ -33,14 +33,15 @@ def by_state(scene, state, periods):
     least = next((n for n in range(1, periods) if periods % n == 0 and _near(points[n], points[0], scale)), periods)
     if least < periods:
         return by_state(scene, state, least)
-    length = 2.0 * np.pi / float(scene.frequency)
-    impacts = _joined([each for _, each in told], length)
-    itinerary = words.split(impacts.time, impacts.side, periods, length)
+    walls = tuple(words.words(each.side[None])[0] for _, each in told)
+    turn = words.first(walls, points[:-1])
+    state = told[turn - 1][0] if turn else state
+    impacts = _joined(words.turned([each for _, each in told], turn), 2.0 * np.pi / float(scene.frequency))
     roots = multipliers(float(np.trace(matrix)), float(np.linalg.det(matrix)))
     state = jax.tree.map(float, state)
     may = may_rest(scene, [each.status for _, each in told], [end.contact for end, _ in told])
     resting = rests(scene, state, periods) if may else NO_RESTS
-    return described(scene, state, impacts, itinerary, roots, float(abs(miss).max()), "state", resting)
+    return described(scene, state, impacts, words.turned(walls, turn), roots, float(abs(miss).max()), "state", resting)
 
 
 def _near(point, other, scale):

@@ -14,11 +14,12 @@ from .frame import frame
 from .lanes import choose
 from .path import CAPPED, absolute
 from .period import finish
-from .state import STATUS, real_state
+from .state import STATUS, check_start, real_state
 
 SLOTS = 1024
 
 
+@check.host("use strobe")
 def simulate(scene, state, periods=1, samples=200):
     """The trajectory of one state over whole drive periods, as an xarray.Dataset.
 
@@ -33,6 +34,7 @@ def simulate(scene, state, periods=1, samples=200):
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     if shape:
         raise check.SceneError("state", "must be one state in one scene, no batch", f"shape {shape}")
+    check_start(scene, state)
     x, v, angle, impacts = jax.device_get(_trace(scene, state, periods, samples))
     if impacts.status >= CAP or impacts.count > SLOTS:
         told = STATUS[impacts.status] if impacts.status else f"more than {SLOTS} impacts"

@@ -20,19 +20,21 @@ from .cycle import Cycle
 from .entry import OK
 from .frame import frame
 from .lanes import one_kernel
+from .meetings import meetings, times_round
 from .orbit import OrbitError, described, multipliers
 from .state import Impacts, State
-from .trail import trail
+from .trail import KEEP, trail
 
 NEAR = 1e-3  # of a drive period: so near an impact the section is moved
 ENDED = "start nearer to another orbit: this one may be on a branch that has ended by grazing"
 GUESSES = 64  # of the impacts, where only the itinerary is known
+SAME = 1e-8  # of 1 + the largest speed: two impacts as near are one
 TIMELY = 1e-6  # of a drive period: so well must a certified flight end at the impact
 
 
 class Solution(NamedTuple):
-    """A cycle after Newton's method, and what is known of it. start: (x, v) at the section; calls: clearance and time
-    of each flight's closest call to each wall; trace and determinant: of the monodromy matrix."""
+    """A cycle after Newton's method, and what is known of it. start: (x, v) at the section, of KEEP periods; calls:
+    clearance and time of each flight's closest call to each wall; trace and determinant: of the monodromy matrix."""
 
     cycle: Cycle
     solved: newton.Solved
@@ -53,7 +55,7 @@ def solution(scene, guess):
 def _measured(scene, found, solved):
     built = frame(scene)
     flown = cycle.flights(built, found)
-    start = tuple(each[0] for each in cycle.at(built, found, flown, jnp.zeros(1, found.times.dtype)))
+    start = cycle.at(built, found, flown, built.period * jnp.arange(KEEP, dtype=found.times.dtype))
     calls = passes.clearances(built, flown, passes.samples(built, flown))
     return Solution(found, solved, flown, start, calls, *cycle.invariants(built, flown, found.sides))
 
@@ -136,13 +138,16 @@ _known = kept(_measured)
 
 def _described(scene, found, count, length):
     times, speeds, sides, phase, periods = found.cycle[:5]
+    walls, points = words.split(times[:count], sides[:count], int(periods), length), np.stack(found.start, 1)
+    turn = words.first(walls, points[: int(periods)])
+    late = np.mod(times[:count] - turn * length, float(periods) * length)
+    order = np.argsort(late)
+    rows = late[order], sides[order].astype(np.int8), speeds[order]
     clear = float(found.calls[0][:count].min(initial=np.inf))
-    rows = times[:count], sides[:count].astype(np.int8), speeds[:count]
     impacts = Impacts(*rows, count, float(rows[2].min()), clear, OK)
-    itinerary = words.split(impacts.time, impacts.side, int(periods), length)
-    state = State(float(found.start[0]), float(found.start[1]), float(phase), 0.0)
+    state = State(*points[turn].tolist(), float(phase), 0.0)
     roots = multipliers(float(found.trace), float(found.determinant))
-    return described(scene, state, impacts, itinerary, roots, float(found.solved.residual), "impacts")
+    return described(scene, state, impacts, words.turned(walls, turn), roots, float(found.solved.residual), "impacts")
 
 
 def _refuse_unsolved(found):
@@ -153,31 +158,19 @@ def _refuse_unsolved(found):
 
 def _least_period(times, speeds, sides, periods, length):
     """The least number of periods after which these impacts come again."""
-    near = 1e-8
-
-    def again(least):
-        shift = len(times) * least // periods
-        late = np.roll(times, -shift) - times - least * length
-        late -= periods * length * np.round(late / (periods * length))
-        quicker = np.roll(speeds, -shift) - speeds
-        return (
-            np.array_equal(np.roll(sides, -shift), sides)
-            and np.all(abs(late) <= near * length)
-            and np.all(abs(quicker) <= near * (1.0 + speeds))
-        )
-
-    divisors = (n for n in range(1, periods) if periods % n == 0 and len(times) * n % periods == 0)
-    return next((n for n in divisors if again(n)), periods)
+    points = meetings(2.0 * np.pi / length, times, sides, speeds, 1.0 + speeds.max())
+    return periods // times_round(points, periods, SAME)
 
 
 def _section(times, length):
-    """How long after the section's phase the section is to be: 0 where no impact is near it."""
+    """How long after the section's phase the section is to be: 0 where no impact is near it, else the middle of the
+    widest gap, of equal ones that which comes first."""
     phases = np.sort(np.mod(times, length))
     if min(phases[0], length - phases[-1]) >= NEAR * length:
         return 0.0
     gaps = np.diff(phases, append=phases[0] + length)
-    widest = int(np.argmax(gaps))
-    return float(np.mod(phases[widest] + 0.5 * gaps[widest], length))
+    middles = np.mod(phases + 0.5 * gaps, length)
+    return float(middles[gaps >= gaps.max() - NEAR * length].min())
 
 
 def _refuse_passing(scene, found, count):

@@ -12,13 +12,14 @@ from .growth import of_motion, settled
 from .lanes import WIDTH
 from .rates import lost, of_orbits
 from .rest import NO_RESTS, rests
-from .state import real_state
-from .sweep import EQUATION, MEANING, UNITS, check_start, others, started, static
+from .state import check_start, real_state
+from .sweep import EQUATION, MEANING, UNITS, others, started, static
 from .tangent import LAPS, begin
 
 FEW, MANY = 8, 64  # rounds after which most values have settled, and after which the others are averaged
 
 
+@check.host("use monodromy")
 def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, progress=None):
     """Both Lyapunov exponents per drive period of what a scene settles on, for many values of a parameter: a Dataset.
 
@@ -67,7 +68,7 @@ def _checked(scene, name, values, state):
         raise check.SceneError(name, "must be a sequence of values, at least one", values)
     scenes = scene.replace(**{name: values})
     state = started(real_state(scene, state), scene.dtype, [(name, values)])
-    check_start(scenes, state)
+    check_start(scenes, state, "at each value")
     return values, state
 
 

@@ -21,6 +21,7 @@ position = -1.0
 [scene.right]
 position = 1.0
 # restitution = 0.6  # its own, in place of the scene's
+# stiffness = 400.0  # of a soft wall, which has no restitution; its damping is the scene's or its own: damping = 3.0
 
 # [scene.right.motion]   # position + amplitude cos(harmonic frequency t + phase)
 # amplitude = 0.1

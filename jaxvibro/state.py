@@ -4,8 +4,10 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from . import check
+from .scene import between
 
 STATUS = ("ok", "full", "cap", "invalid", "nonfinite")
 
@@ -61,3 +63,21 @@ def real_state(scene, state):
     ]
     check.shapes_agree(leaves)
     return State(*found)
+
+
+def check_start(scene, state, when="at its phase"):
+    """Refuse a known start that is not finite, or is free and beyond a rigid wall, before anything is compiled.
+
+    One in contact with a wall is that wall's. Raises SceneError.
+    """
+    for key in ("x", "v", "phase", "contact"):
+        value = np.asarray(getattr(state, key))
+        check.require(f"state.{key}", "must be finite", value, np.isfinite(value))
+    low, high = between(scene, state.phase)
+    low = -np.inf if scene.left is not None and scene.left.soft else low
+    high = np.inf if scene.right is not None and scene.right.soft else high
+    size = np.maximum(*(np.where(np.isfinite(place), abs(place), 0.0) for place in (low, high)))
+    slack = 8.0 * np.finfo(scene.dtype).eps * size
+    x = np.asarray(state.x)
+    inside = ((x >= low - slack) & (x <= high + slack)) | (np.asarray(state.contact) != 0)
+    check.require("state.x", f"must lie between the walls {when}", x, inside)

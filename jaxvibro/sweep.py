@@ -13,8 +13,8 @@ from continuation.kept import kept
 from . import check
 from .entry import CAP, OK
 from .lanes import OPTIONS
-from .place import SIGNS, fit, places
-from .state import STATUS, State
+from .place import fit
+from .state import STATUS, State, check_start
 from .strobe import strobe
 
 CHUNK = 16  # values between two reports of progress
@@ -23,6 +23,7 @@ MEANING = {"flag_values": list(range(len(STATUS))), "flag_meanings": " ".join(ST
 UNITS = "lengths in that of the walls, time t in 1/w0"
 
 
+@check.host("use strobe")
 def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progress=None):
     """What a scene settles on as one of its parameters goes through values, in their order: an xarray.Dataset.
 
@@ -62,7 +63,7 @@ def _checked(scene, name, values, state):
     aligned = values.reshape(values.shape[0], *[1] * spare, *values.shape[1:])
     scene.replace(**{name: aligned})
     state = started(state, scene.dtype, [("scene", np.empty(scene.shape)), (name, values[0])])
-    check_start(scene.replace(**{name: aligned[0]}), state)
+    check_start(scene.replace(**{name: aligned[0]}), state, "at the first value")
     return values, state
 
 
@@ -72,19 +73,6 @@ def started(state, dtype, beside):
     parts = [check.number(f"state.{key}", getattr(state, key), dtype) for key in keys]
     check.shapes_agree([*beside, *zip((f"state.{key}" for key in keys), parts, strict=True)])
     return State(*parts)
-
-
-def check_start(first, state):
-    """Refuse a free start beyond a rigid wall; one in contact with a wall is that wall's."""
-    (low, _), (high, _) = jax.tree.map(np.asarray, places(first, state.phase))
-    low, high = (
-        where + (0.0 if wall is None or not wall.soft else sign * np.inf)
-        for where, wall, sign in zip((low, high), (first.left, first.right), SIGNS, strict=True)
-    )
-    size = np.maximum(*(np.where(np.isfinite(place), abs(place), 0.0) for place in (low, high)))
-    slack = 8.0 * np.finfo(first.dtype).eps * size
-    inside = ((state.x >= low - slack) & (state.x <= high + slack)) | (state.contact != 0)
-    check.require("state.x", "must lie between the walls at the first value", state.x, inside)
 
 
 def _lanes(shape, scene, values, state):

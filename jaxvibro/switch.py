@@ -1,5 +1,7 @@
 """`switch`: the other branches that leave a special point; `extend`: a branch beyond its end."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from continuation import locate
@@ -8,10 +10,11 @@ from continuation.follow import tangent
 
 from . import check
 from .along import problem
-from .assemble import assembled, merged
+from .assemble import START, assembled, merged
 from .branch import Branch, Special, row_of, spot_of
 from .brush import exits
-from .domain import bounds_of, scene_length
+from .domain import bounds_of, domain, scene_length
+from .end import End, Reason
 from .follow import asking, placed, point, settled
 from .graze import padded, scales
 from .walk import walked
@@ -20,6 +23,7 @@ FIRST = 0.01  # step of a branch that leaves a point
 KINDS = ("SB", "BP", "PD", "GR")
 
 
+@check.host("use strobe or monodromy")
 def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1e-10, monitors=(), stop=()):
     """The branches that leave a special point besides the one it was found on: a tuple of `Branch`, each from the point
     on, to where it ends.
@@ -53,10 +57,11 @@ def left(special, start, bounds, **settings):
     """The `Branch` that leaves a special point by one of its `starts`."""
     (along, begun), scene = start, special.scene
     asked = asking(scene, special.name, bounds, scene_length(scene), (along, begun.z), **settings)
-    told = f"it left {special.kind} at {special.value:.12g}"
-    return assembled(scene, special.name, bounds, settings, None, walked(along, begun, asked), told)
+    start = End.LEFT.reason(special.value, special.kind)
+    return assembled(scene, special.name, bounds, settings, None, walked(along, begun, asked), start)
 
 
+@check.host("use strobe or monodromy")
 def extend(branch, bounds):
     """The branch with wider bounds, followed on from each end that had come to its bound: a `Branch`.
 
@@ -67,24 +72,43 @@ def extend(branch, bounds):
     wide = bounds_of(branch.scene, branch.name, bounds)
     if not (wide[0] <= branch.bounds[0] and branch.bounds[1] <= wide[1]):
         raise check.SceneError("bounds", f"must hold the branch's own, {branch.bounds}", bounds)
-    ends = ((0, -1.0), (len(branch) - 1, 1.0))
-    for place, sign in ends:
-        if "bound" in branch.reasons[place > 0] and not _is_at(branch, place, wide):
-            more = _onwards(branch, place if sign < 0 else len(branch) - 1, sign, wide)
-            branch = merged(more, branch) if sign < 0 else merged(branch, more)
-    return branch
+    for end in (0, -1):
+        value = branch.values[end]
+        if branch.ends[end] is not End.BOUND or value in wide:
+            continue
+        if value in domain(branch.scene, branch.name):
+            branch = _ending(branch, end, End.DOMAIN.reason(value))
+            continue
+        more = _onwards(branch, end, wide)
+        closes = more.ends[end] is End.CLOSED
+        if len(more) > 1:
+            branch = merged(branch, more) if end else merged(more, branch)
+        branch = _ending(branch, end, Reason(more.ends[end], more.reasons[end]))
+        if closes:  # it came to the other end
+            return _within(_ending(branch, -1 - end, START), wide)
+    return _within(branch, wide)
 
 
-def _is_at(branch, place, wide):
-    return branch.values[place] in wide
+def _ending(branch, end, reason):
+    """The branch with the `Reason` of one of its ends, 0 or -1."""
+    ends, reasons = list(branch.ends), list(branch.reasons)
+    ends[end], reasons[end] = reason
+    return replace(branch, ends=tuple(ends), reasons=tuple(reasons))
 
 
-def _onwards(branch, place, sign, bounds):
-    """The branch beyond one of its ends, from there on, or, at its first point, up to there."""
-    row = row_of(branch.data, place)
+def _within(branch, bounds):
+    """The branch as one within these bounds."""
+    return replace(branch, bounds=bounds, special=tuple(replace(one, bounds=bounds) for one in branch.special))
+
+
+def _onwards(branch, end, bounds):
+    """The branch beyond one of its ends, 0 or -1, from there on, or, at its first point, up to there. It closes where
+    it comes to the other end."""
+    row, sign = row_of(branch.data, end), 1.0 if end else -1.0
     spot = spot_of(row, branch.name)
     scene = branch.scene.replace(**{branch.name: spot.value})
     along, z = placed(scene, branch.name, spot)
+    other = placed(scene, branch.name, spot_of(row_of(branch.data, -1 - end), branch.name))
     count, rows = len(spot.times), len(along.cycle.sides)
     ahead = np.zeros(len(z))
     hit = row["side"] != 0
@@ -92,10 +116,10 @@ def _onwards(branch, place, sign, bounds):
         ahead[:count], ahead[rows : rows + count] = row["time_slope"][hit], row["speed_slope"][hit]
     ahead[-1] = row["value_slope"]
     start = point(z, tangent(problem(along), z, scales(along, scene_length(scene)), along, sign * ahead))
-    asked = asking(scene, branch.name, bounds, scene_length(scene), (along, z), **branch.settings)
+    asked = asking(scene, branch.name, bounds, scene_length(scene), other, **branch.settings)
     done = walked(along, start, asked)
     back, on = (done, None) if sign < 0 else (None, done)
-    return assembled(scene, branch.name, bounds, branch.settings, back, on)
+    return replace(assembled(scene, branch.name, bounds, branch.settings, back, on), scene=branch.scene)
 
 
 def _crossed(special, along, z):
@@ -131,4 +155,8 @@ def _doubled(special, along, z):
 def _grazing(special, along, z):
     """Each branch that leaves a grazing and is not one that the point was found on."""
     _, ways, _ = exits(along, z, scene_length(special.scene))
+    if len(ways) != len(special.aside):
+        raise check.SceneError(
+            "special", "must be a grazing that this version finds alike: follow its branch anew", special
+        )
     return [(way.along, way.point) for way, aside in zip(ways, special.aside, strict=True) if aside]

@@ -9,6 +9,7 @@ from . import check
 from .scene import Motion, Wall, make_scene
 
 MOST = 1_000_000
+MOST_LEGS = 1000
 MOST_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
 Count = Annotated[int, Meta(ge=1, le=MOST)]
 Settle = Annotated[int, Meta(ge=0, le=MOST)]
@@ -84,7 +85,7 @@ class SweepTable(Table, kw_only=True):
     count: Count
     settle: Settle = 300
     keep: Count = 100
-    legs: Annotated[list[LegTable], Meta(min_length=1)]
+    legs: Annotated[list[LegTable], Meta(min_length=1, max_length=MOST_LEGS)]
 
     def values(self, leg):
         """The parameter's values along a leg, in the order of the sweep: float64, shape (count,)."""

@@ -10,6 +10,7 @@ from .along import Along
 from .cycle import Cycle
 from .entry import OK
 from .look import looked
+from .meetings import meetings
 from .orbit import described, multipliers
 from .solve import by_section
 from .state import Impacts, State
@@ -31,10 +32,12 @@ class Spot(NamedTuple):
 
 def itinerary(spot, frequency):
     """The walls that a `Spot`'s orbit hits, a word a period."""
-    length = 2.0 * np.pi / frequency
-    late = np.mod(spot.times, spot.periods * length)
-    order = np.argsort(late)
-    return words.split(late[order], spot.sides[order].astype(int), spot.periods, length)
+    return words.around(spot.times, spot.sides, spot.periods, 2.0 * np.pi / frequency)
+
+
+def impacts(spot, frequency, pace=None):
+    """The impacts of a `Spot`'s orbit in order as points (`meetings`), speeds over a pace, or over the largest."""
+    return meetings(frequency, spot.times, spot.sides, spot.speeds, pace or spot.speeds.max(initial=0.0) or 1.0)
 
 
 def told(scene, spot):

@@ -11,33 +11,19 @@ from .along import problem
 from .codim import events
 from .curve import Grazing, Singular
 from .dips import with_dips
+from .end import End
 from .graze import admissible
 from .look import Look, looked
-from .piece import (
-    BOUND,
-    CLOSED,
-    DOMAIN,
-    ENDS,
-    GRAZE,
-    MOST,
-    POINTS,
-    STEP,
-    Mark,
-    cut_at,
-    inserted,
-    listed,
-    to_touch,
-    to_value,
-)
+from .piece import ENDS, MOST, Mark, cut_at, inserted, listed, to_touch, to_value
 from .rows import joined
 
 REASONS = {
-    BOUND: "{name} reached its bound {value:.12g}",
-    DOMAIN: "the domain of {name} ends at {value:.12g}",
-    CLOSED: "it closes: the locus came back to its start",
-    STEP: "the step became too small: Newton's method does not converge there",
-    GRAZE: "an impact loses its speed there, or a flight touches a wall",
-    POINTS: "it has too many points",
+    End.BOUND: "{name} reached its bound {value:.12g}",
+    End.DOMAIN: "the domain of {name} ends at {value:.12g}",
+    End.CLOSED: "it closes: the locus came back to its start",
+    End.STEP: "the step became too small: Newton's method does not converge there",
+    End.GRAZE: "an impact loses its speed there, or a flight touches a wall",
+    End.POINTS: "it has too many points",
 }
 
 
@@ -64,13 +50,13 @@ class Way(NamedTuple):
 
 
 class Tracked(NamedTuple):
-    """points, look: a row a point; marks: the special ones; reason: why it ends; why: the same, one of `piece`'s."""
+    """points, look: a row a point; marks: the special ones; reason: why it ends; why: the same, an `End`."""
 
     points: Point
     look: Look
     marks: tuple[Mark, ...]
     reason: str
-    why: int
+    why: End
 
 
 class _Part(NamedTuple):
@@ -130,8 +116,8 @@ def _joined(parts):
         marks += [each._replace(place=each.place + count) for each in one.marks]
         count += len(one.points.z) - 1
     points, look = joined([one.points for one in parts]), joined([one.look for one in parts])
-    why, name, value = parts[-1].end or (POINTS, "", 0.0)
-    return Tracked(points, look, tuple(marks), REASONS.get(why, REASONS[STEP]).format(name=name, value=value), why)
+    why, name, value = parts[-1].end or (End.POINTS, "", 0.0)
+    return Tracked(points, look, tuple(marks), REASONS.get(why, REASONS[End.STEP]).format(name=name, value=value), why)
 
 
 def _part(curve, points, status, asked, begun):
@@ -145,11 +131,11 @@ def _part(curve, points, status, asked, begun):
     last = []
     if not good.all():
         points, residual = to_touch(curve, points, look, int(np.argmin(good)), asked)
-        end = STEP if residual is None else GRAZE, "", 0.0
+        end = End.STEP if residual is None else End.GRAZE, "", 0.0
         last = [] if residual is None else [Mark(0, "GG" if isinstance(curve, Grazing) else "GR", residual)]
     loop = follow.passes_mark(problem(curve), points, [begun], asked.control, curve)
     if loop is not None:
-        points, last, end = cut_at(curve, points, *loop, asked.control), [], (CLOSED, "", 0.0)
+        points, last, end = cut_at(curve, points, *loop, asked.control), [], (End.CLOSED, "", 0.0)
     look, seen = look if points is seen else looked(curve, points.z), points
     points, marks = inserted(curve, points, listed(events(curve, points, look, asked.control)), asked.control)
     marks += [one._replace(place=len(points.z) - 1) for one in last]
@@ -175,6 +161,6 @@ def _within(curve, points, status, asked):
             last = int(np.argmax(outside))
             value = low if points.z[last, k] < low else high
             points, there = to_value(curve, points, last, k, value, asked)
-            why = (DOMAIN if value in asked.domain[k] else BOUND) if there else STEP
+            why = (End.DOMAIN if value in asked.domain[k] else End.BOUND) if there else End.STEP
             end = why, asked.names[k], value
     return points, end

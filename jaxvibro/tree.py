@@ -4,13 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
+from .branch import frequency_at
 from .follow import follow, placed
 from .image import is_repeated
+from .meetings import is_same_orbit
 from .mirror import mirrored, stays_symmetric
 from .switch import FIRST, left, starts
+from .told import impacts
 
 MOST = 64  # branches
-VALUE, SPEED = 1e-8, 1e-6  # two special points as near in the parameter and in the impacts' speeds are one
+VALUE, NEAR = 1e-8, 1e-6  # two special points as near in the parameter and in their impacts are one
 OWN = ("SN", "PD", "SB", "BP")  # points that are on one branch alone, or where one ends
 ASIDE = 1e-3  # along its tangent a branch is told from one of repeated orbits
 LEFT = ("SB", "BP", "PD")  # points that other branches leave; at a GR a branch goes on by itself
@@ -133,8 +136,10 @@ def _is_own_mirror(branch):
 
 
 def _reflected(point):
-    """A special point with the impacts on the other walls: enough to tell its mirror image."""
-    return replace(point, spot=point.spot._replace(sides=-point.spot.sides))
+    """A special point with the impacts on the other walls, half a period later: enough to tell its mirror image."""
+    spot = point.spot
+    half = np.pi / frequency_at(point.scene, point.name, point.value)
+    return replace(point, spot=spot._replace(times=spot.times + half, sides=-spot.sides))
 
 
 def is_same(one, other):
@@ -143,16 +148,9 @@ def is_same(one, other):
 
 
 def is_orbit(one, other, times=1):
-    """Whether the orbit of a special point, this many times round, is that of another, counted from any impact.
-
-    Compared are the speeds at each wall; an impact of a grazing, without speed, may be there or not.
-    """
+    """Whether the orbit of a special point, this many times round, is that of another."""
     if times * one.spot.periods != other.spot.periods or not np.isclose(one.value, other.value, VALUE, VALUE):
         return False
-    for side in (-1, 1):
-        here, there = (each.spot.speeds[each.spot.sides == side] for each in (one, other))
-        size = SPEED * max(here.max(initial=0.0), there.max(initial=0.0))
-        here, there = np.repeat(np.sort(here[here > size]), times), np.sort(there[there > size])
-        if len(here) != len(there) or not np.allclose(here, there, SPEED, size):
-            return False
-    return True
+    pace = max(each.spot.speeds.max(initial=0.0) for each in (one, other))
+    points = (impacts(each.spot, frequency_at(each.scene, each.name, each.value), pace) for each in (one, other))
+    return is_same_orbit(*points, NEAR)

@@ -8,12 +8,13 @@ from .carry import carried
 from .entry import CAP
 from .place import SIGNS, places
 from .scene import SIDES
-from .state import STATUS, State, real_state
+from .state import STATUS, State, check_start, real_state
 from .trail import KEEP, ends, trail
 
 LENGTH, SPEED = {"units": "length"}, {"units": "length w0"}
 
 
+@check.host("use return_map or strobe")
 def sections(scene, state, phase=0.0, periods=1000, settle=300):
     """A motion's points on Sigma, L and R: an xarray.Dataset.
 
@@ -32,6 +33,7 @@ def sections(scene, state, phase=0.0, periods=1000, settle=300):
     state = real_state(scene, state)
     if np.shape(state.x + state.v + state.phase + state.contact):
         raise check.SceneError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
+    check_start(scene, state)
     phase = check.number("phase", phase, np.float64)
     if phase.shape:
         raise check.SceneError("phase", "must be a number", phase)

@@ -4,25 +4,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .end import End, Reason
 from .graze import scales
-from .image import is_repeated
-from .piece import CHATTER, CLOSED, GRAZE, HALVED, STEP, Piece, piece
+from .image import impacts, is_repeated
+from .meetings import is_same_orbit
+from .piece import Piece, piece
 
-REASONS = (
-    "the parameter reached its bound {value:.12g}",
-    "the parameter's domain ends at {value:.12g}",
-    "it closes: the branch came back to an orbit met before, at {value:.12g}",
-    "stopped at {kind}, {value:.12g}",
-    "the step became too small at {value:.12g}: Newton's method does not converge there",
-    "grazing at {value:.12g}: no orbit with as many periods goes on from there",
-    "from {value:.12g} on the mass rests on a wall for a while",
-    "it has too many points, the last at {value:.12g}",
-    "a number is not finite after {value:.12g}",
-    "at {value:.12g} it is an orbit of a shorter period, repeated",
-    "at {value:.12g} another impact is as good as without speed: towards complete chatter there is no end of grazings",
-)
 MOST = 200  # pieces of a branch
-SAME = 1e-7  # two grazings as near are one
+SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
 SLOW = 1e-4  # of the scene's length per t: below, the flights between impacts are lost in rounding
 
 
@@ -30,7 +19,7 @@ class Walked(NamedTuple):
     """The pieces of a branch in one direction, and why it ends."""
 
     pieces: list[Piece]
-    reason: str
+    reason: Reason
 
 
 def walked(along, start, asked):
@@ -40,18 +29,20 @@ def walked(along, start, asked):
         scale = scales(along, asked.length)
         one = piece(along, start, asked._replace(control=asked.control._replace(scale=scale)))
         way = None
-        if one.why == GRAZE:
+        if one.why is End.GRAZE:
             one, way = _onwards(one, scale)
-            here = _orbit(along, one.points.z[-1])
-            if any(len(each) == len(here) and abs(each - here).max() < SAME for each in met):
-                one, way = one._replace(why=CLOSED), None
+            here = one.points.z[-1, -1], impacts(along, one.points.z[-1], asked.length)
+            if any(_is_met(here, each) for each in met):
+                one, way = one._replace(why=End.CLOSED), None
             elif is_repeated(along, one.points.z[-1]):
-                one, way = one._replace(why=HALVED), None
+                one, way = one._replace(why=End.HALVED), None
             elif _is_chatter(along, one.points.z[-1], asked.length):
-                one, way = one._replace(why=CHATTER), None
+                one, way = one._replace(why=End.CHATTER), None
             met.append(here)
+        if len(pieces) == MOST - 1 and way is not None:
+            one, way = one._replace(why=End.POINTS), None
         pieces.append(one)
-        if way is None or len(pieces) == MOST:
+        if way is None:
             return Walked(pieces, _reason(one))
         along, start = way.along, way.point
 
@@ -76,7 +67,7 @@ def _onwards(one, scale):
 
     chosen = max((way for way in mark.exits if not is_back(way)), key=exchanged, default=None)
     aside = tuple(not (way is chosen or is_back(way)) for way in mark.exits)
-    why = one.why if chosen or mark.sure else STEP
+    why = one.why if chosen or mark.sure else End.STEP
     return one._replace(marks=(*one.marks[:-1], mark._replace(aside=aside)), why=why), chosen
 
 
@@ -86,17 +77,11 @@ def _is_chatter(along, z, length):
     return bool(((speeds > 0) & (speeds < SLOW * length)).any())
 
 
-def _orbit(along, z):
-    """What tells an orbit from others, from whichever impact it is counted, and with a touch as an impact or not: the
-    speeds at each wall and the parameter; without impacts the state."""
-    rows = len(along.cycle.sides)
-    if not rows:
-        return np.array([0.0, *z])
-    speeds = z[rows : 2 * rows]
-    fast = [np.sort(speeds[(along.cycle.sides == side) & (speeds > 0)]) for side in (-1, 1)]
-    return np.concatenate([[len(fast[0]), z[-1]], *fast])
+def _is_met(here, other):
+    """Whether two grazings, (value, impacts) each, are one."""
+    return abs(here[0] - other[0]) < SAME and is_same_orbit(here[1], other[1], NEAR)
 
 
 def _reason(one):
     kind = one.marks[-1].kind if one.marks else ""
-    return REASONS[one.why].format(value=one.points.z[-1, -1], kind=kind)
+    return one.why.reason(one.points.z[-1, -1], kind)

@@ -29,7 +29,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.paper.closed import single_fold, symmetric_fold
+from jaxvibro.paper.closed import grazing, single_fold, symmetric_fold, symmetric_start
 
 jax.config.update("jax_enable_x64", True)
 OUT = Path("out")
@@ -39,8 +39,8 @@ OUT.mkdir(exist_ok=True)
 # ## Formulas
 #
 # A claim has what is printed, what was computed with an error bar, and a verdict that follows from these: a printed
-# number agrees if the computed one lies within half a unit of its last digit. "Printed" is as our copy reads, which is
-# a scan.
+# number agrees if the computed one lies within half a unit of its last digit, a claim in words holds if its number is
+# where the words say. "Printed" is as our copy reads, which is a scan. Rows marked "ours" are no claims of the paper.
 
 # %%
 report = jv.paper(["formulas"], OUT / "paper")
@@ -50,9 +50,9 @@ def show(claims):
     """A claim a line, and why where it is not right."""
     for one in claims:
         printed = f", printed {one.printed}" if one.printed else ""
-        print(f"{one.figure:12s} {one.text}{printed}")
+        print(f"{one.figure:12s} {'(ours) ' if one.ours else ''}{one.text}{printed}")
         print(f"{'':12s} computed {one.value:.12g} +- {one.error:.1g}: {one.verdict}")
-        if one.reason and one.verdict != "agrees to its digits":
+        if one.reason and not one.is_right:
             print(f"{'':12s} {one.reason}")
 
 
@@ -63,11 +63,12 @@ show(one for one in report.claims if one.figure.startswith("("))
 #
 # The paper gives the amplitude at which the symmetric P111 begins as the double root A_c of an equation for its impact
 # speed u. That is a saddle-node only where the double root has u > 0; a mass cannot arrive at a wall backwards. The
-# sign of u is that of sin(pi r / omega) with r = sqrt(1 - gamma^2), which the paper does not say.
+# sign of u is that of sin(pi r / omega) with r = sqrt(1 - gamma^2), which the paper does not say: above r, and again
+# from r / 3 to r / 2, from r / 5 to r / 4, ...
 
 # %%
 DAMPING, RESTITUTION = 0.05, 0.7
-frequencies = np.linspace(0.55, 2.6, 400)
+frequencies = np.linspace(0.2, 2.6, 800)
 folds, speeds = jax.vmap(symmetric_fold, (0, None, None))(frequencies, DAMPING, RESTITUTION)
 figure, (ax, below) = plt.subplots(2, 1, figsize=(6, 6), sharex=True, layout="constrained")
 ax.plot(frequencies, np.where(speeds > 0, folds, np.nan), color="#0072B2", label="$A_c$, a saddle-node")
@@ -95,6 +96,16 @@ for frequency, high in ((1.5, 3.0), (0.8, 0.6)):
     print(f"frequency {frequency}: A_c = {exact:.12f} with u = {speed:+.3f}; saddle-nodes of P111 found: {found}")
 
 # %% [markdown]
+# At frequency 0.4, in the first of the tongues below, P111 is there a little above A_c, where P100 has not yet grazed.
+
+# %%
+begin, speed = (float(one) for one in symmetric_fold(0.4, DAMPING, RESTITUTION))
+scene = jv.make_scene(begin + 1e-3, 0.4, DAMPING, RESTITUTION, (-1.0, 1.0))
+orbit = jv.find_orbit(scene, symmetric_start(scene), periods=1, settle=0)
+print(f"frequency 0.4: A_c = {begin:.6f} with u = {speed:+.3f}; P100 grazes at {float(grazing(0.4, DAMPING)):.6f}")
+print(f"    at A = {float(scene.amplitude):.6f} {orbit.label} is {'stable' if orbit.stable else 'unstable'}")
+
+# %% [markdown]
 # ## One wall
 #
 # With one wall the paper says that "the condition is the same". It has the same form, but a full period and the other
@@ -119,5 +130,6 @@ for frequency in (1.5, 0.55, 2.1):
 # | gamma = C / (M w0) | C / (2 M w0) |
 # | A_c = 1.334 at frequency 2.1, damping 0.05, restitution 0.7 | 0.508057896812 |
 # | P111 begins at A_c | where sin(pi r / omega) > 0; else at the grazing, without hysteresis |
+# | A_c and the grazing meet near frequency 1 | at r / m; hysteresis above r and in every second interval below |
 # | multipliers are eigenvalues of P | of M, the product of all P and Q |
 # | one wall: the condition is the same | sin(r T) < 0 in place of sin(r T / 2) > 0 |

@@ -21,29 +21,29 @@ COMMAND = [sys.executable, "-m", "jaxvibro", "paper", "--out"]
 def proof(times, seed):
     draw = np.random.default_rng(seed)
     with tempfile.TemporaryDirectory() as folder:
-        stopped, whole = (Path(folder) / name for name in ("stopped", "whole"))
+        begun, whole = (Path(folder) / name for name in ("stopped", "whole"))
         for count in range(times):
-            done = _stopped(stopped, draw.uniform(3.0, LONGEST), draw.choice([signal.SIGINT, signal.SIGKILL]))
-            print(f"stop {count + 1}: {done} figures done, files left over: {_left(stopped)}", flush=True)
-        for out in (stopped, whole):
+            stopped([*COMMAND, str(begun)], draw.uniform(3.0, LONGEST), draw.choice([signal.SIGINT, signal.SIGKILL]))
+            done = len(list(begun.glob("*.json")))
+            print(f"stop {count + 1}: {done} figures done, files left over: {_left(begun)}", flush=True)
+        for out in (begun, whole):
             began = time.perf_counter()
             subprocess.run([*COMMAND, str(out)], check=True, capture_output=True)
             print(f"{out.name}: {time.perf_counter() - began:.0f} s to the end", flush=True)
-        first, second = (_claims(out) for out in (stopped, whole))
+        first, second = (_claims(out) for out in (begun, whole))
         differ = [name for name in second if first.get(name) != second[name]]
         print(f"{len(second)} figures, {sum(map(len, second.values()))} claims; with other numbers: {differ or 'none'}")
 
 
-def _stopped(out, after, how):
-    """Begins it, stops it after some seconds: how many figures are there."""
+def stopped(command, after, how):
+    """Begins a command and stops it by a signal after some seconds."""
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    run = subprocess.Popen([*COMMAND, str(out)], preexec_fn=_heard, **quiet)
+    run = subprocess.Popen(command, preexec_fn=_heard, **quiet)
     try:
         run.wait(after)
     except subprocess.TimeoutExpired:
         run.send_signal(how)
         run.wait()
-    return len(list(out.glob("*.json")))
 
 
 def _heard():

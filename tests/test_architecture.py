@@ -9,15 +9,16 @@ ROOT = Path(__file__).parents[1]
 FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROOT / package).rglob("*.py"))
 # A file imports only from files named before it; `plot` and `paper` stand for all files of those folders.
 ORDER = [
-    *("gap", "text", "check", "rebound", "scene", "soften", "physical", "whole", "tables", "rules", "scenefile"),
+    *("gap", "text", "check", "rebound", "scene", "soften", "physical"),
+    *("whole", "sealed", "limits", "tables", "rules", "scenefile"),
     *("lanes", "blocks", "flow", "wall", "plunge", "contact", "path", "event", "impact", "frame", "leap", "flight"),
     *("log", "clearance", "entry", "journey", "state", "period", "taylor", "stay", "dwell", "replay", "slopes"),
     *("strobe", "monodromy", "simulate", "rest"),
     *("itinerary", "place", "section", "sweep", "starts", "trail", "exponent", "meetings", "recurrence", "settling"),
     *("tangent", "spread", "rates", "growth", "spectrum"),
     *("meet", "cycle", "passes", "orbit", "solve", "shoot", "find", "free", "orbits"),
-    *("ring", "along", "look", "rows", "graze", "brush", "dips", "image", "monitor", "piece", "walk"),
-    *("told", "branch", "domain", "assemble", "follow", "switch", "mirror", "peaks", "tree"),
+    *("ring", "along", "look", "rows", "end", "image", "graze", "brush", "dips", "monitor", "piece", "walk"),
+    *("told", "branch", "branchfile", "domain", "assemble", "follow", "switch", "mirror", "peaks", "tree"),
     *("curve", "codim", "track", "outset", "sensitivity", "locus", "family", "loci", "coexistence"),
     *("diagram", "probe", "explore", "diagrams"),
     *("share", "carry", "weak", "evidence", "tried", "attractors", "visits", "trap", "capture", "fractal", "basins"),

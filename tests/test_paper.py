@@ -7,15 +7,16 @@ import jax
 import mpmath as mp
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.integrate import quad
 
 import jaxvibro as jv
 from jaxvibro.command import main
-from jaxvibro.paper import closed, figures, run
-from jaxvibro.paper.claim import AGREES, DIFFERS, FALSE, OPEN, number, statement, told
+from jaxvibro.paper import closed, diagrams, figures, lasting, portraits, run, stepped
+from jaxvibro.paper.claim import AGREES, DIFFERS, FALSE, HOLDS, OPEN, judged, number, own, statement, told
 from jaxvibro.paper.hysteresis import apart
 from jaxvibro.paper.panels import Drawn, panels
-from jaxvibro.paper.report import page, rows
+from jaxvibro.paper.report import counts, page, rows, text
 from jaxvibro.scenefile import read, understood
 
 SCENES = run.ROOT.parent / "scenes"
@@ -44,10 +45,83 @@ def test_digits_cut_off_are_told():
 
 
 @pytest.mark.parametrize(
-    ("found", "verdict"), [((0.2, 0.1), AGREES), ((0.2, 0.3), OPEN), ((-0.2, 0.1), FALSE), ((math.nan, 0.0), FALSE)]
+    ("found", "verdict"), [((0.2, 0.1), HOLDS), ((0.2, 0.3), OPEN), ((-0.2, 0.1), FALSE), ((math.nan, 0.0), FALSE)]
 )
 def test_a_claim_in_words_holds_where_its_number_is_inside(found, verdict):
     assert statement("4", "chaos", found, low=0.0).verdict == verdict
+
+
+@pytest.mark.parametrize(
+    ("value", "low", "high", "verdict"),
+    [
+        (0.0, 1.0, math.inf, OPEN),
+        (1.0, 1.0, math.inf, HOLDS),
+        (0.0, -math.inf, 0.0, OPEN),
+        (1.0, -math.inf, 0.0, FALSE),
+        (4.0, 4.0, 4.0, OPEN),
+        (5.0, 4.0, 4.0, FALSE),
+        (math.nan, 0.0, 1.0, OPEN),
+    ],
+)
+def test_what_stays_unresolved_makes_a_verdict_undecided_where_it_could_change_it(value, low, high, verdict):
+    claim = statement("4", "so many", (value, 0.0), low, high, more=math.inf)
+    assert claim.verdict == verdict and judged(claim).endswith(", perhaps more")
+
+
+def attractor(kind, exponent, label="P111", share=0.5):
+    found = jv.attractors.Attractor(
+        label, kind, share, jv.State(0.1, 0.2, 0.0, 0.0), 1, (), None, 1.0, exponent, None, ""
+    )
+    return found
+
+
+@pytest.mark.parametrize(
+    ("kinds", "exponents", "verdict"),
+    [
+        (("periodic", "chaotic"), (-0.5, 0.1), HOLDS),
+        (("periodic", "unresolved"), (-0.5, 0.1), HOLDS),
+        (("periodic", "unresolved"), (-0.5, -0.1), OPEN),
+        (("periodic", "periodic"), (-0.5, -0.1), FALSE),
+        (("unresolved",), (math.nan,), OPEN),
+    ],
+)
+def test_chaos_is_judged_by_all_that_lasts(monkeypatch, kinds, exponents, verdict):
+    found = [attractor(kind, exponent) for kind, exponent in zip(kinds, exponents, strict=True)]
+
+    def spectrum(scene, name, values, state, **asked):
+        assert len(values) == len(found) and np.shape(state.x) == (len(found),)
+        pairs = {
+            key: ([name, "order"], np.array(rows))
+            for key, rows in (("exponent", [[one, -1.0] for one in exponents]), ("error", [[1e-3, 1e-3]] * len(found)))
+        }
+        return xr.Dataset(pairs)
+
+    monkeypatch.setattr(diagrams, "find_attractors", lambda scene, starts: found)
+    monkeypatch.setattr(lasting, "spectrum", spectrum)
+    monkeypatch.setattr(diagrams, "onset", lambda scene, low, high: (4.98, 0.02, 8, 0.2))
+    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    there, begins = diagrams._chaos("4", scene, "5.24", 3.4)
+    assert there.verdict == verdict
+    assert begins.verdict == DIFFERS and "4.98" in begins.reason
+
+
+@pytest.mark.parametrize(("label", "verdict"), [("P112", HOLDS), ("P121", HOLDS), ("P223", OPEN)])
+def test_a_motion_that_is_not_found_may_be_among_unresolved_starts(label, verdict):
+    scene = jv.make_scene(5.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    motions = [attractor("periodic", -0.1, label)]
+    assert portraits._there(3, scene, motions, math.inf).verdict == verdict
+    assert portraits._there(3, scene, motions, 0.0).verdict == (HOLDS if verdict == HOLDS else FALSE)
+
+
+def test_our_own_rows_stand_apart():
+    claims = [number("4", "SN1", "0.5", (0.51, 0.0)), own("8", "the sum", (0.0, 0.0), high=1.0)]
+    assert [one.ours for one in claims] == [False, True]
+    drawn = Drawn(None, "", tuple(claims))
+    for told_all in (page([("x", drawn)]), text([("x", None, drawn)])):
+        theirs, ours = told_all.split("Our own rows")[0], told_all.split("Our own rows", 1)[1]
+        assert "SN1" in theirs and "SN1" not in ours
+        assert "the sum" in ours and "the sum" not in theirs
+    assert counts(claims) == f"The paper's claims: 1 ({AGREES}: 1). Our own rows: 1 ({HOLDS}: 1)."
 
 
 def test_values_are_told_to_the_digits_that_they_bear():
@@ -82,6 +156,36 @@ def test_closed_forms_are_those_of_thirty_digits(seed):
     for n, expected in zip((1, 3), single, strict=True):
         found = closed.single_fold(w, damping, bounce, place, n)
         assert found == pytest.approx([float(one) for one in expected], rel=1e-11)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_closed_forms_motion_is_an_orbit_in_every_tongue(seed):
+    draw = np.random.default_rng(seed)
+    damping, bounce, share = draw.uniform([0.01, 0.4, 0.2], [0.2, 0.9, 0.8])
+    tongue = seed % 3  # 0: above r; k: from r / (2 k + 1) to r / (2 k)
+    root = math.sqrt(1 - damping**2)
+    low, high = (root, 2.5) if tongue == 0 else (root / (2 * tongue + 1), root / (2 * tongue))
+    w = low + share * (high - low)
+    begin, speed = (float(one) for one in closed.symmetric_fold(w, damping, bounce))
+    end = float(closed.grazing(w, damping))
+    assert speed > 0 and begin < end and math.sin(math.pi * root / w) > 0
+    scene = jv.make_scene(begin + 0.03 * (end - begin), w, damping, bounce, (-1.0, 1.0))  # it may graze further on
+    start = closed.symmetric_start(scene)
+    _, impacts = jv.strobe(scene, start)  # its mirror image after half a period
+    side, time, speed = (np.asarray(part)[0] for part in (impacts.side, impacts.time, impacts.speed))
+    assert side == -1 and time == pytest.approx(math.pi / w, rel=1e-9) and speed == pytest.approx(-start.v / bounce)
+
+
+def test_the_papers_method_comes_near_the_strobe():
+    draw = np.random.default_rng(0)
+    states = draw.uniform([-1.0, -3.0, 0.0], [1.0, 3.0, 6.0], (200, 3))
+    found = stepped.strobe(stepped.Drive(2.1, 0.05, 0.7), states, 400)
+    scene = jv.make_scene(states[:, 2], 2.1, 0.05, 0.7, (-1.0, 1.0))
+    end, impacts = jv.strobe(scene, jv.State(states[:, 0], states[:, 1]), slots=stepped.ROOM)
+    same = (found.sides == np.asarray(impacts.side)).all(axis=1)
+    assert same.mean() > 0.97
+    gaps = abs(found.ends - np.stack([end.x, end.v], axis=1))[same].max(axis=1)
+    assert np.median(gaps) < 1e-7
 
 
 @pytest.mark.parametrize(("damping", "bounce"), [(0.05, 0.7), (0.65, 0.4)])
@@ -149,13 +253,14 @@ def jobs(monkeypatch):
 
     def one(file, progress):
         calls.append("one")
-        return Drawn(b"\x89PNG", "<b> & so on", (number("1", "a|b <i>", "0.5", (0.51, 0.0)),))
+        claim = number("1", "a|b <i>", "0.5", (0.51, 0.0))
+        return Drawn(b"\x89PNG", "<b> & so on", (claim,), {"": xr.Dataset({"a": ("b", np.arange(3.0))})})
 
     def two(file, progress):
         calls.append("two")
         if calls.count("two") == 1:
             raise KeyboardInterrupt
-        return Drawn(None, "", (statement("2", "never", (1.0, 0.0), high=0.0, reason="Because."),))
+        return Drawn(None, "", (own("2", "never", (1.0, 0.0), high=0.0, reason="Because."),))
 
     jobs = {name: figures.Job(name, ("formulas",), drawn) for name, drawn in (("one", one), ("two", two))}
     monkeypatch.setattr(run, "JOBS", jobs)
@@ -165,16 +270,34 @@ def jobs(monkeypatch):
 def test_an_interrupted_run_goes_on_where_it_stopped(jobs, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         jv.paper(out=tmp_path)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.json", "one.png"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["one.json", "one.nc", "one.png"]
     done = jv.paper(out=tmp_path)
     assert jobs == ["one", "two", "two"]
     assert [one.verdict for one in done.claims] == [AGREES, FALSE]
+    assert [one.ours for one in done.claims] == [False, True]
     jv.paper(out=tmp_path)
     assert len(jobs) == 3
     jv.paper(["one"], tmp_path, force=True)
     (tmp_path / "two.json").write_text("{")
     jv.paper(out=tmp_path)
     assert jobs[3:] == ["one", "two"]
+
+
+def test_what_is_damaged_or_gone_is_computed_again(jobs, tmp_path):
+    jv.paper(["one"], tmp_path)
+    files, draw = [tmp_path / f"one.{ending}" for ending in ("json", "png", "nc")], np.random.default_rng(1)
+    before = {path: path.read_bytes() for path in files}
+    for round_ in range(20):
+        path = files[round_ % 3]
+        content = bytearray(before[path])
+        content[draw.integers(len(content))] ^= 1 << draw.integers(8)
+        path.write_bytes(content[: len(content) - round_ // 15])
+        jv.paper(["one"], tmp_path)
+        assert len(jobs) == round_ + 2 and {path: path.read_bytes() for path in files} == before
+    files[2].unlink()
+    jv.paper(["one"], tmp_path)
+    jv.paper(["one"], tmp_path)
+    assert len(jobs) == 22
 
 
 def test_another_scene_is_computed_again(jobs, tmp_path):
@@ -204,7 +327,9 @@ def test_a_reason_is_given_only_where_a_claim_is_not_right():
 def test_an_unknown_figure_is_refused(tmp_path, capsys):
     assert main(["paper", "fig99", "--out", str(tmp_path)]) == 2
     told = capsys.readouterr().err
-    assert told.startswith("jaxvibro: figure: must be one of fig2, ") and told.count("\n") == 1
+    assert (
+        told.startswith("jaxvibro: figure: must be one of those known, perhaps fig9 (fig2, ") and told.count("\n") == 1
+    )
     assert list(tmp_path.iterdir()) == []
 
 
@@ -213,8 +338,9 @@ def test_formulas_and_one_wall(tmp_path):
     done = jv.paper(["formulas", "walls"], tmp_path)
     found = {(one.figure, one.text): one for one in done.claims}
     verdicts = [one.verdict for one in done.claims if one.figure == "one wall" and "same as" in one.text]
-    assert verdicts == [AGREES, FALSE, FALSE]
+    assert verdicts == [HOLDS, FALSE, FALSE]
     (fold,) = (one for one in found.values() if one.figure == "(19)")
     assert fold.value == pytest.approx(0.508057896812, abs=1e-12) and fold.verdict == DIFFERS
     (moving,) = (one for one in found.values() if one.figure == "moving wall")
-    assert abs(moving.value) < 1e-12 and moving.verdict == AGREES
+    assert abs(moving.value) < 1e-12 and moving.verdict == HOLDS and moving.ours
+    assert [one.verdict for one in done.claims if one.figure in ("(8)", "(35)", "method")] == [HOLDS] * 5

@@ -13,6 +13,7 @@ import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.attractors import Attractor
 from jaxvibro.branch import Branch, Segment, row_of, special_of
+from jaxvibro.end import End
 from jaxvibro.plot import path, style
 
 SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.3, 0.5, 2))))
@@ -168,7 +169,7 @@ def branch(label="P111", periods=1, change=7):
     special = [
         special_of(FREE, "amplitude", (0, 9), place, row_of(data, place), kind, 0.0) for kind, place in kinds.items()
     ]
-    return Branch("amplitude", (0.0, 9.0), FREE, data, segments, tuple(special), ("", ""), {})
+    return Branch("amplitude", (0.0, 9.0), FREE, data, segments, tuple(special), ("", ""), {}, (End.BOUND, End.BOUND))
 
 
 def kept(ax, kind):

@@ -10,23 +10,29 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.locus import MEANINGS
+from jaxvibro.locus import MEANINGS, Locus
 from jaxvibro.outset import KINDS
 from jaxvibro.plot import style
 
 PAIR = ("amplitude", "frequency")
 
 
-class Curve:
+class Curve(Locus):
     """A locus, as far as a picture looks at it."""
 
+    values = label = None  # no longer worked out
+
     def __init__(self, kind, label, values, special=(), names=PAIR):
-        self.kind, self.label, self.names, self.values = kind, label, names, np.array(values, float)
+        values = np.array(values, float)
         ends = [(0, "EP"), (len(values) - 1, "EP")]
-        self.special = [
-            SimpleNamespace(kind=each, place=place, values=dict(zip(names, self.values[place], strict=True)))
+        special = [
+            SimpleNamespace(kind=each, place=place, values=dict(zip(names, values[place], strict=True)))
             for place, each in (*special, *ends)
         ]
+        self.__dict__.update(kind=kind, label=label, names=names, values=values, special=special)
+
+    def __len__(self):
+        return len(self.values)
 
     def points(self, kind):
         return tuple(one for one in self.special if one.kind == kind)

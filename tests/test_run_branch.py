@@ -184,6 +184,7 @@ def test_a_branch_survives_writing(tmp_path):
 
 
 PLAIN = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+HALF = np.pi / 2.1
 
 
 @dataclass
@@ -199,9 +200,10 @@ class Point:
 
 
 def point(kind, value, right, left=(), periods=1):
-    """The `Point` whose orbit has impacts of these speeds."""
+    """The `Point` whose orbit has impacts of these speeds, on the right wall at phase 0, on the left half a turn on."""
     sides = np.array([1.0] * len(right) + [-1.0] * len(left))
-    spot = Spot(value, np.zeros(len(sides)), np.array([*right, *left], float), sides, periods, 0.0, 0.0, 0.0)
+    times = np.where(sides < 0, HALF, 0.0)
+    spot = Spot(value, times, np.array([*right, *left], float), sides, periods, 0.0, 0.0, 0.0)
     return Point(kind, value, spot, int(kind != "EP"))
 
 
@@ -215,7 +217,10 @@ class Walk(list):
 
 def reflected(branch):
     """The mirror image of a `Walk`, as far as `tree` looks at it."""
-    twins = [replace(one, spot=one.spot._replace(sides=-one.spot.sides)) for one in branch.special]
+    twins = [
+        replace(one, spot=one.spot._replace(times=one.spot.times + HALF, sides=-one.spot.sides))
+        for one in branch.special
+    ]
     return Walk(branch.segments[0].label, *twins)
 
 

@@ -110,7 +110,12 @@ def test_the_picture_has_its_bounds_and_draws_mirror_images_once(followed, monke
             kind="SN", label=label, names=PAIR, bounds=one.bounds, values=one.values, special=special, points=one.points
         )
 
-    class Kept(SimpleNamespace):
+    class Kept(jv.Locus):
+        label = values = None
+
+        def __init__(self, **numbers):
+            vars(self).update(numbers)
+
         def __len__(self):
             return len(self.values)
 

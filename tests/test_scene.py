@@ -32,35 +32,36 @@ BAD = [
     ("amplitude", {"amplitude": 2j}, "must be a real number"),
     ("amplitude", {"amplitude": None}, "must be a real number"),
     ("amplitude", {"amplitude": 10**400}, "must be a real number"),
-    ("amplitude", {"amplitude": [1.0, [2.0]]}, "must be a real number"),
+    ("amplitude", {"amplitude": [1.0, [2.0]]}, "must be a number or an array, not a list: "),
     ("amplitude", {"amplitude": np.array(["a\nb"])}, "must be a real number"),
     ("frequency", {"frequency": 0.0}, "must be greater than 0; got 0.0"),
     ("frequency", {"frequency": -2.1}, "must be greater than 0; got -2.1"),
     ("frequency", {"frequency": float("inf")}, "must be finite; got inf"),
     ("frequency", {"frequency": True}, "must be a real number; got True"),
     ("damping", {"damping": -1e-9}, "must not be negative; got -1e-09"),
-    ("damping", {"damping": [0.0, 0.1, -0.2]}, "must not be negative; got -0.2 at index (2,)"),
-    ("damping", {"damping": [[0.0, 0.1], [0.2, np.nan]]}, "must be finite; got nan at index (1, 1)"),
+    ("damping", {"damping": np.array([0.0, 0.1, -0.2])}, "must not be negative; got -0.2 at index (2,)"),
+    ("damping", {"damping": np.array([[0.0, 0.1], [0.2, np.nan]])}, "must be finite; got nan at index (1, 1)"),
     ("damping", {"damping": np.zeros(3), "amplitude": np.zeros(2)}, "must broadcast with the shape (2,)"),
     ("damping", {"damping": np.array([True])}, "must be a real number"),
     ("restitution", {"restitution": 1.0000001}, "must lie between 0 and 1; got 1.0000001"),
     ("restitution", {"restitution": -0.1}, "must lie between 0 and 1; got -0.1"),
     ("walls", {"walls": 1.0}, "must be a pair"),
     ("walls", {"walls": (-1.0, 0.0, 1.0)}, "must be a pair"),
-    ("walls", {"walls": np.array([-1.0, 1.0])}, "must be a pair"),
+    ("walls", {"walls": np.array([-1.0, 0.0, 1.0])}, "must be a pair"),
+    ("walls", {"walls": np.array([[-1.0, 1.0]])}, "must be a pair"),
     ("walls", {"walls": None}, "must be a pair"),
     ("left.position", {"walls": ("-1", 1.0)}, "must be a real number; got '-1'"),
     ("left.position", {"walls": (float("-inf"), 1.0)}, "must be finite; got -inf"),
     ("left", {"walls": (MOVING, 1.0)}, "must be a position, None or a Wall"),
     ("right.position", {"walls": (1.0, -1.0)}, "must lie to the right of left.position; got -1.0"),
     ("right.position", {"walls": (1.0, 1.0)}, "must lie to the right of left.position; got 1.0"),
-    ("right.position", {"walls": (0.0, [1.0, 2.0, -3.0])}, "got -3.0 at index (2,)"),
+    ("right.position", {"walls": (0.0, np.array([1.0, 2.0, -3.0]))}, "got -3.0 at index (2,)"),
     ("right.position", right(position=None), "must be a real number; got None"),
     ("right.restitution", right(restitution=1.5), "must lie between 0 and 1; got 1.5"),
     ("right.restitution", right(restitution="hard"), "must be a real number; got 'hard'"),
     ("right.motion", right(motion=0.5), "must be a Motion or None; got 0.5"),
     ("right.motion", right(motion=jv.Motion(2.0)), "the least gap must exceed 0; got 0.0"),
-    ("right.motion", right(motion=jv.Motion([0.1, -2.5])), "may not touch or cross as they move"),
+    ("right.motion", right(motion=jv.Motion(np.array([0.1, -2.5]))), "may not touch or cross as they move"),
     ("left.motion", {"walls": (jv.Wall(-1.0, motion=jv.Motion(-2.5)), 1.0)}, "may not touch or cross as they move"),
     ("right.motion", {"walls": two_moving(phase=3.0)}, "may not touch or cross as they move"),
     ("right.motion.amplitude", right(motion=jv.Motion(float("nan"))), "must be finite; got nan"),
@@ -132,6 +133,53 @@ def test_harmonic_is_static_and_numbers_are_leaves():
     assert type(scene.right.motion.harmonic) is int
 
 
+EACH = ("amplitude", "frequency", "damping", "restitution")
+OWN = ("position", "restitution", "stiffness", "damping")
+
+
+@pytest.mark.parametrize("kind", [list, tuple])
+def test_a_list_is_no_batch_and_no_pair_of_walls(kind):
+    """Wherever a number may stand: it is refused, with the way to write what may have been meant."""
+
+    def refused(key, make, *given, **named):
+        with pytest.raises(jv.SceneError) as error:
+            make(*given, **named)
+        line = str(error.value)
+        assert error.value.key == key and line.startswith(f"{key}: must be a number or an array, not a {kind.__name__}")
+        assert "walls=(Wall(...), Wall(...))" in line and "np.array([...])" in line and len(line) <= 300
+
+    two, good = kind((0.55, 0.8)), jv.make_scene(**{**GOOD, **right(motion=MOVING)})
+    soft = jv.make_scene(**{**GOOD, **right(stiffness=100.0)})
+    for key in EACH:
+        refused(key, jv.make_scene, **GOOD | {key: two})
+        refused(key, jv.make_scene, **GOOD | {key: kind((0.5,))})
+    for key in good.names:
+        refused(key, good.replace, **{key: two})
+    for key in ("right.stiffness", "right.damping", "hardness"):
+        refused(key, soft.replace, **{key: two})
+    refused("left.position", jv.make_scene, **GOOD | {"walls": (two, 1.0)})
+    for key in OWN:
+        own = {"position": 1.0} | ({"stiffness": 9.0} if key == "damping" else {}) | {key: two}
+        refused(f"right.{key}", jv.make_scene, **GOOD | right(**own))
+        refused(f"right.{key}", physical, walls=(-1.0, jv.Wall(**own)), length=1.0)
+    for key in ("amplitude", "phase"):
+        motion = jv.Motion(**{"amplitude": 0.1, key: two})
+        refused(f"right.motion.{key}", jv.make_scene, **GOOD | right(motion=motion))
+        refused(f"right.motion.{key}", physical, walls=(-1.0, jv.Wall(1.0, motion=motion)))
+    for key in ("mass", "damping", "stiffness", "force", "frequency", "restitution", "length"):
+        refused(key, physical, **{key: two})
+
+
+def test_an_array_of_two_positions_is_the_pair_of_walls():
+    for pair in (np.array([-1.0, 1.5]), jnp.array([-1.0, 1.5]), np.array([None, 1.5])):
+        scene = jv.make_scene(**GOOD | {"walls": pair})
+        assert scene.shape == () and scene.right.position == 1.5 and (pair[0] is None or scene.left.position == -1.0)
+    assert (
+        jax.grad(lambda pair: jv.make_scene(**GOOD | {"walls": pair}).right.position)(np.array([-1.0, 1.5]))[1] == 1.0
+    )
+    assert physical(walls=np.array([-0.5, 0.5])).left.position == -1.0
+
+
 def test_batches_broadcast():
     scene = jv.make_scene(**{**GOOD, "amplitude": np.zeros((3, 1)), "walls": (-1.0, np.ones(2))})
     assert scene.shape == (3, 2)
@@ -150,7 +198,9 @@ def test_replace_and_parameter():
     assert own.right.motion.phase == -1.0
     assert scene.amplitude == 2.0
     assert own.replace(**{"right.restitution": None}).parameter("right.restitution") == 0.7
-    with pytest.raises(jv.SceneError, match=r"amplitud: is not a parameter of this scene \(amplitude, frequency"):
+    with pytest.raises(
+        jv.SceneError, match=r"amplitud: is not a parameter of this scene, perhaps amplitude \(amplitude, freq"
+    ):
         scene.replace(amplitud=1.0)
     with pytest.raises(jv.SceneError, match=r"left\.motion\.phase: is not a parameter"):
         scene.parameter("left.motion.phase")

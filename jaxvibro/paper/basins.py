@@ -11,7 +11,8 @@ from ..explore import explore
 from ..find import find_orbit
 from ..manifold import manifold
 from ..orbit import OrbitError
-from .claim import statement
+from .claim import own, statement
+from .lasting import more, shares
 from .panels import Drawn, panels, png, sheet, styled, trim
 
 NAMES = "ab"
@@ -76,16 +77,18 @@ def _between(scene, branch, place):
 def _chaos(scene, attractors, is_theirs):
     """Whether there is a chaotic attractor: where the paper says so, and where we do."""
     chaotic = sum(one.kind == "chaotic" for one in attractors)
-    told = ", ".join(f"{one.label} ({100 * one.share:.0f} %)" for one in attractors)
-    amplitude = float(scene.amplitude)
-    reason = f"What starts settle on is {told}."
+    amplitude, others = float(scene.amplitude), more(attractors)
+    reason = f"What starts settle on is {shares(attractors)}."
     if is_theirs:
         text = f"white is a chaotic attractor, A = {amplitude:g} (number of chaotic attractors)"
-        yield statement("5", text, (float(chaotic), 0.0), low=1.0, reason=reason)
+        yield statement("5", text, (float(chaotic), 0.0), low=1.0, reason=reason, more=others)
         return
     both = float(min(chaotic, sum(one.kind == "periodic" for one in attractors)))
-    text = f"such a picture is at A = {amplitude:g}: {told} (pairs of chaotic and periodic attractors)"
-    yield statement("5", text, (both, 0.0), low=1.0, reason=reason)
+    text = f"such a picture is at A = {amplitude:g}: {shares(attractors)} (pairs of chaotic and periodic attractors)"
+    yield own("5", text, (both, 0.0), low=1.0, reason=reason, more=others)
+    twins = sum(one.kind == "chaotic" and one.mirror_of not in (None, k) for k, one in enumerate(attractors))
+    text = f"two chaotic attractors at A = {amplitude:g}, each the other's mirror image (number of such)"
+    yield own("5", text, (float(twins), 0.0), low=2.0, high=2.0, reason=reason, more=others)
 
 
 def _boundary(scene, held, curves):
@@ -99,7 +102,7 @@ def _boundary(scene, held, curves):
     yield statement("5", text, (share, float(error)), high=1e-3, reason=reason)
     share, total = beyond(held, list(curves.values()))
     text = f"it is those of all saddles, {len(curves)} (share of the {total} cells farther than one from them)"
-    yield statement("5", text, (share, float(np.sqrt(share * (1.0 - share) / total))), high=1e-3)
+    yield own("5", text, (share, float(np.sqrt(share * (1.0 - share) / total))), high=1e-3)
 
 
 def beyond(held, curves):

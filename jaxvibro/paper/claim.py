@@ -1,13 +1,14 @@
 """A claim of the paper beside what was computed: the verdict follows from the numbers alone."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Decimal
 
 AGREES = "agrees to its digits"
 DIFFERS = "differs"
+HOLDS = "holds"  # a claim in words
 FALSE = "cannot hold"
-OPEN = "undecided"  # the error bar reaches over an edge of what is claimed
+OPEN = "undecided"  # the error bar, or what stays unresolved, reaches over an edge of what is claimed
 
 
 @dataclass(frozen=True)
@@ -15,8 +16,9 @@ class Claim:
     """A claim: it is right where the computed value lies between two numbers.
 
     figure: of the paper; text: what is claimed; printed: its number as printed, "" for a claim in words; low, high:
-    what the value may be; value, error: what was computed, nan where there is nothing of the kind; reason: of a
-    difference.
+    what the value may be; value, error: what was computed, nan where there is nothing of the kind; more: how much
+    larger it may be for what stays unresolved; reason: of a difference; ours: whether the claim is our own, beside the
+    paper's.
     """
 
     figure: str
@@ -27,17 +29,25 @@ class Claim:
     value: float
     error: float
     reason: str = ""
+    more: float = 0.0
+    ours: bool = False
 
     @property
     def verdict(self):
-        """One of four: the claim agrees, differs, cannot hold (in words, or of what does not exist), is undecided."""
+        """A number agrees or differs, words hold or not; what does not exist cannot hold; else it is undecided."""
         if math.isnan(self.value):
-            return FALSE
-        if self.low <= self.value - self.error and self.value + self.error <= self.high:
-            return AGREES
-        if self.value + self.error < self.low or self.value - self.error > self.high:
+            return OPEN if self.more else FALSE
+        least, most = self.value - self.error, self.value + self.error + self.more
+        if self.low <= least and most <= self.high:
+            return AGREES if self.printed else HOLDS
+        if most < self.low or least > self.high:
             return DIFFERS if self.printed else FALSE
         return OPEN
+
+    @property
+    def is_right(self):
+        """Whether it agrees or holds."""
+        return self.verdict in (AGREES, HOLDS)
 
 
 def number(figure, text, printed, found, reason=""):
@@ -56,9 +66,19 @@ def _cut(exact, value):
     return f" The digits printed are those of {value:.6g}, cut off and not rounded." if cut else ""
 
 
-def statement(figure, text, found, low=-math.inf, high=math.inf, reason=""):
+def statement(figure, text, found, low=-math.inf, high=math.inf, reason="", more=0.0):
     """The `Claim` in words that a number lies between two; found: (value, error)."""
-    return Claim(figure, text, "", low, high, *found, reason)
+    return Claim(figure, text, "", low, high, *found, reason, more)
+
+
+def own(figure, text, found, low=-math.inf, high=math.inf, reason="", more=0.0):
+    """The same of our own, that stands apart from the paper's."""
+    return replace(statement(figure, text, found, low, high, reason, more), ours=True)
+
+
+def judged(claim):
+    """What was computed for a claim, with its error bar."""
+    return told(claim.value, claim.error) + (", perhaps more" if claim.more else "")
 
 
 def told(value, error):

@@ -1,7 +1,7 @@
 """Closed forms of orbits with one impact a wall (paper, section 2), for the claims and as a check of what is continued.
 
 With E the free flow from one impact to the next and u the speed before each, (x, y/omega) of the forced motion at an
-impact is (s - a u, b u / omega), whose length is A / sqrt(D). The double root in u is where two such orbits meet.
+impact is (s - a u, -b u / omega), whose length is A / sqrt(D). The double root in u is where two such orbits meet.
 """
 
 import jax
@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..flow import responses
+from ..state import State
 
 
 def forced(amplitude, frequency, damping):
@@ -24,9 +25,27 @@ def grazing(frequency, damping, distance=1.0):
 
 def symmetric_fold(frequency, damping, restitution):
     """(A_c, u) of the double root of the symmetric P111 between walls at -1 and 1 (19); a saddle-node where u > 0."""
+    return _double(*_symmetric(frequency, damping, restitution), frequency, damping, 1.0)
+
+
+def _symmetric(frequency, damping, restitution):
+    """(a, b) of the symmetric P111."""
     flow, one = _flow(frequency, damping, jnp.pi / frequency), jnp.eye(2)
-    a, b = jnp.linalg.solve(flow + one, jnp.array([0.0, -1.0]) + flow @ jnp.stack([0.0 * restitution, restitution]))
-    return _double(a, b, frequency, damping, 1.0)
+    return jnp.linalg.solve(flow + one, jnp.array([0.0, -1.0]) + flow @ jnp.stack([0.0 * restitution, restitution]))
+
+
+def symmetric_start(scene):
+    """The `State` after an impact on the right wall of a scene's symmetric P111, of two the one that hits harder.
+
+    The scene is single, with walls at -1 and 1, A above A_c, and a double root with u > 0."""
+    numbers = [float(getattr(scene, key)) for key in ("frequency", "damping", "restitution", "amplitude")]
+    w, damping, bounce, force = numbers
+    a, b = (float(each) for each in _symmetric(w, damping, bounce))
+    whole, size = a**2 + (b / w) ** 2, force / float(grazing(w, damping))
+    speed = (a + np.sqrt(a**2 - whole * (1.0 - size**2))) / whole
+    x, v = forced(force, w, damping)
+    late = np.angle(complex(1.0 - a * speed, b * speed / w)) - np.angle(complex(x, -v / w))
+    return State(1.0, -bounce * speed, late % (2.0 * np.pi))
 
 
 def single_fold(frequency, damping, restitution, distance=1.0, periods=1):

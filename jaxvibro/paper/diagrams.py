@@ -7,36 +7,70 @@ import numpy as np
 from .. import plot
 from ..attractors import find_attractors
 from ..data import dataset
-from ..spectrum import spectrum
-from ..stretch import stretches
+from ..explore import explore
 from ..study import study
-from .claim import number, statement
-from .located import twice, value
+from .claim import number, own, statement
+from .lasting import largest, onset, shares, stable_at
+from .located import ROUNDING, labelled, nearest, twice, value
 from .panels import Drawn, legend, png, sheet, styled, trim
 
 STARTS = 100
+LOOKS = 25  # amplitudes between two at which stable motions are counted
+BESIDE, LONGEST = 0.05, 8  # how far from an amplitude, and up to how many periods, grazings are looked for
 CAPTION = "x and v at phase 0 of the drive against its amplitude: swept down and up (dots), and all periodic motions."
-EARLY = "The paper's value is read from a sweep; the motion itself lasts up to the value beside, from few starts."
 LATE = "No motion of this branch exists below the value beside: it turns there."
 
 
 def fourth(file, progress):
     """Figure 4 and its claims."""
     found, pair = _found(file, progress)
-    end = value(pair, "GR", "P111", near=5.215)
+    first, born, doubled = pair.first, value(pair, "SN", "P112"), value(pair, "PD", "P112")
+    graze = value(pair, "GR", "P100")
     claims = [
         number("4", "SN1, where P111 begins", "0.5", value(pair, "SN", "P111")),
-        number("4", "GB1, where P100 grazes", "3.41", value(pair, "GR", "P100")),
-        number("4", "SB, where P111 loses its symmetry", "3.45", value(pair, "SB"), _still(pair.first, 3.45)),
-        number("4", "SN2, where P112 and P121 are born", "4.51", value(pair, "SN", "P112"), LATE),
-        number("4", "PD of P112 and P121", "4.735", value(pair, "PD", "P112"), _still(pair.first, 4.735, "P112")),
-        number("4", "asymmetric P111 ends by grazing", "5.215", end, _still(pair.first, 5.215)),
-        _chaos("4", found.scene, 5.24),
+        number("4", "GB1, where P100 grazes", "3.41", graze),
+        number("4", "SB, where P111 loses its symmetry", "3.45", value(pair, "SB"), _still(first, 3.45)),
+        number("4", "SN2, where P112 and P121 are born", "4.51", born, LATE),
+        number("4", "PD of P112 and P121", "4.735", doubled, _still(first, 4.735, "P112")),
+        _four(first, born[0], doubled[0]),
         number(
-            "4", "GB2, where a period-3 pair grazes", "5.42", value(pair, "GR", near=5.42, periods=3), _third(found)
+            "4", "asymmetric P111 ends by grazing", "5.215", value(pair, "GR", "P111", near=5.215), _still(first, 5.215)
         ),
+        *_chaos("4", found.scene, "5.24", graze[0]),
+        _pair_grazes(found.scene, pair, "5.42", 3),
     ]
     return _drawn(found, claims)
+
+
+def _four(diagram, low, high):
+    """That four motions last from where P112 is born to where it doubles its period."""
+    seen = [stable_at(diagram.branches, one) for one in np.linspace(low, high, LOOKS + 2)[1:-1]]
+    counts = [len(one) for one in seen]
+    labels = " or ".join(sorted({", ".join(sorted(one)) for one in seen}))
+    middle = 0.5 * (max(counts) + min(counts)), 0.5 * (max(counts) - min(counts))
+    text = f"four motions last between SN2 and PD (stable ones at {LOOKS} amplitudes between: {labels})"
+    return statement("4", text, middle, low=4.0, high=4.0)
+
+
+def _pair_grazes(scene, pair, printed, periods):
+    """The grazing of orbits of so many periods nearest to a printed amplitude, and what else grazes there: of all
+    orbits of up to `LONGEST` periods the nearest."""
+    near = float(printed)
+    here = explore(scene, "amplitude", (near - BESIDE, near + BESIDE), LONGEST)
+    claimed = nearest(pair.first, "GR", near, periods=periods)
+    points = [one for one in (nearest(here, "GR", near), claimed) if one is not None]
+    touch = min(points, key=lambda one: abs(one.value - near))
+    twins = [one.label for one in here.points("GR") if abs(one.value - touch.value) <= ROUNDING * abs(touch.value)]
+    births = [one.value for one in here.points("SN") if one.label == touch.label and one.value < touch.value]
+    born = f", born in an SN at {max(births):.9g}," if births else ""
+    reason = (
+        f"Of all orbits of up to {LONGEST} periods the nearest to graze is {' and '.join(twins or [touch.label])}, of "
+        f"period {len(touch.itinerary)}{born} at {touch.value:.9g}."
+    )
+    if claimed is not None:
+        reason += f" Of period {periods} it is {claimed.label}, at {claimed.value:.9g}."
+    text = f"GB2, where a period-{periods} pair grazes"
+    return number("4", text, printed, value(pair, "GR", near=near, periods=periods), reason)
 
 
 def _still(diagram, amplitude, label="P111"):
@@ -50,13 +84,6 @@ def _still(diagram, amplitude, label="P111"):
     return (
         f"At {amplitude:g} {label} is still stable: its multipliers there are at most {min(found, default=np.nan):.3f}."
     )
-
-
-def _third(found):
-    """What is there in place of a period-3 pair."""
-    here = find_attractors(found.scene.replace(amplitude=5.42), STARTS)
-    told = " and ".join(one.label for one in here)
-    return f"At 5.42 starts settle on {told}; the orbits of three periods graze where the value says, none nearer."
 
 
 EVENTS = {
@@ -94,33 +121,50 @@ def sixth(file, slower, progress):
 def seventh(file, progress):
     """Figure 7 and its claims."""
     found, pair = _found(file, progress)
-    symmetric = float(len(pair.first.points("SB")))
+    first, graze = pair.first, value(pair, "GR", "P100")
+    other = nearest(first, "SN", 5.51)
+    reason = f"The SN nearest to 5.51 is that of {other.label}, at {other.value:.9g}."
     claims = [
-        statement("7", "no SB (number of such points)", (symmetric, 0.0), high=0.0),
-        number("7", "P111 begins at an SN", "0.7", value(pair, "SN", "P111"), EARLY),
-        number("7", "GR", "3.41", value(pair, "GR", "P100")),
-        number("7", "second SN", "5.51", value(pair, "SN", near=5.51), LATE),
-        _chaos("7", found.scene, 6.75),
-        _then(found),
+        statement("7", "no SB (number of such points)", (float(len(first.points("SB"))), 0.0), high=0.0),
+        number("7", "P111 begins at an SN", "0.7", value(pair, "SN", "P111"), _still(first, 0.7)),
+        number("7", "GR, of P100", "3.41", graze),
+        number("7", "second SN, of P111", "5.51", value(pair, "SN", "P111", near=5.51), reason),
+        *_chaos("7", found.scene, "6.75", graze[0]),
+        *_then(pair, 6.75),
     ]
     return _drawn(found, claims)
 
 
-def _then(found):
-    """That a motion of two periods follows the chaos."""
-    counts = [one.count for one in stretches(found.swept) if one.periods == 2 and max(one.first, one.last) > 6.75]
-    return statement(
-        "7", "beyond it a period-2 pair (values of our sweeps with it)", (float(sum(counts)), 0.0), low=1.0
+def _then(pair, amplitude):
+    """That a motion of two periods follows the chaos, and where it grazes."""
+    values = np.linspace(amplitude, pair.first.bounds[1], LOOKS + 1)[1:]
+    branches = [one for one in pair.first.branches if one.data.sizes["period"] == 2]
+    seen = [stable_at(branches, one) for one in values]
+    labels = ", ".join(sorted({label for one in seen for label in one}))
+    text = f"then a period-2 pair (of {LOOKS} amplitudes from {amplitude:g} on those with a stable one: {labels})"
+    yield statement("7", text, (float(sum(map(bool, seen))), 0.0), low=1.0)
+    beyond = [one for one in pair.first.points("GR") if len(one.itinerary) == 2 and one.value > amplitude]
+    if beyond:
+        touch = min(beyond, key=lambda one: one.value)
+        text = f"that motion grazes: {' and '.join(sorted(labelled(touch)))} meet there (amplitude)"
+        yield own("7", text, value(pair, "GR", near=touch.value, periods=2), low=amplitude)
+
+
+def _chaos(figure, scene, printed, low):
+    """That motion is chaotic at an amplitude: the largest exponent of all that lasts. And that chaos begins there:
+    where the first is found, from an amplitude on below which the motions are known."""
+    amplitude = float(printed)
+    there = scene.replace(amplitude=amplitude)
+    attractors = find_attractors(there, STARTS)
+    exponent, others = largest(there, attractors)
+    text = f"chaos at {printed} (largest exponent a period; what starts settle on: {shares(attractors)})"
+    yield statement(figure, text, exponent, low=0.0, more=others)
+    begins, doubt, count, rate = onset(scene, low, amplitude)
+    reason = (
+        f"There is chaos at {begins:.4g} already, from {count} starts, with an exponent of {rate:.3g} a period; looked "
+        f"at were amplitudes {doubt:g} apart."
     )
-
-
-def _chaos(figure, scene, amplitude):
-    """That the motion is chaotic at an amplitude: the largest exponent of what most starts settle on."""
-    one = find_attractors(scene.replace(amplitude=amplitude), STARTS)[0]
-    found = spectrum(scene, "amplitude", [amplitude], one.state)
-    exponent = tuple(float(found[key].values[0, 0]) for key in ("exponent", "error"))
-    reason = f"What most starts settle on is {one.label}."
-    return statement(figure, f"chaos at {amplitude:g} (largest exponent a period)", exponent, low=0.0, reason=reason)
+    yield number(figure, "chaos begins (the same number read as an onset)", printed, (begins, doubt), reason)
 
 
 def _found(file, progress):

@@ -6,20 +6,30 @@ from ..find import find_orbit
 from ..flow import responses
 from ..monodromy import monodromy
 from ..state import State
-from . import closed
-from .claim import number, statement
+from . import closed, matrices, method
+from .claim import number, own, statement
 from .located import ROUNDING, twice, value
 from .panels import Drawn
 
 STEP = 1e-5  # in time, of a derivative by differences
 START = State(0.9, -1.1)  # settles on P111
+SAME = 1e-9
 CAPTION = "Formulas, as our copy of the paper reads."
 
 
 def drawn(file, progress):
     """The claims on formulas, in the scene of a file."""
     scene = file.scene.make()
-    claims = [_ratio(), _fold(scene, file.explore), _corner(scene), *_orbit(scene)]
+    pair = twice(scene, file.explore)
+    claims = [
+        _ratio(),
+        _grazing(scene, pair),
+        _fold(scene, pair),
+        _corner(scene),
+        *matrices.claims(scene),
+        *_orbit(scene),
+    ]
+    claims += method.claims(scene)
     return Drawn(None, CAPTION, tuple(claims))
 
 
@@ -30,9 +40,17 @@ def _ratio():
     return number("(3)", "gamma = C / (M w0): M = K = 1, C = 0.1", "0.10", (decay, 1e-15), reason)
 
 
-def _fold(scene, table):
+def _grazing(scene, pair):
+    """Where P100 grazes."""
+    exact = float(closed.grazing(float(scene.frequency), float(scene.damping)))
+    found, error = value(pair, "GR", "P100")
+    text = f"P100 grazes at A = s sqrt(D), {exact:.12g} at omega {float(scene.frequency):g} (located less that)"
+    return statement("(8)", text, (found - exact, error), low=-SAME, high=SAME)
+
+
+def _fold(scene, pair):
     """The saddle-node of P111, located, beside the closed form as it reads."""
-    found = value(twice(scene, table), "SN", "P111")
+    found = value(pair, "SN", "P111")
     exact = float(
         closed.symmetric_fold(*(float(getattr(scene, key)) for key in ("frequency", "damping", "restitution")))[0]
     )
@@ -62,4 +80,4 @@ def _orbit(scene):
     found = float(np.linalg.det(np.asarray(monodromy(scene, orbit.state, orbit.periods))))
     exact = float(scene.restitution) ** (2 * impacts) * np.exp(-2.0 * damping * length)
     text = f"det M = R^(2 x impacts) exp(-2 gamma n T), {orbit.label} (difference)"
-    yield statement("(37)", text, (abs(found - exact), ROUNDING), high=1e-12)
+    yield own("(37)", text, (abs(found - exact), ROUNDING), high=1e-12)

@@ -7,7 +7,7 @@ from .. import plot
 from ..find import find_orbit
 from ..spectrum import spectrum
 from ..state import State
-from .claim import statement
+from .claim import own
 from .located import ROUNDING
 from .panels import Drawn, png, sheet, styled
 
@@ -51,7 +51,7 @@ def _claims(scene, asked, found):
     )
     best = int(np.nanargmax(largest))
     text = f"there is chaos: {told} (largest exponent, at A = {values[best]:g})"
-    yield statement("8", text, (float(largest[best]), float(error[best])), low=0.0)
+    yield own("8", text, (float(largest[best]), float(error[best])), low=0.0)
 
 
 def _sum(scene, found):
@@ -60,7 +60,7 @@ def _sum(scene, found):
     rule = rule + 2.0 * np.log(float(scene.restitution)) * found["impacts"].values
     largest = float(np.nanmax(abs(found["exponent"].values.sum(axis=1) - rule)))
     text = "the exponents' sum is -2 gamma T + 2 ln R x (impacts a period) (largest difference)"
-    return statement("8", text, (largest, ROUNDING), high=1e-12)
+    return own("8", text, (largest, ROUNDING), high=1e-12)
 
 
 def _known(scene, asked, found):
@@ -70,4 +70,4 @@ def _known(scene, asked, found):
     orbit = find_orbit(here, State(asked.start.x, asked.start.v))
     gap = found["exponent"].values[place] - np.log(abs(orbit.multipliers)) / orbit.periods
     text = f"on {orbit.label} at A = {asked.values[place]:g} they are ln abs(multiplier) a period (difference)"
-    return statement("8", text, (float(abs(gap).max()), ROUNDING), high=1e-9)
+    return own("8", text, (float(abs(gap).max()), ROUNDING), high=1e-9)

@@ -78,11 +78,14 @@ def _wider(found, narrow, wide):
     (up, rough), (down, coarse) = wide
     (top, above), (bottom, below) = narrow
     more = (up - down) - (top - bottom), rough + coarse + above + below
-    told = f"frequency {float(found.scene.frequency):g}: {up - down:.6g} wide here, {top - bottom:.6g} in (a)"
+    told = (
+        f"the loop of P100 and P111 at frequency {float(found.scene.frequency):g}: {up - down:.6g} here, "
+        f"{top - bottom:.6g} there"
+    )
     again = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in apart(found.swept))
     reason = (
-        "The grazing is the same, and P111 begins later where the walls are farther apart. Our sweeps to and fro "
-        f"differ at {again}."
+        f"P100 grazes {abs(up - top):.3g} away, and P111 begins at {down:.6g} in place of {bottom:.6g}. Our sweeps to "
+        f"and fro differ at {again}."
     )
     return statement("2b", f"hysteresis is wider than in 2a ({told}; the difference)", more, low=0.0, reason=reason)
 

@@ -7,6 +7,7 @@ import numpy as np
 from ..diagram import Diagram
 from ..explore import explore
 from ..itinerary import label, mirrored
+from ..told import itinerary
 
 STEPS = 0.07  # the largest of the second diagram; 0.1 of the first
 ROUNDING = 8.0 * np.finfo(float).eps
@@ -30,15 +31,22 @@ def twice(scene, table, first=None):
 def value(pair, kind, name=None, near=-np.inf, periods=None):
     """(value, error) of a special point of a kind: of those of orbits with this label, or its mirror image's, and so
     many periods the nearest to a value, by default the lowest. nan where there is none."""
-    here = [_nearest(one, kind, name, near, periods) for one in pair]
+    found = [nearest(one, kind, near, name, periods) for one in pair]
+    here = [np.nan if one is None else one.value for one in found]
     return here[0], abs(here[0] - here[1]) + ROUNDING * abs(here[0])
 
 
-def _nearest(diagram, kind, name, near, periods):
-    found = [one.value for one in diagram.points(kind) if _is_meant(one, name, periods)]
+def nearest(diagram, kind, near=-np.inf, name=None, periods=None):
+    """The `Special` that `value` tells of, None where there is none."""
+    found = [one for one in diagram.points(kind) if _is_meant(one, name, periods)]
     if near == -np.inf:
-        return min(found, default=np.nan)
-    return min(found, key=lambda each: abs(each - near), default=np.nan)
+        return min(found, key=lambda one: one.value, default=None)
+    return min(found, key=lambda one: abs(one.value - near), default=None)
+
+
+def labelled(special):
+    """The labels of the orbits that meet at a grazing."""
+    return {label(itinerary(one, float(special.scene.frequency))) for one in special.joins}
 
 
 def _is_meant(one, name, periods):

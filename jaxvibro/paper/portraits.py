@@ -11,15 +11,16 @@ from ..find import find_orbit
 from ..orbit import Orbit
 from ..simulate import simulate
 from ..state import State
-from .claim import number, statement
+from .claim import statement
 from .closed import forced, grazing
+from .lasting import more, shares
 from .panels import Drawn, panels, png, sheet, styled, trim
 
 NAMES = "abcde"
 CLAIMED = ("P100", "P111", "P111", "P112", "P121")  # in the order of the panels
-SYMMETRIC = 1  # the panel said to be symmetric
+SYMMETRIC, LOPSIDED = 1, 2  # the panel said to be symmetric, the one said not to be
 SAMPLES, ROAMED = 400, 60  # of a drive period; periods drawn of a chaotic motion
-ROUNDING = 1e-9  # of an attractor's speeds
+ROUNDING, APART = 1e-9, 1e-6  # of an attractor's speeds; as different they are two
 
 CAPTION = (
     "Phase portraits at five amplitudes: the motion that the paper names where it lasts, else that which most starts "
@@ -32,9 +33,11 @@ def drawn(file, progress):
     found = []
     for each in tqdm(panels(file), "portraits", disable=not progress):
         scene, asked = each.scene.make(), each.attractors
-        found.append((scene, _lasting(scene, find_attractors(scene, asked.starts, asked.seed))))
+        attractors = find_attractors(scene, asked.starts, asked.seed)
+        found.append((scene, _lasting(scene, attractors), more(attractors)))
     claims = [_there(k, *one) for k, one in enumerate(found)]
-    claims.insert(SYMMETRIC + 1, _symmetric(*found[SYMMETRIC]))
+    claims.insert(SYMMETRIC + 1, _symmetric(*found[SYMMETRIC][:2]))
+    claims.insert(LOPSIDED + 2, _lopsided(*found[LOPSIDED][:2]))
     with styled():
         return Drawn(_picture(found), CAPTION, tuple(claims))
 
@@ -65,12 +68,12 @@ def _lasting(scene, attractors):
     return found
 
 
-def _there(k, scene, motions):
-    """That the motion claimed lasts."""
-    told = ", ".join(f"{one.label} ({100 * one.share:.0f} % of the starts)" for one in motions)
+def _there(k, scene, motions, others):
+    """That the motion claimed lasts; others: how many unresolved ones there may be."""
     text = f"{CLAIMED[k]} at A = {float(scene.amplitude):g} (number of such attractors)"
     alike = float(sum(_is_meant(k, one) for one in motions))
-    return statement(f"3{NAMES[k]}", text, (alike, 0.0), low=1.0, reason=f"What lasts there is {told}.")
+    reason = f"What lasts there, and the share of starts that settle on it: {shares(motions)}."
+    return statement(f"3{NAMES[k]}", text, (alike, 0.0), low=1.0, reason=reason, more=others)
 
 
 def _is_meant(k, motion):
@@ -79,21 +82,30 @@ def _is_meant(k, motion):
 
 
 def _symmetric(scene, motions):
-    """That the motion is symmetric: both walls are hit at one speed."""
-    one = next((each for each in motions if each.orbit is not None and _is_meant(SYMMETRIC, each)), None)
-    gap = np.nan
-    if one is not None:
-        impacts = one.orbit.impacts
-        speeds = [np.asarray(impacts.speed)[np.asarray(impacts.side) == side] for side in (-1, 1)]
-        gap = abs(float(speeds[0].mean() - speeds[1].mean()))
+    """That a motion of those is symmetric: both walls are hit at one speed."""
     reason = "The symmetry is broken before: see SB in figure 4."
-    text = f"symmetric at A = {float(scene.amplitude):g} (difference of the impacts' speeds)"
-    return number(f"3{NAMES[SYMMETRIC]}", text, "0.00", (gap, ROUNDING), reason)
+    text = f"symmetric at A = {float(scene.amplitude):g} (least difference of the impacts' speeds at the walls)"
+    gap = min(_gaps(SYMMETRIC, motions), default=np.nan)
+    return statement(f"3{NAMES[SYMMETRIC]}", text, (gap, ROUNDING), high=APART, reason=reason)
+
+
+def _lopsided(scene, motions):
+    """That the motion is not symmetric."""
+    text = f"asymmetric at A = {float(scene.amplitude):g} (least difference of the impacts' speeds at the walls)"
+    gap = min(_gaps(LOPSIDED, motions), default=np.nan)
+    return statement(f"3{NAMES[LOPSIDED]}", text, (gap, ROUNDING), low=APART)
+
+
+def _gaps(k, motions):
+    """The difference of the speeds at both walls of each motion that is meant."""
+    for one in (each for each in motions if each.orbit is not None and _is_meant(k, each)):
+        speed, side = np.asarray(one.orbit.impacts.speed), np.asarray(one.orbit.impacts.side)
+        yield abs(float(speed[side == -1].mean() - speed[side == 1].mean()))
 
 
 def _picture(found):
     figure, places = sheet(2, 3, 2.2)
-    for k, (ax, (scene, motions)) in enumerate(zip(places.flat, found, strict=False)):
+    for k, (ax, (scene, motions, _)) in enumerate(zip(places.flat, found, strict=False)):
         one = next((each for each in motions if _is_meant(k, each)), motions[0])
         plot.portrait(simulate(scene, one.state, one.periods or ROAMED, SAMPLES), scene, ax)
         ax.set_title(f"({NAMES[k]}) $A$ = {float(scene.amplitude):g}: {one.label}", loc="left")

@@ -1,9 +1,10 @@
 """Figure 10: the largest x against the frequency between compliant walls, and the numbers that the paper leaves out."""
 
 from dataclasses import replace
-from itertools import product
+from itertools import pairwise, product
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from .. import plot
@@ -11,12 +12,14 @@ from ..branch import Branch, Special
 from ..find import find_orbit
 from ..follow import follow
 from ..orbit import OrbitError
+from ..peaks import peak, peaks
 from ..plot.style import COLOURS
 from ..sensitivity import held, slopes
 from ..state import State
 from . import fitting
-from .claim import number, statement
+from .claim import number, own, statement
 from .closed import forced
+from .lasting import stable_at
 from .located import ROUNDING
 from .panels import Drawn, legend, panels, png, sheet, styled, trim
 
@@ -30,6 +33,8 @@ LOOKS = 12  # values of gamma on either side of the fitted one at which an SN's 
 NEAR = 0.95  # of the gamma beyond which P100 grazes nowhere: the SN ends there too
 HALF = 0.005  # of a unit of the last digit printed
 SAME = 1e-8  # between solutions
+ASIDE = 0.05  # of a jump's frequency: where but one motion lasts
+STIFFER, BETWEEN = (10.0, 50.0, 250.0), (1.2, 1.4)  # stiffnesses, and frequencies on the top of all of their curves
 
 SHORT = r"$\max|X|\,/\,d$"
 
@@ -59,6 +64,7 @@ def drawn(file, progress):
     gamma = float(both.values[0])
     found = [response(scene.replace(damping=gamma), asked) for scene in scenes]
     claims = [*_numbers(found, both), *_alone(ones, printed), _apart(scenes[0]), *_three(first, printed)]
+    claims += [*_jumps(found), _flat(scenes[0].replace(damping=gamma), asked)]
     caption = CAPTION.format(float(scenes[0].amplitude), float(scenes[0].left.damping), gamma)
     with styled():
         return Drawn(_picture(scenes, found), caption, tuple(claims))
@@ -115,11 +121,11 @@ def _alone(ones, printed):
     (one, other), (first, second) = ([float(fit.values[0]) for fit in fits], [fit.by.item() for fit in fits])
     allowed = HALF / abs(first) + HALF / abs(second)
     text = f"one gamma suits both SN: {one:.6f} from k2 = {STIFF[0]}, {other:.6f} from k2 = {STIFF[1]} (difference)"
-    yield statement("10", text, (abs(one - other), ROUNDING), high=allowed)
+    yield own("10", text, (abs(one - other), ROUNDING), high=allowed)
     for k2, point in zip(STIFF, ones, strict=True):
         steepest, (low, high) = _slopes(point)
         text = f"no other gamma from {low:g} to {high:.3f} does: the SN falls all the way, k2 = {k2} (greatest slope)"
-        yield statement("10", text, (steepest, 1e-9), high=0.0)
+        yield own("10", text, (steepest, 1e-9), high=0.0)
 
 
 def _slopes(point):
@@ -156,11 +162,42 @@ def _three(found, printed):
     text = (
         f"all three numbers are reproduced by {told} (largest misfit; condition of the derivative {best.condition:.3g})"
     )
-    yield statement("10", text, (float(abs(best.misfits).max()), ROUNDING), high=1e-10)
+    yield own("10", text, (float(abs(best.misfits).max()), ROUNDING), high=1e-10)
     good = [fit.values for fit in fits if fit.met and abs(fit.misfits).max() < SAME]
     different = [one for k, one in enumerate(good) if all(abs(one - other).max() > SAME for other in good[:k])]
     text = f"no other three do: {len(good)} of {len(fits)} starts lead to a solution (number of different ones)"
-    yield statement("10", text, (float(len(different)), 0.0), low=1.0, high=1.0)
+    yield own("10", text, (float(len(different)), 0.0), low=1.0, high=1.0)
+
+
+def _jumps(found):
+    """That two motions last between the grazing of P100 and the saddle-node of P111, and one on either side."""
+    for k2, one in zip(STIFF, found, strict=True):
+        low, high = one.grazing.value, one.fold.value
+        seen = [(w, ["P100", "P111"]) for w in np.linspace(low, high, LOOKS + 2)[1:-1]]
+        seen += [(low - ASIDE, ["P111"]), (high + ASIDE, ["P100"])]
+        wrong = sum(sorted(stable_at(one.branches, w)) != labels for w, labels in seen)
+        text = (
+            f"k2 = {k2}: P100 and P111 last from omega {low:.6g}, where a sweep down jumps, to {high:.6g}, where one "
+            f"up falls from x = {peak(one.fold.orbit):.4g}; one of them beside (of {len(seen)} frequencies those "
+            "where not)"
+        )
+        yield own("10", text, (float(wrong), 0.0), high=0.0)
+
+
+def _flat(scene, asked):
+    """That the top of the curve is the flatter the stiffer the walls are."""
+    asked, rises = msgspec.structs.replace(asked, bounds=BETWEEN), []
+    for k2 in STIFFER:
+        stiff = scene.replace(**{"left.stiffness": k2, "right.stiffness": k2})
+        tops = peaks(_hitting(stiff, asked))
+        rises.append(abs(float(tops[-1] - tops[0])))
+    told = ", ".join(f"{rise:.4g} at k2 = {k2:g}" for rise, k2 in zip(rises, STIFFER, strict=True))
+    low, high = BETWEEN
+    text = (
+        f"the top gets flat as k2 grows: from omega {low:g} to {high:g} the largest x rises by {told} (largest ratio)"
+    )
+    ratios = [after / before for before, after in pairwise(rises)]
+    return own("10", text, (max(ratios), SAME), high=1.0)
 
 
 def marked(branch):

@@ -8,8 +8,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from .. import __version__, scenefile
-from ..check import SceneError
-from ..whole import whole
+from ..check import SceneError, among, sequence
+from ..sealed import MARKS, is_sealed, netcdf, sealed
+from ..whole import refuse_folder, whole
 from .claim import Claim
 from .figures import JOBS
 from .panels import Drawn
@@ -42,12 +43,13 @@ def paper(names=(), out="out/paper", scenes=None, force=False, progress=False):
     or written.
     """
     out, folder = Path(out), _scenes() if scenes is None else Path(scenes)
-    names = tuple(names) or tuple(JOBS)
+    names = sequence("names", names) or tuple(JOBS)
     for name in names:
         if name not in JOBS:
-            raise SceneError("figure", f"must be one of {', '.join(JOBS)}", name)
+            raise SceneError("figure", f"must be one of those known{among(name, JOBS)}", name)
     files = {name: [scenefile.read(folder / f"{one}.toml") for one in JOBS[name].files] for name in names}
     keys = {name: _key(folder, JOBS[name].files) for name in JOBS if _exist(folder, JOBS[name].files)}
+    refuse_folder(out)
     out.mkdir(parents=True, exist_ok=True)
     for place, name in enumerate(names, 1):
         if force or _kept(out, name, keys[name]) is None:
@@ -83,30 +85,38 @@ def _key(folder, names):
 
 
 def _keep(out, name, key, drawn):
-    """Writes what was computed, its claims last: they tell that all is there."""
-    for ending, data in drawn.data.items():
-        with whole(out / f"{name}{ending}.nc", force=True) as part:
-            part.write_bytes(data.to_netcdf(engine="scipy"))
+    """Writes what was computed, its claims last: they tell that all is there, by the SHA-256 of each other file."""
+    files = {f"{name}{ending}.nc": netcdf(data) for ending, data in drawn.data.items()}
     if drawn.picture is not None:
-        with whole(out / f"{name}.png", force=True) as part:
-            part.write_bytes(drawn.picture)
+        files[f"{name}.png"] = drawn.picture
     claims = [asdict(one) | {"verdict": one.verdict} for one in drawn.claims]
-    told = {"key": key, "caption": drawn.caption, "picture": drawn.picture is not None, "claims": claims}
-    with whole(out / f"{name}.json", force=True) as part:
-        part.write_text(json.dumps(told, indent=1), encoding="utf-8")
+    digests = {each: _digest(content) for each, content in files.items()}
+    told = MARKS | {"key": key, "caption": drawn.caption, "files": digests, "claims": claims}
+    files[f"{name}.json"] = sealed(json.dumps(told, indent=1).encode())
+    for each, content in files.items():
+        with whole(out / each, force=True) as file:
+            file.write(content)
 
 
 def _kept(out, name, key):
-    """The `Drawn` of an earlier run with the same key, without its data; None where there is none."""
+    """The `Drawn` of an earlier run with the same key, without its data; None where there is none, or a file is not as
+    it was written."""
     try:
-        told = json.loads((out / f"{name}.json").read_text(encoding="utf-8"))
-        if told["key"] != key:
+        content = (out / f"{name}.json").read_bytes()
+        told = json.loads(content)
+        if not is_sealed(content, name) or told["key"] != key:
+            return None
+        files = {each: (out / each).read_bytes() for each in told["files"]}
+        if any(_digest(files[each]) != digest for each, digest in told["files"].items()):
             return None
         claims = [Claim(**{key: value for key, value in one.items() if key != "verdict"}) for one in told["claims"]]
-        picture = (out / f"{name}.png").read_bytes() if told["picture"] else None
-        return Drawn(picture, told["caption"], tuple(claims))
-    except (OSError, ValueError, KeyError, TypeError):
+        return Drawn(files.get(f"{name}.png"), told["caption"], tuple(claims))
+    except (OSError, ValueError, LookupError, TypeError):
         return None
+
+
+def _digest(content):
+    return hashlib.sha256(content).hexdigest()
 
 
 def _report(out, keys):
@@ -116,7 +126,7 @@ def _report(out, keys):
     titled = [(JOBS[name].title, one) for name, one in parts]
     named = [(JOBS[name].title, f"{name}.png" if one.picture else None, one) for name, one in parts]
     for ending, content in ((".html", page(titled)), (".md", text(named))):
-        with whole(out / f"{REPORT}{ending}", force=True) as part:
-            part.write_text(content, encoding="utf-8")
+        with whole(out / f"{REPORT}{ending}", force=True) as file:
+            file.write(content.encode())
     claims = [claim for _, one in parts for claim in one.claims]
     return Report(out / f"{REPORT}.html", out / f"{REPORT}.md", tuple(claims), counts(claims))

@@ -6,7 +6,7 @@ from .. import plot
 from ..explore import explore
 from ..scene import Motion, Wall, make_scene
 from . import closed
-from .claim import statement
+from .claim import own, statement
 from .located import ROUNDING, twice, value
 from .panels import Drawn, legend, panels, png, sheet, styled, trim
 
@@ -47,10 +47,10 @@ def _folds(scene, pair):
     ours, theirs = np.sin(2.0 * np.pi * r / w) < 0, np.sin(np.pi * r / w) > 0
     if ours:
         text = f"P101 has an SN where sin(r T) < 0, {told}: at A_c = {fold:.12g} (located less closed form)"
-        yield statement("one wall", text, (found[0] - fold, found[1]), low=-SAME, high=SAME)
+        yield own("one wall", text, (found[0] - fold, found[1]), low=-SAME, high=SAME)
     else:
         text = f"P101 has no SN where sin(r T) > 0, {told} (number of them; the closed form's u is {speed:.3g})"
-        yield statement("one wall", text, (count, 0.0), high=0.0)
+        yield own("one wall", text, (count, 0.0), high=0.0)
     expected = "has" if theirs else "has no"
     reason = "The condition has (19)'s form with another sign and twice the time: sin(r T) < 0, not sin(r T / 2) > 0."
     text = f'"the condition is the same as (19)": {told}, P101 {expected} SN (number of them)'
@@ -68,7 +68,7 @@ def _mirrored(file, scene, diagram):
     there = [one.value for one in other.points("SN") if one.label == "P110"]
     gap = abs(here[0] - there[0]) if here and there else np.nan
     text = f"P110 on a wall to the left has the SN of P101, frequency {float(scene.frequency):g} (difference)"
-    yield statement("one wall", text, (gap, ROUNDING), high=SAME)
+    yield own("one wall", text, (gap, ROUNDING), high=SAME)
 
 
 def _moving(file, scene):
@@ -82,7 +82,7 @@ def _moving(file, scene):
         f"a wall moving by {MOTION[0]:g} cos(omega t + {MOTION[1]:g}), frequency {float(scene.frequency):g}: SN of "
         f"P101 at A = {exact:.12g} (located less closed form)"
     )
-    return statement("moving wall", text, (found[0] - exact, found[1]), low=-SAME, high=SAME)
+    return own("moving wall", text, (found[0] - exact, found[1]), low=-SAME, high=SAME)
 
 
 def _picture(found):

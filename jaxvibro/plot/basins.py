@@ -6,7 +6,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from ..capture import OUTSIDE, UNRESOLVED
-from .style import COORDINATES, WALL, axes, plain
+from .style import COORDINATES, WALL, axes, is_from, plain
 
 # Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too; chaos is white.
 PALE = ("#FCEFB4", "#A9DCF5", "#F2AE72", "#72AD91", "#A9719A", "#4C79AD", "#94502F", "#3F5750")
@@ -23,6 +23,7 @@ def basins(dataset, ax=None, legend=True):
     mirror each other. Chaos is white, its points are dots. Starts on no attractor are nearly black, those beyond a wall
     grey. legend: below the picture, with the shares of the starts.
     """
+    is_from("basins", "basins", ("label", "fraction", "x", "v"), dataset)
     ax = axes(ax)
     colours, shapes = _looks(dataset)
     listed = [WALL, UNKNOWN, *colours]

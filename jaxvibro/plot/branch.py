@@ -5,9 +5,9 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.font_manager import FontProperties
 
-from ..branch import MEANINGS
+from ..branch import MEANINGS, Branch
 from .lines import columns_of, lines
-from .style import COLOURS, COORDINATES, WALL, axes, label, plain
+from .style import COLOURS, COORDINATES, WALL, are_of, axes, is_of, label, plain
 
 ORDER = tuple(COLOURS[k] for k in (2, 7, 5, 3, 0, 6, 1))  # yellow is too pale for a line
 WIDTHS = {True: 2.0, False: 0.9}  # of a stable and of an unstable part, points
@@ -35,6 +35,7 @@ def branch(one, variable="x", ax=None, colour=None):
     Stable parts are solid and thick, unstable ones dashed and thin. A line breaks where an impact crosses phase 0: the
     velocity jumps there, though the branch goes on. Each kind of special point has a marker of its own, the ends none.
     """
+    is_of("branch", Branch, one)
     ax, text = axes(ax), name(one)
     known = {line.get_label().lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"}
     colour = colour or known.get(text, ORDER[len(known) % len(ORDER)])
@@ -109,6 +110,7 @@ def mark_points(branches, ax):
 
     Points of one value are told once, and those that lie too close to be told apart on one tick: the first of them.
     """
+    are_of("mark_points", Branch, branches)
     low, high = ax.get_xlim()
     close = _line(ax) * (high - low)
     digits = max(0, 3 - int(np.floor(np.log10(high - low))))  # about a thousandth of the range

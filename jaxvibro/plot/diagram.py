@@ -3,8 +3,9 @@
 import numpy as np
 from matplotlib.markers import TICKLEFT, TICKRIGHT
 
+from ..attractors import Attractor
 from ..share import share_text
-from .style import COLOURS, COORDINATES, WALL, axes, label, paler, plain
+from .style import COLOURS, COORDINATES, WALL, are_of, axes, is_from, label, paler, plain
 
 SIZE = 1.2  # points, of the first leg's dots; later ones are smaller, so that where legs agree both are seen
 FAINT = 0.7  # of that size
@@ -18,6 +19,7 @@ def diagram(swept, variable="x", ax=None, faint=False):
     a colour and a size of dot of its own. Fixed walls are lines where x is drawn, unless they are far from all dots.
     faint: smaller and paler dots, to be drawn over.
     """
+    is_from("diagram", "sweep", ("swept", "x", "v"), swept)
     ax, name = axes(ax), swept.attrs["swept"]
     step, *lanes = (dim for dim in swept[variable].dims if dim != "period")
     legs = [swept] if not lanes else [swept.isel({lanes[0]: k}) for k in range(swept.sizes[lanes[0]])]
@@ -60,6 +62,7 @@ def mark(attractors, value, variable="x", ax=None):
     Mirror images of each other have one shape, the first of them open and the second filled; a chaotic one is a row of
     ticks, to the left or, its image, to the right. The legend tells their shares of the starts, with bounds at 95 %.
     """
+    are_of("mark", Attractor, attractors)
     ax, shapes = axes(ax), {}
     ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
     for place, one in enumerate(attractors):

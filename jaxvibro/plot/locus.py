@@ -5,8 +5,8 @@ from itertools import pairwise
 import numpy as np
 
 from ..check import SceneError
-from ..locus import MEANINGS
-from .style import COLOURS, axes, label, plain
+from ..locus import MEANINGS, Locus
+from .style import COLOURS, axes, is_of, label, plain
 
 # Of each kind: a colour, and a style that tells it without colour.
 LOOKS = {
@@ -32,6 +32,7 @@ def locus(one, ax=None, colour=None):
 
     Raises SceneError where the Axes hold loci of other parameters, or of these the other way round.
     """
+    is_of("locus", Locus, one)
     ax = _plane(axes(ax), one.names)
     told, (own, style) = name(one), LOOKS[one.kind]
     lines = _with_gid(ax.lines, LOCUS)
@@ -73,6 +74,7 @@ def region(first, second, text, ax=None, colour=None):
     Raises SceneError where the two are not over the same parameters in the same order, where no such line meets both,
     and as `locus` does.
     """
+    is_of("region", Locus, first, second)
     if first.names != second.names:
         raise SceneError("second", f"must be a locus in {' and '.join(first.names)}, as the first", second.names)
     ax = _plane(axes(ax), first.names)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .style import COLOURS, COORDINATES, axes, plain
+from .style import COLOURS, COORDINATES, axes, is_from, plain
 
 LOOKS = {"stable": (COLOURS[2], "-"), "unstable": (COLOURS[7], (0, (5, 2)))}
 
@@ -13,6 +13,7 @@ def manifold(dataset, ax=None, colour=None, saddle=True):
     A stable manifold is a black line, an unstable one a broken line in orange-red; colour: another one. saddle: mark
     the saddle's points with crosses.
     """
+    is_from("manifold", "manifold", ("kind", "piece", "x", "v"), dataset)
     ax = axes(ax)
     own, style = LOOKS[dataset.attrs["kind"]]
     breaks = np.flatnonzero(np.diff(dataset["piece"].values)) + 1

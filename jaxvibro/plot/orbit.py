@@ -2,9 +2,10 @@
 
 import numpy as np
 
+from ..orbit import Orbit
 from ..simulate import simulate
 from .portrait import portrait
-from .style import COLOURS, WALL, axes
+from .style import COLOURS, WALL, are_of, axes, is_of
 
 SAMPLES = 400  # of a drive period
 COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a diagram
@@ -18,6 +19,7 @@ def orbit(one, ax=None):
 
     Raises SceneError as `simulate` does.
     """
+    is_of("orbit", Orbit, one)
     ax = portrait(simulate(one.scene, one.state, one.periods, SAMPLES), one.scene, axes(ax), one.stable)
     ax.set_title(title(one), fontsize="medium")
     return ax
@@ -43,6 +45,7 @@ def mark_orbits(orbits, value, variable="x", ax=None):
     Shown is the state at phase 0 of each drive period. Stable orbits are filled, unstable ones open; mirror images of
     each other have one shape.
     """
+    are_of("mark_orbits", Orbit, orbits)
     ax, shapes = axes(ax), {}
     ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
     for place, one in enumerate(orbits):

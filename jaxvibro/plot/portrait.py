@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from ..scene import Scene
 from .path import with_impacts
-from .style import COLOURS, COORDINATES, WALL, axes
+from .style import COLOURS, COORDINATES, WALL, axes, is_from, is_of
 
 
 def portrait(trajectory, scene, ax=None, stable=True):
@@ -13,6 +14,8 @@ def portrait(trajectory, scene, ax=None, stable=True):
     at the end of each drive period. stable: whether the motion is; one that is not has a dashed line of its own colour,
     its impacts are dotted, its states open.
     """
+    is_from("portrait", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
+    is_of("portrait", Scene, scene)
     ax = axes(ax)
     _walls(ax, scene)
     _, x, v, jumps = with_impacts(trajectory, scene)

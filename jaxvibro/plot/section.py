@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..check import SceneError
-from .style import COLOURS, COORDINATES, axes
+from .style import COLOURS, COORDINATES, axes, is_from
 
 WALLS = ("left", "right")
 
@@ -14,6 +14,7 @@ def section(dataset, which="sigma", ax=None, colour=None):
     which: "sigma", velocity against position at the drive's phase; "left" or "right", of the impacts on that wall the
     velocity after them against the phase of the drive.
     """
+    is_from("section", "sections", ("x", "v"), dataset)
     ax = axes(ax)
     look = {"linestyle": "none", "marker": ".", "markersize": 2.0, "color": colour or COLOURS[0], "rasterized": True}
     if which == "sigma":

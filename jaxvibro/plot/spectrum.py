@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .style import COLOURS, WALL, axes, label
+from .style import COLOURS, WALL, axes, is_from, label
 
 SURE = 3.0  # standard errors by which the first exponent must exceed 0, for a value to be shaded as chaotic
 BAND = 2.0  # standard errors to either side
@@ -19,6 +19,7 @@ def spectrum(found, ax=None):
     doubt. An exponent of -inf is a tick at the lower edge; where there is none, the line has a gap; a value that stands
     alone is a dot. Open circles are the growth between rests of a mass that comes to rest.
     """
+    is_from("spectrum", "spectrum", ("swept", "exponent", "error"), found)
     ax, name = axes(ax), found.attrs["swept"]
     order = np.argsort(found[name].values, kind="stable")
     found = found.isel({name: order})

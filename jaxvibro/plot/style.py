@@ -1,7 +1,10 @@
 """Colours, names and units that all pictures share."""
 
 import matplotlib.pyplot as plt
+import xarray as xr
 from matplotlib.colors import to_rgb
+
+from ..check import SceneError
 
 # Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
@@ -44,3 +47,24 @@ def paler(colour):
 def axes(ax):
     """The Axes given, or those of a new figure."""
     return plt.subplots(layout="constrained")[1] if ax is None else ax
+
+
+def is_of(picture, kind, *values):
+    """Refuse what is not of the kind of record that a picture is of."""
+    for value in values:
+        if not isinstance(value, kind):
+            article = "an" if kind.__name__[0] in "AEIOU" else "a"
+            raise SceneError(f"plot.{picture}", f"must be given {article} {kind.__name__}", value)
+
+
+def are_of(picture, kind, values):
+    """Refuse what is no tuple or list of such records."""
+    if not isinstance(values, tuple | list):
+        raise SceneError(f"plot.{picture}", f"must be given a tuple of {kind.__name__}s", values)
+    is_of(picture, kind, *values)
+
+
+def is_from(picture, source, names, value):
+    """Refuse what is no Dataset of a function's, which has variables, or attributes, of these names."""
+    if not isinstance(value, xr.Dataset) or not all(name in value.variables or name in value.attrs for name in names):
+        raise SceneError(f"plot.{picture}", f"must be given a Dataset of {source}", type(value).__name__)

@@ -2,12 +2,15 @@
 
 import numpy as np
 
+from ..scene import Scene
 from .path import position, with_impacts
-from .style import COLOURS, COORDINATES, TIME, WALL, axes
+from .style import COLOURS, COORDINATES, TIME, WALL, axes, is_from, is_of
 
 
 def trace(trajectory, scene, ax=None):
     """Draw the position in a Dataset of `simulate` against time in drive periods, with walls and impacts: the Axes."""
+    is_from("trace", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
+    is_of("trace", Scene, scene)
     ax, period = axes(ax), 2 * np.pi / float(scene.frequency)
     turns = trajectory["time"].values / period
     for wall in scene.walls.values():

@@ -1,0 +1,47 @@
+"""Why a branch or a locus ends: a member for each reason, with the text that tells it."""
+
+import re
+from enum import Enum
+from typing import NamedTuple
+
+
+class End(Enum):
+    """Why a branch ends. A member's value is its text; value in it is the parameter's there, kind that of the special
+    point at which it was stopped, or which it left."""
+
+    BOUND = "the parameter reached its bound {value:.12g}"
+    DOMAIN = "the parameter's domain ends at {value:.12g}"
+    CLOSED = "it closes: the branch came back to an orbit met before, at {value:.12g}"
+    STOPPED = "stopped at {kind}, {value:.12g}"
+    STEP = "the step became too small at {value:.12g}: Newton's method does not converge there"
+    GRAZE = "grazing at {value:.12g}: no orbit with as many periods goes on from there"
+    REST = "from {value:.12g} on the mass rests on a wall for a while"
+    POINTS = "it has too many points, the last at {value:.12g}"
+    NUMBER = "a number is not finite after {value:.12g}"
+    HALVED = "at {value:.12g} it is an orbit of a shorter period, repeated"
+    CHATTER = (
+        "at {value:.12g} another impact is as good as without speed: towards complete chatter there is no end of"
+        " grazings"
+    )
+    START = "the start"
+    LEFT = "it left {kind} at {value:.12g}"
+
+    def reason(self, value=0.0, kind=""):
+        """The `Reason` with these in its text."""
+        return Reason(self, self.value.format(value=value, kind=kind))
+
+
+class Reason(NamedTuple):
+    """Why a branch ends: the `End`, which decides, and its text, which only tells."""
+
+    end: End
+    text: str
+
+
+def read(text):
+    """The `End` of a text: saved branches had no more. Raises ValueError where it is none."""
+    for one in End:
+        pattern = re.sub(r"\\{value[^}]*\\}", r"\\S+", re.escape(one.value)).replace(r"\{kind\}", ".+")
+        if re.fullmatch(pattern, text):
+            return one
+    raise ValueError(f"why a branch ends is not told by {text!r}")

@@ -1,0 +1,95 @@
+"""What can be traced and what cannot: every public name is the one or says at once that it is the other."""
+
+import inspect
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import jaxvibro as jv
+from jaxvibro import command, plot, study
+from jaxvibro.paper.figures import JOBS
+from jaxvibro.tables import SceneFile
+
+TRACED = {
+    "make_scene": lambda x: jv.make_scene(x, 2.1, 0.05, 0.7, (-1.0, 1.0)).amplitude,
+    "scene_from_physical": lambda x: jv.scene_from_physical(1.0, 0.1, 1.0, x, 2.1, 0.7, (-1.0, 1.0)).amplitude,
+    "soften": lambda x: jv.soften(SCENE, 100.0 + x).right.stiffness,
+    "effective_restitution": lambda x: jv.effective_restitution(100.0, x),
+    "contact_damping": lambda x: jv.contact_damping(100.0 + x, 0.7),
+    "strobe": lambda x: jv.strobe(SCENE, jv.State(x, 0.0), slots=4)[0].x,
+    "monodromy": lambda x: jv.monodromy(SCENE, jv.State(x, 0.0))[0, 0],
+    "return_map": lambda x: jv.return_map(SCENE, "right", x, -1.0).velocity,
+}
+FILES = ("load_scene", "load_data", "paper")  # take no numbers, give none back that a transformation could use
+SCENE = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+PUBLIC = [name for name in jv.__all__ if inspect.isfunction(getattr(jv, name))]
+HOST = [name for name in PUBLIC if name not in TRACED and name not in FILES]
+
+
+def test_every_public_function_is_known_here():
+    assert not set(TRACED) - set(PUBLIC) and not set(FILES) - set(PUBLIC)
+    assert {"find_orbit", "follow", "simulate", "locus", "switch", "extend", "explore", "sweep", "basins"} <= set(HOST)
+    assert all(inspect.isclass(getattr(jv, name)) for name in set(jv.__all__) - set(PUBLIC) - {"plot", "__version__"})
+
+
+@pytest.mark.parametrize("name", TRACED)
+def test_what_is_traced_can_be(name):
+    for transformed in (jax.jit(TRACED[name]), jax.vmap(TRACED[name])):
+        shapes = jax.eval_shape(transformed, jnp.full(3, 0.3) if transformed is not jax.jit else 0.3)
+        assert shapes.dtype == jnp.float64
+
+
+def line_of(call):
+    with pytest.raises(jv.SceneError) as error:
+        call()
+    line = str(error.value)
+    assert "\n" not in line and len(line) <= 300
+    return line
+
+
+def given(function, x):
+    """Arguments enough for a function, one of them traced within a record or alone."""
+    names = list(inspect.signature(function).parameters)
+    return [SCENE.replace(amplitude=x) if name == "scene" else x for name in names]
+
+
+@pytest.mark.parametrize("name", HOST)
+def test_what_runs_on_the_host_says_so_at_once(name):
+    function = getattr(jv, name)
+    told = f"{name}: runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, "
+    traced, plain = (lambda x: function(*given(function, x))), (lambda x: (function(*given(function, 2.0)), x)[1])
+    for one in (traced, plain):
+        for transformed in (jax.jit(one), jax.grad(one), lambda x, one=one: jax.vmap(one)(jnp.full(2, x))):
+            assert line_of(lambda transformed=transformed: transformed(2.0)).startswith(told)
+    assert inspect.signature(function).parameters and function.__doc__ and function.__name__ == name
+
+
+@pytest.mark.parametrize("name", plot.__all__)
+def test_a_picture_says_what_it_is_of(name):
+    function, orbit = getattr(plot, name), jv.State(0.0, 0.0)
+    count = sum(one.default is one.empty for one in inspect.signature(function).parameters.values())
+    for wrong in (orbit, 3.0, None, "name", SCENE, [orbit], jv.Impacts(*[0] * 7)):
+        assert line_of(lambda wrong=wrong: function(*[wrong] * count)).startswith(f"plot.{name}: must be given a")
+
+
+def test_a_picture_of_a_branch_is_of_no_orbit():
+    orbit = jv.find_orbit(SCENE.replace(amplitude=0.5), jv.State(0.0, 0.0))
+    assert line_of(lambda: plot.branch(orbit)).startswith("plot.branch: must be given a Branch; got Orbit(label='P100'")
+    assert line_of(lambda: plot.orbit(SCENE)).startswith("plot.orbit: must be given an Orbit")
+    path = jv.simulate(SCENE, jv.State(0.0, 0.0))
+    assert line_of(lambda: plot.diagram(path)).endswith("must be given a Dataset of sweep; got 'Dataset'")
+
+
+def test_the_help_knows_all_that_there_is(capsys):
+    for words in ([], ["run"], ["paper"], ["init"]):
+        assert command.main([*words, "--help"]) == 0
+        told = " ".join(capsys.readouterr().out.split())
+        assert "between rigid walls" not in told
+        if words == ["run"]:
+            assert "Walls are rigid or soft" in told
+            assert [name for name in SceneFile.__struct_fields__[1:] if f"[{name}]" not in told] == []
+        if words == ["paper"]:
+            assert "figures 2 to 12" in told and "fig2 to fig12, walls, formulas" in told
+            assert {*JOBS} == {*(f"fig{k}" for k in range(2, 13)), "walls", "formulas"}
+    assert "soft" in jv.__doc__ and study.__doc__
