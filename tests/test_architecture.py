@@ -18,7 +18,7 @@ ORDER = [
     *("meet", "cycle", "passes", "orbit", "solve", "shoot", "find", "orbits"),
     *("ring", "along", "look", "rows", "end", "image", "graze", "brush", "dips", "monitor", "piece", "walk"),
     *("told", "branch", "domain", "assemble", "follow", "switch", "mirror", "peaks", "tree"),
-    *("curve", "codim", "track", "outset", "sensitivity", "locus", "family", "loci", "coexistence"),
+    *("curve", "codim", "track", "outset", "corner", "sensitivity", "locus", "family", "loci", "coexistence"),
     *("diagram", "probe", "explore", "diagrams"),
     *("evidence", "attractors", "carry", "visits", "trap", "capture", "fractal", "basins"),
     *("backward", "germ", "strand", "manifold"),
