@@ -15,7 +15,8 @@ def with_dips(along, points, look, control):
     """The points, with one more where a clearance or speed may have dipped below zero between them."""
     values = _values(along, points.z, look)
     with np.errstate(invalid="ignore"):
-        low = (values[1:-1] < values[:-2]) & (values[1:-1] <= values[2:]) & (values[1:-1] > 0) & (values[2:] > 0)
+        free = values > along.slack
+        low = (values[1:-1] < values[:-2]) & (values[1:-1] <= values[2:]) & free[1:-1] & free[2:]
         bend = values[:-2] - 2.0 * values[1:-1] + values[2:]
         least = values[1:-1] - (values[2:] - values[:-2]) ** 2 / (8.0 * np.where(bend > 0, bend, np.inf))
         low &= np.isfinite(values[:-2]) & np.isfinite(values[2:]) & (least < DIP * values[1:-1])

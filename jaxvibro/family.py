@@ -3,14 +3,15 @@
 import numpy as np
 
 from . import check
+from .corner import outsets, traced
 from .domain import values_of
 from .end import End
 from .locus import locus_of
 from .mirror import stays_symmetric
-from .outset import Begun, backward, begun, impacts_of, named, outset
+from .outset import Begun, begun, impacts_of, named
 from .piece import to_value
 from .told import Spot
-from .track import together, tracked
+from .track import together
 
 
 @check.host("use strobe or monodromy")
@@ -33,14 +34,20 @@ def family(special, names, bounds, third, values, first_step=0.02, largest_step=
         raise check.SceneError("third", "must be none of names", third)
     if start.kind == "SB" and not stays_symmetric(start.scene, third):
         raise check.SceneError("third", "must keep the scene symmetric: an SB is no point of another", third)
-    outset(start, names, bounds, *steps)  # refuses what cannot be
+    outsets(start, names, bounds, *steps)  # refuses what cannot be
     found = carried(start, names, bounds, third, values, *steps)
     starts = [one for one in found if one is not None]
-    ways = [outset(one, names, bounds, *steps) for one in starts]
-    traced = together([each for way in ways for each in (way, backward(way))])
-    both = zip(starts, ways, traced[::2], traced[1::2], strict=True)
-    loci = iter([locus_of(one, way, None if on.why is End.CLOSED else back, on) for one, way, on, back in both])
+    ways = [outsets(one, names, bounds, *steps) for one in starts]
+    first = together([each for pair in ways for each in pair])
+    both = zip(starts, ways, zip(first[::2], first[1::2], strict=True), strict=True)
+    loci = iter([_locus(one, *pair, *tracks, steps) for one, pair, tracks in both])
     return tuple(None if one is None else next(loci) for one in found)
+
+
+def _locus(start, on, back, ahead, behind, steps):
+    """The `Locus` of ways on and back and what was tracked along each first."""
+    closes = ahead.why is End.CLOSED
+    return locus_of(start, traced(start, on, steps, ahead), () if closes else traced(start, back, steps, behind))
 
 
 def carried(start, names, bounds, third, values, *steps):
@@ -51,20 +58,23 @@ def carried(start, names, bounds, third, values, *steps):
     low, high = min(own, *values), max(own, *values)
     if low == high:
         return [start] * len(values)
-    way = outset(start, (free, third), {free: bounds[free], third: (low, high)}, *steps)
-    sides = [tracked(*way).points, tracked(*backward(way)).points]
-    return [start if value == own else _crossed(start, way, sides, (free, third), value) for value in values]
+    pair = outsets(start, (free, third), {free: bounds[free], third: (low, high)}, *steps)
+    sides = [traced(start, way, steps) for way in pair]
+    return [start if value == own else _crossed(start, sides, (free, third), value) for value in values]
 
 
-def _crossed(start, way, sides, pair, value):
+def _crossed(start, sides, pair, value):
     """The `outset.Begun` where a locus both ways first has a value of its second parameter, None where it has not."""
     ahead = []
-    for points in sides:
-        late, level = np.cumsum(points.step), points.z[:, -1] - value
-        for after in np.flatnonzero(level[:-1] * level[1:] <= 0):
-            share = level[after] / ((level[after] - level[after + 1]) or 1.0)
-            ahead.append((late[after] + share * points.step[after + 1], int(after), points))
-    for _, after, points in sorted(ahead, key=lambda one: one[0]):
+    for side in sides:
+        past = 0.0
+        for way, (points, *_) in side:
+            late, level = past + np.cumsum(points.step), points.z[:, -1] - value
+            for after in np.flatnonzero(level[:-1] * level[1:] <= 0):
+                share = level[after] / ((level[after] - level[after + 1]) or 1.0)
+                ahead.append((late[after] + share * points.step[after + 1], int(after), points, way))
+            past = late[-1]
+    for _, after, points, way in sorted(ahead, key=lambda one: one[0]):
         cut, there = to_value(way.curve, points, after + 1, -1, value, way.asked)
         if there:
             return _begun(start, way.curve, pair, cut.z[-1], float(cut.residual[-1]))

@@ -4,7 +4,8 @@ import numpy as np
 
 from .branch import labels
 from .check import SceneError, sequence
-from .itinerary import mirrored, same
+from .graze import TOUCH
+from .itinerary import LETTERS, label, mirrored, same
 from .locus import locus
 from .outset import KINDS
 
@@ -50,8 +51,13 @@ def leads_through(one, special):
 
 
 def _labels(special):
-    """The labels that a special point's locus may have: at a grazing it counts the impacts that come in."""
-    return {special.label, *(each.rstrip("<>") for each in labels(special) if special.kind == "GR")}
+    """The labels that a special point's locus may have: at a grazing it counts the impacts that come in, and may be
+    that of one touch alone."""
+    if special.kind != "GR":
+        return {special.label}
+    found = {special.label, *(each.rstrip("<>") for each in labels(special))}
+    alone = {label(("",) * (special.spot.periods - 1) + (letter,)) for letter in LETTERS.values()}
+    return found | (set() if (special.spot.speeds > TOUCH).any() else alone)
 
 
 def is_on(one, values):

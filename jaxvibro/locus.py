@@ -2,22 +2,27 @@
 
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 
+from continuation.arclength import Point
+
 from . import check
 from . import itinerary as words
 from .branch import row_of
+from .corner import outsets, traced
+from .curve import Grazing, Singular
 from .end import End
+from .look import Look
 from .orbit import roots
-from .outset import backward, begun, impacts_of, outset
+from .outset import begun, impacts_of
 from .rows import joined, turned
 from .scene import Scene, changed
 from .text import columns
 from .told import Spot, itinerary, told
-from .track import tracked
 
 MEANINGS = {
     "CP": "cusp",
@@ -132,36 +137,66 @@ def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1
     Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
     point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
     doublings (GPD), degenerate symmetry breakings (DSB), ends on a grazing (GR), grazings of two impacts or walls at
-    once (GG), and on a GR where loci of SN, PD, SB come to it, or SN and PD in one point (RG, resonant grazing).
+    once (GG), and on a GR where loci of SN, PD, SB come to it, or SN and PD in one point (RG, resonant grazing). The
+    GR of a motion without impacts goes on from a GG along the other wall, the nearer one from there on.
 
     The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
     multiplier_imag, least_speed, least_clearance, residual.
 
     Raises SceneError for points of other kinds and arguments that cannot be.
     """
-    way = outset(begun(special), names, bounds, first_step, largest_step, tolerance)
-    on = tracked(*way)
-    back = None if on.why is End.CLOSED else tracked(*backward(way))
-    return locus_of(special, way, back, on)
+    start, steps = begun(special), (first_step, largest_step, tolerance)
+    on, back = outsets(start, names, bounds, *steps)
+    ahead = traced(start, on, steps)
+    return locus_of(special, ahead, () if ahead[0][1].why is End.CLOSED else traced(start, back, steps))
 
 
-def locus_of(special, way, back, on):
-    """The `Locus` of what was tracked along a `track.Way` and backward, None where the first closes."""
-    (curve, _, asked), one = way, on
-    names, bounds = asked.names, asked.bounds
-    if back is not None:
-        last = len(back.points.z) - 1
-        points, look = (joined([turned(a), b]) for a, b in ((back.points, on.points), (back.look, on.look)))
-        marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(back.marks))
-        marks += tuple(mark._replace(place=mark.place + last) for mark in on.marks)
-        one = on._replace(points=points, look=look, marks=marks)
-    data = _data(curve, names, one)
-    found = {mark.place: (mark.kind, mark.residual) for mark in one.marks}
-    for place in (0, len(one.points.z) - 1):
-        found.setdefault(place, ("EP", float(one.points.residual[place])))
-    points = tuple(_codim2(special.scene, names, data, place, *found[place]) for place in sorted(found))
-    reasons = ("the start" if back is None else back.reason, on.reason)
-    return Locus(special.kind, names, bounds, special.scene, data, points, reasons)
+def locus_of(special, on, back):
+    """The `Locus` of what was `corner.traced` from its start on and back, the latter empty where the first closes."""
+    asked, parts = (
+        on[0][0].asked,
+        [_turned(*one) for one in reversed(back)] + [_Part(way.curve, *one[:3]) for way, one in on],
+    )
+    if back and back[0][0].curve is on[0][0].curve:
+        parts[len(back) - 1 : len(back) + 1] = [_glued(*parts[len(back) - 1 : len(back) + 1])]
+    data, found, first = [], {}, 0
+    for part in parts:
+        data.append(_data(part.curve, asked.names, part).isel(point=slice(1 if data else 0, None)))
+        found |= {first + mark.place: (mark.kind, mark.residual) for mark in part.marks}
+        last = first + len(part.points.z) - 1
+        if part is not parts[-1]:  # a corner
+            found.setdefault(last, ("GG", float(part.points.residual[-1])))
+        first = last
+    data = xr.concat(data, "point", combine_attrs="override")
+    for place in (0, first):
+        found.setdefault(place, ("EP", float(data["residual"].values[place])))
+    points = tuple(_codim2(special.scene, asked.names, data, place, *found[place]) for place in sorted(found))
+    reasons = (back[-1][1].reason if back else "the start", on[-1][1].reason)
+    return Locus(special.kind, asked.names, asked.bounds, special.scene, data, points, reasons)
+
+
+class _Part(NamedTuple):
+    """A stretch of a locus with one curve: its points, their `Look`, and marks."""
+
+    curve: Grazing | Singular
+    points: Point
+    look: Look
+    marks: tuple
+
+
+def _turned(way, one):
+    """What was tracked as a `_Part` from its end to its start."""
+    last = len(one.points.z) - 1
+    marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
+    return _Part(way.curve, turned(one.points), turned(one.look), marks)
+
+
+def _glued(one, other):
+    """Two parts of one curve, the second beginning where the first ends."""
+    last = len(one.points.z) - 1
+    marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
+    points, look = (joined([a, b]) for a, b in ((one.points, other.points), (one.look, other.look)))
+    return _Part(one.curve, points, look, marks)
 
 
 def _data(curve, names, one):

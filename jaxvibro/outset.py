@@ -44,29 +44,36 @@ def begun(special):
     return Begun(special.kind, special.name, special.scene, special.spot)
 
 
-def outset(start, names, bounds, first_step, largest_step, tolerance):
-    """The `track.Way` from a `Begun`, in two parameters. Raises SceneError for arguments that cannot be."""
+def ways(start, names, bounds, first_step, largest_step, tolerance):
+    """The `track.Way`s from a `Begun`, in two parameters: one, or at a GR one for each touch. Raises SceneError for
+    arguments that cannot be."""
     names = named(start.scene, names)
     if not isinstance(bounds, dict) or set(bounds) != set(names):
         raise check.SceneError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
     bounds = {name: bounds_of(start.scene, name, bounds[name]) for name in names}
     given = settled(first_step, largest_step, tolerance, (), ())
-    curve, z = equations(start, names)
     length = scene_length(start.scene)
     own = [domain(start.scene, name) for name in names]
     box = [(max(low, least), min(high, most)) for (low, high), (least, most) in zip(bounds.values(), own, strict=True)]
     only = tuple(
         tuple(each for each in pair if each not in bounds[name]) for pair, name in zip(own, names, strict=True)
     )
-    numbers = (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])
-    weights = scales(curve, length)
-    for k, name in enumerate(names, -2):
+    numbers = [np.float64(each) for each in (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])]
+    control = Control(np.ones(1), *numbers)
+    asked = Bounded(control, min(first_step, largest_step), names, bounds, tuple(box), only, length)
+    return [_way(curve, z, asked) for curve, z in equations(start, names)]
+
+
+def _way(curve, z, asked):
+    """The `track.Way` from z, towards greater values of the second parameter."""
+    weights = scales(curve, asked.length)
+    for k, name in enumerate(asked.names, -2):
         if name.endswith(".stiffness"):  # it goes through orders of magnitude
             weights[k] = 1.0 / (1.0 + abs(z[k]))
-    control = Control(weights, *(np.float64(each) for each in numbers))
-    asked = Bounded(control, min(first_step, largest_step), names, bounds, tuple(box), only, length)
+    control = asked.control._replace(scale=weights)
     ahead = tangent(problem(curve), z, control.scale, curve)
-    return Way(curve, point(_settled_at(curve, z, ahead, control), ahead), asked)
+    start = point(_settled_at(curve, z, ahead, control), ahead)
+    return Way(curve, start, asked._replace(control=control))
 
 
 def backward(way):
@@ -86,8 +93,8 @@ def named(scene, names):
 
 
 def equations(start, names):
-    """(`Grazing` or `Singular`, z) at a `Begun`, along any number of parameters; a tuple of names is one, of several
-    that have one value. Raises SceneError."""
+    """(`Grazing` or `Singular`, z) at a `Begun`, along any number of parameters, a list of one; at a GR of one for each
+    touch, which leaves the others out. A tuple of names is one, of several that have one value. Raises SceneError."""
     scene, spot = start.scene, start.spot
     impacts = _impacts(start)
     values = [tied(scene, name) for name in names]
@@ -101,18 +108,31 @@ def equations(start, names):
     blank = np.zeros(0)
     numbers = (np.asarray(each) for each in (0.0, periods, turn))
     seed = Singular(numbered, which, Cycle(blank, blank, blank, *numbers), np.asarray(1.0))
-    cycle = padded(seed, impacts)
-    z = np.concatenate([cycle.times, cycle.speeds, values])
     if start.kind != "GR":
         closing = 1.0 if start.kind == "SN" else -1.0
-        return Singular(numbered, which, cycle, np.asarray(closing)), z
-    length = scene_length(scene)
-    pick = np.where((cycle.sides != 0) & (cycle.speeds <= TOUCH * length), 1.0, 0.0)
-    if pick.sum() != 1:
-        raise check.SceneError("special", "must be a grazing of one impact: here are", int(pick.sum()))
-    if brush.is_smooth(numbered, cycle.sides[np.argmax(pick)]):
+        return [_singular(seed._replace(closing=np.asarray(closing)), impacts, values)]
+    slack = TOUCH * scene_length(scene)
+    still = [k for k, (_, speed, _) in enumerate(impacts) if speed <= slack]
+    if not still:
+        raise check.SceneError("special", "must touch a wall: a GR at which none is", start.spot.value)
+    alone = ([one for k, one in enumerate(impacts) if k == touch or k not in still] for touch in still)
+    return [_grazing(seed, each, values, slack) for each in alone]
+
+
+def _singular(seed, impacts, values):
+    """(`Singular`, z) with these impacts."""
+    cycle = padded(seed, impacts)
+    return seed._replace(cycle=cycle), np.concatenate([cycle.times, cycle.speeds, values])
+
+
+def _grazing(seed, impacts, values, slack):
+    """(`Grazing`, z) with these impacts, one of them without speed."""
+    cycle = padded(seed, impacts)
+    pick = np.where((cycle.sides != 0) & (cycle.speeds <= slack), 1.0, 0.0)
+    z = np.concatenate([cycle.times, cycle.speeds, values])
+    if brush.is_smooth(seed.scene, cycle.sides[np.argmax(pick)]):
         cycle = cycle._replace(still=pick)
-    return Grazing(numbered, which, cycle, pick, np.asarray(TOUCH * length)), z
+    return Grazing(seed.scene, seed.which, cycle, pick, np.asarray(slack)), z
 
 
 def _impacts(start):

@@ -17,9 +17,10 @@ from .along import Along, problem
 from .curve import Grazing
 from .domain import flat, marked
 from .outset import begun, equations
-from .scene import Scene
+from .scene import SIDES, Scene
 
 KINDS = ("SN", "GR")
+ALIKE = 1e-6  # derivatives as near are one
 SHORTEST = 1.0 / 256.0  # of the way to other numbers: a step as short that fails is the end
 WARY = 0.3  # of 1 + the largest unknown: more must nothing change in a step
 
@@ -43,20 +44,23 @@ class Held(NamedTuple):
 
 
 @check.host("use monodromy")
-def sensitivity(special, names):
+def sensitivity(special, names, wall=None):
     """How the value of a special point changes with other parameters of its scene: an array, a number for each name.
 
     special: a `Special` of a branch, SN or GR; names: of parameters but the point's own, one or a sequence; a tuple
     among them is one parameter, of several that have one value and change together: [("left.damping",
-    "right.damping")]. Where their values differ, a common shift does what the single ones do, added.
+    "right.damping")]. Where their values differ, a common shift does what the single ones do, added. wall: "left" or
+    "right", for a GR that touches both at once: along what moves one of them it has a corner, and what is given is how
+    the value at which this wall is touched changes. It counts on the side where this wall is touched first.
 
-    Raises SceneError for points of other kinds and names that cannot be.
+    Raises SceneError for points of other kinds, names that cannot be, and a corner where no wall is given; its value is
+    then what each wall gives.
     """
-    return slopes(held(special, names))
+    return slopes(held(special, names, wall))
 
 
-def held(special, names):
-    """The `Held` of a `Special` and such names."""
+def held(special, names, wall=None):
+    """The `Held` of a `Special`, such names and a wall."""
     start = begun(special)
     if start.kind not in KINDS:
         raise check.SceneError("special", f"must be a special point of kind {', '.join(KINDS)}", start.kind)
@@ -67,11 +71,43 @@ def held(special, names):
     if not all(map(len, names)) or not names or special.name in each or len(set(each)) < len(each):
         raise check.SceneError("names", f"must be different, one at least, and none {special.name}", names)
     check.are_apart(special.name, *each)
-    curve, z = equations(start, (special.name, *names))
+    if wall not in (None, "left", "right"):
+        raise check.SceneError("wall", 'must be "left", "right" or None', wall)
+    return _only([_held(*sheet, special.name, names) for sheet in equations(start, (special.name, *names))], wall)
+
+
+def _only(found, wall):
+    """The one `Held` of some, each of a touch of a wall, or that of a wall: they have to give the same."""
+    known = {}
+    for one in found:
+        try:
+            by, side = slopes(one), _side(one)
+        except np.linalg.LinAlgError:  # the value does not matter to this touch
+            continue
+        if wall is None or wall == side:
+            known.setdefault(side, []).append((one, by))
+    every = [each for some in known.values() for each in some]
+    if not every:
+        raise check.SceneError("wall", "must be one that is touched, and that the point's value changes", wall)
+    first, by = every[0]
+    if all(np.allclose(by, other, rtol=ALIKE, atol=ALIKE) for _, other in every):
+        return first
+    told = {side: [float(f"{each:.6g}") for each in known[side][0][1]] for side in sorted(known)}
+    raise check.SceneError("wall", 'must be "left" or "right" at a corner: each counts where it is touched first', told)
+
+
+def _side(one):
+    """Of the wall that a `Held` grazing touches."""
+    rows = len(one.along.cycle.sides)
+    return None if not len(one.still) else SIDES[int(one.along.cycle.sides[one.still[0] - rows] > 0)]
+
+
+def _held(curve, z, name, names):
+    """The `Held` of a curve's point along a parameter and others."""
     rows, own = len(curve.cycle.sides), z[: len(z) - len(names)]
-    scene, which = marked(curve.scene, special.name)
+    scene, which = marked(curve.scene, name)
     still = rows + np.flatnonzero(curve.pick) if isinstance(curve, Grazing) else np.zeros(0, int)
-    marks = tuple(marked(scene, name)[1] for name in names)
+    marks = tuple(marked(scene, each)[1] for each in names)
     one = Held(Along(scene, which, curve.cycle._replace(still=None)), own, still, z[len(own) :], marks, np.nan)
     one = _with(one, one.kept)  # `marked` has put the hardness to zero
     return _solved(one) or one

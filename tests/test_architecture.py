@@ -19,7 +19,7 @@ ORDER = [
     *("meet", "cycle", "passes", "orbit", "solve", "shoot", "find", "free", "orbits"),
     *("ring", "along", "look", "rows", "end", "image", "graze", "brush", "dips", "monitor", "piece", "walk"),
     *("told", "branch", "branchfile", "domain", "assemble", "follow", "switch", "mirror", "peaks", "tree"),
-    *("curve", "codim", "track", "outset", "sensitivity", "locus", "family", "loci", "coexistence"),
+    *("curve", "codim", "track", "outset", "corner", "sensitivity", "locus", "family", "loci", "coexistence"),
     *("diagram", "probe", "explore", "diagrams"),
     *("share", "carry", "weak", "evidence", "tried", "attractors", "visits", "trap", "capture", "fractal", "basins"),
     *("backward", "germ", "strand", "manifold"),
