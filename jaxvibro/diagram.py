@@ -1,6 +1,5 @@
 """A whole diagram: the branches of a scene along a parameter, with what tells how far it was explored."""
 
-import hashlib
 import json
 import os
 import re
@@ -13,7 +12,7 @@ from .branch import Branch
 from .branchfile import branch_of
 from .check import SceneError, host, short
 from .scene import Scene
-from .sealed import MARKS, is_format, opened, sealed
+from .sealed import MARKS, digest, is_format, opened, sealed
 from .tables import SceneTable, table_of
 from .text import columns
 from .tree import is_same
@@ -84,11 +83,11 @@ class Diagram:
         before, files = _named(index), {}
         for place, one in enumerate(self.branches):
             content = one.content
-            digest = hashlib.sha256(content).hexdigest()
-            name = f"branch_{place:03d}_{digest[:16]}.nc"
+            known = digest(content)
+            name = f"branch_{place:03d}_{known[:16]}.nc"
             with whole(folder / name, True) as file:
                 file.write(content)
-            files[name] = digest
+            files[name] = known
         told = {key: getattr(self, key) for key in ("name", "bounds", "left", "complete", "reason", "settings")}
         told |= {"scene": msgspec.toml.encode(table_of(self.scene)).decode(), "branches": files}
         with whole(index, force) as file:
@@ -122,7 +121,7 @@ def load_diagram(folder):
     path = Path(folder) / INDEX
     index = opened(path, _index)
     digests = index.branches if isinstance(index.branches, dict) else dict.fromkeys(index.branches)
-    branches = tuple(_branch(Path(folder) / Path(name).name, digest) for name, digest in digests.items())
+    branches = tuple(_branch(path.with_name(name), known) for name, known in digests.items())
     try:
         scene = branches[0].scene if index.scene is None else msgspec.toml.decode(index.scene, type=SceneTable).make()
         left = tuple((k, j) for k, j in index.left if branches[k].special[j])
@@ -140,6 +139,8 @@ def _index(content, path):
     except (ValueError, RecursionError) as error:
         raise _refused(error, path) from None
     is_format(index.format, path)
+    if not all(map(NAME.fullmatch, index.branches)):
+        raise _refused("it names files that are no branches'", path)
     return index
 
 
@@ -150,13 +151,13 @@ def _refused(error, path):
 def _named(index):
     """The files of branches that an index names, none where there is none that can be read."""
     try:
-        return set(filter(NAME.fullmatch, _index(index.read_bytes(), index).branches))
+        return set(_index(index.read_bytes(), index).branches)
     except (OSError, SceneError):
         return set()
 
 
-def _branch(path, digest):
+def _branch(path, known):
     content = path.read_bytes()
-    if digest is not None and hashlib.sha256(content).hexdigest() != digest:
+    if known is not None and digest(content) != known:
         raise SceneError("path", "must be the file that the diagram was saved with", str(path))
     return branch_of(content, path)

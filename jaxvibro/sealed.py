@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from .check import SceneError, shown
+from .check import SceneError, host, shown
 
 FORMAT = 2  # of the files; those of format 1 had neither number nor checksum
 BLANK = "sha256:" + 64 * "0"
@@ -23,7 +23,7 @@ _TRACES = (b"sha256:", b"checksum")  # no single damage takes both
 
 def sealed(content):
     """The bytes of a file that holds `MARKS`, with the checksum filled in."""
-    return content.replace(BLANK.encode(), _digest(content).encode(), 1)
+    return content.replace(BLANK.encode(), b"sha256:" + digest(content).encode(), 1)
 
 
 def netcdf(data):
@@ -41,7 +41,7 @@ def is_sealed(content, path):
     found = _SEAL.search(content)
     if found is None and not any(trace in content for trace in _TRACES):
         return False
-    if found is None or _digest(content.replace(found[0], BLANK.encode(), 1)) != found[0].decode():
+    if found is None or found[0] != b"sha256:" + digest(content.replace(found[0], BLANK.encode(), 1)).encode():
         raise SceneError("path", "must be as it was written, which its checksum says it is not", str(path))
     return True
 
@@ -49,12 +49,13 @@ def is_sealed(content, path):
 def opened(path, read):
     """What read(content, path) gives of a file's bytes, once their checksum is right.
 
-    Called by what a user calls: where the file is one of format 1 that can be read, the warning names that line.
+    Called by what a user calls, through `host`: where the file is of format 1 and can be read, the warning names the
+    user's line.
     """
     content = Path(path).read_bytes()
     known, found = is_sealed(content, path), read(content, path)
     if not known:
-        warnings.warn(f"{path}: has no checksum, as files of before: damage would go unnoticed", stacklevel=3)
+        warnings.warn(f"{path}: has no checksum, as files of before: damage would go unnoticed", stacklevel=4)
     return found
 
 
@@ -64,6 +65,7 @@ def is_format(number, path):
         raise SceneError("path", f"must be of format {FORMAT} or before", f"format {shown(number)} in {path}")
 
 
+@host("use what was loaded before")
 def load_data(path):
     """The xarray.Dataset of a NetCDF file that `run` or `paper` wrote, once its checksum is right.
 
@@ -83,5 +85,6 @@ def dataset_of(content, path):
     return data
 
 
-def _digest(content):
-    return "sha256:" + hashlib.sha256(content).hexdigest()
+def digest(content):
+    """SHA-256 of bytes, 64 letters."""
+    return hashlib.sha256(content).hexdigest()

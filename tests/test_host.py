@@ -21,7 +21,7 @@ TRACED = {
     "monodromy": lambda x: jv.monodromy(SCENE, jv.State(x, 0.0))[0, 0],
     "return_map": lambda x: jv.return_map(SCENE, "right", x, -1.0).velocity,
 }
-FILES = ("load_scene", "load_data", "paper")  # take no numbers, give none back that a transformation could use
+FILES = ("load_scene", "paper")  # take no numbers, give none back that a transformation could use
 SCENE = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
 PUBLIC = [name for name in jv.__all__ if inspect.isfunction(getattr(jv, name))]
 HOST = [name for name in PUBLIC if name not in TRACED and name not in FILES]

@@ -196,6 +196,8 @@ def test_columns_that_no_branch_has_are_refused(files):
         {"branches": []},
         {"branches": {}},
         {"branches": [3]},
+        {"branches": {"../branch_000.nc": ""}},
+        {"branches": {"branch_000.nc\x00": ""}},
         {"scene": "amplitude = 1"},
         {"scene": None, "branches": {}},
         {"format": 3},

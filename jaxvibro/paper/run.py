@@ -9,7 +9,7 @@ from pathlib import Path
 
 from .. import __version__, scenefile
 from ..check import SceneError, among, sequence
-from ..sealed import MARKS, is_sealed, netcdf, sealed
+from ..sealed import MARKS, digest, is_sealed, netcdf, sealed
 from ..whole import refuse_folder, whole
 from .claim import Claim
 from .figures import JOBS
@@ -90,7 +90,7 @@ def _keep(out, name, key, drawn):
     if drawn.picture is not None:
         files[f"{name}.png"] = drawn.picture
     claims = [asdict(one) | {"verdict": one.verdict} for one in drawn.claims]
-    digests = {each: _digest(content) for each, content in files.items()}
+    digests = {each: digest(content) for each, content in files.items()}
     told = MARKS | {"key": key, "caption": drawn.caption, "files": digests, "claims": claims}
     files[f"{name}.json"] = sealed(json.dumps(told, indent=1).encode())
     for each, content in files.items():
@@ -103,20 +103,16 @@ def _kept(out, name, key):
     it was written."""
     try:
         content = (out / f"{name}.json").read_bytes()
-        told = json.loads(content)
-        if not is_sealed(content, name) or told["key"] != key:
+        told = json.loads(content) if is_sealed(content, name) else {"key": None}
+        if told["key"] != key:
             return None
         files = {each: (out / each).read_bytes() for each in told["files"]}
-        if any(_digest(files[each]) != digest for each, digest in told["files"].items()):
+        if any(digest(files[each]) != written for each, written in told["files"].items()):
             return None
         claims = [Claim(**{key: value for key, value in one.items() if key != "verdict"}) for one in told["claims"]]
         return Drawn(files.get(f"{name}.png"), told["caption"], tuple(claims))
     except (OSError, ValueError, LookupError, TypeError):
         return None
-
-
-def _digest(content):
-    return hashlib.sha256(content).hexdigest()
 
 
 def _report(out, keys):
