@@ -18,7 +18,14 @@ import numpy as np
 
 import jaxvibro as jv
 
-WAYS = {"value": None, "jvp": None, "jacfwd": jax.jacfwd, "jacrev": jax.jacrev, "grad": jax.grad, "hessian": jax.hessian}
+WAYS = {
+    "value": None,
+    "jvp": None,
+    "jacfwd": jax.jacfwd,
+    "jacrev": jax.jacrev,
+    "grad": jax.grad,
+    "hessian": jax.hessian,
+}
 CALLS = (
     *(("strobe", way) for way in WAYS),
     *(("strobe", way) for way in ("jacfwd", "jacrev")),
