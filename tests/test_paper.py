@@ -69,10 +69,21 @@ def test_what_stays_unresolved_makes_a_verdict_undecided_where_it_could_change_i
 
 
 def attractor(kind, exponent, label="P111", share=0.5):
-    found = jv.attractors.Attractor(
-        label, kind, share, jv.State(0.1, 0.2, 0.0, 0.0), 1, (), None, 1.0, exponent, None, ""
+    return jv.attractors.Attractor(
+        label=label,
+        kind=kind,
+        share=share,
+        share_bounds=(0.0, 1.0),
+        starts=2,
+        state=jv.State(0.1, 0.2, 0.0, 0.0),
+        periods=1,
+        itinerary=(),
+        points=None,
+        least_speed=1.0,
+        exponent=exponent,
+        mirror_of=None,
+        note="",
     )
-    return found
 
 
 @pytest.mark.parametrize(
