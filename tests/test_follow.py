@@ -138,7 +138,7 @@ def test_a_branch_is_saved_loaded_and_extended(branch, orbit, tmp_path):
     assert [one.last for one in whole.segments][-1] == len(whole) - 1
     assert np.array_equal(np.flatnonzero(np.diff(whole.data["segment"])), [whole.segments[0].last])
     (tmp_path / "bad.nc").write_bytes(b"CDF nothing")
-    with pytest.raises(jv.SceneError, match=r"^path: must be a file of Branch.save"):
+    with pytest.raises(jv.SceneError, match=r"^path: must be a NetCDF file"):
         jv.load_branch(tmp_path / "bad.nc")
 
 
