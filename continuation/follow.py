@@ -102,7 +102,8 @@ def together(problem, places, controls, args, goes_on):
     """`stretches` of many branches, the lanes of one compiled call a chunk.
 
     places, controls, args: lists, one of each a lane, alike in their shapes; goes_on: takes a lane's number and what
-    `stretches` yields, and says whether the lane is to go on. The lanes are filled up to a power of two.
+    `stretches` yields, and says whether the lane is to go on, or the `Place` to go on from. The lanes are filled up to
+    a power of two.
     """
     starts = [_first(problem, *each) for each in zip(places, controls, args, strict=True)]
     more = (1 << (len(places) - 1).bit_length()) - len(places)
@@ -116,9 +117,23 @@ def together(problem, places, controls, args, goes_on):
         for lane in lanes:
             kept = _kept(starts[lane], jax.tree.map(lambda leaf, lane=lane: leaf[lane], points))
             starts[lane] = jax.tree.map(lambda leaf: leaf[-1], kept)
-            if not goes_on(int(lane), kept, int(status[lane])):
+            onwards = goes_on(int(lane), kept, int(status[lane]))
+            if isinstance(onwards, Place):
+                places = jax.tree.map(lambda leaf, new, lane=lane: _with(leaf, lane, new), places, onwards)
+                starts[lane], status[lane] = _first(problem, onwards, *_of_lane(controls, args, lane)), ON
+            elif not onwards:
                 status[lane] = OUT
         places = places._replace(status=status)
+
+
+def _with(leaf, lane, new):
+    leaf = np.array(leaf)
+    leaf[lane] = new
+    return leaf
+
+
+def _of_lane(controls, args, lane):
+    return jax.tree.map(lambda leaf: leaf[lane], (controls, args))
 
 
 @kept(static_argnums=(0, 4))

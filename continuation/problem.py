@@ -1,7 +1,8 @@
 """What is continued: F(z) = 0 with z = (u, p), n equations, n unknowns u and one parameter p, and what is watched."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import lru_cache, partial
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -48,34 +49,90 @@ class Problem(NamedTuple):
     holds: Callable = always
 
 
-def equilibria(residual):
-    """The `Problem` of F(u, p, args) = 0."""
+class System(NamedTuple):
+    """Equations with parameters by name. function: of (u, p, args) -> (n,), u of shape (n,), p {name: number}; kind:
+    EQUILIBRIA, where the function is to be zero, or FIXED_POINTS, where it gives u back after so many times."""
 
-    def function(z, args):
-        def values(z):
-            return residual(z[:-1], z[-1], args)
-
-        return values(z), jax.jacfwd(values)(z)
-
-    return Problem(function, bordered, function)
+    function: Callable
+    kind: str
+    times: int = 1
 
 
-def fixed_points(move):
-    """The `Problem` of the fixed points of a map (u, p, args) -> u: with flips, PD, and Neimark-Sacker points, NS."""
+EQUILIBRIA, FIXED_POINTS = "equilibria", "fixed points"
 
-    def function(z, args):
-        def values(z):
-            return move(z[:-1], z[-1], args) - z[:-1]
 
-        return values(z), jax.jacfwd(values)(z)
+def equilibria(function):
+    """The `System` of function(u, p, args) = 0: of the equilibria of u' = function. Besides folds (SN) and branch
+    points (BP), Hopf points (HB) are watched.
 
-    def flip(z, args):
-        return function(z, args)[1][:, :-1] + 2.0 * jnp.eye(len(z) - 1)
+    u: (n,) unknowns; p: {name: number}, the parameters; args: a pytree, whatever the function needs besides, or None.
+    """
+    return System(function, EQUILIBRIA)
 
-    def pair(z, args):
-        return pairs(function(z, args)[1][:, :-1] + jnp.eye(len(z) - 1))
 
-    return Problem(function, bordered, function, (Test("PD", flip), Test("NS", pair, is_pair)))
+def fixed_points(move, times=1):
+    """The `System` of the fixed points of a map, move(u, p, args) = u, or of the map taken so many times. Besides folds
+    (SN) and branch points (BP), period doublings (PD) and Neimark-Sacker points (NS) are watched. Arguments as in
+    `equilibria`."""
+    return System(move, FIXED_POINTS, times)
+
+
+class Given(NamedTuple):
+    """Numbers of a `System` that stay along a branch. others: {name: number}, the other parameters; args."""
+
+    others: dict
+    args: Any
+
+
+@lru_cache
+def problem_of(system, names):
+    """The `Problem` of a `System` along parameters: z = (u, values of the names), args a `Given`."""
+
+    def function(z, given):
+        return residual_at(system, names, z, given), slopes_at(system, names, z, given)
+
+    def test(kind, holds=always):
+        return Test(kind, partial(singular_matrix, system, kind, names), holds)
+
+    tests = (test("HB", is_oscillation),) if system.kind == EQUILIBRIA else (test("PD"), test("NS", is_pair))
+    return Problem(function, bordered, function, tests)
+
+
+def residual_at(system, names, z, given):
+    """What is zero at z = (u, values of the names)."""
+    size = len(z) - len(names)
+    values = {name: z[size + k] for k, name in enumerate(names)}
+    start, p = z[:size], {**given.others, **values}
+    if system.kind == EQUILIBRIA:
+        return system.function(start, p, given.args)
+    u = start
+    for _ in range(system.times):
+        u = system.function(u, p, given.args)
+    return u - start
+
+
+def slopes_at(system, names, z, given):
+    """Its derivative, (n, n + names)."""
+    return jax.jacfwd(partial(residual_at, system, names))(z, given)
+
+
+def singular_matrix(system, kind, names, z, given):
+    """The matrix that is singular at a special point of a kind, SN, PD, HB or NS."""
+    slopes = slopes_at(system, names, z, given)[:, : -len(names)]
+    unit = jnp.eye(len(slopes))
+    if kind == "SN":
+        return slopes
+    if kind == "PD":
+        return slopes + 2.0 * unit
+    return sums(slopes) if kind == "HB" else products(slopes + unit)
+
+
+def is_oscillation(slopes):
+    """Whether two complex eigenvalues are on the imaginary axis: two real ones whose sum is 0 are none (a neutral
+    saddle)."""
+    roots = np.linalg.eigvals(slopes)
+    size = max(1.0, abs(roots).max())
+    return bool(np.any((abs(roots.real) < ON_CIRCLE * size) & (abs(roots.imag) > ON_CIRCLE * size)))
 
 
 def is_pair(slopes):
@@ -85,10 +142,23 @@ def is_pair(slopes):
     return bool(np.any((abs(abs(roots) - 1.0) < ON_CIRCLE) & (abs(roots.imag) > ON_CIRCLE)))
 
 
-def pairs(matrix):
+def products(matrix):
     """The products of two different eigenvalues less 1 are this matrix's eigenvalues: the bialternate product of the
     matrix with itself, less the identity (Kuznetsov, Elements of Applied Bifurcation Theory, 10.2)."""
     rows, columns = jnp.triu_indices(len(matrix), 1)
     straight = matrix[rows][:, rows] * matrix[columns][:, columns]
     crossed = matrix[rows][:, columns] * matrix[columns][:, rows]
     return straight - crossed - jnp.eye(len(rows))
+
+
+def sums(matrix):
+    """The sums of two different eigenvalues are this matrix's eigenvalues: twice the bialternate product of the matrix
+    with the identity (the same place)."""
+    rows, columns = jnp.triu_indices(len(matrix), 1)
+    unit = jnp.eye(len(matrix))
+
+    def half(i, j, k, m):
+        return matrix[i][:, k] * unit[j][:, m]
+
+    straight = half(rows, columns, rows, columns) + half(columns, rows, columns, rows)
+    return straight - half(rows, columns, columns, rows) - half(columns, rows, rows, columns)

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from continuation import branch_switching as crossing
 from continuation import locate
-from continuation import switch as crossing
 from continuation.follow import tangent
 
 from . import check

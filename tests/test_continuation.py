@@ -1,13 +1,48 @@
-"""The numerics that know no oscillator, piece by piece; whole branches are in test_arclength.py."""
+"""The numerics that know no oscillator, piece by piece; whole branches are in test_trace.py."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from continuation import arclength, follow, newton, problem, switch
+from continuation import arclength, branch_switching, driver, follow, locate, newton, problem
 from continuation.linear import solve
-from tests.test_arclength import CIRCLE, CUSP, HENON, KNOTS, PITCHFORK, TRANSCRITICAL, close, control_of, place_of, walk
+from continuation.problem import Given, equilibria, fixed_points, problem_of
+from tests.test_trace import KNOTS as KNOTS_SYSTEM
+from tests.test_trace import close
+
+CIRCLE, PITCHFORK, TRANSCRITICAL, TWICE, CUSP = (
+    problem_of(equilibria(function), ("p",))
+    for function in (
+        lambda u, p, square: u * u + p["p"] ** 2 - square,
+        lambda u, p, e: p["p"] * u - u**3 + e,
+        lambda u, p, args: p["p"] * u - u * u,
+        lambda u, p, args: (u - p["p"] ** 2) ** 2,
+        lambda u, p, a: p["p"] + a * u - u**3,
+    )
+)
+HENON = problem_of(fixed_points(lambda u, p, b: jnp.stack([p["p"] - u[0] ** 2 + b * u[1], u[0]])), ("p",))
+KNOTS = problem_of(KNOTS_SYSTEM, ("p",))
+LIMITS = {"largest": 0.1, "tolerance": 1e-10, "low": -3.0, "high": 3.0}
+
+
+def given(args=None):
+    return Given({}, args)
+
+
+def control_of(size, scale=None, **limits):
+    numbers = {key: np.float64(value) for key, value in (LIMITS | limits).items()}
+    return arclength.Control(scale=np.ones(size) if scale is None else scale, smallest=np.float64(1e-7), **numbers)
+
+
+def point_of(z, tangent):
+    none = np.zeros(())
+    return arclength.Point(np.asarray(z, float), np.asarray(tangent, float), none, none, none, np.True_, np.True_)
+
+
+def place_of(z, tangent, first=0.05):
+    z, tangent = np.asarray(z, float), np.asarray(tangent, float)
+    return arclength.Place(z, tangent, np.float64(first), np.int32(arclength.ON))
 
 
 def on_circle(point):
@@ -67,19 +102,19 @@ def same_tangents(found, true, scale):
 
 def test_marks_on_a_branch():
     control = control_of(2)
-    points, _ = next(follow.stretches(CIRCLE, place_of([1.0, 0.0], [0.0, 1.0]), control, 1.0))
+    points, _ = next(follow.stretches(CIRCLE, place_of([1.0, 0.0], [0.0, 1.0]), control, given(1.0)))
     on, off = np.array([0.28, 0.96]), np.array([0.28, 0.96 + 1e-4])
-    assert follow.passes_mark(CIRCLE, points, [off], control, 1.0) is None
-    after, length = follow.passes_mark(CIRCLE, points, [off, on], control, 1.0)
+    assert follow.passes_mark(CIRCLE, points, [off], control, given(1.0)) is None
+    after, length = follow.passes_mark(CIRCLE, points, [off, on], control, given(1.0))
     here = jax.tree.map(lambda leaf: leaf[after], points)
-    assert close(follow.step(CIRCLE, here, length, control, 1.0).z, on, 1e-12)
+    assert close(follow.step(CIRCLE, here, length, control, given(1.0)).z, on, 1e-12)
     assert {k for _, _, k in follow.meets(points, np.array([off, on, [0.0, 0.0]]), control)} == {0, 1}
 
 
 def test_tangents():
-    assert close(follow.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), 1.0), [-0.8, 0.6], 1e-15)
-    assert close(follow.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), 1.0, [1, 0]), [0.8, -0.6], 1e-15)
-    weighted = follow.tangent(CIRCLE, np.array([0.6, 0.8]), np.array([2.0, 0.5]), 1.0)
+    assert close(follow.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0)), [-0.8, 0.6], 1e-15)
+    assert close(follow.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0), [1, 0]), [0.8, -0.6], 1e-15)
+    weighted = follow.tangent(CIRCLE, np.array([0.6, 0.8]), np.array([2.0, 0.5]), given(1.0))
     assert close(weighted, np.array([-0.8, 0.6]) / np.hypot(1.6, 0.3), 1e-15)
     left_out = follow.oriented(np.array([[1.0, 7.0, -2.0]]), np.array([1.0, 0.0, 1.0]))
     assert close(left_out, np.array([2.0, 0.0, 1.0]) / np.sqrt(5), 1e-15)
@@ -88,25 +123,29 @@ def test_tangents():
 @pytest.mark.parametrize("scale", [np.ones(2), np.array([2.0, 0.5])])
 def test_directions_at_crossings(scale):
     zero = np.zeros(2)
-    fork = switch.directions(PITCHFORK, zero, scale, 0.0)
+    fork = branch_switching.directions(PITCHFORK, zero, scale, given(0.0))
     assert same_tangents(fork, [[1, 0], [0, 1]], scale)
-    assert close(abs(switch.other(fork, np.array([0.1, 1.0]), scale)), [1 / scale[0], 0], 1e-14)
-    assert same_tangents(switch.directions(TRANSCRITICAL, zero, scale, None), [[1, 1], [0, 1]], scale)
+    assert close(abs(branch_switching.other(fork, np.array([0.1, 1.0]), scale)), [1 / scale[0], 0], 1e-14)
+    assert same_tangents(branch_switching.directions(TRANSCRITICAL, zero, scale, given()), [[1, 1], [0, 1]], scale)
     crossing, wide = np.array([3, 3, 27 * np.exp(-3)]), np.append(scale, 3.0)
-    both = switch.directions(KNOTS, crossing, wide, None)
+    both = branch_switching.directions(KNOTS, crossing, wide, given())
     assert same_tangents(both, [[1, 1, -18 * np.exp(-3)], [1, -1, 0]], wide)
     with pytest.raises(ValueError, match="no branches cross"):
-        switch.directions(CIRCLE, zero, scale, 0.0)
+        branch_switching.directions(CIRCLE, zero, scale, given(0.0))
 
 
 @pytest.mark.parametrize("size", [2, 3, 4, 5])
-def test_pairs_have_the_products_of_eigenvalues(size):
+def test_pairs_have_the_products_and_sums_of_eigenvalues(size):
     for matrix in np.random.default_rng(size).normal(size=(5, size, size)):
         values = np.linalg.eigvals(matrix)
-        products = [values[i] * values[k] - 1 for i in range(size) for k in range(i)]
-        found = np.linalg.eigvals(np.asarray(problem.pairs(jnp.array(matrix))))
-        assert len(found) == len(products)
-        assert close(np.poly(found).real, np.poly(products).real, 1e-9 * abs(np.poly(products)).max())
+        pairs = [(values[i], values[k]) for i in range(size) for k in range(i)]
+        for function, true in (
+            (problem.products, [a * b - 1 for a, b in pairs]),
+            (problem.sums, [a + b for a, b in pairs]),
+        ):
+            found = np.linalg.eigvals(np.asarray(function(jnp.array(matrix))))
+            assert len(found) == len(true)
+            assert close(np.poly(found).real, np.poly(true).real, 1e-9 * abs(np.poly(true)).max())
 
 
 def test_lanes_of_branches_do_not_disturb_each_other():
@@ -114,12 +153,14 @@ def test_lanes_of_branches_do_not_disturb_each_other():
     starts = np.stack([np.full(5, -2.0), -8.0 + 2.0 * a], 1)
     starts[4, 1] = np.nan
     highs = np.array([-5.0, -3.0, 5.0, 0.0, 3.0])
-    tangents = np.stack([follow.tangent(CUSP, z, np.ones(2), one) for z, one in zip(starts[:4], a, strict=False)])
+    tangents = np.stack(
+        [follow.tangent(CUSP, z, np.ones(2), given(one)) for z, one in zip(starts[:4], a, strict=False)]
+    )
     places = [place_of(z, t) for z, t in zip(starts, [*tangents, tangents[0]], strict=True)]
     controls = [control_of(2, low=-9.0, high=high) for high in highs]
 
     def track(place, control, a):
-        return arclength.track(CUSP.function, CUSP.solve, place, control, a, 80)
+        return arclength.track(CUSP.function, CUSP.solve, place, control, given(a), 80)
 
     def stacked(trees):
         return jax.tree.map(lambda *leaves: np.stack(leaves), *trees)
@@ -139,7 +180,7 @@ def test_lanes_of_branches_do_not_disturb_each_other():
 def test_branches_together_are_as_one_by_one():
     a = [1.0, -0.5, 2.5]
     starts = [np.array([-2.0, -8.0 + 2.0 * each]) for each in a]
-    places = [place_of(z, follow.tangent(CUSP, z, np.ones(2), each)) for z, each in zip(starts, a, strict=True)]
+    places = [place_of(z, follow.tangent(CUSP, z, np.ones(2), given(each))) for z, each in zip(starts, a, strict=True)]
     controls = [control_of(2, largest=0.02, low=-9.0, high=high) for high in (-8.5, 40.0, 20.0)]
     taken = [[], [], []]
 
@@ -147,8 +188,11 @@ def test_branches_together_are_as_one_by_one():
         taken[lane].append(chunk)
         return lane != 1 or len(taken[lane]) < 2
 
-    follow.together(CUSP, places, controls, a, goes_on)
-    alone = [list(follow.stretches(CUSP, *each)) for each in zip(places, controls, a, strict=True)]
+    follow.together(CUSP, places, controls, [given(each) for each in a], goes_on)
+    alone = [
+        list(follow.stretches(CUSP, place, control, given(each)))
+        for place, control, each in zip(places, controls, a, strict=True)
+    ]
     assert len(alone[0]) == 1 and len(alone[1]) > 2 and len(alone[2]) > len(taken[1]) == 2
     for mine, theirs in zip(taken, (alone[0], alone[1][:2], alone[2]), strict=True):
         for (points, status), (true, true_status) in zip(mine, theirs, strict=True):
@@ -166,21 +210,86 @@ def test_a_point_with_one_number_given(scale):
         (0, 0.0, [0, 1]),
         (-1, -0.28, [0.96, -0.28]),
     ):
-        found = follow.pinned(CIRCLE, np.array([0.7, 0.7]), index, value, control, 1.0)
+        found = follow.pinned(CIRCLE, np.array([0.7, 0.7]), index, value, control, given(1.0))
         assert found.met
         assert found.z[index] == value
         assert close(found.z, true, 1e-15)
-    assert not follow.pinned(CIRCLE, np.array([0.7, 0.7]), 0, 1.1, control, 1.0).kept
-    found = follow.pinned(HENON, np.array([0.3, 0.4, 0.0]), 2, 0.3675, control_of(3), 0.3)
+    assert not follow.pinned(CIRCLE, np.array([0.7, 0.7]), 0, 1.1, control, given(1.0)).kept
+    found = follow.pinned(HENON, np.array([0.3, 0.4, 0.0]), 2, 0.3675, control_of(3), given(0.3))
     assert close(found.z, [0.35, 0.35, 0.3675], 1e-15)
 
 
 def test_lengths_are_weighted():
-    scale = np.array([3.0, 0.5])
-    found = walk(CIRCLE, [0.6, 0.8], 1.0, largest=0.1, scale=scale)
-    assert found.kinds == ["SN", "SN"]
-    assert close(found.met, [[0, 1], [0, -1]], 1e-14)
-    assert close(np.sum(found.z**2, axis=1), 1, 1e-12)
-    assert found.closed
-    lengths = np.linalg.norm(scale * np.diff(found.z, axis=0), axis=1)
+    scale, z = np.array([3.0, 0.5]), np.array([0.6, 0.8])
+    control = control_of(2, largest=0.1, scale=scale)
+    ahead = follow.tangent(CIRCLE, z, scale, given(1.0))
+    task = driver.Task(CIRCLE, given(1.0), control, 0.05, ((-3.0, 3.0),), starts=(z,))
+    found = driver.run(task, point_of(z, ahead))
+    assert found.end is driver.End.CLOSED
+    assert [one.kind for one in found.marks] == ["SN", "SN"]
+    assert close([found.points.z[one.place] for one in found.marks], [[0, 1], [0, -1]], 1e-14)
+    assert close(np.sum(found.points.z**2, axis=1), 1, 1e-12)
+    lengths = np.linalg.norm(scale * np.diff(found.points.z, axis=0), axis=1)
     assert 0.09 < lengths.max() < 0.11
+
+
+def test_runs_together_are_as_one_by_one_and_may_retry():
+    """The lanes of one call, each with its own numbers; a point that a `Watch` refuses is tried again nearer."""
+
+    class Short(driver.Watch):
+        tried = 0
+
+        def good(self, zs, view):
+            self.tried += 1
+            return np.ones(len(zs), bool) if self.tried > 1 else zs[:, 1] < -7.9
+
+    a, highs = (1.0, -0.5, 2.5), (-5.0, 3.0, 3.0)
+    starts = [np.array([-2.0, -8.0 + 2.0 * each]) for each in a]
+    points = [point_of(z, follow.tangent(CUSP, z, np.ones(2), given(one))) for z, one in zip(starts, a, strict=True)]
+
+    def tasks():
+        return [
+            driver.Task(CUSP, given(one), control_of(2, low=-9.0, high=high), 0.05, ((-9.0, high),), watch=watch)
+            for one, high, watch in zip(a, highs, (driver.Watch(), Short(), driver.Watch()), strict=True)
+        ]
+
+    together = driver.run_together(tasks(), points)
+    for mine, task, point in zip(together, tasks(), points, strict=True):
+        alone = driver.run(task, point)
+        assert mine.end is alone.end is driver.End.BOUND
+        assert [one[:2] for one in mine.marks] == [one[:2] for one in alone.marks]
+        assert close(mine.points.z, alone.points.z, 1e-12)
+    assert together[1].points.step[1:].min() < 0.05 <= together[0].points.step[1:-1].min()
+
+
+def test_a_step_is_kept_only_where_newton_s_method_ended():
+    place = place_of([1.0, 1.0], np.array([2.0, 1.0]) / np.sqrt(5))
+    points, _ = next(follow.stretches(TWICE, place, control_of(2), given()))
+    assert len(points.z) > 5
+    assert abs(points.z[:, 0] - points.z[:, 1] ** 2).max() < 1e-9
+
+
+def test_no_crossing_is_located_off_the_branch():
+    found = locate.branch_point(PITCHFORK, np.array([0.01, 0.02]), given(1e-3))
+    assert found.z is None or found.residual > 1e-4
+
+
+def row_of(what, zs, args, step):
+    """Points so far apart as if in a row, each with the tangent towards greater parameters; (points, control)."""
+    control = control_of(2)
+    rows = []
+    for z in np.asarray(zs, float):
+        ahead = follow.tangent(what, z, control.scale, args)
+        rows.append(follow.step(what, point_of(z, ahead), 0.0, control, args)._replace(step=np.float64(step)))
+    return arclength.Point(*(np.stack(each) for each in zip(*rows, strict=True))), control
+
+
+def test_a_jump_to_another_branch_is_told_from_a_crossing():
+    _, middle, upper = np.sort(np.roots([-1.0, 0.0, 0.5, 0.01]).real)  # the sheets at p = 0.5: two meet in a fold
+    points, control = row_of(PITCHFORK, [[upper - 0.001, 0.499], [middle, 0.5]], given(0.01), 0.8)
+    assert follow.jump(PITCHFORK, points, control, given(0.01)) == (1, {})
+    points, control = row_of(PITCHFORK, [[upper - 0.001, 0.499], [upper, 0.5]], given(0.01), 0.01)
+    assert follow.jump(PITCHFORK, points, control, given(0.01)) == (None, {})
+    points, control = row_of(PITCHFORK, [[0.0, -0.2], [0.0, 0.2]], given(0.0), 0.4)
+    place, known = follow.jump(PITCHFORK, points, control, given(0.0))
+    assert place is None and list(known) == [0] and known[0].kind == "BP" and close(known[0].z, [0, 0], 1e-12)

@@ -12,7 +12,7 @@ import pytest
 
 import jaxvibro as jv
 from continuation import kept, locate
-from continuation.problem import equilibria
+from continuation.problem import Given, equilibria, problem_of
 from jaxvibro.lanes import OPTIONS
 from jaxvibro.strobe import _at_once
 
@@ -128,14 +128,14 @@ def test_numbers(cache, fails):
 
 def test_under_transformations(cache):
     """A module has no derivative and no lanes: the function itself is called."""
-    circle, z = equilibria(_circle), jnp.array([0.6, 0.8])
-    value, slopes = locate.evaluated(circle, z, None)
+    circle, given, z = problem_of(equilibria(_circle), ("p",)), Given({}, None), jnp.array([0.6, 0.8])
+    value, slopes = locate.evaluated(circle, z, given)
     zs = jnp.stack([z, 2.0 * z])
-    np.testing.assert_allclose(jax.vmap(lambda z: locate.evaluated(circle, z, None)[1])(zs)[0], slopes, rtol=1e-15)
-    np.testing.assert_allclose(jax.jacrev(lambda z: locate.evaluated(circle, z, None)[0])(z), slopes, rtol=1e-15)
-    np.testing.assert_allclose(jax.jit(lambda z: locate.evaluated(circle, z, None)[0])(z), value, rtol=1e-15)
+    np.testing.assert_allclose(jax.vmap(lambda z: locate.evaluated(circle, z, given)[1])(zs)[0], slopes, rtol=1e-15)
+    np.testing.assert_allclose(jax.jacrev(lambda z: locate.evaluated(circle, z, given)[0])(z), slopes, rtol=1e-15)
+    np.testing.assert_allclose(jax.jit(lambda z: locate.evaluated(circle, z, given)[0])(z), value, rtol=1e-15)
     assert not list((cache / kept.FOLDER).glob("*/*"))  # the function made here is known to this process alone
 
 
 def _circle(u, p, args):
-    return u * u + p * p - 1.0
+    return u * u + p["p"] ** 2 - 1.0

@@ -1,0 +1,267 @@
+"""The one loop along a branch, be it in one parameter or in two: chunks of steps, each cut where something ends it,
+with its special points put in, until the branch ends.
+
+What is watched besides the equations is a `Watch`; its methods are asked in this order: `look`, `good`, `before`,
+`touch`, `events`, `stops`.
+"""
+
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from . import arclength, follow
+from .arclength import ON, OUT, Control, Place, Point
+from .points import at, cut_at, joined, pointed, put, to_value, upto
+from .problem import Problem
+
+MOST = 20_000  # points of a branch
+SMALLER = 0.25  # times the step that came to no point of the branch, to try again
+
+
+class End(Enum):
+    """Why a branch ends: the text is a sentence about the parameter `name` at `value`, and the special point `kind`."""
+
+    BOUND = "{name} reached its bound {value:.12g}"
+    DOMAIN = "the domain of {name} ends at {value:.12g}"
+    CLOSED = "it closes: the branch came back to its start at {value:.12g}"
+    STOPPED = "stopped at {kind}, {value:.12g}"
+    STEP = "the step became too small at {value:.12g}: Newton's method does not converge there"
+    POINTS = "it has too many points, the last at {value:.12g}"
+    NUMBER = "a number is not finite after {value:.12g}"
+
+
+ENDS = {ON: None, OUT: End.BOUND, arclength.UNDERFLOW: End.STEP, arclength.NONFINITE: End.NUMBER}  # of a chunk
+
+
+class Mark(NamedTuple):
+    """A special point among those of a branch: its place there, kind, the largest error left in its equations; more:
+    what a `Watch` knows of it."""
+
+    place: int
+    kind: str
+    residual: float
+    more: Any = None
+
+
+class Met(NamedTuple):
+    """What a `Watch` says of an end. points: up to it; mark: the special point there, its place left open; end."""
+
+    points: Point
+    mark: Mark
+    end: Enum
+
+
+class Watch:
+    """What is known of points besides that they solve the equations, and what ends a branch: here nothing."""
+
+    def look(self, task, points):
+        """(the points, with more where something may have been missed between two; what is known of each, as rows)."""
+        return points, self.view(points.z)
+
+    def view(self, zs):
+        """What is known of the points zs, a pytree of arrays with a row a point."""
+        return None
+
+    def good(self, zs, view):
+        """Which points are solutions that are wanted, (points,)."""
+        return np.ones(len(zs), bool)
+
+    def before(self, task, points):
+        """`Met` where an end is near that is to be seen before a point is bad, else None."""
+        return None
+
+    def touch(self, task, points, view, bad):
+        """`Met` at the last good point before the first bad one, None where it is not found."""
+        return None
+
+    def events(self, task, points, view, known, end):
+        """The `follow.Event`s between points; known: branch points found already; end: `Met` at the last, or None."""
+        values = follow.watched(task.problem, points, task.args)
+        return follow.events(task.problem, points, values, task.control, task.args, known)
+
+    def images(self, z, near):
+        """The points near one that are the same solution as z."""
+        return [z]
+
+    def stops(self, z, kind):
+        """An `End` where a special point ends the branch whatever is asked for, else None."""
+        return None
+
+
+class Task(NamedTuple):
+    """A branch to be followed. problem, args: its equations; control: of steps; first: the first; box: (low, high) of
+    each parameter, the last one's as in the control; domain: ends of these that are none of the bounds asked for;
+    watch; stop: kinds of special points that end it; starts: solutions that end it when it comes back to them."""
+
+    problem: Problem
+    args: Any
+    control: Control
+    first: float
+    box: tuple[tuple[float, float], ...]
+    domain: tuple[tuple[float, ...], ...] = ()
+    watch: Watch = Watch()
+    stop: tuple[str, ...] = ()
+    starts: tuple = ()
+
+
+class Stretch(NamedTuple):
+    """points, view: a row a point; marks: the special ones, in order; end: why; which: the place in the box of the
+    parameter that ended it, value: where."""
+
+    points: Point
+    view: Any
+    marks: tuple[Mark, ...]
+    end: Enum
+    which: int
+    value: float
+
+
+class _Part(NamedTuple):
+    """Of a `Stretch`: end is None where it goes on; again: the step to go on with from its last point, where a longer
+    one came to no point of the branch."""
+
+    points: Point
+    view: Any
+    marks: tuple[Mark, ...]
+    end: Enum | None
+    which: int
+    again: float | None
+
+
+def run(task, start):
+    """The `Stretch` from a `Point`, whose tangent leads away."""
+    parts, place = [], _place(start, task.first)
+    while place is not None:
+        for points, status in follow.stretches(task.problem, place, task.control, task.args):
+            parts.append(_part(task, points, status))
+            if _is_over(parts) or parts[-1].again:
+                break
+        place = None if _is_over(parts) else _again(parts[-1])
+    return _joined(parts)
+
+
+def run_together(tasks, starts):
+    """The `Stretch` of each of some tasks, those of one problem and size as the lanes of one compiled call."""
+    groups, found = {}, {}
+    for k, (task, start) in enumerate(zip(tasks, starts, strict=True)):
+        groups.setdefault((task.problem, len(start.z)), []).append(k)
+    for (problem, _), lanes in groups.items():
+        some = _side_by_side(problem, [tasks[k] for k in lanes], [starts[k] for k in lanes])
+        found |= zip(lanes, some, strict=True)
+    return [found[k] for k in range(len(tasks))]
+
+
+def _side_by_side(problem, tasks, starts):
+    parts = [[] for _ in tasks]
+
+    def goes_on(lane, points, status):
+        parts[lane].append(_part(tasks[lane], points, status))
+        return None if _is_over(parts[lane]) else _again(parts[lane][-1]) or True
+
+    places = [_place(start, task.first) for task, start in zip(tasks, starts, strict=True)]
+    follow.together(problem, places, [one.control for one in tasks], [one.args for one in tasks], goes_on)
+    return [_joined(each) for each in parts]
+
+
+def _place(start, first):
+    return Place(start.z, start.tangent, np.float64(first), np.int32(ON))
+
+
+def _again(part):
+    """The `Place` to go on from with a smaller step, None where the steps are good."""
+    return _place(at(part.points, -1), part.again) if part.again else None
+
+
+def _is_over(parts):
+    return parts[-1].end is not None or sum(len(one.points.z) - 1 for one in parts) > MOST
+
+
+def _joined(parts):
+    points, view = joined([one.points for one in parts]), joined([one.view for one in parts])
+    marks, offset, last = [], 0, parts[-1]
+    for part in parts:
+        marks += [one._replace(place=one.place + offset) for one in part.marks]
+        offset += len(part.points.z) - 1
+    return Stretch(points, view, tuple(marks), last.end or End.POINTS, last.which, float(points.z[-1, last.which]))
+
+
+def _part(task, points, status):
+    """The `_Part` of a chunk of steps."""
+    watch, again = task.watch, None
+    points, end, which = _within(task, points, ENDS[status])  # first, as what comes after a bound is not to be seen
+    points, view = watch.look(task, points)
+    good = watch.good(points.z, view)
+    good[0] = True
+    size, bad = len(points.z), int(np.argmin(np.append(good, False)))
+    jump, known = follow.jump(task.problem, upto(points, bad + 1), task.control, task.args)
+    met = watch.before(task, upto(points, bad if jump is None else jump))
+    if met is None and jump is not None:
+        points, (end, again) = upto(points, jump), _retried(points.step[jump], task.control)
+    elif met is None and bad < size:
+        met, step = watch.touch(task, points, view, bad), points.step[bad]
+        if met is None:
+            points, (end, again) = upto(points, bad), _retried(step, task.control)
+    if met is not None:
+        points, end = met.points, met.end
+    loop = _met(task, points)
+    if loop is not None:
+        points, met, end, again = cut_at(task, points, *loop), None, End.CLOSED, None
+    if len(points.z) != size or met is not None or loop is not None:
+        view = watch.view(points.z)
+    events = sorted(watch.events(task, points, view, known, met), key=lambda one: (one.after, one.length))
+    points, marks = _inserted(task, points, events)
+    if met is not None:
+        marks.append(met.mark._replace(place=len(points.z) - 1))
+    points, marks, halt = _stopped(task, points, marks)
+    view = watch.view(points.z) if events or halt else view
+    return _Part(points, view, tuple(marks), halt or end, which, None if halt else again)
+
+
+def _within(task, points, end):
+    """(the points up to the first bound, why they end, the place of the parameter in z that is to be told)."""
+    count = len(task.box)
+    for k in range(-count, 0):
+        low, high = task.box[k]
+        outside = (points.z[:, k] < low) | (points.z[:, k] > high)
+        outside[0] = False
+        if outside.any():
+            last = int(np.argmax(outside))
+            value = low if points.z[last, k] < low else high
+            points, there = to_value(task, points, last, k, value)
+            domain = task.domain[k] if task.domain else ()
+            return points, (End.DOMAIN if value in domain else End.BOUND) if there else End.STEP, k
+    return points, end, -1
+
+
+def _retried(step, control):
+    """(the end, the step to try) where a step came to no point of the branch."""
+    again = SMALLER * float(step)
+    return (End.STEP, None) if again < control.smallest else (None, again)
+
+
+def _met(task, points):
+    """(place, length) where the branch comes back to one of the starts, None where it does not."""
+    marks = [each for z in task.starts for each in task.watch.images(z, points.z[0])]
+    return follow.passes_mark(task.problem, points, marks, task.control, task.args) if marks else None
+
+
+def _inserted(task, points, events):
+    """(the points with those of the events among them, the `Mark`s)."""
+    placed, done = [], {}
+    for shift, (kind, after, length, z, residual) in enumerate(events):
+        one = pointed(task, points, after + shift, z)
+        points = put(points, after + shift + 1, one._replace(step=np.float64(length - done.get(after, 0.0))))
+        done[after] = length
+        placed.append(Mark(after + shift + 1, kind, residual))
+    return points, placed
+
+
+def _stopped(task, points, marks):
+    """(the points up to the first special point that ends the branch, the marks up to it, the `End` or None)."""
+    for one in sorted(marks, key=lambda one: one.place):
+        halt = task.watch.stops(points.z[one.place], one.kind)
+        halt = halt or (End.STOPPED if one.kind in task.stop else None)
+        if halt:
+            return upto(points, one.place + 1), [each for each in marks if each.place <= one.place], halt
+    return points, marks, None

@@ -1,0 +1,13 @@
+"""What is raised for arguments that cannot be."""
+
+
+class ContinuationError(ValueError):
+    """An argument breaks a rule. key: the argument; rule: what it must be; value: what was given."""
+
+    def __init__(self, key, rule, value):
+        super().__init__(key, rule, value)
+        self.key, self.rule, self.value = key, rule, value
+
+    def __str__(self):
+        shown = " ".join(repr(self.value).split())
+        return f"{self.key}: {self.rule}; got {shown if len(shown) <= 80 else shown[:77] + '...'}"

@@ -1,0 +1,258 @@
+"""`trace`: a branch of solutions along one parameter; `switch`: the branches that leave a special point of it."""
+
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from . import branch_switching as crossing
+from . import driver, follow, locate
+from .arclength import Control, Point
+from .branch import Branch, Special
+from .driver import End, Stretch, Task, Watch
+from .errors import ContinuationError
+from .follow import Event
+from .newton import ADVICE, newton
+from .points import between, joined, turned
+from .problem import EQUILIBRIA, FIXED_POINTS, Given, System, problem_of, residual_at, slopes_at
+from .roots import sign_change
+
+DIRECTIONS = ("both", "forward", "backward")
+SMALLEST = 1e-8  # step
+ZERO = 1e-9  # of an eigenvalue's distance from an event: as small is nearly none
+LEAVING = ("BP", "PD")  # special points that other branches leave
+
+
+class Monitored(Watch):
+    """Events where functions of a point, {name: of (u, p, args)}, change their signs, besides the problem's own."""
+
+    def __init__(self, system, names, monitors):
+        self.system, self.names, self.monitors = system, names, monitors
+
+    def events(self, task, points, view, known, end):
+        signs = _signs(self.system, self.names, points.z, task.args)
+        found = follow.events(task.problem, points, signs, task.control, task.args, known)
+        for kind in self.monitors:
+            values = np.array([self.value(kind, z, task.args) for z in points.z])
+            for after in np.flatnonzero(values[:-1] * values[1:] < 0):
+                found.append(self.located(kind, task, points, int(after)))
+        return found
+
+    def value(self, kind, z, given):
+        size = len(z) - len(self.names)
+        p = {**given.others, **dict(zip(self.names, z[size:], strict=True))}
+        return float(self.monitors[kind](z[:size], p, given.args))
+
+    def located(self, kind, task, points, after):
+        def value(length):
+            one = between(task, points, after, length)
+            if one is None:
+                raise ContinuationError("monitors", "must be followed between two points", kind)
+            return self.value(kind, one.z, task.args)
+
+        length = sign_change(value, float(points.step[after + 1]))
+        one = between(task, points, after, length)
+        return Event(kind, after, length, one.z, float(one.residual))
+
+
+def trace(
+    system,
+    u,
+    at,
+    along,
+    bounds,
+    args=None,
+    direction="both",
+    first_step=0.05,
+    largest_step=0.1,
+    tolerance=1e-10,
+    monitors=None,
+    stop=(),
+):
+    """The branch of solutions of a system through one near u, along one parameter: a `Branch`.
+
+    system: of `equilibria` or `fixed_points`; u: (n,), near a solution; at: {name: number}, the parameters there;
+    along: the name of that which is to change; bounds: (low, high) of it; args: for the system's function. direction:
+    "forward" begins towards greater values, "backward" towards smaller, "both" does both. first_step, largest_step,
+    tolerance: lengths of (u, parameter). monitors: {name: function of (u, p, args)}, whose changes of sign are special
+    points; stop: kinds of special points that end the branch.
+
+    Raises ContinuationError for arguments that cannot be, and where Newton's method comes to no solution from u.
+    """
+    u = np.atleast_1d(np.asarray(u, float))
+    bounds = _checked(system, u, at, {along: bounds}, direction, stop)
+    given = Given({name: float(value) for name, value in at.items() if name != along}, args)
+    z = np.append(u, float(at[along]))
+    z[:-1] = _solved(system, (along,), z, given)
+    task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)
+    ahead = follow.tangent(task.problem, z, task.control.scale, given)
+    back, on = both_ways(task, z, ahead, direction)
+    return branch_of(system, None, bounds, given, back, on)
+
+
+def switch(special, bounds=None, first_step=0.01, largest_step=0.1, tolerance=1e-10, monitors=None, stop=()):
+    """The branches that leave a special point besides that on which it was found: a tuple of `Branch`, each from the
+    point on. special: of kind BP, the two halves of the branch that crosses there; PD, that of twice as many times.
+    bounds: {name: (low, high)}, or None for those of the point's branch; the rest as in `trace`.
+
+    Raises ContinuationError for points of other kinds.
+    """
+    if not isinstance(special, Special) or special.kind not in LEAVING or len(special.names) != 1:
+        raise ContinuationError("special", f"must be a special point of a branch, {' or '.join(LEAVING)}", special)
+    bounds = bounds or special.bounds
+    given = Given({name: value for name, value in special.p.items() if name not in special.names}, special.args)
+    system, z, scale = special.system, special.z, np.ones(len(special.z))
+    if special.kind == "PD":
+        (test,) = (one for one in problem_of(system, special.names).tests if one.label == "PD")
+        null = locate.null(locate.matrices(problem_of(system, special.names), test, z, given)[0])
+        system, tangents = system._replace(times=2 * system.times), [np.append(null, 0.0)]
+    else:
+        found = crossing.directions(problem_of(system, special.names), z, scale, given)
+        tangent = crossing.other(found, special.tangent, scale)
+        tangents = [tangent, -tangent]
+    task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)._replace(starts=())
+    runs = [driver.run(task, _point(z, tangent)) for tangent in tangents]
+    return tuple(branch_of(system, None, bounds, given, None, one) for one in runs)
+
+
+def both_ways(task, z, ahead, direction="both"):
+    """(the `Stretch` backward, that forward) from a solution; None for that which is not asked for, or not needed as
+    the other closes."""
+    on = driver.run(task, _point(z, ahead)) if direction != "backward" else None
+    closed = on is not None and on.end is End.CLOSED
+    back = None if direction == "forward" or closed else driver.run(task, _point(z, -ahead))
+    return back, on
+
+
+def branch_of(system, kind, bounds, given, back, on):
+    """The `Branch` of the stretches backward and forward from a start; either may be None."""
+    names = tuple(bounds)
+    whole = on if back is None else _turned(back) if on is None else _glued(_turned(back), on)
+    z, size = whole.points.z, whole.points.z.shape[1] - len(names)
+    eigenvalues = _eigenvalues(system, names, z, given)
+    marks = {one.place: (one.kind, one.residual) for one in whole.marks}
+    for place in (0, len(z) - 1):
+        marks.setdefault(place, ("EP", float(whole.points.residual[place])))
+    special = tuple(
+        Special(
+            marks[k][0],
+            z[k, :size],
+            {**given.others, **dict(zip(names, z[k, size:].tolist(), strict=True))},
+            names,
+            eigenvalues[k],
+            marks[k][1],
+            k,
+            system,
+            given.args,
+            bounds,
+            whole.points.tangent[k],
+        )
+        for k in sorted(marks)
+    )
+    columns = dict(zip(names, z[:, size:].T, strict=True))
+    reasons = tuple("the start" if one is None else _reason(one, names) for one in (back, on))
+    return Branch(system, kind, names, z[:, :size], columns, eigenvalues, whole.points.residual, special, reasons)
+
+
+def _checked(system, u, at, bounds, direction, stop):
+    """The bounds as plain numbers, {name: (low, high)}, once nothing is wrong."""
+    if not isinstance(system, System):
+        raise ContinuationError("system", "must be one of `equilibria` or `fixed_points`", system)
+    if u.ndim != 1 or not np.isfinite(u).all():
+        raise ContinuationError("u", "must be a row of finite numbers", u)
+    if direction not in DIRECTIONS:
+        raise ContinuationError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
+    if isinstance(stop, str):
+        raise ContinuationError("stop", "must be a tuple of kinds", stop)
+    return checked_bounds(at, bounds)
+
+
+def checked_bounds(at, bounds):
+    """{name: (low, high)} as plain numbers: finite, the first smaller, with the value at the start between them."""
+    found = {}
+    for name, given in bounds.items():
+        if name not in at:
+            raise ContinuationError("along", f"must be a parameter ({', '.join(at)})", name)
+        ends = np.asarray(given, float) if np.shape(given) == (2,) else np.array([np.nan, np.nan])
+        if not (np.isfinite(ends).all() and ends[0] < ends[1]):
+            raise ContinuationError("bounds", "must be (low, high), two finite numbers, the first smaller", given)
+        if not ends[0] <= float(at[name]) <= ends[1]:
+            raise ContinuationError("bounds", f"must hold the start's {name}, {float(at[name]):.12g}", given)
+        found[name] = (float(ends[0]), float(ends[1]))
+    return found
+
+
+def _solved(system, names, z, given):
+    """u by Newton's method at fixed parameters."""
+
+    def function(u):
+        there = jnp.concatenate([u, z[len(u) :]])
+        return residual_at(system, names, there, given), slopes_at(system, names, there, given)[:, : len(u)]
+
+    found = jax.jit(partial(newton, function))(jnp.asarray(z[: -len(names)]))
+    if found.status:
+        raise ContinuationError("u", f"must be near a solution: {ADVICE[int(found.status)]}", z[: -len(names)])
+    return np.asarray(found.unknowns)
+
+
+def task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors=None, stop=()):
+    """The `Task` along the parameters of the bounds from z on. Raises ContinuationError."""
+    for key, value in (("first_step", first_step), ("largest_step", largest_step), ("tolerance", tolerance)):
+        if not (np.isscalar(value) and np.isfinite(value) and value > 0):
+            raise ContinuationError(key, "must be greater than 0", value)
+    names, box = tuple(bounds), tuple(bounds.values())
+    numbers = (min(SMALLEST, first_step), largest_step, tolerance, *box[-1])
+    control = Control(np.ones(len(z)), *(np.float64(each) for each in numbers))
+    watch = Monitored(system, names, monitors or {})
+    first = min(first_step, largest_step)
+    return Task(problem_of(system, names), given, control, first, box, watch=watch, stop=tuple(stop), starts=(z,))
+
+
+def _point(z, tangent):
+    """The `Point` at a start."""
+    none = np.zeros(())
+    return Point(z, tangent, none, none, none, np.True_, np.True_)
+
+
+def _turned(one):
+    """A `Stretch` from its end to its start."""
+    last = len(one.points.z) - 1
+    points = turned(one.points)
+    marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
+    return one._replace(points=points._replace(tangent=-points.tangent), view=turned(one.view), marks=marks)
+
+
+def _glued(one, other):
+    """Two stretches as one, the second beginning where the first ends."""
+    last = len(one.points.z) - 1
+    marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
+    points, view = joined([one.points, other.points]), joined([one.view, other.view])
+    return Stretch(points, view, marks, other.end, other.which, other.value)
+
+
+def _reason(one, names):
+    kind = one.marks[-1].kind if one.marks else ""
+    return one.end.value.format(name=names[one.which], value=one.value, kind=kind)
+
+
+def _signs(system, names, zs, given):
+    """{label: at each point a number that changes its sign where the matrix of a test is singular}, by eigenvalues. Two
+    of them come to the imaginary axis, or the unit circle, at once where so many more, or fewer, are beyond it."""
+    found = _eigenvalues(system, names, zs, given)
+    steady = system.kind == EQUILIBRIA
+    beyond = np.sum(found.real > 0 if steady else abs(found) > 1, axis=1)
+    pair = np.cumprod(np.append(1.0, np.where(abs(np.diff(beyond)) >= 2, -1.0, 1.0)))
+    if steady:
+        return {"HB": pair}
+    flipped = found + 1.0
+    return {"PD": np.prod(flipped / np.maximum(abs(flipped), ZERO), axis=1).real, "NS": pair}
+
+
+def _eigenvalues(system, names, z, given):
+    """Of the derivative by u at points, (points, n), the largest first."""
+    slopes = np.asarray(jax.jit(jax.vmap(partial(slopes_at, system, names), (0, None)))(z, given))
+    found = np.linalg.eigvals(slopes[:, :, : -len(names)]).astype(complex)
+    found += 1.0 if system.kind == FIXED_POINTS else 0.0
+    size = abs(found) if system.kind == FIXED_POINTS else found.real
+    return np.take_along_axis(found, np.argsort(-size, axis=1, kind="stable"), axis=1)

@@ -1,0 +1,72 @@
+"""The points of a branch, a row each, and one more between two of them."""
+
+import jax
+import numpy as np
+
+from . import follow
+
+
+def at(points, place):
+    """One row."""
+    return jax.tree.map(lambda leaf: leaf[place], points)
+
+
+def upto(points, count):
+    """The first rows."""
+    return jax.tree.map(lambda leaf: leaf[:count], points)
+
+
+def put(points, place, one):
+    """The rows with one more, at a place; the step to the row after it is what is left of it."""
+    found = jax.tree.map(lambda leaf, new: np.insert(leaf, place, new, axis=0), points, one)
+    if place + 1 < len(found.z):
+        found.step[place + 1] -= one.step
+    return found
+
+
+def joined(parts):
+    """Rows and rows, each part beginning with the last row of that before."""
+    return jax.tree.map(lambda *each: np.concatenate([each[0], *(one[1:] for one in each[1:])]), *parts)
+
+
+def turned(points):
+    """The rows in the other order."""
+    return jax.tree.map(lambda leaf: leaf[::-1], points)
+
+
+def between(task, points, after, length):
+    """The `Point` a length after one of them, None where Newton's method does not come there."""
+    one = follow.step(task.problem, at(points, after), length, task.control, task.args)
+    return one if one.met else None
+
+
+def pointed(task, points, after, z):
+    """A `Point` with this z, its tangent and determinant taken on the branch there."""
+    here = at(points, after)
+    length = float(np.sum(task.control.scale**2 * here.tangent * (z - here.z)))
+    one = follow.step(task.problem, here, length, task.control, task.args)
+    if not one.met or not np.isfinite(one.tangent).all():
+        one = here
+    return one._replace(z=z, step=np.float64(length), met=np.True_, kept=np.True_)
+
+
+def to_value(task, points, last, index, value):
+    """(the points up to where one of the numbers of z, before a place, has a value, whether it was found)."""
+    (p, q) = points.z[last - 1 : last + 1, index]
+    share = (value - p) / (q - p)
+    guess = between(task, points, last - 1, share * float(points.step[last]))
+    guess = points.z[last - 1] + share * (points.z[last] - points.z[last - 1]) if guess is None else guess.z
+    found = follow.pinned(task.problem, guess, index, value, task.control, task.args)
+    cut = upto(points, last)
+    if not found.met:
+        return cut, False
+    z = np.array(found.z)
+    z[index] = value  # but for a rounding it is
+    return put(cut, last, pointed(task, points, last - 1, z)), True
+
+
+def cut_at(task, points, after, length):
+    """The points up to a length after one of them."""
+    one = between(task, points, after, length)
+    cut = upto(points, after + 1)
+    return cut if one is None else put(cut, after + 1, one)
