@@ -21,7 +21,10 @@ def strobe(scene, state, periods=1, slots=32):
     scene: a `Scene`; state: a `State` at its phase; their numbers broadcast together, and the results have that shape.
     periods: whole number >= 1; slots: impacts to record, >= 0. The state's phase comes back unchanged. An impact at the
     end belongs to the period that ends: the state is the one after it, and its contact says so. A start on a wall and
-    moving into it rebounds at time 0.
+    moving into it rebounds at time 0. A flight that turns back within 8 ulp of its largest length (x, v, A, the walls')
+    of a wall may count as a contact or as none. n periods in one call are n strobes but for roundings, which it carries
+    on: they differ by less than 16 eps (1 + T) s (1 + the sum of abs M), T = 2 pi / omega, s the largest length or
+    speed, M the derivative from each strobe on to the end (docs/numbers.md).
 
     jax.grad, jacfwd, jacrev, hessian and the rest go through it, at any order: by x, v, phase and every number of the
     scene; of the state, the impacts' times and speeds and the least speed. The rest of `Impacts` counts as constant.
