@@ -132,7 +132,8 @@ def chaotic(scene, found, lanes, scale):
 def _grouped(scene, state, lanes, rates, wild, scale, seen):
     """Puts chaotic lanes that fill the same set together, into `seen`; {lane: reason} of those that are on none.
 
-    wild: the lanes whose exponents, the rates, are positive beyond doubt. Of each set of others one lane is weighed.
+    wild: the lanes whose exponents, the rates, are positive beyond doubt. Of each set of others one lane is weighed,
+    and of those that may rest, as nearby trajectories that rest at other times part without chaos.
     """
     roams, lost, weighed = roam(scene, state), {}, []
     for k, lane in enumerate(lanes.tolist()):
@@ -143,7 +144,8 @@ def _grouped(scene, state, lanes, rates, wild, scale, seen):
         this = read_set(scene, one, scale, {})
         home = next((other for other in seen if is_same_set(this.hits, other.hits)), None)
         if home is None:
-            why = None if wild[k] else _refused(scene, one.state, this, weighed)
+            sure = bool(wild[k]) and not may_rest(scene, one.status, one.contact)
+            why = None if sure else _refused(scene, one.state, this, weighed, bool(wild[k]))
             if why is not None:
                 lost[lane] = why
                 continue
@@ -152,25 +154,26 @@ def _grouped(scene, state, lanes, rates, wild, scale, seen):
         home.lanes.append(lane)
     for one in seen:
         if "note" not in one.numbers:
-            one.numbers.update(_told(float(np.nanmean(rates[np.isin(lanes, one.lanes)])), "does not recur"))
+            own = rates[np.isin(lanes, one.lanes)]
+            one.numbers.update(_told(float(own[np.isfinite(own)].mean()), "does not recur"))
     return lost
 
 
-def _refused(scene, state, this, weighed):
+def _refused(scene, state, this, weighed, wild):
     """Why the motion of one lane is not taken for chaos; None where it is: its exponent is then among its numbers.
 
-    weighed: (hits, why not) of those that were weighed before, to which it is added.
+    wild: whether it is for chaos where the estimator cannot tell; weighed: (hits, why not) of those that were weighed
+    before, to which it is added.
     """
     known = next((why for hits, why in weighed if why is not None and is_same_set(this.hits, hits)), None)
     if known is not None:
         return known
     if len(weighed) == WEIGHED:
-        return "does not recur, and was not looked at for long"
+        return None if wild else "does not recur, and was not looked at for long"
     rate, told = weigh(scene, state)
-    chaos = bool(np.isfinite(rate))
-    if chaos:
+    if np.isfinite(rate):
         this.numbers.update(exponent=rate, note=told)
-    weighed.append((this.hits, None if chaos else told))
+    weighed.append((this.hits, None if np.isfinite(rate) or (np.isnan(rate) and wild) else told))
     return weighed[-1][1]
 
 

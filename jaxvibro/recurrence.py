@@ -31,13 +31,14 @@ def settled_periods(now, before, passed, scale, dtype):
     """The number of periods after which each lane recurs, 0 where it has not settled; shape (lanes,).
 
     A lane has settled on period n where it is nearer than eps^(1/2) scale to what it converges to. Rounding stops the
-    returns from shrinking: those below 64 eps scale, or below eps^(3/5) scale and no longer shrinking, count as
-    settled too. Of the divisors of n the first is taken whose return lies within ten times that distance, since the
-    lane is not known better. scale: of x and v, the largest.
+    returns from shrinking: those below 64 eps scale, or below eps^(1/2) scale and no longer shrinking, count as settled
+    too: an orbit that stretches rounding before it contracts it comes back no better. Of the divisors of n the first is
+    taken whose return lies within ten times that distance, since the lane is not known better. scale: of x and v, the
+    largest.
     """
     eps = np.finfo(dtype).eps
     near = eps**0.5 * scale
-    still = (now <= 64.0 * eps * scale) | ((now <= eps**0.6 * scale) & (now >= before))
+    still = (now <= 64.0 * eps * scale) | ((now <= near) & (now >= before))
     settled = still | (remaining(now, before, passed) <= near)
     first = np.where(settled.any(axis=0), settled.argmax(axis=0) + 1, 0)
     return np.array([_least_divisor(n, now[:, lane] <= 10.0 * near) for lane, n in enumerate(first)], dtype=int)

@@ -11,6 +11,7 @@ from .recurrence import returns, settled_periods
 from .trail import KEEP, Trail, trail
 
 PATIENCE = 16  # times `settle` periods after which a start that has not recurred is given up
+MORE = 4  # times that, as long as others still settle: what is left may be on the way as well
 
 
 @dataclass
@@ -32,20 +33,21 @@ def settle_lanes(scene, state, settle, reach):
     """(trail, periods, scale): the lanes' ends, the period each has settled on (0: none), the largest of x and v.
 
     A lane is run for `settle` periods, then on in ever longer rounds until it has settled, at most PATIENCE times as
-    long altogether. reach: the largest x there may be.
+    long altogether, and MORE times that while lanes settle in each round: chaos may be a transient. reach: the largest
+    x there may be.
     """
     passed, length = max(settle, KEEP), KEEP
-    patience = PATIENCE * passed
+    patience, settles = PATIENCE * passed, False
     found = trail(scene, state, passed)
     well = found.status < CAP
     scale = max([reach, *abs(found.v[:, well]).ravel()])
     periods = np.zeros(len(well), int)
     before = returns(found.points)
-    while (going := np.flatnonzero(well & (periods == 0))).size and passed < patience:
+    while (going := np.flatnonzero(well & (periods == 0))).size and passed < patience * (MORE if settles else 1):
         later = trail(scene, jax.tree.map(lambda leaf, going=going: leaf[going], found.state), length)
         now = returns(later.points)
         periods[going] = settled_periods(now, before[:, going], length, scale, scene.dtype)
-        before[:, going] = now
+        before[:, going], settles = now, bool(periods[going].any())
         found = _put(found, going, later)
         well = found.status < CAP
         passed, length = passed + length, 2 * length

@@ -141,7 +141,7 @@ def main(count, folder):
         if not path.exists():
             found = compared(place)
             with whole(path) as part:
-                part.write_text(json.dumps(found))
+                part.write(json.dumps(found).encode())
             print(place, found["kind"], [round(each, 1) for each in found["seconds"]], len(found["rows"]), flush=True)
         results.append(json.loads(path.read_text()))
     summary(results)

@@ -6,6 +6,7 @@ import pytest
 import jaxvibro as jv
 from jaxvibro import evidence
 from jaxvibro.weak import weigh
+from tests.attractors_proof import drawn
 from tests.reference.lyapunov import Oscillator, exponents
 
 
@@ -47,9 +48,27 @@ def test_where_the_first_look_decides_nothing_the_estimator_does(monkeypatch):
 
 def test_what_is_regular_is_not_taken_for_chaos():
     rate, why = weigh(scene(4.65), lane(0.9, -1.1))
-    assert np.isnan(rate) and "recurs" in why
+    assert rate == -np.inf and "recurs" in why
     rate, why = weigh(scene(0.8, left=-1.0, damping=0.0, restitution=1.0), lane(0.9, -1.1))  # a shear alone
-    assert np.isnan(rate) and "not positive beyond doubt" in why
+    assert rate == -np.inf and "not positive beyond doubt" in why
+
+
+def test_a_mass_that_rests_is_not_chaotic():
+    """It comes back exactly after 89 periods; trajectories beside it rest at other times, and so part."""
+    found = jv.find_attractors(drawn("two", 129), starts=24, seed=129)
+    assert [one.kind for one in found] == ["unresolved"] and "rests on a wall" in found[0].note
+
+
+def test_an_orbit_that_stretches_rounding_is_one():
+    """Each start comes back to within 2e-9 after 21 periods, not nearer."""
+    (one,) = jv.find_attractors(drawn("two", 152), starts=24, seed=152)
+    assert (one.label, one.rests, one.share) == ("P21-21-inf", True, 1.0)
+
+
+def test_chaos_that_ends_is_not_chaotic():
+    """Half of what is not on P100 by 300 periods comes to it in each 2,000 that follow."""
+    (one,) = jv.find_attractors(drawn("one", 35), starts=64, seed=35)
+    assert (one.label, one.share) == ("P100", 1.0)
 
 
 @pytest.mark.slow
