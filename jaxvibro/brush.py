@@ -1,4 +1,4 @@
-"""Grazing of soft walls, where the orbits with a contact and those without it are one smooth branch.
+"""Grazing of soft walls, where the orbits with a contact and those without it are one branch, its tangent continuous.
 
 So it is where the force is continuous at the touch: at a wall that stands still whatever its damping, as the damping's
 jump goes with the velocity; at one that moves only if its damping is the scene's. Else a grazing is as that of a rigid
