@@ -18,7 +18,7 @@ def soften(scene, stiffness):
     rigid = {side: wall for side, wall in scene.walls.items() if not wall.soft}
     if not rigid:
         raise check.SceneError("scene", "must have a rigid wall", "none")
-    changes = {}
+    stiffness, changes = check.quantity("stiffness", stiffness, scene.dtype), {}
     for side, wall in rigid.items():
         damping = contact_damping(stiffness, scene.bounce(side))
         changes[side] = replace(wall, restitution=None, stiffness=stiffness, damping=damping)

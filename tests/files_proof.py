@@ -5,6 +5,7 @@ mutations: so many scene files and changes as by --set, hostile and random; each
 within 2 s of processor time; one of two hundred goes through the command itself.
 killed: `run`, `paper` and `explore` that is resumed, killed at so many random moments each (explore: half as often);
 what is there is whole, and what the last, undisturbed run leaves has the same numbers as one that was never disturbed.
+writing: killed so often while it does nothing but save one of two diagrams over the other; one of them is there, whole.
 """
 
 import json
@@ -59,6 +60,19 @@ while True:
         break
     budget = 1 if known is None else len(known) + 1
     jv.explore(scene, "amplitude", (2.0, 6.0), 2, 0, budget, known).save(place, force=True)
+"""
+
+SAVE = """
+import os, signal, sys, threading, jax
+from dataclasses import replace
+jax.config.update("jax_enable_x64", True)
+import jaxvibro as jv
+place, one = sys.argv[1], jv.load_diagram(sys.argv[1])
+two = replace(one, reason="the other", branches=one.branches[::-1] if len(one) > 1 else one.branches * 2, left=())
+threading.Timer(float(sys.argv[2]), os.kill, (os.getpid(), signal.SIGKILL)).start()
+while True:
+    two.save(place, force=True)
+    one.save(place, force=True)
 """
 
 
@@ -176,10 +190,10 @@ def killed(times, seed):
         run = [*python, "run", str(folder / "long.toml"), "--force", "--out"]
         figures = [*python, "paper", "fig2", "fig12", "--out"]
         grown = [sys.executable, "-c", EXPLORE]
-        for name, command, often, whole, same in (
-            ("run", run, times, _run_is_whole, _data),
-            ("paper", figures, times, _paper_is_whole, _claims),
-            ("explore", grown, times // 2, _diagram_is_whole, _diagram),
+        for name, command, often, shares, whole, same in (
+            ("run", run, times, (0.2, 1.05), _run_is_whole, _data),
+            ("paper", figures, times, (0.02, 0.6), _paper_is_whole, _claims),  # goes on, so it is to be killed early
+            ("explore", grown, times // 2, (0.1, 0.5), _diagram_is_whole, _diagram),
         ):
             places = [folder / f"{name} {how}" for how in ("alone", "disturbed")]
             places[0].mkdir()
@@ -187,11 +201,24 @@ def killed(times, seed):
             spent = _done(command, places[0])
             for count in range(often):
                 how = draw.choice([signal.SIGINT, signal.SIGKILL, signal.SIGTERM])
-                stopped([*command, str(places[1])], draw.uniform(0.2, 1.0) * spent, how)
+                stopped([*command, str(places[1])], draw.uniform(*shares) * spent, how)
                 print(f"{name} {count + 1}: {whole(places[1])}", flush=True)
             again = _done(command, places[1])
             alike = same(places[0]) == same(places[1])
             print(f"{name}: {spent:.0f} s alone, {again:.0f} s to the end; same numbers: {alike}", flush=True)
+
+
+def writing(times, seed):
+    """Prints what is there after each of so many kills in the middle of writing."""
+    draw, told, parts = np.random.default_rng(seed), Counter(), 0
+    with tempfile.TemporaryDirectory() as folder:
+        place = made(Path(folder))["diagram's index"][0].parent
+        for _ in range(times):
+            command = [sys.executable, "-c", SAVE, str(place), str(draw.uniform(0.0, 0.3))]
+            ended = subprocess.run(command, cwd=ROOT).returncode
+            told[_outcome(_loaded, place / "diagram.json"), signal.Signals(-ended).name] += 1
+            parts = sum(path.name.startswith(".") for path in place.iterdir())
+    print(f"{dict(told)} of {times}; {parts} parts left over by them all")
 
 
 def _done(command, place):
@@ -249,6 +276,7 @@ PROOFS = {
     "cuts": (lambda times, seed: damaged(times, seed, cut), 200),
     "mutations": (mutations, 20_000),
     "killed": (killed, 20),
+    "writing": (writing, 50),
 }
 
 if __name__ == "__main__":

@@ -60,7 +60,9 @@ def draw(rng, count, kind, short=False):
     share = some(rng.random(count), 0.1, 0.0, 1.0)
     x = np.clip(ends[0] + share * (ends[1] - ends[0]), *ends)
     speed = logarithmic(-2.0, 1.0) * some(1.0, 0.02, 0.0, 1e-100, 1e-300)
-    return scene, jv.State(x, speed * rng.choice([-1.0, 1.0], count), phase)
+    start = jv.State(x, speed * rng.choice([-1.0, 1.0], count), phase, np.zeros(count))
+    order = np.argsort(gap * omega / (amplitude + abs(x) + speed))  # lanes of a block wait for each other
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[order] if np.ndim(leaf) else leaf, (scene, start))
 
 
 def beyond(scene, end):

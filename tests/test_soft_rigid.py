@@ -63,7 +63,7 @@ def test_numbers_that_cannot_be_are_refused(function, values, message):
 def test_soften_keeps_what_each_wall_gives_back():
     walls = jv.Wall(-1.0, restitution=0.5, motion=jv.Motion(0.1, 0.2, 3)), jv.Wall(1.0)
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, walls)
-    soft = jv.soften(scene, [1e4, 1e5])
+    soft = jv.soften(scene, np.array([1e4, 1e5]))
     for wall, restitution in ((soft.left, 0.5), (soft.right, 0.7)):
         assert wall.soft and list(wall.stiffness) == [1e4, 1e5] and wall.restitution is None
         assert jv.effective_restitution(wall.stiffness, wall.damping) == pytest.approx(restitution, rel=1e-13)
@@ -74,6 +74,8 @@ def test_soften_keeps_what_each_wall_gives_back():
         jv.soften(soft, 1e6)
     with pytest.raises(jv.SceneError, match=r"^stiffness: must be greater than 0"):
         jv.soften(scene, -1.0)
+    with pytest.raises(jv.SceneError, match=r"^stiffness: must be a number or an array, not a list"):
+        jv.soften(scene, [1e4, 1e5])
 
 
 def test_hardness_moves_all_soft_walls_and_holds_what_they_give_back():

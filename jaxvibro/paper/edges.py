@@ -28,13 +28,13 @@ SHORT, LONG = 0.1, 0.3  # steps along a branch, of the speed at its saddle-node
 LOOKS = 8  # frequencies at which a motion between the curves is looked for
 ACROSS, HIGH = (0.0, 9.0), (0.55, 3.0)  # ranges of amplitude and frequency in the upper picture
 NARROW, LOW = (0.68, 1.0), (0.2, 0.55)  # in the lower
-SEEN = 5e-3  # a tongue as wide is shaded
+SEEN = 0.05  # a tongue as wide is shaded
 
 CAPTION = (
     "Where P100 and P111 exist together: between the locus of the saddle-node (solid, with the closed form (19) as "
-    "dots) and that of the grazing (dotted), for three dampings; below, enlarged, the tongues at lower frequencies, "
-    "where sin(pi r / omega) > 0 again, those of larger damping too thin to be seen. P111 may graze in them before "
-    "P100 does, and goes on with more impacts."
+    "dots) and that of the grazing (dotted), for the dampings gamma written there; below, enlarged, the tongues at "
+    "lower frequencies, where sin(pi r / omega) > 0 again, those of larger damping too thin to be seen. P111 may "
+    "graze in them before P100 does, and goes on with more impacts."
 )
 
 
@@ -240,7 +240,7 @@ def _picture(file, found):
     figure, places = sheet(2, 1, 3.3)
     (above,), (below,) = places
     for (scene, fold, graze, lower), colour in zip(found, COLOURS, strict=False):
-        told, folds = f"gamma = {float(scene.damping):g}", [one.fold for one in lower]
+        told, folds = f"{float(scene.damping):g}", [one.fold for one in lower]
         for ax, loci, bounds in ((above, [fold], HIGH), (below, folds, LOW)):
             for one in (*loci, graze):
                 plot.locus(_marked(one, bounds), ax, colour)
@@ -252,7 +252,7 @@ def _picture(file, found):
         ax.set(xlim=across, ylim=up)
     above.set_ylim(top=file.locus.bounds["frequency"][1])
     trim(places, shared=False, ticks=9)
-    legend(figure, places, columns=2)
+    legend(figure, places, columns=2, without={patch.get_gid() for patch in above.patches})  # gamma: in the picture
     return png(figure)
 
 

@@ -84,7 +84,7 @@ def _wider(found, narrow, wide):
     )
     again = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in apart(found.swept))
     reason = (
-        f"P100 grazes {abs(up - top):.3g} away, and P111 begins at {down:.6g} in place of {bottom:.6g}. Our sweeps to "
+        f"P100 grazes at {up:.6g} here and {top:.6g} there, P111 begins at {down:.6g} and {bottom:.6g}. Our sweeps to "
         f"and fro differ at {again}."
     )
     return statement("2b", f"hysteresis is wider than in 2a ({told}; the difference)", more, low=0.0, reason=reason)
