@@ -39,6 +39,7 @@ def test_as_explore_gives_them(scene):
         assert min(abs(each.value - touch) for each in one.points("GR")) < 1e-11
 
 
+@pytest.mark.slow
 def test_what_the_starts_of_all_values_settle_on(scene):
     scenes = [scene.replace(damping=gamma) for gamma in (0.3, 0.05)]
     tasks = [asked(each, "amplitude", BOUNDS, 1, 0, None, 0.1) for each in scenes]

@@ -84,7 +84,9 @@ def test_another_source_is_traced_and_old_ones_go(toy):
     assert len(toy.modules()) == kept.GENERATIONS
 
 
-@pytest.mark.parametrize("content", [b"", b"nothing of ours", "cut", "changed"])
+@pytest.mark.parametrize(
+    "content", [*(pytest.param(each, marks=pytest.mark.slow) for each in (b"", b"nothing of ours")), "cut", "changed"]
+)
 def test_a_damaged_file_is_written_anew(toy, content):
     toy()
     (module,) = toy.modules()

@@ -92,6 +92,7 @@ def test_growth_between_rests_against_the_moments_of_rest(numbers):
     assert abs(found.rate * span * numbers[1] / (2 * np.pi) - np.log(growth)) < NEAR
 
 
+@pytest.mark.slow
 def test_no_count_of_hops_is_in_a_label():
     """Whatever R is, and so however many hops are flown until they are sure to end."""
     for side in (-1, 1):

@@ -65,6 +65,7 @@ def test_a_short_stay_has_its_own_digits():
     assert float(jax.jit(duration)(*given)[0]) == pytest.approx(np.pi / 1e5, rel=1e-15, abs=0.0)
 
 
+@pytest.mark.slow
 def test_two_periods_are_one_after_the_other():
     scene, start = soft(1e4, 5.0, amplitude=3.0), jv.State(np.linspace(-1.02, 1.02, 32), 0.5)
     once, first = jv.strobe(scene, start)
@@ -117,6 +118,7 @@ def test_a_pressed_mass_stays_within_a_very_stiff_wall():
     assert abs((float(end.x) - 1.0) * (1.0 + 1e10) - 2.0) < 1e-2
 
 
+@pytest.mark.slow
 def test_multipliers_of_orbits_are_those_of_the_product_and_of_autodiff(resonance):
     orbit, _ = resonance
     product = np.asarray(jv.monodromy(orbit.scene, orbit.state))
@@ -167,6 +169,7 @@ def test_a_touch_after_a_long_stay_is_where_the_branch_goes_on():
         assert abs(end.x - orbit.state.x) < 1e-10 and impacts.count == orbit.impacts.count
 
 
+@pytest.mark.slow
 def test_branches_from_either_side_of_a_grazing_are_one(resonance):
     _, branch = resonance
     scene = soft(frequency=0.7)
@@ -177,6 +180,7 @@ def test_branches_from_either_side_of_a_grazing_are_one(resonance):
         assert np.allclose(ours, theirs, rtol=0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_folds_and_doublings_close_to_a_grazing_are_told_from_it():
     walls = (jv.Wall(-1.2, stiffness=20.0, damping=0.3), jv.Wall(0.8, stiffness=50.0, damping=0.2))
     scene = jv.make_scene(amplitude=0.4, frequency=1.8, damping=0.1, restitution=0.7, walls=walls)

@@ -51,6 +51,7 @@ def test_the_largest_x_without_impacts_is_the_closed_form(free):
     assert jv.peak(free.orbit(3)) == pytest.approx(jv.peaks(free)[3], rel=1e-14)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k2", NEAR)
 def test_the_largest_x_within_a_wall_is_the_reference(branches, k2):
     branch = branches[k2]
@@ -73,6 +74,7 @@ def test_the_largest_x_between_rigid_walls_is_theirs():
     assert jv.peak(orbit) == pytest.approx(1.5, abs=1e-12) and seen <= 1.5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("k2", NEAR)
 def test_folds_move_as_differences_of_the_reference_say(branches, k2):
     numbers, step = (A, GAMMA, GAMMA2), 1e-5

@@ -36,7 +36,9 @@ def capped(kind, count, periods):
     return scene, start, np.asarray(impacts.status)
 
 
-@pytest.mark.parametrize(("kind", "periods"), [((FIXED, MOVING), 1), ((SOFT, FIXED), 2)])
+@pytest.mark.parametrize(
+    ("kind", "periods"), [((FIXED, MOVING), 1), pytest.param((SOFT, FIXED), 2, marks=pytest.mark.slow)]
+)
 def test_a_lane_that_is_given_up_has_no_state(kind, periods):
     status = capped(kind, 2048, periods)[2]
     assert (status == CAP).sum() > 200
@@ -60,7 +62,9 @@ def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
         jv.simulate(*one, samples=4)
 
 
-@pytest.mark.parametrize("kind", [(FIXED, None), (None, MOVING), (SOFT, None), (None, SOFT_MOVING)])
+@pytest.mark.parametrize(
+    "kind", [(FIXED, None), (None, MOVING), (SOFT, None), pytest.param((None, SOFT_MOVING), marks=pytest.mark.slow)]
+)
 def test_a_slow_start_on_a_wall_goes_as_one_without_speed(kind):
     rng, count = np.random.default_rng(8), 4096
     scene, start = draw(rng, count, kind)

@@ -296,7 +296,10 @@ def test_arguments_are_refused_by_name(scene, key, value):
         (None, 1.0),
         (jv.Wall(-1.0, 0.6), jv.Wall(1.0, 0.8)),
         (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.1))),
-        (jv.Wall(-1.0, stiffness=50.0, damping=0.5), jv.Wall(1.0, stiffness=9.0, motion=jv.Motion(0.1))),
+        pytest.param(
+            (jv.Wall(-1.0, stiffness=50.0, damping=0.5), jv.Wall(1.0, stiffness=9.0, motion=jv.Motion(0.1))),
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_every_kind_of_scene_runs_inside_a_loop(walls):

@@ -65,6 +65,7 @@ def test_an_orbit_that_stretches_rounding_is_one():
     assert (one.label, one.rests, one.share) == ("P21-21-inf", True, 1.0)
 
 
+@pytest.mark.slow
 def test_chaos_that_ends_is_not_chaotic():
     """Half of what is not on P100 by 300 periods comes to it in each 2,000 that follow."""
     (one,) = jv.find_attractors(drawn("one", 35), starts=64, seed=35)
