@@ -292,14 +292,19 @@ def cut_at(along, points, after, length, control):
 
 def _events(along, points, look, control, known, singular):
     """The events between points, as `inserted` takes them; singular: at the last one a contact has no speed, where each
-    test is zero, and is given the sign that it comes there with."""
+    test is zero, and is given the sign that the multipliers come there with."""
     flip, tangent = look.flip, points.tangent
     if singular:
-        turned = 1.0 + look.trace[-2:] + look.determinant[-2:]
-        flip = np.append(flip[:-1], np.copysign(flip[-2], flip[-2] * turned[0] * turned[1]))
-        tangent = np.vstack([tangent[:-1], tangent[-2:-1]])
+        doubled, folded = (1.0 + sign * look.trace[-2:] + look.determinant[-2:] for sign in (1.0, -1.0))
+        flip = np.append(flip[:-1], flip[-2] * _turned(*doubled))
+        tangent = np.vstack([tangent[:-1], tangent[-2] * _turned(*folded)])
     values = {"PD": flip} if len(along.cycle.sides) else {}
     return listed(follow.events(problem(along), points._replace(tangent=tangent), values, control, along, known))
+
+
+def _turned(before, after):
+    """-1 where a number changes its sign, else 1."""
+    return -1.0 if before * after < 0 else 1.0
 
 
 def listed(events):

@@ -272,7 +272,7 @@ def test_the_readme_s_lines_run_as_printed():
 
 @pytest.mark.slow
 def test_the_lines_on_loci_print_what_is_told(capsys):
-    block, told = re.findall(r"```(?:python)?\n(.*?)```", (ROOT / "docs" / "loci.md").read_text(), re.DOTALL)
+    block, told, *_ = re.findall(r"```(?:python)?\n(.*?)```", (ROOT / "docs" / "loci.md").read_text(), re.DOTALL)
     exec(compile(block, "loci.md", "exec"), {})
     assert [line.split() for line in capsys.readouterr().out.splitlines()] == [
         line.split() for line in told.splitlines()
