@@ -1,7 +1,7 @@
 """Branches of random scenes against references: `python -m tests.branch_proof WHAT N [seed]`.
 
 specials: every SN, SB, BP, PD and GR of N random branches against tests/reference/special.py; grazings, steps, turned,
-walls: see the functions of these names.
+walls, extended: see the functions of these names.
 """
 
 import sys
@@ -22,6 +22,7 @@ from jaxvibro.graze import scales
 from jaxvibro.told import told
 from tests.reference import special as reference
 from tests.reference.scene import Motion, Scene, Wall
+from tests.test_extend import WALLS, check_extended
 
 BATCH = 1024  # points simulated at once
 FINE = 0.0035  # between points whose flights are simulated
@@ -367,9 +368,17 @@ def leaving(scene, sides, speeds, phase):
     return x, v
 
 
+def extended(number, seed):
+    """Branches extended against the same followed at once, for so many seeds and each kind of walls."""
+    for each in range(seed, seed + number):
+        for name in WALLS:
+            check_extended(name, each)
+            print("seed", each, name, "ok", flush=True)
+
+
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     what, number, *rest = sys.argv[1:]
-    {each.__name__: each for each in (specials, grazings, steps, turned, walls)}[what](
+    {each.__name__: each for each in (specials, grazings, steps, turned, walls, extended)}[what](
         int(number), int(rest[0]) if rest else 0
     )
