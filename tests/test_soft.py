@@ -14,6 +14,7 @@ from tests import soft_proof
 FIG10 = {"amplitude": 0.3, "frequency": 1.3, "damping": 0.05, "restitution": 0.7}
 STANDING = ((True, 0), (True, 0))  # structures of `soft_proof`: both walls soft, one of them rigid, one moving
 MIXED = ((False, 0), (True, 0))
+OTHERS = ((None, (True, 2)), ((True, 1), (True, 0)), ((False, 2), (True, 1)))
 
 
 def soft(stiffness=10.0, damping=0.1, places=(-1.0, 1.0), **changes):
@@ -43,8 +44,8 @@ def test_strobes_against_ball_arithmetic():
 
 
 @pytest.mark.slow
-def test_strobes_of_all_kinds_against_ball_arithmetic():
-    rows = compared(600)
+def test_strobes_of_other_kinds_against_ball_arithmetic():
+    rows = compared(150, set(OTHERS))
     assert all(row.right for row in rows)
     assert max(row.state for row in rows) < 0.01 and max(row.sharp for row in rows) < 0.2
 
