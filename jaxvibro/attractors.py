@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from . import check, tried
-from .entry import CAP
+from .codes import Status
 from .evidence import chaotic, periodic
 from .find import find_orbit
 from .meetings import is_symmetric
@@ -15,7 +15,7 @@ from .settling import settle_lanes
 from .share import share_bounds
 from .solve import from_phase_0
 from .starts import box, random_starts
-from .state import STATUS, State
+from .state import State
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,8 +72,9 @@ def find_attractors(scene, starts=200, seed=0, settle=300):
     left, right, _ = box(scene)
     found, periods, scale = settle_lanes(scene, given, settle, max(abs(left), abs(right)))
     orbits, adrift = periodic(scene, found, periods, settle, scale)
-    sets, restless = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < CAP)), scale)
-    bad = {int(lane): f"status {STATUS[found.status[lane]]}" for lane in np.flatnonzero(found.status >= CAP)}
+    sets, restless = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < Status.CAP)), scale)
+    lost = np.flatnonzero(found.status >= Status.CAP)
+    bad = {int(lane): f"status {Status(found.status[lane]).word}" for lane in lost}
     seen = orbits + sets
     seen += tried.free(scene, seen)
     seen += tried.images(scene, seen, scale)

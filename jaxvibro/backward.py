@@ -12,11 +12,12 @@ import jax.numpy as jnp
 
 from . import check, flow, journey
 from .blocks import in_blocks
-from .entry import OK, enter
+from .codes import Status
+from .entry import enter
 from .frame import frame, is_valid
 from .lanes import choose, one_kernel, stage
-from .path import swift
 from .period import blank, finish
+from .scale import swift
 from .state import State
 
 
@@ -47,7 +48,7 @@ def backward(scene, state, least):
 def _through(scene, state):
     built = reversed_frame(scene)
     path, fault = stage(enter, built, state, rules=_rules)
-    path = path._replace(rest=choose(fault == OK, built.period, 0.0))
+    path = path._replace(rest=choose(fault == Status.OK, built.period, 0.0))
     told = journey.begin(built, path, 0, built.period)
     return finish(built, journey.run(built, told, journey.cap(built, 1)), state, fault)
 

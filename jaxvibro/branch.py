@@ -13,8 +13,8 @@ from . import itinerary as words
 from .check import SceneError
 from .end import End
 from .scene import Scene
+from .scene_table import table_of
 from .sealed import netcdf
-from .tables import table_of
 from .text import columns, pair
 from .told import Spot, itinerary, told
 from .whole import whole

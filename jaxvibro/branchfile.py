@@ -8,8 +8,8 @@ import numpy as np
 from . import check
 from .branch import NUMBERS, Branch, Segment, row_of, special_of
 from .end import End, read
+from .scene_table import SceneTable
 from .sealed import dataset_of, opened
-from .tables import SceneTable
 from .told import Spot
 
 AT_POINTS = ("stable", "least_speed", "least_clearance", "residual", "value_slope", "segment")

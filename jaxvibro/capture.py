@@ -14,7 +14,7 @@ from continuation.kept import kept
 
 from . import period
 from .carry import carried
-from .entry import CAP, INVALID
+from .codes import Status
 from .lanes import OPTIONS, WIDTH
 from .state import State
 from .trail import trail
@@ -67,8 +67,8 @@ def captured(scene, x, v, phase, homes, patience, progress=None):
             some = [[each[..., part] for part in parts] for each in (now, near)]
             looks = pool.map(partial(_look, scene, phase, homes), *some)
             now, near, found, status = (np.concatenate(each, axis=-1) for each in zip(*looks, strict=True))
-            found = np.where(status == INVALID, OUTSIDE, found)
-            done = (found != UNRESOLVED) | (status >= CAP)
+            found = np.where(status == Status.INVALID, OUTSIDE, found)
+            done = (found != UNRESOLVED) | (status >= Status.CAP)
             label[lanes[done]], seen[lanes[done]] = found[done], passed
             lanes, now, near = lanes[~done], now[:, ~done], near[:, ~done]
             if progress is not None:
@@ -86,7 +86,7 @@ def _look(scene, phase, homes, now, near):
         each[:count] for each in jax.device_get(_round(scene, *padded, scene.dtype.type(phase), -(-count // WIDTH)))
     )
     z, found = np.stack(ends[:2], -1), np.full(count, UNRESOLVED, np.int32)
-    z[status >= CAP] = scene.dtype.type(FAR)
+    z[status >= Status.CAP] = scene.dtype.type(FAR)
     near = near.copy()
     for place, home in enumerate(homes):
         if home.trap is None:

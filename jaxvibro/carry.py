@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import journey
-from .entry import OK, enter
+from .codes import Status
+from .entry import enter
 from .frame import frame
 from .lanes import choose
 from .period import finish
@@ -29,7 +30,7 @@ def carried(scene, state, phase):
 def _carried(scene, state, angle):
     built = frame(scene)
     path, fault = enter(built, state)
-    span = choose(fault == OK, angle / built.frequency, 0.0)
+    span = choose(fault == Status.OK, angle / built.frequency, 0.0)
     told = journey.begin(built, path._replace(rest=span), 0, span)
     end, impacts = finish(built, journey.run(built, told, journey.cap(built, 1)), state, fault)
     return end, jnp.asarray(impacts.status)

@@ -11,7 +11,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from . import event, impact
+from . import event
+from .codes import Contact
 from .contact import is_inside
 from .lanes import choose, least, mask, merge, most, stage
 from .path import Motion, accelerations, jet, moved, place
@@ -131,7 +132,7 @@ def _mark(frame, path, flown, time):
     The guess is an end from which Newton's steps come down one slope; the secant's where the speed falls throughout;
     or, where x - x_b turns twice within the step, a parabola's.
     """
-    free = lax.abs(path.contact) != impact.STUCK
+    free = lax.abs(path.contact) != Contact.STUCK
     if frame.soft:
         free &= ~is_inside(path.contact)
     mark, nearest = (lax.full_like(time, value) for value in (0.0, jnp.inf))

@@ -13,14 +13,13 @@ import jax.numpy as jnp
 from jax import lax
 
 from . import flow
+from .codes import Contact
 from .lanes import choose
 from .plunge import Plunge, plunge
 from .wall import chosen, course, less
 
-WITHIN, ENTERED = 3.0, 4.0  # as a lane's contact; entered: y is still 0
 
-
-class Contact(NamedTuple):
+class SoftFlow(NamedTuple):
     """The oscillator within a wall: stiffness 1 + k2 and its root; damping gamma2; series: of its flow under the drive;
     waves: under the wall's own motion, None where it stands still; plunge: the first step after an entry; reach: the
     longest of the others; curb, slope: as the `frame.Frame` has them, for y."""
@@ -50,7 +49,7 @@ class Felt(NamedTuple):
 
 
 def contact(wall, force, frequency):
-    """The `Contact` of a wall's `Lane`, None for a rigid one."""
+    """The `SoftFlow` of a wall's `Lane`, None for a rigid one."""
     if wall.stiffness is None:
         return None
     stiffness, damping = 1.0 + wall.stiffness, wall.damping
@@ -67,13 +66,13 @@ def contact(wall, force, frequency):
     slope = jnp.sqrt(stiffness + 4.0 * damping * damping)
     series = flow.series(frequency, damping, stiffness)
     first = plunge(wall, force, frequency, series, waves, stiffness)
-    return Contact(stiffness, root, damping, series, waves, first, reach, forcing * (1.0 + slope * reach), slope)
+    return SoftFlow(stiffness, root, damping, series, waves, first, reach, forcing * (1.0 + slope * reach), slope)
 
 
 def is_inside(contact):
     """The lanes that are within a soft wall."""
     size = lax.abs(contact)
-    return (size == WITHIN) | (size == ENTERED)
+    return (size == Contact.WITHIN) | (size == Contact.ENTERED)
 
 
 def gives(frame, side):

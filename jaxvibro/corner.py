@@ -11,10 +11,10 @@ import numpy as np
 from . import check
 from .along import there as at
 from .curve import Grazing
-from .domain import scene_length
 from .end import End
 from .graze import FLAT, opening, stays, touches, wall_sides
 from .outset import Begun, backward, ways
+from .scale import scene_length
 from .scene import changed
 from .told import Spot
 from .track import tracked

@@ -12,8 +12,8 @@ from .branch import Branch
 from .branchfile import branch_of
 from .check import SceneError, host, short
 from .scene import Scene
+from .scene_table import SceneTable, table_of
 from .sealed import MARKS, digest, is_format, opened, sealed
-from .tables import SceneTable, table_of
 from .text import columns
 from .tree import is_same
 from .whole import whole

@@ -6,7 +6,6 @@ import jax
 import numpy as np
 
 from . import check
-from .path import swift
 from .scene import changed
 
 ROUNDING = 8.0 * np.finfo(float).eps  # of a value: as near are two equal
@@ -85,11 +84,3 @@ def tied(scene, name):
         rule = "in one tuple must have one value; for a common shift take the sum of what each gives alone"
         raise check.SceneError("names", rule, values)
     return low
-
-
-def scene_length(scene):
-    """A length to measure speeds and lengths by: the farther wall's distance; where that is small beside the motion, or
-    there is none, the size of the swift part of the response to the drive (`path.swift`), 1 at rest."""
-    found = max((abs(float(wall.position)) for wall in scene.walls.values()), default=0.0)
-    size = abs(float(swift(scene.frequency, scene.damping, scene.amplitude)))
-    return found if found > 0.3 * size else (size or 1.0)

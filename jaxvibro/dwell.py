@@ -4,8 +4,8 @@ end is moved by Taylor polynomials."""
 from jax import lax
 
 from . import contact, flow, taylor
-from .contact import ENTERED, WITHIN, is_inside
-from .impact import LANDED
+from .codes import Contact
+from .contact import is_inside
 from .lanes import choose
 from .stay import QUICK, duration, leave
 from .taylor import Now
@@ -25,9 +25,9 @@ def initial(frame, now, given, order=1):
         if soft is not None:
             where, pace = taylor.placed(taylor.way(frame, now, touch + wall.sign, 1), 0.0 * touch, 1)
             depth, closing = wall.sign * (now.x - where), wall.sign * (now.v - pace)
-            fresh = (given * wall.sign == WITHIN) & (depth <= 0) & (closing >= 0)
-            touch = choose((given * wall.sign != LANDED) & (depth > 0), wall.sign * WITHIN, touch)
-            touch = choose(fresh, wall.sign * ENTERED, touch)
+            fresh = (given * wall.sign == Contact.WITHIN) & (depth <= 0) & (closing >= 0)
+            touch = choose((given * wall.sign != Contact.LANDED) & (depth > 0), wall.sign * Contact.WITHIN, touch)
+            touch = choose(fresh, wall.sign * Contact.ENTERED, touch)
     where, pace = taylor.placed(taylor.way(frame, now, touch, order), 0.0 * touch, order)
     return touch, now.x - where, now.v - pace
 
@@ -37,7 +37,7 @@ def entered(frame, now, side, late, whole, order):
 
     side: 0 of lanes that enter none; lanes at a rigid wall stay as they are.
     """
-    touch = choose(contact.gives(frame, side), side * ENTERED, 0.0)
+    touch = choose(contact.gives(frame, side), side * Contact.ENTERED, 0.0)
     inside, left = is_inside(touch), whole - now.time
     _, pace = taylor.placed(taylor.way(frame, now, side, order), late, order)
     v = taylor.shifted(taylor.jet(frame, now, order)[1:], late, order) - pace

@@ -6,13 +6,13 @@ import jax.numpy as jnp
 from jax import lax
 
 from . import event, impact
-from .contact import ENTERED, WITHIN, is_inside
+from .codes import Contact, Status
+from .contact import is_inside
 from .frame import is_valid
 from .lanes import choose, positive
 from .path import Motion, Path, motion
 from .wall import course, extent, less
 
-OK, FULL, CAP, INVALID, NONFINITE = range(5)
 WIDE = 0.4  # of the exponents: lengths whose squares and products stay finite, and are not lost
 
 
@@ -37,7 +37,7 @@ def enter(frame, state, rules=is_valid):
     start = Motion(none, none, none, none, cosine, sine)
     path = Path(state.x + none, none, state.v + none, start, none, none, none)
     kind = abs(state.contact) + none
-    valid &= (kind == 0) | (kind == impact.LANDED) | (kind == impact.STUCK) | (kind == WITHIN)
+    valid &= (kind == 0) | (kind == Contact.LANDED) | (kind == Contact.STUCK) | (kind == Contact.WITHIN)
     known = kind == 0
     for wall, soft in zip(frame.walls, frame.contacts, strict=True):
         place = course(wall, frame.frequency, cosine, sine, 1)
@@ -47,12 +47,12 @@ def enter(frame, state, rules=is_valid):
         here, fits = (_at_wall if soft is None else _at_soft_wall)(frame, wall, place, here, given)
         kept = zip((path.x, path.v, path.contact), (here.x, here.v, here.contact), strict=True)
         path = path._replace(**dict(zip(("x", "v", "contact"), (choose(inside, *each) for each in kept), strict=True)))
-        valid &= fits & (given != (WITHIN if soft is None else impact.STUCK))
+        valid &= fits & (given != (Contact.WITHIN if soft is None else Contact.STUCK))
         known |= given > 0
     if frame.soft:
         frame = frame._replace(swift=choose(is_inside(path.contact), 0.0, frame.swift + none))
     path = path._replace(motion=motion(frame, path.x, path.v, cosine, sine))
-    fault = choose(finite, choose(valid & known, lax.full_like(none, OK), INVALID), NONFINITE)
+    fault = choose(finite, choose(valid & known, lax.full_like(none, Status.OK), Status.INVALID), Status.NONFINITE)
     return path, fault
 
 
@@ -63,7 +63,7 @@ def _at_soft_wall(frame, wall, place, path, given):
     depth, closing = wall.sign * (path.x - where), wall.sign * (path.v - pace)
     eps = 2.0 * event.rounding(depth.dtype)
     near = _near(wall, depth)
-    within, landed = given == WITHIN, given == impact.LANDED
+    within, landed = given == Contact.WITHIN, given == Contact.LANDED
     met = landed | (abs(depth) <= near) | (within & (depth <= 0))
     push, change = impact.surface(frame, path.x * 0.0 + wall.sign, path.cosine, path.sine)[2:]
     push, change = wall.sign * push, wall.sign * change
@@ -75,8 +75,8 @@ def _at_soft_wall(frame, wall, place, path, given):
     fits &= ~landed | (closing <= eps**0.5 * (abs(path.v) + frame.size * (1.0 + frame.frequency)))
     kind = choose(
         inside,
-        choose(met, ENTERED, lax.full_like(depth, WITHIN)),
-        choose(leaves, impact.LANDED, lax.full_like(depth, 0.0)),
+        choose(met, Contact.ENTERED, lax.full_like(depth, Contact.WITHIN)),
+        choose(leaves, Contact.LANDED, lax.full_like(depth, 0.0)),
     )
     x = choose(inside, choose(met, 0.0, wall.sign * depth), choose(met, where, path.x))
     v = choose(inside, path.v - pace, path.v)
@@ -96,13 +96,13 @@ def _at_wall(frame, wall, place, path, given):
     met = ~touching & (abs(gap) <= near)
     fits = choose(touching, abs(gap) <= loose * frame.size, gap >= -near)
     pace = abs(path.v) + frame.size * (1.0 + frame.frequency)
-    off = choose(given == impact.STUCK, abs(closing), closing)
+    off = choose(given == Contact.STUCK, abs(closing), closing)
     fits &= ~touching | (off <= loose * pace)
     push = [wall.sign * each for each in impact.surface(frame, path.x * 0.0 + wall.sign, path.cosine, path.sine)[2:]]
-    leaving = choose(given == impact.STUCK, 0.0, positive(-closing))
+    leaving = choose(given == Contact.STUCK, 0.0, positive(-closing))
     kind = wall.sign * impact.settle(frame, leaving, *push)
     on = touching | (met & (closing <= 0))
-    rests = on & ((abs(kind) == impact.STUCK) | (leaving == 0))
+    rests = on & ((abs(kind) == Contact.STUCK) | (leaving == 0))
     still = jnp.zeros_like(gap) if speed is None else speed
     return path._replace(
         x=choose(on | met, where, path.x),

@@ -6,12 +6,12 @@ import jax
 import numpy as np
 
 from . import itinerary
-from .entry import CAP, FULL
+from .codes import Status
 from .exponent import exponents
 from .meetings import is_same_set, meetings
 from .rest import NO_RESTS, may_rest, rests
 from .settling import clusters, orbit_of
-from .state import STATUS, State
+from .state import State
 from .trail import KEEP, Trail, trail
 from .weak import weigh
 
@@ -72,7 +72,7 @@ def watched(scene, state):
 
 def whole(scene, last):
     """The trail of one lane, or, where its slots are full, one that goes on from there with all impacts."""
-    return trail(scene, last.state, KEEP, WIDE) if last.status[0] == FULL else last
+    return trail(scene, last.state, KEEP, WIDE) if last.status[0] == Status.FULL else last
 
 
 def read_orbit(scene, last, lanes, n, scale, told):
@@ -138,8 +138,8 @@ def _grouped(scene, state, lanes, rates, wild, scale, seen):
     roams, lost, weighed = roam(scene, state), {}, []
     for k, lane in enumerate(lanes.tolist()):
         one = roams.lanes([k])
-        if one.status[0] >= CAP:
-            lost[lane] = f"status {STATUS[one.status[0]]}"
+        if one.status[0] >= Status.CAP:
+            lost[lane] = f"status {Status(one.status[0]).word}"
             continue
         this = read_set(scene, one, scale, {})
         home = next((other for other in seen if is_same_set(this.hits, other.hits)), None)

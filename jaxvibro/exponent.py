@@ -6,7 +6,7 @@ The distance is brought back to its first size every few periods, and the logari
 import jax
 import numpy as np
 
-from .entry import CAP
+from .codes import Status
 from .place import places
 from .state import State
 from .trail import ends
@@ -30,7 +30,7 @@ def exponents(scene, state, scale):
         both = _beside(scene, state, apart * heading)
         before = _between(both, size)
         both, status = ends(scene, both, EVERY)
-        bad |= (status >= CAP).reshape(2, size).any(axis=0)
+        bad |= (status >= Status.CAP).reshape(2, size).any(axis=0)
         after = _between(both, size)
         largest = abs(after).max(axis=0)
         seen = largest > 16.0 * eps * scale

@@ -4,13 +4,13 @@ import numpy as np
 
 from . import check
 from . import itinerary as words
-from .entry import CAP
+from .codes import Status
 from .orbit import OrbitError
 from .rest import may_rest
 from .shoot import by_state
 from .solve import by_impacts, guessed
 from .starts import box
-from .state import STATUS, State, check_start, real_state
+from .state import State, check_start, real_state
 from .trail import KEEP, trail
 
 LONGEST = 32  # periods of an orbit whose period is not given
@@ -62,8 +62,8 @@ def _checked(itinerary, periods):
 
 
 def _followed(found):
-    if found.status[0] >= CAP:
-        what = f"the state cannot be followed ({STATUS[found.status[0]]})"
+    if found.status[0] >= Status.CAP:
+        what = f"the state cannot be followed ({Status(found.status[0]).word})"
         raise OrbitError(what, np.nan, "start between the walls of the scene, at the state's phase")
     return found
 

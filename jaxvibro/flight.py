@@ -9,7 +9,8 @@ import jax
 from jax import lax
 
 from . import event, flow, impact, leap
-from .contact import ENTERED, WITHIN, biases, felt, is_inside
+from .codes import Contact
+from .contact import biases, felt, is_inside
 from .lanes import choose, least, most, positive, stage
 from .path import Path, jet, left, moved, place
 from .wall import chosen, course, less, picked, press
@@ -84,8 +85,8 @@ def _holds(frame, contact, clear, closing, bend, change):
     """Whether the mass rests on a wall, hops back to it, or is so near and slow that only a short horizon helps."""
     quick = SLOW * frame.reach * (lax.abs(bend) + frame.reach * lax.abs(change))
     slow = (lax.abs(closing) < quick) & (clear < frame.reach * quick)
-    hops = (contact == impact.LANDED) & (2.0 * lax.abs(closing) < frame.reach * bend)
-    return slow | hops | (contact == impact.STUCK)
+    hops = (contact == Contact.LANDED) & (2.0 * lax.abs(closing) < frame.reach * bend)
+    return slow | hops | (contact == Contact.STUCK)
 
 
 def _progress(frame, path, derivatives, side):
@@ -94,13 +95,13 @@ def _progress(frame, path, derivatives, side):
     values = frame.force, frame.frequency, frame.damping, path.cosine, path.sine
     push = picked(side, walls, [press(wall, *values, event.TERMS - 1) for wall in walls])
     way = picked(side, walls, [course(wall, frame.frequency, path.cosine, path.sine, event.TERMS) for wall in walls])
-    stuck, released = contact == impact.STUCK, contact == impact.RELEASED
+    stuck, released = contact == Contact.STUCK, contact == Contact.RELEASED
     tail, swing = chosen(side, walls, frame.tails), chosen(side, walls, frame.swings)
-    on, weights = (contact == impact.LANDED) | released, frame.weights
+    on, weights = (contact == Contact.LANDED) | released, frame.weights
     if frame.soft:  # from within, y falls to 0
-        inside = (contact == WITHIN) | (contact == ENTERED)
+        inside = (contact == Contact.WITHIN) | (contact == Contact.ENTERED)
         way = [None if where is None else choose(inside, 0.0, where + 0.0 * side) for where in way]
-        on |= contact == ENTERED
+        on |= contact == Contact.ENTERED
         swing, side = choose(inside, 0.0, swing + 0.0 * side), choose(inside, -side, side)
         weights = event.weights(frame.reach)
     clear = [less(place, where) for place, where in zip(derivatives, way, strict=True)]
@@ -124,7 +125,7 @@ def _behind(frame, path, derivatives, side):
 
 def _other(path, bound, soft):
     """A step that is certain not to meet the wall that is not aimed at."""
-    held = lax.abs(path.contact) == impact.STUCK
+    held = lax.abs(path.contact) == Contact.STUCK
     if soft:
         held |= is_inside(path.contact)
     return choose(held, 1.0, event.free_step(bound))

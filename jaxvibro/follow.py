@@ -10,11 +10,12 @@ from . import check
 from .along import Along, problem
 from .assemble import assembled
 from .cycle import Cycle
-from .domain import bounds_of, domain, marked, scene_length
+from .domain import bounds_of, domain, marked
 from .end import End
 from .graze import free_start, padded, scales
 from .orbit import Orbit, OrbitError
 from .piece import Asked
+from .scale import scene_length
 from .told import Spot
 from .walk import walked
 

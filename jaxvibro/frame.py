@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import flow
-from .contact import Contact, contact
+from .contact import SoftFlow, contact
 from .event import TERMS, weights
-from .path import swift
+from .scale import swift
 from .wall import Lane, extent, lane, tail
 
 SIDES = (-1, 1)
@@ -25,7 +25,7 @@ class Frame(NamedTuple):
     length of the scene, the walls' distances and A together, to measure rounding by; curb, slope: abs x^(8) is at most
     curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall;
     rushes: bounds on the change of the press on each; gap: the walls are never nearer to each other; contacts: the
-    `contact.Contact` within each wall, None for rigid ones.
+    `contact.SoftFlow` within each wall, None for rigid ones.
 
     stiffness and its root are 1, and None, but where they are what a lane feels (`contact.felt`).
     """
@@ -48,7 +48,7 @@ class Frame(NamedTuple):
     swings: tuple[jax.Array, ...]
     rushes: tuple[jax.Array, ...]
     gap: jax.Array
-    contacts: tuple[Contact | None, ...] = ()
+    contacts: tuple[SoftFlow | None, ...] = ()
     stiffness: jax.Array | None = None
     root: jax.Array | None = None
 

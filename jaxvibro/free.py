@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import flow
-from .entry import OK
+from .codes import Status
 from .orbit import OrbitError
 from .shoot import by_state
 from .state import State
@@ -34,7 +34,7 @@ def free_orbit(scene):
     end, impacts = jax.device_get(strobe(scene, state))
     near = float(np.finfo(scene.dtype).eps) ** 0.5 * max(1.0, abs(state.x), abs(state.v))
     comes_back = max(abs(end.x - state.x), abs(end.v - state.v)) <= near  # not so from within a soft wall
-    if impacts.status != OK or impacts.count or end.contact or not comes_back:
+    if impacts.status != Status.OK or impacts.count or end.contact or not comes_back:
         return None
     try:
         return by_state(scene, state, 1)

@@ -18,7 +18,7 @@ from continuation.kept import kept
 
 from . import period
 from .backward import backward
-from .entry import CAP
+from .codes import Status
 from .lanes import OPTIONS, WIDTH
 from .state import State
 
@@ -59,7 +59,7 @@ def mapped(scene, z, phase, steps, back):
         found = _run(scene, *padded.T, scene.dtype.type(phase), steps, -(-len(some) // WIDTH), back)
         parts.append([each[: len(some)] for each in jax.device_get(found)])
     x, v, count, status = (np.concatenate(each) for each in zip(*parts, strict=True))
-    return np.stack([x, v], -1), count, status < CAP
+    return np.stack([x, v], -1), count, status < Status.CAP
 
 
 @kept(static_argnames="back", compiler_options=OPTIONS)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from .entry import CAP, NONFINITE
+from .codes import Status
 from .lanes import WIDTH
 from .rates import Rates, lost, shrinkage
 from .recurrence import returns, settled_periods
@@ -93,7 +93,7 @@ def of_motion(scene, start, goal, most):
             status = np.asarray(worse(status, laps.status))
         rates = _averaged(scene, np.concatenate(sums, axis=1), int(status.max()))
         periods = settled_periods(returns(laps.points), returns(before.points), LAPS, scale, dtype)
-        if status.max() < CAP and periods.any():
+        if status.max() < Status.CAP and periods.any():
             lane = np.flatnonzero(periods)[:1]
             return rates, start._replace(lanes=_some(lanes, lane), periods=periods[lane])
         worst = rates.error.max()
@@ -123,8 +123,8 @@ def _averaged(scene, sums, status):
     """The `Rates` of sums of growth and impacts (left, right, all) over blocks, shape (4, blocks, copies)."""
     growth, left, right, hits = sums
     count = growth.size * BLOCK
-    if status >= CAP or np.isnan(growth).any() or np.isposinf(growth).any():
-        return lost(status if status else NONFINITE)
+    if status >= Status.CAP or np.isnan(growth).any() or np.isposinf(growth).any():
+        return lost(status if status else Status.NONFINITE)
     first, both = growth.sum() / count, shrinkage(scene, left.sum(), right.sum(), count) / count
     impacts = np.array([part.sum() for part in (hits, left, right)]) / count
     if np.isneginf(first):

@@ -6,12 +6,12 @@ import jax
 from jax import lax
 
 from . import event, flow
-from .contact import ENTERED, WITHIN, biases, bounce, gives, is_inside
+from .codes import Contact
+from .contact import biases, bounce, gives, is_inside
 from .lanes import choose, least, positive, two_sum
 from .path import CAPPED, Motion, Path, accelerations, motion
 from .wall import chosen, course, less, picked, press
 
-LANDED, STUCK, RELEASED = 1.0, 2.0, 5.0  # as a lane's contact, between them those of soft walls
 ENDLESS = -1.0  # the least speed of a chatter
 HOPS = 4.85  # 2 (1 + sqrt(2)), and for rounding
 NEAR = 0.25  # by what part of itself a speed may change up to the event: more, and it is rounding that is far from it
@@ -43,7 +43,7 @@ def late(frame, path, side):
             None if each is None else choose(inside, 0.0, each + 0.0 * side) for each in (where, speed, bend)
         )
     closing, bending = less(path.v, speed), less(pull, bend)
-    stuck = lax.abs(path.contact) == STUCK
+    stuck = lax.abs(path.contact) == Contact.STUCK
     time = choose(stuck, -push, (where - path.x) - path.x_low) / choose(stuck, change, closing)
     turned = choose(stuck, time * frame.pace, bending * time / closing)
     time = time * choose(stuck, 1.0, 1.0 - 0.5 * turned)
@@ -52,7 +52,7 @@ def late(frame, path, side):
 
 def strike(frame, path, side, late):
     """The `Strike` of an event: rebound, rest, release; a lane without one keeps what it has."""
-    stuck = lax.abs(path.contact) == STUCK
+    stuck = lax.abs(path.contact) == Contact.STUCK
     cosine, sine = _turned(frame, path, late)
     _, speed, push, change = surface(frame, choose(stuck, path.contact, side), cosine, sine)
     pull, jerk = accelerations(frame, path.x, path.v, path.cosine, path.sine, _bias(frame, path))
@@ -64,10 +64,10 @@ def strike(frame, path, side, late):
     leaving = again * closing
     state = settle(frame, leaving, side * push, side * change)
     ends = chatters(frame, leaving, side * push, again, chosen(side, frame.walls, frame.rushes), path.rest)
-    state = choose(stuck, RELEASED, choose(ends, STUCK, state))
+    state = choose(stuck, Contact.RELEASED, choose(ends, Contact.STUCK, state))
     if frame.soft:
-        state = choose(inside, LANDED, choose(gives(frame, side), ENTERED, state))
-    least_speed = choose((state == STUCK) & (leaving > 0), ENDLESS, closing)
+        state = choose(inside, Contact.LANDED, choose(gives(frame, side), Contact.ENTERED, state))
+    least_speed = choose((state == Contact.STUCK) & (leaving > 0), ENDLESS, closing)
     return Strike(choose(stuck, 0.0, closing), least_speed, choose(side != 0, side * state, path.contact))
 
 
@@ -82,13 +82,13 @@ def part(frame, path, side, late, strike, time):
     One that enters a soft wall is from there on counted from it.
     """
     cosine, sine = _turned(frame, path, late)
-    stuck = lax.abs(path.contact) == STUCK
+    stuck = lax.abs(path.contact) == Contact.STUCK
     where, speed, _, _ = surface(frame, choose(stuck, path.contact, side), cosine, sine)
     on = (side != 0) | stuck
     leaving = bounce(frame, side) * strike.speed
-    keeps = lax.abs(strike.contact) == LANDED
+    keeps = lax.abs(strike.contact) == Contact.LANDED
     if frame.soft:
-        enters = (side != 0) & (lax.abs(strike.contact) == ENTERED)
+        enters = (side != 0) & (lax.abs(strike.contact) == Contact.ENTERED)
         keeps |= enters
         leaving = choose(enters | is_inside(path.contact), -strike.speed, leaving)
         where, speed = choose(enters, 0.0, where + 0.0 * side), choose(enters, 0.0, speed + 0.0 * side)
@@ -102,7 +102,7 @@ def part(frame, path, side, late, strike, time):
     contact = choose(idle, 0.0, strike.contact)
     if frame.soft:
         inside = (side == 0) & is_inside(path.contact)
-        contact = choose(inside & (time > 0), lax.sign(path.contact) * WITHIN, contact)
+        contact = choose(inside & (time > 0), lax.sign(path.contact) * Contact.WITHIN, contact)
     rest = choose(path.rest == CAPPED, CAPPED, positive(rest))
     return Path(x, choose(on, 0.0, path.x_low), v, moved, rest, rest_low, contact)
 
@@ -129,8 +129,8 @@ def settle(frame, leaving, push, change):
     none = leaving == 0
     pressed = (push > 0) & (leaving * (leaving / frame.size) <= 4.0 * event.rounding(push.dtype) * push)
     held = pressed | (none & (push == 0) & (change >= 0))
-    free = choose(none & (push == 0), RELEASED, lax.full_like(push, LANDED))
-    return choose(held, STUCK, free)
+    free = choose(none & (push == 0), Contact.RELEASED, lax.full_like(push, Contact.LANDED))
+    return choose(held, Contact.STUCK, free)
 
 
 def chatters(frame, leaving, push, bounce, rush, time):

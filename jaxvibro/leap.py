@@ -11,6 +11,7 @@ import jax
 from jax import lax
 
 from . import contact, event, flow
+from .codes import Contact
 from .lanes import choose, least, mask, merge, stage
 from .path import Motion, left
 from .plunge import is_sure
@@ -68,7 +69,7 @@ def plunged(frame, path):
     angle = stage(_turned, frame, path)
     x, v = stage(_plunged, frame, path)
     rest = stage(_left, frame, path)
-    new = x, v, x, v, *angle, *rest, lax.sign(path.contact) * contact.WITHIN
+    new = x, v, x, v, *angle, *rest, lax.sign(path.contact) * Contact.WITHIN
     old = path.x, path.v, path.motion.slow_x, path.motion.slow_v, path.cosine, path.sine
     old = *old, path.rest, path.rest_low, path.contact
     x, v, slow_x, slow_v, cosine, sine, rest, low, touch = (merge(going, *each) for each in zip(new, old, strict=True))
@@ -81,7 +82,7 @@ def _plunges(frame, path):
     push = frame.force * path.cosine
     (bias,) = contact.biases(frame, path.contact, path.cosine, path.sine, 0)
     sure = is_sure(first, side * path.v, side * (push if bias is None else push + bias))
-    return mask((lax.abs(path.contact) == contact.ENTERED) & sure & (path.rest > first.time), path.x)
+    return mask((lax.abs(path.contact) == Contact.ENTERED) & sure & (path.rest > first.time), path.x)
 
 
 def _turned(frame, path):
@@ -125,7 +126,7 @@ def leap(frame, path, wait):
         motion=moved,
         rest=choose(taken, rest, path.rest),
         rest_low=choose(taken, low, path.rest_low),
-        contact=choose(taken, sign * contact.WITHIN, path.contact),
+        contact=choose(taken, sign * Contact.WITHIN, path.contact),
     )
     return after, choose(due, 0.0, wait)
 

@@ -6,8 +6,8 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
+from .codes import Contact
 from .contact import is_inside
-from .impact import STUCK
 from .lanes import choose, least, mask, merge, stage
 
 RECENT = 4  # impacts kept at hand; the slots are touched only where a lane has more, and at the end
@@ -63,11 +63,11 @@ def write(log, side, contact, strike, rest):
 
 
 def _freed(side, contact):
-    return mask((lax.abs(contact) == STUCK) & (side != 0), side)
+    return mask((lax.abs(contact) == Contact.STUCK) & (side != 0), side)
 
 
 def _struck(side, contact):
-    return choose((lax.abs(contact) == STUCK) | is_inside(contact), 0.0, side)
+    return choose((lax.abs(contact) == Contact.STUCK) | is_inside(contact), 0.0, side)
 
 
 def _due(log, side, strike, rest):

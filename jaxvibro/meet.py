@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 
 from . import contact, flow
-from .contact import WITHIN
+from .codes import Contact
 from .lanes import choose
 from .path import accelerations
 from .stay import carried, guess, leave, share
@@ -106,7 +106,7 @@ def jump(frame, met, sides):
     hard = (-met.bounce, jnp.zeros_like(shear), shear, -met.bounce), met.bounce * met.bounce
     if not frame.soft:
         return hard
-    touch, stay = choose(met.gives, sides * WITHIN, 0.0), jnp.maximum(met.stay, 0.0)
+    touch, stay = choose(met.gives, sides * float(Contact.WITHIN), 0.0), jnp.maximum(met.stay, 0.0)
     _, pace, _ = _way(frame, sides, *met.phasor)
     whole = touch != 0, met.closing, met.cosine, met.sine
     here = contact.feeling(frame, touch)
@@ -117,7 +117,7 @@ def jump(frame, met, sides):
 
 def stayed(frame, met, sides, k, since, state):
     """(x, v) a time after the meetings in rows k: within the wall during the stay, else the state given."""
-    touch = choose(met.gives, sides * WITHIN, 0.0)[k]
+    touch = choose(met.gives, sides * float(Contact.WITHIN), 0.0)[k]
     here = contact.feeling(frame, touch)
     inside = (touch != 0) & (since < met.stay[k])
     span = choose(inside, since, 0.0)

@@ -17,11 +17,10 @@ from jax import lax
 
 from . import check, dwell, flow, period
 from .blocks import LEAST, batched, in_blocks
-from .contact import ENTERED, feeling, flown, gives, is_inside, response
+from .codes import Contact, Status
 from .contact import bounce as restitution
-from .entry import CAP
+from .contact import feeling, flown, gives, is_inside, response
 from .frame import frame
-from .impact import STUCK
 from .lanes import OPTIONS, choose, one_kernel, stage
 from .path import accelerations
 from .period import SLOTS
@@ -78,8 +77,8 @@ def _matrices(tree, periods, slots, least, *leaves):
 def _block(scene, state, periods, slots):
     """M of a block of lanes, by rows."""
     end, impacts, rests, matrix = passage(scene, state, periods, slots)
-    stays = abs(end.contact) == STUCK
-    lost = (impacts.status >= CAP) | ((impacts.count > slots) & ~stays)
+    stays = abs(end.contact) == Contact.STUCK
+    lost = (impacts.status >= Status.CAP) | ((impacts.count > slots) & ~stays)
     return [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in matrix]
 
 
@@ -91,7 +90,7 @@ def passage(scene, state, periods, slots):
     lanes' shape, other numbers are scalars or of that shape. To be called within one kernel.
     """
     (end, impacts), freed = period.through(scene, state, periods, slots, watched=False)
-    rests = (abs(end.contact) == STUCK) | (abs(state.contact) == STUCK) | (freed >= 0)
+    rests = (abs(end.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (freed >= 0)
     return end, impacts, rests, _product(scene, state, impacts, lax.full_like(freed, 0.0), periods, slots)
 
 
@@ -119,7 +118,7 @@ def _product(scene, state, impacts, zero, periods, slots):
             matrix = tuple(choose(hit, new, old) for new, old in zip(after, matrix, strict=True))
         past = past + span
         if built.soft:
-            touch = choose(hit & gives(built, side), side * ENTERED, 0.0)
+            touch = choose(hit & gives(built, side), side * Contact.ENTERED, 0.0)
             return k + 1, *_stayed(built, (touch, zero, side * speed), True, past, whole, cosine, sine, matrix)
         return k + 1, past, cosine, sine, matrix
 

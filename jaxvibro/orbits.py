@@ -12,7 +12,7 @@ import numpy as np
 from continuation import newton
 
 from . import check
-from .entry import CAP
+from .codes import Status
 from .free import free_response
 from .meetings import is_same_orbit, is_symmetric, meetings, mirrored
 from .orbit import OrbitError
@@ -129,7 +129,7 @@ def _stretches(scene, looks, periods, rng):
     for look in looks:
         points = look.points
         apart = abs(points[periods:] - points[:-periods]).max(axis=-1)
-        flat = np.where((look.status < CAP)[None, :], apart, np.inf).ravel()
+        flat = np.where((look.status < Status.CAP)[None, :], apart, np.inf).ravel()
         order = np.argsort(flat, kind="stable")
         spots = np.round(points[:-periods].reshape(-1, 2)[order] / (COARSE * abs(points).max())).astype(int)
         nearest = order[np.sort(np.unique(spots, axis=0, return_index=True)[1])[:NEAREST]]  # one of each spot
@@ -181,7 +181,7 @@ def _settled(look, periods):
     near = 1e-6 * abs(points[-1]).max(initial=1.0)
     back = abs(points[-1] - points[-1 - periods]).max(axis=-1) <= near
     seen = set()
-    for lane in np.flatnonzero(back & (look.status < CAP)):
+    for lane in np.flatnonzero(back & (look.status < Status.CAP)):
         key = tuple(np.round(points[-1, lane], 5))
         if key not in seen:
             seen.add(key)

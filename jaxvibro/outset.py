@@ -14,11 +14,12 @@ from .assemble import is_own_image
 from .branch import Special
 from .curve import Grazing, Singular
 from .cycle import Cycle
-from .domain import bounds_of, domain, flat, marked, scene_length, tied
+from .domain import bounds_of, domain, flat, marked, tied
 from .follow import SMALLEST, placed, point, settled
 from .graze import TOUCH, padded, scales, touches
 from .mirror import stays_symmetric
 from .rows import between
+from .scale import scene_length
 from .scene import Scene
 from .told import Spot
 from .track import Bounded, Way

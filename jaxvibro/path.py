@@ -54,11 +54,6 @@ class Path(NamedTuple):
         return self.motion.sine
 
 
-def swift(frequency, damping, force):
-    """The amplitude of the swift part."""
-    return -force / (1.0 + frequency * frequency + 2.0 * damping * frequency)
-
-
 def motion(frame, x, v, cosine, sine):
     """The `Motion` of a position and a velocity."""
     slow_x, slow_v = -(frame.swift * cosine), frame.swift * frame.frequency * sine

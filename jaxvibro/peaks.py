@@ -11,6 +11,7 @@ import numpy as np
 from . import check, contact, cycle, flow, passes
 from .along import cycle_at, there
 from .branch import Branch, row_of, spot_of
+from .codes import Contact
 from .follow import placed
 from .frame import frame
 from .look import each_of, flight
@@ -82,7 +83,7 @@ def _hitting(along, z, _):
     begin, span = given.times, found.time
     if built.soft:
         inside = contact.gives(built, given.sides)
-        here = contact.felt(built, given.sides * contact.WITHIN)
+        here = contact.felt(built, given.sides * float(Contact.WITHIN))
         stay = jnp.where(inside & hit, jnp.maximum(found.met.stay, 0.0), 0.0)
         best = _highest(at, begin, stay, jnp.min(here.reach), best)
         begin = begin + stay

@@ -9,10 +9,10 @@ from jax import lax
 
 from . import journey
 from .blocks import in_blocks
-from .contact import WITHIN, is_inside
-from .entry import CAP, FULL, NONFINITE, OK, enter
+from .codes import Contact, Status
+from .contact import is_inside
+from .entry import enter
 from .frame import frame
-from .impact import STUCK
 from .lanes import choose, one_kernel, positive, stage
 from .path import CAPPED, absolute
 from .state import Impacts, State
@@ -55,7 +55,7 @@ def through(scene, state, periods, slots, watched=True):
     built = frame(scene)
     path, fault = stage(enter, built, state)
     start = path.motion
-    path = path._replace(rest=choose(fault == OK, built.period, 0.0))
+    path = path._replace(rest=choose(fault == Status.OK, built.period, 0.0))
     end = built.period if periods == 1 else built.period + lax.full_like(path.x, 0.0)
     limit = journey.cap(built, periods)
     again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
@@ -82,14 +82,14 @@ def finish(frame, told, state, fault):
     path, book, slots, calls = told[:4]
     x, v = absolute(frame, path)
     full = (book.count > slots.times.shape[-1]) | (book.least_speed < 0)
-    status = choose(full, lax.full_like(book.count, FULL), OK)
-    status = choose(path.rest == CAPPED, CAP, status)
+    status = choose(full, lax.full_like(book.count, Status.FULL), Status.OK)
+    status = choose(path.rest == CAPPED, Status.CAP, status)
     finite = jnp.isfinite(x) & jnp.isfinite(v) & jnp.isfinite(path.cosine)
-    status = choose(finite, status, NONFINITE)
-    status = choose(fault == OK, status, fault)
-    good = status < CAP
-    kind = choose(is_inside(path.contact), WITHIN, abs(jnp.sign(path.contact)))
-    contact = jnp.sign(path.contact) * choose(abs(path.contact) == STUCK, STUCK, kind)
+    status = choose(finite, status, Status.NONFINITE)
+    status = choose(fault == Status.OK, status, fault)
+    good = status < Status.CAP
+    kind = choose(is_inside(path.contact), Contact.WITHIN, abs(jnp.sign(path.contact)))
+    contact = jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, kind)
     phase = jnp.broadcast_to(state.phase, status.shape)
     end = State(choose(good, x, jnp.nan), choose(good, v, jnp.nan), phase, choose(good, contact, 0.0))
     none = jnp.full_like(path.x, jnp.inf)

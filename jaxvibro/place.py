@@ -4,8 +4,7 @@ import jax.numpy as jnp
 
 from continuation.kept import kept
 
-from .contact import WITHIN
-from .impact import LANDED, STUCK
+from .codes import Contact
 from .scene import SIDES
 from .state import State
 
@@ -40,13 +39,13 @@ def fit(scene, state):
     walls are as they were, this changes nothing.
     """
     x, v, contact = state.x, state.v, state.contact
-    rests = abs(contact) == STUCK
+    rests = abs(contact) == Contact.STUCK
     walls = (getattr(scene, side) for side in SIDES)
     for sign, wall, (place, pace) in zip(SIGNS, walls, places(scene, state.phase), strict=True):
         if wall is not None and wall.soft:
-            within = contact * sign == WITHIN
+            within = contact * sign == Contact.WITHIN
             contact = jnp.where(within & (sign * (x - place) < 0), 0.0, contact)
-            landed = contact * sign == LANDED
+            landed = contact * sign == Contact.LANDED
             x = jnp.where(landed, place, x)
             contact = jnp.where(landed & (sign * (v - pace) > 0), 0.0, contact)
             continue

@@ -5,9 +5,8 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from .codes import Contact, Status
 from .domain import domain
-from .entry import OK
-from .impact import STUCK
 from .recurrence import returns
 from .starts import random_starts
 from .told import Spot
@@ -62,9 +61,9 @@ def _listed(scene, name, values, found, max_period):
     points, length = found.points, 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
     apart, size = returns(points)[:max_period], SETTLED * abs(points).max(axis=(0, 2))
     listed = []
-    for lane in np.flatnonzero((apart < size).any(axis=0) & (found.status == OK)):
+    for lane in np.flatnonzero((apart < size).any(axis=0) & (found.status == Status.OK)):
         periods = int(np.argmax(apart[:, lane] < size[lane])) + 1
-        if (abs(found.contact[-periods:, lane]) == STUCK).any():  # it rests on a wall
+        if (abs(found.contact[-periods:, lane]) == Contact.STUCK).any():  # it rests on a wall
             continue
         hit = found.side[-periods:, lane] != 0
         late = found.time[-periods:, lane] + length[lane] * np.arange(periods)[:, None]

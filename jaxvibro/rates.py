@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .entry import CAP, NONFINITE
+from .codes import Status
 from .state import State
 from .tangent import LAPS, begin, run
 
@@ -115,8 +115,8 @@ def _nearer(state, matrix, size, off):
 
 def _told(rates, impacts, status, periods):
     """`Rates` from the exponents of the best and of the second best step."""
-    if np.isnan(rates[0]).any() or np.isposinf(rates[0]).any() or status >= CAP:
-        return lost(status or NONFINITE)
+    if np.isnan(rates[0]).any() or np.isposinf(rates[0]).any() or status >= Status.CAP:
+        return lost(status or Status.NONFINITE)
     with np.errstate(invalid="ignore"):
         apart = abs(rates[0] - rates[1]) + 4.0 * np.finfo(rates.dtype).eps * abs(rates[0])
     error = np.where(np.isneginf(rates[0]), 0.0, np.where(np.isnan(apart), np.inf, apart))

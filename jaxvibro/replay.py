@@ -13,8 +13,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from . import dwell, flow, taylor
+from .codes import Contact
 from .contact import bounce, is_inside
-from .impact import STUCK
 from .lanes import choose, stage
 from .taylor import Now
 from .wall import course, less, picked, press
@@ -91,7 +91,7 @@ def _put(rows, new, k, where):
 
 
 def _resting(contact):
-    return choose(lax.abs(contact) == STUCK, jnp.sign(contact), 0.0)
+    return choose(lax.abs(contact) == Contact.STUCK, jnp.sign(contact), 0.0)
 
 
 def _fly(frame, now, time):

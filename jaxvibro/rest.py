@@ -20,11 +20,12 @@ from jax import lax
 from continuation.kept import kept
 
 from . import flow, journey
+from .codes import Contact, Status
 from .contact import bounce
-from .entry import FULL, OK, enter
+from .entry import enter
 from .flight import micro
 from .frame import frame
-from .impact import STUCK, surface
+from .impact import surface
 from .lanes import OPTIONS
 from .monodromy import saltation
 from .path import accelerations
@@ -58,14 +59,18 @@ def may_rest(scene, status, contact):
     status, contact: of the periods, the statuses with slots enough for all impacts.
     """
     plastic = any(float(scene.bounce(side)) == 0 for side in scene.walls)
-    return bool(plastic or np.any(np.asarray(status) == FULL) or np.any(np.abs(contact) == STUCK))
+    return bool(plastic or np.any(np.asarray(status) == Status.FULL) or np.any(np.abs(contact) == Contact.STUCK))
 
 
 def rests(scene, state, periods):
     """The `Rests` of a periodic motion from a `State` of it on, numbers, over its so many periods."""
     dtype = scene.dtype
     state = State(*(np.asarray(each, dtype).reshape(()) for each in (state.x, state.v, state.phase, state.contact)))
-    on, since, seen = abs(state.contact) == STUCK, Since(*np.array([1.0, 0.0, 0.0, 1.0, 0.0, np.nan], dtype)), []
+    on, since, seen = (
+        abs(state.contact) == Contact.STUCK,
+        Since(*np.array([1.0, 0.0, 0.0, 1.0, 0.0, np.nan], dtype)),
+        [],
+    )
     for k in range(2 * periods):  # the first time round tells since when the mass is free
         since, rows = jax.device_get(_watched(scene, state, since))
         if k >= periods:
@@ -93,13 +98,13 @@ def _watched(scene, state, since):
     """(`Since` a period later; of the rests that begin in it: side, 0 none, whether by hops, growth, time before)."""
     built = frame(scene)
     path, fault = enter(built, state)
-    path = path._replace(rest=jnp.where(fault == OK, built.period, 0.0))
+    path = path._replace(rest=jnp.where(fault == Status.OK, built.period, 0.0))
     limit, none = journey.cap(built, 1).steps, jnp.zeros_like(path.x)
 
     def turn(carry):
         path, since, count, steps, rows = carry
         step = micro(built, path)
-        was, now = abs(path.contact) == STUCK, abs(step.path.contact) == STUCK
+        was, now = abs(path.contact) == Contact.STUCK, abs(step.path.contact) == Contact.STUCK
         since, row = _advanced(built, path, step, since, was, now)
         begins = now & ~was
         place = jnp.where(begins, count, MOST)

@@ -10,9 +10,10 @@ from . import report, scenefile
 from .check import SceneError, host
 from .data import dataset
 from .picture import loci, picture
+from .scene_table import SceneTable
 from .sealed import netcdf
 from .study import study
-from .tables import SceneFile, SceneTable
+from .tables import SceneFile
 from .whole import refuse_folder, whole
 
 ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}

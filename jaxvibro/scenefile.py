@@ -9,7 +9,8 @@ from . import tables
 from .check import SceneError, among, host
 from .limits import LARGEST, content, parsed
 from .rules import checked
-from .tables import SceneFile, table_of
+from .scene_table import table_of
+from .tables import SceneFile
 from .whole import whole
 
 _KINDS = {

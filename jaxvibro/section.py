@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from . import check
-from .impact import LANDED
+from .codes import Contact
 from .place import SIGNS, places
 from .scene import SIDES
 from .state import State
@@ -43,7 +43,7 @@ def return_map(scene, side, phase, velocity, periods=2, slots=32):
         raise check.SceneError("side", "must be a rigid wall: a soft one is left later than it is met", side)
     k = SIDES.index(side)
     sign, phase = SIGNS[k], jnp.asarray(check.real("phase", phase, scene.dtype))
-    start = State(places(scene, phase)[k][0], velocity, phase, LANDED * sign)
+    start = State(places(scene, phase)[k][0], velocity, phase, Contact.LANDED * sign)
     _, impacts = strobe(scene, start, periods, slots)
     mine = impacts.side == sign
     found, first = jnp.any(mine, axis=-1), jnp.argmax(mine, axis=-1)

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from . import itinerary
-from .entry import CAP
+from .codes import Status
 from .recurrence import returns, settled_periods
 from .trail import KEEP, Trail, trail
 
@@ -39,7 +39,7 @@ def settle_lanes(scene, state, settle, reach):
     passed, length = max(settle, KEEP), KEEP
     patience, settles = PATIENCE * passed, False
     found = trail(scene, state, passed)
-    well = found.status < CAP
+    well = found.status < Status.CAP
     scale = max([reach, *abs(found.v[:, well]).ravel()])
     periods = np.zeros(len(well), int)
     before = returns(found.points)
@@ -49,7 +49,7 @@ def settle_lanes(scene, state, settle, reach):
         periods[going] = settled_periods(now, before[:, going], length, scale, scene.dtype)
         before[:, going], settles = now, bool(periods[going].any())
         found = _put(found, going, later)
-        well = found.status < CAP
+        well = found.status < Status.CAP
         passed, length = passed + length, 2 * length
     return found, np.where(well, periods, 0), scale
 

@@ -8,11 +8,11 @@ from continuation import newton
 from continuation.linear import solve
 
 from . import itinerary as words
-from .entry import CAP
+from .codes import Status
 from .monodromy import monodromy
 from .orbit import OrbitError, described, multipliers
 from .rest import NO_RESTS, may_rest, rests
-from .state import STATUS, Impacts, State
+from .state import Impacts, State
 from .strobe import strobe
 
 ROUNDS = 12  # of Newton's steps
@@ -54,8 +54,8 @@ def _round(scene, state, periods):
     for _ in range(periods):
         matrix = np.asarray(monodromy(scene, state)) @ matrix
         state, impacts = jax.device_get(strobe(scene, state))
-        if impacts.status >= CAP:
-            what = f"the state cannot be followed ({STATUS[impacts.status]})"
+        if impacts.status >= Status.CAP:
+            what = f"the state cannot be followed ({Status(int(impacts.status)).word})"
             raise OrbitError(what, np.nan, "start between the walls, nearer to an orbit")
         points.append((float(state.x), float(state.v)))
         told.append((state, impacts))

@@ -9,12 +9,13 @@ from jax import lax
 from continuation.kept import kept
 
 from . import check, journey
-from .entry import CAP, OK, enter
+from .codes import Status
+from .entry import enter
 from .frame import frame
 from .lanes import choose
 from .path import CAPPED, absolute
 from .period import finish
-from .state import STATUS, check_start, real_state
+from .state import check_start, real_state
 
 SLOTS = 1024
 
@@ -36,8 +37,8 @@ def simulate(scene, state, periods=1, samples=200):
         raise check.SceneError("state", "must be one state in one scene, no batch", f"shape {shape}")
     check_start(scene, state)
     x, v, angle, impacts = jax.device_get(_trace(scene, state, periods, samples))
-    if impacts.status >= CAP or impacts.count > SLOTS:
-        told = STATUS[impacts.status] if impacts.status else f"more than {SLOTS} impacts"
+    if impacts.status >= Status.CAP or impacts.count > SLOTS:
+        told = Status(int(impacts.status)).word if impacts.status else f"more than {SLOTS} impacts"
         raise check.SceneError("state", f"must have a trajectory ({told})", f"x {float(x[0])}, v {float(v[0])}")
     return _dataset(scene, x, v, angle, impacts)
 
@@ -45,7 +46,7 @@ def simulate(scene, state, periods=1, samples=200):
 def _sampled(scene, state, periods, samples):
     built = frame(scene)
     path, fault = enter(built, state)
-    span = choose(fault == OK, built.period / samples, 0.0)
+    span = choose(fault == Status.OK, built.period / samples, 0.0)
     limit = journey.cap(built, periods * samples)
     angles = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
 

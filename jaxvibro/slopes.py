@@ -16,9 +16,8 @@ from jax.custom_derivatives import SymbolicZero
 
 from . import period
 from .blocks import batched, in_blocks
-from .entry import CAP, FULL, OK
+from .codes import Contact, Status
 from .frame import frame
-from .impact import STUCK
 from .lanes import one_kernel
 from .period import SLOTS
 from .replay import Known, replay
@@ -67,13 +66,13 @@ def _recorded(task):
 
     def found(*leaves):
         (end, impacts), freed = _real(inner(*task.tree.unflatten(leaves)))
-        rests = jnp.where(abs(end.contact) >= STUCK, end.contact, 0.0)
-        lost = (impacts.status >= CAP) | ((impacts.count > slots) & (abs(rests) != STUCK))
+        rests = jnp.where(abs(end.contact) >= Contact.STUCK, end.contact, 0.0)
+        lost = (impacts.status >= Status.CAP) | ((impacts.count > slots) & (abs(rests) != Contact.STUCK))
         count = jnp.where(lost, -1.0, impacts.count)
         known = Known(impacts.time, impacts.side, count, freed, rests, _slowest(impacts))
-        full = (impacts.status == OK) & (impacts.count > task.slots)
+        full = (impacts.status == Status.OK) & (impacts.count > task.slots)
         rows = {name: getattr(impacts, name)[..., : task.slots] for name in ("time", "side", "speed")}
-        return (end, replaced(impacts, status=jnp.where(full, 1.0 * FULL, impacts.status), **rows)), known
+        return (end, replaced(impacts, status=jnp.where(full, 1.0 * Status.FULL, impacts.status), **rows)), known
 
     run = jax.custom_jvp(batched(found))
 

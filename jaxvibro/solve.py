@@ -16,8 +16,8 @@ from continuation.kept import kept
 
 from . import cycle, passes
 from . import itinerary as words
+from .codes import Status
 from .cycle import Cycle
-from .entry import OK
 from .frame import frame
 from .lanes import one_kernel
 from .meetings import meetings, times_round
@@ -144,7 +144,7 @@ def _described(scene, found, count, length):
     order = np.argsort(late)
     rows = late[order], sides[order].astype(np.int8), speeds[order]
     clear = float(found.calls[0][:count].min(initial=np.inf))
-    impacts = Impacts(*rows, count, float(rows[2].min()), clear, OK)
+    impacts = Impacts(*rows, count, float(rows[2].min()), clear, Status.OK)
     state = State(*points[turn].tolist(), float(phase), 0.0)
     roots = multipliers(float(found.trace), float(found.determinant))
     return described(scene, state, impacts, words.turned(walls, turn), roots, float(found.solved.residual), "impacts")

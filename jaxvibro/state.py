@@ -9,8 +9,6 @@ import numpy as np
 from . import check
 from .scene import between
 
-STATUS = ("ok", "full", "cap", "invalid", "nonfinite")
-
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,8 @@ import jax.numpy as jnp
 from jax import lax
 
 from . import contact, flow, leap, taylor
-from .contact import ENTERED, is_inside
+from .codes import Contact
+from .contact import is_inside
 from .flight import micro
 from .lanes import choose, stage
 from .path import Motion, Path, accelerations
@@ -98,7 +99,7 @@ def leave(frame, side, cosine, sine, speed, found, order=ORDER):
     is a negative time. found: its time by `guess`; order: of the derivatives that are right.
     """
     rounds = math.ceil(math.log2(order + 1))
-    touch = side * ENTERED
+    touch = side * Contact.ENTERED
     here = contact.feeling(frame, touch)
     v, reach = side * speed, lax.stop_gradient(here.reach)
     short = abs(found) <= reach
@@ -115,7 +116,7 @@ def guess(frame, side, cosine, sine, speed):
     nan where the mass does not leave for `LONGEST`.
     """
     frame, side, cosine, sine, speed = lax.stop_gradient((frame, side, cosine, sine, speed))
-    touch, v = side * ENTERED, side * speed
+    touch, v = side * Contact.ENTERED, side * speed
     here = contact.feeling(frame, touch)
     bias = contact.biases(frame, touch, cosine, sine, 1)
     pull, _ = accelerations(here, 0.0 * v, v, cosine, sine, bias)

@@ -11,15 +11,15 @@ from jax import lax
 from continuation.kept import kept
 
 from . import check
-from .entry import CAP, OK
+from .codes import Status
 from .lanes import OPTIONS
 from .place import fit
-from .state import STATUS, State, check_start
+from .state import State, check_start
 from .strobe import strobe
 
 CHUNK = 16  # values between two reports of progress
 EQUATION = "x'' + 2 damping x' + x = amplitude cos(frequency t), y+ - v_b = -restitution (y- - v_b) at a rigid wall"
-MEANING = {"flag_values": list(range(len(STATUS))), "flag_meanings": " ".join(STATUS)}
+MEANING = {"flag_values": [int(one) for one in Status], "flag_meanings": " ".join(one.word for one in Status)}
 UNITS = "lengths in that of the walls, time t in 1/w0"
 
 
@@ -110,7 +110,7 @@ def _chunk(scene, values, count, start, state, settle, *, name, keep):
         state, *record = carry
         here = scene.replace(**{name: values[k]})
         state, x, v, status = _value(here, fit(here, state), settle, keep)
-        bad = status >= CAP
+        bad = status >= Status.CAP
         state = jax.tree.map(lambda old, new: jnp.where(bad, old, new), start, state)
         return state, *(old.at[k].set(new) for old, new in zip(record, (x, v, status), strict=True))
 
@@ -125,14 +125,16 @@ def _value(scene, state, settle, keep):
         state, x, v, status = carry
         state, impacts = strobe(scene, state, slots=0)
         place = jnp.maximum(k - settle, 0)
-        worst = jnp.where(status >= CAP, status, jnp.where(impacts.status >= CAP, impacts.status, OK))
+        worst = jnp.where(
+            status >= Status.CAP, status, jnp.where(impacts.status >= Status.CAP, impacts.status, Status.OK)
+        )
         return state, x.at[place].set(state.x), v.at[place].set(state.v), worst
 
     record = jnp.zeros((keep, *state.x.shape), state.x.dtype)
     state, x, v, status = lax.fori_loop(
         0, settle + keep, one, (state, record, record, jnp.zeros(state.x.shape, jnp.int32))
     )
-    bad = status >= CAP
+    bad = status >= Status.CAP
     return state, jnp.where(bad, jnp.nan, x), jnp.where(bad, jnp.nan, v), status
 
 

@@ -13,10 +13,11 @@ from .along import problem
 from .assemble import START, assembled, merged
 from .branch import Branch, Special, row_of, spot_of
 from .brush import exits
-from .domain import bounds_of, domain, scene_length
+from .domain import bounds_of, domain
 from .end import End, Reason
 from .follow import asking, placed, point, settled
 from .graze import padded, scales
+from .scale import scene_length
 from .walk import walked
 
 FIRST = 0.01  # step of a branch that leaves a point

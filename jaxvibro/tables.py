@@ -1,12 +1,11 @@
-"""The tables of a scene file: what may stand in them, and the scene that they describe."""
+"""The tables of a scene file: what may stand in them."""
 
 from typing import Annotated
 
 import numpy as np
-from msgspec import Meta, Struct, field
+from msgspec import Meta, field
 
-from . import check
-from .scene import Motion, Wall, make_scene
+from .scene_table import SceneTable, Table
 
 MOST = 1_000_000
 MOST_LEGS = 1000
@@ -17,49 +16,6 @@ Periods = Annotated[int, Meta(ge=1, le=32)]  # half of what `trail` keeps
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
 Name = Annotated[str, Meta(min_length=1)]
 KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci
-
-
-class Table(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
-    """A table in which every key has its meaning and no other key may stand."""
-
-
-class MotionTable(Table):
-    """[scene.left.motion]: a `Motion`."""
-
-    amplitude: float
-    phase: float = 0.0
-    harmonic: int = 1
-
-
-class WallTable(Table):
-    """[scene.left]: a `Wall`; a rigid one without restitution has the scene's, a soft one without damping too."""
-
-    position: float
-    restitution: float | None = None
-    stiffness: float | None = None
-    damping: float | None = None
-    motion: MotionTable | None = None
-
-    def wall(self):
-        """The `Wall` described, not yet checked."""
-        motion = self.motion and Motion(self.motion.amplitude, self.motion.phase, self.motion.harmonic)
-        return Wall(self.position, self.restitution, self.stiffness, self.damping, motion)
-
-
-class SceneTable(Table):
-    """[scene]: the arguments of `make_scene`; a wall without a table is not there."""
-
-    amplitude: float
-    frequency: float
-    damping: float
-    restitution: float
-    left: WallTable | None = None
-    right: WallTable | None = None
-
-    def make(self, dtype=None):
-        """The scene described, made by `make_scene`: SceneError where it breaks a rule."""
-        walls = tuple(table and table.wall() for table in (self.left, self.right))
-        return make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype)
 
 
 class StartTable(Table):
@@ -98,7 +54,7 @@ class AttractorsTable(Table):
 
     starts: Count = 200
     seed: Seed = 0
-    at: dict[str, float] = {}
+    at: dict[str, float] = field(default_factory=dict)
 
 
 class OrbitsTable(Table):
@@ -108,7 +64,7 @@ class OrbitsTable(Table):
     max_period: Periods = 4
     starts: Count = 200
     seed: Seed = 0
-    at: dict[str, float] = {}
+    at: dict[str, float] = field(default_factory=dict)
 
 
 class BranchTable(Table, kw_only=True):
@@ -118,7 +74,7 @@ class BranchTable(Table, kw_only=True):
     parameter: Name
     bounds: tuple[float, float]
     start: StartTable = StartTable(0.0, 0.0)
-    at: dict[str, float] = {}
+    at: dict[str, float] = field(default_factory=dict)
     settle: Settle = 200
     max_period: Periods = 1
     largest_step: float = 0.1
@@ -130,7 +86,7 @@ class ExploreTable(Table, kw_only=True):
 
     parameter: Name
     bounds: tuple[float, float]
-    at: dict[str, float] = {}
+    at: dict[str, float] = field(default_factory=dict)
     max_period: Periods = 8
     seed: Seed = 0
     budget: Count | None = None
@@ -172,7 +128,7 @@ class BasinsTable(Table, kw_only=True):
     phase: float = 0.0
     starts: Count = 200
     seed: Seed = 0
-    at: dict[str, float] = {}
+    at: dict[str, float] = field(default_factory=dict)
 
     @property
     def grid(self):
@@ -192,7 +148,7 @@ class SceneFile(Table):
     locus: LocusTable | None = None
     spectrum: SpectrumTable | None = None
     basins: BasinsTable | None = None
-    panels: dict[str, list[float]] = {}
+    panels: dict[str, list[float]] = field(default_factory=dict)
 
     @property
     def followed(self):
@@ -204,21 +160,3 @@ class SceneFile(Table):
         """The values of the scene's parameters in each panel, a list of dicts; [{}] where there are no [panels]."""
         rows = zip(*self.panels.values(), strict=True) if self.panels else [()]
         return [dict(zip(self.panels, row, strict=True)) for row in rows]
-
-
-def table_of(scene):
-    """The `SceneTable` that describes one scene. Raises SceneError for a batch."""
-    if scene.shape:
-        raise check.SceneError("scene", "only a single scene can be written, not a batch", f"shape {scene.shape}")
-
-    def table(wall):
-        if wall is None:
-            return None
-        move = wall.motion
-        moving = move and MotionTable(amplitude=float(move.amplitude), phase=float(move.phase), harmonic=move.harmonic)
-        own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
-        own = {name: float(value) for name, value in own.items() if value is not None}
-        return WallTable(position=float(wall.position), **own, motion=moving)
-
-    plain = {key: float(getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
-    return SceneTable(**plain, left=table(scene.left), right=table(scene.right))

@@ -14,7 +14,7 @@ from jax import lax
 
 from continuation.kept import kept
 
-from .entry import CAP, FULL, NONFINITE
+from .codes import Status
 from .lanes import OPTIONS, WIDTH, choose, one_kernel
 from .monodromy import passage
 from .period import SLOTS
@@ -63,7 +63,7 @@ def begin(state):
 
 def worse(old, new):
     """The worse of two statuses, one after the other: a lane that has met its end keeps the reason."""
-    return jnp.where(old >= CAP, old, jnp.maximum(old, new))
+    return jnp.where(old >= Status.CAP, old, jnp.maximum(old, new))
 
 
 def run(scene, lanes, periods):
@@ -114,8 +114,8 @@ def _period(scene, lanes):
     along, across = a * lanes.along_x + b * lanes.along_v, c * lanes.along_x + d * lanes.along_v
     size = lax.sqrt(along * along + across * across)
     grown = (size > 0) & jnp.isfinite(size)
-    status = choose(full, FULL, choose(jnp.isfinite(size), lax.full_like(impacts.count, 0), NONFINITE))
-    status = choose(impacts.status >= CAP, impacts.status, status)
+    status = choose(full, Status.FULL, choose(jnp.isfinite(size), lax.full_like(impacts.count, 0), Status.NONFINITE))
+    status = choose(impacts.status >= Status.CAP, impacts.status, status)
     held = lax.min(impacts.count, jnp.int32(SLOTS)).astype(size.dtype)
     balance = jnp.sum(impacts.side.astype(size.dtype), axis=-1)
     return (

@@ -7,8 +7,8 @@ import numpy as np
 
 from . import itinerary as words
 from .along import Along
+from .codes import Status
 from .cycle import Cycle
-from .entry import OK
 from .look import looked
 from .meetings import meetings
 from .orbit import described, multipliers
@@ -50,7 +50,7 @@ def told(scene, spot):
     )
     look = looked(along, np.array([[spot.x, spot.v, spot.value]]))
     clear = float(look.clear.min(initial=np.inf))
-    impacts = Impacts(blank, blank.astype(np.int8), blank, 0, np.inf, clear, OK)
+    impacts = Impacts(blank, blank.astype(np.int8), blank, 0, np.inf, clear, Status.OK)
     roots = multipliers(float(look.trace[0]), float(look.determinant[0]))
     walls = ("",) * spot.periods
     return described(scene, State(spot.x, spot.v), impacts, walls, roots, spot.residual, "state")

@@ -9,7 +9,7 @@ from jax import lax
 
 from continuation.kept import kept
 
-from .entry import CAP, FULL, OK
+from .codes import Status
 from .lanes import OPTIONS, WIDTH
 from .state import State
 from .strobe import strobe
@@ -97,9 +97,9 @@ def _run(scene, state, periods, slots):
     def one(k, carry):
         state, status, ring = carry
         state, impacts = strobe(scene, state, slots=slots)
-        full = (impacts.status == FULL) & (k >= periods - KEEP)
-        new = jnp.where(impacts.status >= CAP, impacts.status, jnp.where(full, FULL, OK))
-        status = jnp.where(status >= CAP, status, jnp.maximum(status, new))
+        full = (impacts.status == Status.FULL) & (k >= periods - KEEP)
+        new = jnp.where(impacts.status >= Status.CAP, impacts.status, jnp.where(full, Status.FULL, Status.OK))
+        status = jnp.where(status >= Status.CAP, status, jnp.maximum(status, new))
         row = (state.x, state.v, state.contact, impacts.time, impacts.side, impacts.speed)
         return state, status, tuple(old.at[k % KEEP].set(part) for old, part in zip(ring, row, strict=True))
 

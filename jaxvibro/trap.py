@@ -13,7 +13,7 @@ from scipy.linalg import cholesky, solve_discrete_lyapunov
 from scipy.spatial import cKDTree
 
 from .carry import carried
-from .entry import CAP
+from .codes import Status
 from .monodromy import monodromy
 from .state import State
 from .trail import KEEP, ends, trail
@@ -79,7 +79,7 @@ def _radius(scene, points, phase, length, rate, scale):
     after, status = ends(scene, states(scene, fan.reshape(-1, 2), phase), len(points))
     back = np.stack([after.x, after.v], -1) - points[0]
     apart = np.sqrt(np.square(back @ length.T).sum(axis=1)).reshape(fan.shape[:2])
-    outside = (status >= CAP).reshape(fan.shape[:2])  # beyond a wall there are no states
+    outside = (status >= Status.CAP).reshape(fan.shape[:2])  # beyond a wall there are no states
     bad = np.flatnonzero(((apart > rate * radii[:, None]) & ~outside).any(axis=1))
     first = bad[-1] + 1 if bad.size else 0
     return SAFETY * radii[first] if first < len(radii) else 0.0

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .carry import carried
-from .entry import CAP
+from .codes import Status
 from .evidence import Seen, read_orbit, read_set, roam, watched
 from .free import free_orbit
 from .meetings import is_same_orbit, is_same_set, is_symmetric, mirrored
@@ -57,12 +57,12 @@ def _image(scene, one, seen, scale):
     turned = State(-given.x, -given.v, np.pi, -given.contact)
     turned = State(*(np.full(1, each, scene.dtype) for each in (turned.x, turned.v, turned.phase, turned.contact)))
     state, status = carried(scene, turned, 0.0)
-    if status[0] >= CAP:
+    if status[0] >= Status.CAP:
         return None
     told = {"exponent": numbers["exponent"], "note": f"{IMAGE}; exponent {numbers['exponent']:.3g} per period"}
     if numbers["periods"]:
         return read_orbit(scene, watched(scene, state), [], numbers["periods"], scale, told)
     roams = roam(scene, state)
     found = read_set(scene, roams, scale, told)
-    known = roams.status[0] >= CAP or any(is_same_set(found.hits, other.hits) for other in seen)
+    known = roams.status[0] >= Status.CAP or any(is_same_set(found.hits, other.hits) for other in seen)
     return None if known else found

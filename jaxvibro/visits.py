@@ -5,10 +5,10 @@ import xarray as xr
 
 from . import check
 from .carry import carried
-from .entry import CAP
+from .codes import Status
 from .place import SIGNS, places
 from .scene import SIDES
-from .state import STATUS, State, check_start, real_state
+from .state import State, check_start, real_state
 from .trail import KEEP, ends, trail
 
 LENGTH, SPEED = {"units": "length"}, {"units": "length w0"}
@@ -51,8 +51,8 @@ def sections(scene, state, phase=0.0, periods=1000, settle=300):
 
 
 def _good(state, status):
-    if status[0] >= CAP:
-        raise check.SceneError("state", "must start a motion that goes on", STATUS[status[0]])
+    if status[0] >= Status.CAP:
+        raise check.SceneError("state", "must start a motion that goes on", Status(status[0]).word)
     return state
 
 

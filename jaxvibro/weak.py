@@ -2,10 +2,9 @@
 
 import numpy as np
 
-from .entry import CAP
+from .codes import Status
 from .growth import of_motion, settled
 from .recurrence import LONGEST
-from .state import STATUS
 from .tangent import begin
 
 ROUNDS = 8  # looks at whether the lane recurs after all
@@ -24,7 +23,7 @@ def weigh(scene, state):
     """
     seen = settled(scene, begin(state), 0, ROUNDS)
     if not seen.is_well:
-        return np.nan, f"status {STATUS[int(seen.status[0])]}"
+        return np.nan, f"status {Status(seen.status[0]).word}"
     if seen.periods[0]:
         return -np.inf, LATE
     rates, end = of_motion(scene, seen, GOAL, MOST)
@@ -33,8 +32,8 @@ def weigh(scene, state):
         return -np.inf, LATE
     if np.isneginf(rate):
         return -np.inf, f"rests on a wall, and so recurs, but after more than {LONGEST} periods"
-    if rates.status >= CAP or not np.isfinite(rate):
-        return np.nan, f"does not recur, and has no exponent (status {STATUS[rates.status]})"
+    if rates.status >= Status.CAP or not np.isfinite(rate):
+        return np.nan, f"does not recur, and has no exponent (status {Status(rates.status).word})"
     if rate > max(SURE * error, SHEAR):
         return rate, f"does not recur; exponent {rate:.3g} +- {error:.1g} per period"
     return -np.inf, f"does not recur, and its exponent {rate:.1g} +- {error:.1g} is not positive beyond doubt"

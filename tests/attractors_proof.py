@@ -16,7 +16,7 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.capture import captured, homes
-from jaxvibro.entry import CAP
+from jaxvibro.codes import Status
 from jaxvibro.evidence import chaotic, periodic
 from jaxvibro.meetings import is_same_set
 from jaxvibro.settling import settle_lanes
@@ -79,7 +79,7 @@ def counted(scene, known, seed):
     state = jax.tree.map(lambda leaf: leaf[rest], given)
     found, periods, scale = settle_lanes(scene, state, 300, max(abs(left), abs(right)))
     orbits, _ = periodic(scene, found, periods, 300, scale)
-    sets, _ = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < CAP)), scale)
+    sets, _ = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < Status.CAP)), scale)
     for one in orbits + sets:
         home = next((k for k, other in enumerate(known) if is_same(one.numbers, other)), None)
         if home is None:

@@ -16,9 +16,9 @@ from continuation.follow import pinned
 from jaxvibro import graze
 from jaxvibro.along import problem
 from jaxvibro.branch import row_of, spot_of
-from jaxvibro.domain import scene_length
 from jaxvibro.follow import placed
 from jaxvibro.graze import scales
+from jaxvibro.scale import scene_length
 from jaxvibro.told import told
 from tests.reference import special as reference
 from tests.reference.scene import Motion, Scene, Wall

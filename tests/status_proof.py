@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.entry import CAP
+from jaxvibro.codes import Status
 
 BLOCK = 1 << 16  # lanes of a scene
 ROUNDINGS = 64.0  # of the largest length, by which a state may be beyond a wall
@@ -83,7 +83,7 @@ def beyond(scene, end):
 
 def judged(scene, end, status):
     """Masks of lanes: (beyond a wall with a good status, nan with a good status, a state with a bad one)."""
-    x, v, good = np.asarray(end.x), np.asarray(end.v), np.asarray(status) < CAP
+    x, v, good = np.asarray(end.x), np.asarray(end.v), np.asarray(status) < Status.CAP
     finite = np.isfinite(x) & np.isfinite(v)
     return good & (beyond(scene, end) > ROUNDINGS), good & ~finite, ~good & ~(np.isnan(x) & np.isnan(v))
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.entry import CAP
+from jaxvibro.codes import Status
 from tests.status_proof import draw
 
 PERIODS = 4
@@ -41,7 +41,7 @@ def test_periods_in_one_call_are_one_by_one_but_for_their_roundings(kind):
     span = 2.0 * np.pi / np.asarray(scene.frequency)
     bound = 16.0 * eps(scene.dtype) * (1.0 + span) * sizes(scene, states) * norms
     count, slowest = sum(each.count for each in found), np.min([each.least_speed for each in found], axis=0)
-    fair = (count == told.count) & (slowest > 1e-4) & (norms < 1e6) & (np.asarray(told.status) < CAP)
+    fair = (count == told.count) & (slowest > 1e-4) & (norms < 1e6) & (np.asarray(told.status) < Status.CAP)
     assert fair.sum() > 150, fair.sum()
     error = np.maximum(abs(whole.x - states[-1].x), abs(whole.v - states[-1].v))
     assert (error < bound)[fair].all(), np.sort((error / bound)[fair])[-5:]

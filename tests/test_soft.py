@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.contact import ENTERED
+from jaxvibro.codes import Contact
 from jaxvibro.frame import frame
 from jaxvibro.stay import duration
 from tests import soft_proof
@@ -62,7 +62,7 @@ def test_slopes_against_ball_arithmetic(kind):
 def test_a_short_stay_has_its_own_digits():
     scene = jv.make_scene(0.0, 0.05, 0.0, 0.7, (None, jv.Wall(0.0, stiffness=1e10 - 1.0, damping=0.0)))
     none, one = jnp.zeros(1), jnp.ones(1)
-    given = frame(scene), ENTERED * one, none, one, one, none, 8.0 * frame(scene).period * one
+    given = frame(scene), Contact.ENTERED * one, none, one, one, none, 8.0 * frame(scene).period * one
     assert float(jax.jit(duration)(*given)[0]) == pytest.approx(np.pi / 1e5, rel=1e-15, abs=0.0)
 
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro.check import SceneError
-from jaxvibro.entry import CAP, FULL
+from jaxvibro.codes import Status
 from jaxvibro.growth import of_motion
 from jaxvibro.spread import standard_error
 from tests.reference import closed
@@ -176,9 +176,9 @@ def test_what_settles_while_it_is_averaged_is_an_orbit(monkeypatch):
 def test_a_motion_without_end_has_no_exponents():
     narrow = scene(amplitude=0.0, damping=0.0, walls=(-0.01, 0.01))
     found = jv.spectrum(narrow, "restitution", [1.0], jv.State(0.0, 10.0), settle=1)
-    assert np.isnan(found.exponent).all() and found.status == CAP and found["count"] == 0
+    assert np.isnan(found.exponent).all() and found.status == Status.CAP and found["count"] == 0
     often = jv.spectrum(narrow, "restitution", [1.0], jv.State(0.0, 0.4), settle=1, most=1)
-    assert np.isnan(often.exponent).all() and often.status == FULL
+    assert np.isnan(often.exponent).all() and often.status == Status.FULL
 
 
 def correlated(blocks, copies, memory, seed=0):

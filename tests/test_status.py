@@ -9,7 +9,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro import tangent
-from jaxvibro.entry import CAP
+from jaxvibro.codes import Status
 from jaxvibro.place import places
 from jaxvibro.trail import trail
 from tests.status_proof import draw, judged
@@ -41,8 +41,8 @@ def capped(kind, count, periods):
 )
 def test_a_lane_that_is_given_up_has_no_state(kind, periods):
     status = capped(kind, 2048, periods)[2]
-    assert (status == CAP).sum() > 200
-    assert (status < CAP).sum() > 200
+    assert (status == Status.CAP).sum() > 200
+    assert (status < Status.CAP).sum() > 200
 
 
 @pytest.mark.slow
@@ -53,10 +53,10 @@ def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
     laps = tangent.run(scene, tangent.begin(free), 2)[1]
     swept = jv.sweep(scene, "damping", np.asarray(scene.damping)[None], free, settle=1, keep=1)
     for found, x in ((run.status, run.x), (laps.status, laps.x), (swept.status.values[0], swept.x.values[0].T)):
-        assert (found[status >= CAP] >= CAP).all()
-        assert np.isnan(x[-1][found >= CAP]).all()
-        assert np.isfinite(x[-1][found < CAP]).all()
-    lost = np.flatnonzero(status == CAP)[0]
+        assert (found[status >= Status.CAP] >= Status.CAP).all()
+        assert np.isnan(x[-1][found >= Status.CAP]).all()
+        assert np.isfinite(x[-1][found < Status.CAP]).all()
+    lost = np.flatnonzero(status == Status.CAP)[0]
     one = jax.tree.map(lambda leaf: leaf[lost] if np.ndim(leaf) else leaf, (scene, free))
     with pytest.raises(jv.SceneError, match="must have a trajectory"):
         jv.simulate(*one, samples=4)
@@ -75,10 +75,10 @@ def test_a_slow_start_on_a_wall_goes_as_one_without_speed(kind):
     still, told = jv.strobe(scene, jv.State(place, pace, start.phase), slots=0)
     slow, also = jv.strobe(scene, jv.State(place, pace + into, start.phase), slots=0)
     status, other = np.asarray(told.status), np.asarray(also.status)
-    assert (other < CAP).mean() > 0.98
-    assert np.array_equal(status < CAP, other < CAP)
+    assert (other < Status.CAP).mean() > 0.98
+    assert np.array_equal(status < Status.CAP, other < Status.CAP)
     far = np.abs(np.asarray(slow.x - still.x)) / (1.0 + np.asarray(scene.amplitude))
-    assert far[status < CAP].max() < 1e-6
+    assert far[status < Status.CAP].max() < 1e-6
 
 
 def test_a_start_that_is_tiny_beside_the_scene_ends_with_a_state():
@@ -87,7 +87,7 @@ def test_a_start_that_is_tiny_beside_the_scene_ends_with_a_state():
     size = 10.0 ** -np.arange(1.0, 308.0)
     for x, v in ((size, size), (size, 0.0 * size), (size, -size), (0.0 * size, -size), (0.0 * size, size)):
         end, impacts = jv.strobe(scene, jv.State(x, v), slots=0)
-        assert (np.asarray(impacts.status) < CAP).all()
+        assert (np.asarray(impacts.status) < Status.CAP).all()
         assert (np.abs(end.x) <= 2.0 * size).all()
 
 

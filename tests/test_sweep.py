@@ -6,7 +6,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.check import SceneError
-from jaxvibro.entry import CAP
+from jaxvibro.codes import Status
 from jaxvibro.place import fit, places
 
 
@@ -87,7 +87,7 @@ def test_a_bad_lane_is_flagged_and_starts_anew_and_no_other_lane_sees_it():
     narrow = scene(amplitude=0.0, damping=0.0, walls=(-0.01, 0.01))
     starts = jv.State(x=0.0, v=np.array([10.0, 0.02]))
     found = jv.sweep(narrow, "restitution", [1.0, 0.5, 1.0, 1.0], starts, settle=2, keep=3)
-    assert found.status.values.tolist() == [[CAP, 0], [0, 0], [0, 0], [0, 0]]
+    assert found.status.values.tolist() == [[Status.CAP, 0], [0, 0], [0, 0], [0, 0]]
     assert np.isnan(found.x[0, 0]).all() and np.isfinite(found.x[1:]).all() and np.isfinite(found.x[:, 1]).all()
     calm = jv.sweep(
         narrow, "restitution", [1.0, 0.5, 1.0, 1.0], jv.State(0.0, np.array([0.01, 0.02])), settle=2, keep=3

@@ -9,7 +9,7 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from ..tables import table_of
+from ..scene_table import table_of
 from .claim import Claim
 
 DOTS = 300  # per inch

@@ -1,0 +1,33 @@
+"""The codes of the lanes: how a strobe ended, and what contact a mass has with a wall."""
+
+from enum import IntEnum
+
+
+class Status(IntEnum):
+    """How a strobe ended (`Impacts.status`): from CAP on the state is nan."""
+
+    OK = 0
+    FULL = 1
+    CAP = 2
+    INVALID = 3
+    NONFINITE = 4
+
+    @property
+    def word(self):
+        """As it stands in messages and in saved data."""
+        return self.name.lower()
+
+
+class Contact(IntEnum):
+    """The contact of a mass with a wall, times the wall's sign; 0 is free.
+
+    LANDED: leaves a wall that it has hit; STUCK: rests on it; WITHIN: is within a soft one. Along a path there are
+    also ENTERED: has just met a soft wall, and is not yet past it; RELEASED: not pressed any more on the wall that it
+    rested on.
+    """
+
+    LANDED = 1
+    STUCK = 2
+    WITHIN = 3
+    ENTERED = 4
+    RELEASED = 5
