@@ -9,11 +9,11 @@ import numpy as np
 import jaxvibro
 from benchmarks import harness, ours, page, scipy_arclength
 from continuation import arclength
-from jaxvibro import look
-from jaxvibro.along import IMPACTS
-from jaxvibro.follow import started
-from jaxvibro.graze import scales
-from jaxvibro.lanes import OPTIONS
+from jaxvibro.branches.follow import started
+from jaxvibro.compiled.kernels import OPTIONS
+from jaxvibro.problem import diagnostics
+from jaxvibro.problem.equations import IMPACTS
+from jaxvibro.problem.touches import scales
 
 LANES, STEPS, POINTS = 1_000, 32, 8
 FINE, COARSE = 0.005, 0.1  # largest steps
@@ -90,7 +90,7 @@ def many(orbit, rounds):
 
     def one(place, along):
         _, points = arclength.track(IMPACTS.function, IMPACTS.solve, place, control, along, STEPS)
-        return points.kept, jax.vmap(lambda z: look.hitting(along, z, 1))(points.z)
+        return points.kept, jax.vmap(lambda z: diagnostics.hitting(along, z, 1))(points.z)
 
     call = jax.jit(jax.vmap(one, in_axes=(0, None)), compiler_options=OPTIONS)
     jax.block_until_ready(call(start, along))

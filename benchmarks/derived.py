@@ -6,9 +6,9 @@ import numpy as np
 
 import jaxvibro
 from benchmarks import harness, ours, page
-from jaxvibro import cycle
-from jaxvibro.lanes import one_kernel
-from jaxvibro.solve import padded
+from jaxvibro.compiled.kernels import one_kernel
+from jaxvibro.orbits import impact_equations
+from jaxvibro.orbits.by_impacts import padded
 
 ORBITS, REPEATS = 10_000, 501
 
@@ -58,9 +58,9 @@ def orbits(rounds):
     late = 0.01 * np.random.default_rng(0).normal(size=(ORBITS, 2))
     guesses = jax.tree.map(lambda each: np.broadcast_to(each, (ORBITS, *np.shape(each))).copy(), guess)
     guesses = guesses._replace(times=guesses.times + late)
-    kernel = jax.jit(lambda scene, guess: one_kernel(cycle.solved, scene, guess))
+    kernel = jax.jit(lambda scene, guess: one_kernel(impact_equations.solved, scene, guess))
     seconds, one = harness.clock(lambda: kernel.lower(scene, guess).compile())
-    batch = jax.vmap(cycle.solved, in_axes=(None, 0))
+    batch = jax.vmap(impact_equations.solved, in_axes=(None, 0))
     more, many = harness.clock(lambda: jax.jit(batch).lower(scene, guesses).compile())
     spent = [harness.clock(lambda: jax.block_until_ready(many(scene, guesses)))[0] for _ in range(rounds + 1)][1:]
     newton = harness.latency(lambda: jax.block_until_ready(one(scene, guess)), REPEATS)

@@ -1,7 +1,7 @@
 """The paper's method, as `jaxvibro.paper` measures it too."""
 
 from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, Strobes
-from jaxvibro.paper import stepped
+from jaxvibro.reproduction import stepped
 
 DRIVE = stepped.Drive(OMEGA, GAMMA, RESTITUTION)
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from . import arclength, locate
 from .arclength import ON, OUT, Place, Point
-from .kept import kept
+from .persistent_jit import persistent_jit
 
 CHUNK = 128  # steps attempted in a compiled call
 POLISHED = 1e-10  # a length: from a step as short the next leaves rounding alone
@@ -48,7 +48,7 @@ def oriented(slopes, scale, along=None):
     return sign * filled / np.linalg.norm(scale * filled)
 
 
-@kept(static_argnums=(0, 4))
+@persistent_jit(static_argnums=(0, 4))
 def _track(problem, place, control, args, count):
     return problem.run(_tracked, place, control, args, problem=problem, count=count)
 
@@ -136,7 +136,7 @@ def _of_lane(controls, args, lane):
     return jax.tree.map(lambda leaf: leaf[lane], (controls, args))
 
 
-@kept(static_argnums=(0, 4))
+@persistent_jit(static_argnums=(0, 4))
 def _track_lanes(problem, places, controls, args, count):
     def one(*lane):
         return arclength.track(problem.function, problem.solve, *lane, count)
@@ -157,7 +157,7 @@ def _kept(start, points):
     return jax.tree.map(lambda first, rest: np.concatenate([np.asarray(first)[None], rest]), start, kept)
 
 
-@kept(static_argnums=(0, 1))
+@persistent_jit(static_argnums=(0, 1))
 def _values(problem, test, zs, args):
     return jax.vmap(lambda z: jnp.linalg.det(test.matrix(z, args)))(zs)
 

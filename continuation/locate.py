@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from jax import lax
 
-from .kept import kept
+from .persistent_jit import persistent_jit
 
 ROUNDS = 12  # of Newton's steps
 APART = 1e-5  # of 1 + abs z: the points of a difference
@@ -27,7 +27,7 @@ class Located(NamedTuple):
     residual: float
 
 
-@kept(static_argnums=0)
+@persistent_jit(static_argnums=0)
 def evaluated(problem, z, args):
     """(F, dF/dz) of a `problem.Problem`."""
     return problem.run(problem.plain, z, args)
@@ -60,7 +60,7 @@ def differences(function, z):
     return np.stack([along(k) for k in range(len(z))], axis=-1)
 
 
-@kept(static_argnums=(0, 1))
+@persistent_jit(static_argnums=(0, 1))
 def _matrices(problem, test, zs, args):
     return problem.run(_each, zs, args, test=test)
 

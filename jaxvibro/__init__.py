@@ -2,58 +2,57 @@
 
 import sys
 from importlib import import_module
-from types import ModuleType
 
 __version__ = "0.1.0"
 
 # Where each public name lives. A name is loaded when it is first asked for: `jaxvibro --help` never imports jax.
 _HOMES = {
-    "Scene": "scene",
-    "Wall": "scene",
-    "Motion": "scene",
-    "make_scene": "scene",
-    "SceneError": "check",
-    "scene_from_physical": "physical",
-    "soften": "soften",
-    "effective_restitution": "rebound",
-    "contact_damping": "rebound",
-    "load_scene": "scenefile",
-    "save_scene": "scenefile",
-    "load_data": "sealed",
-    "State": "state",
-    "Impacts": "state",
-    "strobe": "strobe",
-    "monodromy": "monodromy",
-    "simulate": "simulate",
-    "return_map": "section",
-    "Return": "section",
-    "sections": "visits",
-    "find_orbit": "find",
-    "find_orbits": "orbits",
-    "Orbit": "orbit",
-    "OrbitError": "orbit",
-    "follow": "follow",
-    "switch": "switch",
-    "extend": "switch",
-    "Branch": "branch",
-    "load_branch": "branchfile",
-    "peaks": "peaks",
-    "peak": "peaks",
-    "sensitivity": "sensitivity",
-    "locus": "locus",
-    "Locus": "locus",
-    "family": "family",
-    "explore": "explore",
-    "diagrams": "diagrams",
-    "Diagram": "diagram",
-    "load_diagram": "diagram",
-    "sweep": "sweep",
-    "find_attractors": "attractors",
-    "spectrum": "spectrum",
-    "basins": "basins",
-    "manifold": "manifold",
-    "run": "run",
-    "paper": "paper",
+    "Scene": "scene.scene",
+    "Wall": "scene.scene",
+    "Motion": "scene.scene",
+    "make_scene": "scene.scene",
+    "SceneError": "scene.check",
+    "scene_from_physical": "scene.physical",
+    "soften": "scene.soft_walls",
+    "effective_restitution": "scene.soft_walls",
+    "contact_damping": "scene.soft_walls",
+    "load_scene": "studies.scene_file",
+    "save_scene": "studies.scene_file",
+    "load_data": "output.checksums",
+    "State": "scene.state",
+    "Impacts": "scene.state",
+    "strobe": "maps.strobe",
+    "monodromy": "maps.monodromy",
+    "simulate": "maps.simulate",
+    "return_map": "maps.return_map",
+    "Return": "maps.return_map",
+    "sections": "maps.sections",
+    "find_orbit": "orbits.find",
+    "find_orbits": "orbits.from_starts",
+    "Orbit": "orbits.orbit",
+    "OrbitError": "orbits.orbit",
+    "follow": "branches.follow",
+    "switch": "branches.switch",
+    "extend": "branches.switch",
+    "Branch": "branches.branch",
+    "load_branch": "branches.branch_file",
+    "peaks": "branches.peaks",
+    "peak": "branches.peaks",
+    "sensitivity": "loci.sensitivity",
+    "locus": "loci.locus",
+    "Locus": "loci.locus",
+    "family": "loci.family",
+    "explore": "branches.explore",
+    "diagrams": "branches.diagrams",
+    "Diagram": "branches.diagram",
+    "load_diagram": "branches.diagram",
+    "sweep": "attractors.sweep",
+    "find_attractors": "attractors.find",
+    "spectrum": "attractors.spectrum",
+    "basins": "attractors.basins",
+    "manifold": "attractors.manifold",
+    "run": "studies.run",
+    "paper": "reproduction.run",
 }
 
 __all__ = ["__version__", "plot", *_HOMES]
@@ -71,15 +70,3 @@ def __getattr__(name):
 
 def __dir__():
     return sorted(__all__)
-
-
-class _Package(ModuleType):
-    """Keeps `jaxvibro.strobe` the function: importing the file strobe.py would put the file in its place."""
-
-    def __setattr__(self, name, value):
-        if _HOMES.get(name) == name and isinstance(value, ModuleType):
-            value = getattr(value, name)
-        super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _Package

@@ -29,7 +29,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.paper.closed import grazing, single_fold, symmetric_fold, symmetric_start
+from jaxvibro.reproduction.closed import grazing, single_fold, symmetric_fold, symmetric_start
 
 jax.config.update("jax_enable_x64", True)
 OUT = Path("out")

@@ -15,14 +15,14 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.capture import captured, homes
-from jaxvibro.codes import Status
-from jaxvibro.evidence import chaotic, periodic
-from jaxvibro.meetings import is_same_set
-from jaxvibro.settling import settle_lanes
-from jaxvibro.share import share_bounds
-from jaxvibro.starts import box, random_starts
-from jaxvibro.whole import whole
+from jaxvibro.attractors.assign import captured, homes
+from jaxvibro.attractors.classify import chaotic, periodic
+from jaxvibro.attractors.shares import share_bounds
+from jaxvibro.attractors.transients import settle_lanes
+from jaxvibro.maps.initial_conditions import box, random_starts
+from jaxvibro.orbits.impact_points import is_same_set
+from jaxvibro.output.atomic_write import whole
+from jaxvibro.scene.codes import Status
 from tests.test_tried import clearance
 
 MANY, SEED = 4000, 17

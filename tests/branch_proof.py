@@ -13,13 +13,13 @@ import numpy as np
 import jaxvibro as jv
 from continuation.arclength import Control
 from continuation.follow import pinned
-from jaxvibro import graze
-from jaxvibro.along import problem
-from jaxvibro.branch import row_of, spot_of
-from jaxvibro.follow import placed
-from jaxvibro.graze import scales
-from jaxvibro.scale import scene_length
-from jaxvibro.told import told
+from jaxvibro.branches.branch import row_of, spot_of
+from jaxvibro.branches.describe import told
+from jaxvibro.branches.follow import placed
+from jaxvibro.problem import touches as graze
+from jaxvibro.problem.equations import problem
+from jaxvibro.problem.touches import scales
+from jaxvibro.scene.scale import scene_length
 from tests.reference import special as reference
 from tests.reference.scene import Motion, Scene, Wall
 from tests.test_extend import WALLS, check_extended

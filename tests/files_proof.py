@@ -23,9 +23,9 @@ import numpy as np
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro import scenefile
-from jaxvibro.check import LONGEST
-from jaxvibro.paper import run as paper
+from jaxvibro.reproduction import run as paper
+from jaxvibro.scene.check import LONGEST
+from jaxvibro.studies import scene_file
 from tests.mutations import CHANGES, mutated
 from tests.paper_proof import stopped
 
@@ -154,7 +154,7 @@ def mutations(times, seed):
             path.write_bytes(content)
             began = time.process_time()
             try:
-                scenefile.read(path, changes)
+                scene_file.read(path, changes)
                 what = "read"
             except jv.SceneError as error:
                 what = "refused" if _is_one_line(str(error)) else "a long line"

@@ -10,9 +10,9 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.follow import placed
-from jaxvibro.graze import touches
-from jaxvibro.scale import scene_length
+from jaxvibro.branches.follow import placed
+from jaxvibro.problem.touches import touches
+from jaxvibro.scene.scale import scene_length
 from tests.branch_proof import branches, plain
 from tests.reference import special as reference
 from tests.reference.codim import codim

@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro import flow
+from jaxvibro.flight import flow
 from tests.reference import ball, draws, flights, orbit
 from tests.reference.scene import Soft
 from tests.reference.search import Discard

@@ -2,7 +2,8 @@
 
 import pytest
 
-from jaxvibro import SceneError, scenefile
+from jaxvibro import SceneError
+from jaxvibro.studies import scene_file
 
 SCENE = """
 [scene]
@@ -26,7 +27,7 @@ def each_of(bad):
 def check_refusal(path, change, key, said):
     """A file with a change is refused in one clear line."""
     with pytest.raises(SceneError) as caught:
-        scenefile.read(path, [change])
+        scene_file.read(path, [change])
     line = str(caught.value)
     assert caught.value.key == key
     assert line.startswith(" ".join(key.split()) + ": ") and said in line, line

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.codes import Status
+from jaxvibro.scene.codes import Status
 
 BLOCK = 1 << 16  # lanes of a scene
 ROUNDINGS = 64.0  # of the largest length, by which a state may be beyond a wall

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro import itinerary
-from jaxvibro.check import SceneError
-from jaxvibro.exponent import exponents
-from jaxvibro.meetings import is_same_orbit, is_same_set, is_symmetric, meetings, mirrored
-from jaxvibro.recurrence import LONGEST, returns, settled_periods
-from jaxvibro.starts import box, forced_amplitude, random_starts
-from jaxvibro.trail import KEEP, trail
+from jaxvibro.attractors.largest_exponent import exponents
+from jaxvibro.attractors.recurrence import LONGEST, returns, settled_periods
+from jaxvibro.maps import itinerary
+from jaxvibro.maps.initial_conditions import box, forced_amplitude, random_starts
+from jaxvibro.maps.iterate import KEEP, trail
+from jaxvibro.orbits.impact_points import is_same_orbit, is_same_set, is_symmetric, meetings, mirrored
+from jaxvibro.scene.check import SceneError
 
 PERIOD = 2 * np.pi / 2.1
 

@@ -9,8 +9,9 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
-from jaxvibro import fractal, plot, trap
-from jaxvibro.place import places
+from jaxvibro import plot
+from jaxvibro.attractors import fractal, trapping_region
+from jaxvibro.flight.wall_positions import places
 from jaxvibro.plot.basins import PALE
 
 FIG5 = {"amplitude": 4.65, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
@@ -96,14 +97,14 @@ def test_what_has_no_trap_is_not_certain():
     elastic = jv.make_scene(4.65, 2.1, 0.0, 1.0, (-1.0, 1.0))
     orbit = jv.find_orbits(elastic, 1, 16)[0]
     point = np.array([[orbit.state.x, orbit.state.v]])
-    assert trap.trap(elastic, point, orbit.state.phase, 3.0) is None
+    assert trapping_region.trap(elastic, point, orbit.state.phase, 3.0) is None
 
 
 def test_no_state_of_a_trap_leaves_it():
     scene, attractors = known("figure 5")
     rng = np.random.default_rng(0)
     for one in attractors:
-        found = trap.trap(scene, one.points, 0.0, 6.0)
+        found = trapping_region.trap(scene, one.points, 0.0, 6.0)
         disc = rng.normal(size=(500, 2))
         disc *= (rng.random(500) ** 0.5 / np.hypot(*disc.T))[:, None]
         z = one.points[0] + np.linalg.solve(found.lengths[0], disc.T).T

@@ -16,8 +16,9 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro import cache, command, scenefile, starter, tables, whole
-from jaxvibro.run import ENDINGS
+from jaxvibro.output import atomic_write
+from jaxvibro.studies import cache, command, scene_file, scene_template, schema
+from jaxvibro.studies.run import ENDINGS
 
 ROOT = Path(__file__).parents[1]
 SCENE_FILE = ROOT / "scenes" / "branches.toml"
@@ -62,11 +63,11 @@ def test_the_data_hold_sweep_attractors_and_job(done):
         assert (data["status"].values == 0).all()
         assert data["attractor_label"].values.tolist() == [one["label"] for one in told["attractors"]]
         job = tomllib.loads(data.attrs["job"])
-    assert scenefile.understood(job) == scenefile.read(SCENE_FILE, QUICK)
+    assert scene_file.understood(job) == scene_file.read(SCENE_FILE, QUICK)
 
 
 def test_legs_side_by_side_are_the_sweeps_they_stand_for(done):
-    file = scenefile.read(SCENE_FILE, QUICK)
+    file = scene_file.read(SCENE_FILE, QUICK)
     with xr.open_dataset(done[0] / "branches.nc", engine="scipy") as data:
         for leg in file.sweep.legs:
             start = jv.State(leg.start.x, leg.start.v)
@@ -77,7 +78,7 @@ def test_legs_side_by_side_are_the_sweeps_they_stand_for(done):
 def test_json_is_all_that_stdout_gets_and_gives_the_job_back(tmp_path, capsys):
     assert quick(tmp_path, "--json") == 0
     told = json.loads(capsys.readouterr().out)
-    assert msgspec.convert(told["job"], tables.SceneFile) == scenefile.read(SCENE_FILE, QUICK)
+    assert msgspec.convert(told["job"], schema.SceneFile) == scene_file.read(SCENE_FILE, QUICK)
     assert all(Path(path).exists() for path in told["files"].values())
     assert {one["leg"] for one in told["stretches"]} == {"down", "up"}
     assert sum(one["count"] for one in told["stretches"]) == 10
@@ -133,7 +134,7 @@ def test_an_interrupted_write_leaves_all_as_it_was(tmp_path, monkeypatch, capsys
         opened.append(given)
         return Halfway(*given)
 
-    monkeypatch.setattr(*((whole, "open") if where == "write" else (os, "replace")), halfway, raising=False)
+    monkeypatch.setattr(*((atomic_write, "open") if where == "write" else (os, "replace")), halfway, raising=False)
     assert quick(tmp_path, "--force") == code
     line = capsys.readouterr().err.splitlines()[-1]
     assert len(line) < 300 and (code == 130 or re.search(r"/branches\.\w+: No space left", line))
@@ -152,11 +153,13 @@ def test_a_scene_that_asks_nothing_is_followed_from_rest(tmp_path, capsys):
 def test_init_writes_a_scene_that_runs(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert called("init") == 0
-    assert scenefile.read("scene.toml") == msgspec.structs.replace(scenefile.read(SCENE_FILE, TO_STARTER), branch=None)
+    assert scene_file.read("scene.toml") == msgspec.structs.replace(
+        scene_file.read(SCENE_FILE, TO_STARTER), branch=None
+    )
     assert called("init") == 2
     assert "scene.toml is there already" in capsys.readouterr().err
     assert called("init", "--force", "scene.toml") == 0
-    assert starter.SCENE.count("#") > 20
+    assert scene_template.SCENE.count("#") > 20
 
 
 TO_STARTER = [
@@ -233,7 +236,9 @@ def started(*arguments, **environment):
 
 
 def test_help_and_version_load_nothing_heavy():
-    code = "import sys; from jaxvibro import command; command.main(['run', '--help']); print(sorted(sys.modules))"
+    code = (
+        "import sys; from jaxvibro.studies import command; command.main(['run', '--help']); print(sorted(sys.modules))"
+    )
     shown = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     assert "--force" in shown
     assert not {"jax", "numpy", "matplotlib", "xarray", "msgspec"} & set(re.findall(r"'(\w+)'", shown))

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.explore import asked, settled_on
+from jaxvibro.branches.explore import asked, settled_on
 from tests.reference import closed
 
 OMEGA, R = 2.1, 0.7

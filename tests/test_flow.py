@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flow import fly
+from jaxvibro.flight.flow import fly
 from tests.proof import flow_errors
 from tests.reference import ball
 

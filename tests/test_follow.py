@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.follow import placed
-from jaxvibro.look import looked
-from jaxvibro.told import Spot
+from jaxvibro.branches.describe import Spot
+from jaxvibro.branches.follow import placed
+from jaxvibro.problem.diagnostics import looked
 from tests import branch_proof
 from tests.reference import closed
 

@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import pytest
 
 import jaxvibro as jv
-from jaxvibro import command, plot, study
-from jaxvibro.paper.figures import JOBS
-from jaxvibro.tables import SceneFile
+from jaxvibro import plot
+from jaxvibro.reproduction.figures import JOBS
+from jaxvibro.studies import command, compute
+from jaxvibro.studies.schema import SceneFile
 
 TRACED = {
     "make_scene": lambda x: jv.make_scene(x, 2.1, 0.05, 0.7, (-1.0, 1.0)).amplitude,
@@ -92,4 +93,4 @@ def test_the_help_knows_all_that_there_is(capsys):
         if words == ["paper"]:
             assert "figures 2 to 12" in told and "fig2 to fig12, walls, formulas" in told
             assert {*JOBS} == {*(f"fig{k}" for k in range(2, 13)), "walls", "formulas"}
-    assert "soft" in jv.__doc__ and study.__doc__
+    assert "soft" in jv.__doc__ and compute.__doc__

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxvibro as jv
-from jaxvibro import itinerary
+from jaxvibro.maps import itinerary
 
 WORDS = st.lists(st.text("LR", max_size=4), min_size=1, max_size=6).map(tuple)
 

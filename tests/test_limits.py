@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro import command, limits, scenefile, tables
-from jaxvibro.check import LONGEST, among
+from jaxvibro.scene.check import LONGEST, among
+from jaxvibro.studies import command, scene_file, schema, text_limits
 from tests.scene_files import SCENE
 
 
@@ -40,13 +40,13 @@ def test_a_key_is_as_deep_as_it_may_be(tmp_path, depth):
     draw = random.Random(depth)
     for _ in range(20):
         text, deep = nested(depth, draw)
-        if deep > limits.DEEPEST:
-            assert "at most 8" in line_of(limits.parsed, "it", text)
+        if deep > text_limits.DEEPEST:
+            assert "at most 8" in line_of(text_limits.parsed, "it", text)
             (tmp_path / "mine.toml").write_text(SCENE + text)
-            line_of(scenefile.read, tmp_path / "mine.toml")
-            line_of(scenefile.apply, {}, text)
+            line_of(scene_file.read, tmp_path / "mine.toml")
+            line_of(scene_file.apply, {}, text)
         else:
-            assert limits.parsed("it", text) == tomllib.loads(text)
+            assert text_limits.parsed("it", text) == tomllib.loads(text)
 
 
 DOTS = ".".join("abcdefghijkl")
@@ -69,24 +69,26 @@ DOTS = ".".join("abcdefghijkl")
     ],
 )
 def test_what_only_looks_deep_is_read(text):
-    assert limits.parsed("it", text) == tomllib.loads(text)
+    assert text_limits.parsed("it", text) == tomllib.loads(text)
 
 
 def test_what_follows_a_text_is_still_looked_at():
     quoted = ['"#"', "'#'", '"""\n#"""', "'''\n#'''", '"\\""', "'\\'", '"""\\""""', "'''a'''''", '1 # "', "1 # '''"]
     for one in quoted:
         assert tomllib.loads(f"a = {one}\nb = 1")["b"] == 1
-        assert "8 names" in line_of(limits.parsed, "it", f"a = {one}\n{DOTS} = 1")
+        assert "8 names" in line_of(text_limits.parsed, "it", f"a = {one}\n{DOTS} = 1")
 
 
 def test_a_large_file_is_refused_unread(tmp_path):
     path = tmp_path / "mine.toml"
-    path.write_text(SCENE + "#" * (limits.LARGEST - len(SCENE)))
+    path.write_text(SCENE + "#" * (text_limits.LARGEST - len(SCENE)))
     assert jv.load_scene(path).amplitude == 4.65
-    path.write_text(SCENE + "#" * (limits.LARGEST - len(SCENE) + 1))
+    path.write_text(SCENE + "#" * (text_limits.LARGEST - len(SCENE) + 1))
     assert "must be at most 1,000,000 bytes" in line_of(jv.load_scene, path)
-    assert "must be at most 1,000,000 bytes" in line_of(scenefile.content, type(path)("/dev/zero"))
-    assert "must be at most 1,000,000 characters" in line_of(scenefile.apply, {}, "a='" + "b" * limits.LARGEST + "'")
+    assert "must be at most 1,000,000 bytes" in line_of(scene_file.content, type(path)("/dev/zero"))
+    assert "must be at most 1,000,000 characters" in line_of(
+        scene_file.apply, {}, "a='" + "b" * text_limits.LARGEST + "'"
+    )
 
 
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-8", "utf-16", "utf-16-le", "utf-32", "latin-1", "cp037"])
@@ -97,7 +99,7 @@ def test_encodings(tmp_path, encoding):
         assert jv.load_scene(path).amplitude == 4.65
     else:
         assert line_of(jv.load_scene, path).startswith("mine.toml: must be a TOML file")
-    assert "KEY=VALUE" in line_of(scenefile.apply, {}, "sweep.legs.0.name = '\udce9'")
+    assert "KEY=VALUE" in line_of(scene_file.apply, {}, "sweep.legs.0.name = '\udce9'")
 
 
 LONG = [
@@ -115,7 +117,7 @@ LONG = [
 @pytest.mark.parametrize("change", LONG, ids=lambda one: one[:20])
 def test_messages_end(tmp_path, change, capsys):
     (tmp_path / "mine.toml").write_text(SCENE)
-    line_of(scenefile.read, tmp_path / "mine.toml", [change])
+    line_of(scene_file.read, tmp_path / "mine.toml", [change])
     assert command.main(["run", str(tmp_path / "mine.toml"), "--set", change]) == 2
     told = capsys.readouterr().err
     assert told.count("\n") == 1 and len(told) <= LONGEST + len("jaxvibro: \n")
@@ -140,11 +142,11 @@ def test_a_name_that_is_none_is_answered_with_the_nearest():
         assert f", perhaps {name} (" in line_of(scene.parameter, wrong)
         assert f", perhaps {name} (" in line_of(lambda wrong=wrong: scene.replace(**{wrong: 1.0}))
     assert among("zzz", ("a", "b")) == " (a, b)"
-    for kind in (tables.SceneFile, tables.SweepTable, tables.BranchTable):
+    for kind in (schema.SceneFile, schema.SweepTable, schema.BranchTable):
         for name in kind.__struct_encode_fields__:
             wrong = name + "x"
             where = {"SceneFile": "", "SweepTable": "sweep.", "BranchTable": "branch."}[kind.__name__]
-            assert f", perhaps {name} (" in line_of(scenefile.understood, tomllib.loads(f"{where}{wrong} = 1"))
+            assert f", perhaps {name} (" in line_of(scene_file.understood, tomllib.loads(f"{where}{wrong} = 1"))
 
 
 def scenes(draw):
@@ -160,7 +162,13 @@ def scenes(draw):
         yield scene, draw.uniform(0.0, 9.0)
 
 
-LABOUR = {"find": "trail", "simulate": "_trace", "visits": "ends", "sweep": "_run", "spectrum": "_found"}
+LABOUR = {
+    "orbits.find": "trail",
+    "maps.simulate": "_trace",
+    "maps.sections": "ends",
+    "attractors.sweep": "_run",
+    "attractors.spectrum": "_found",
+}
 
 
 @pytest.fixture

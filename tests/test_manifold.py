@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.backward import backward
-from jaxvibro.germ import germ, mapped
-from jaxvibro.lanes import OPTIONS
+from jaxvibro.attractors.local_manifold import germ, mapped
+from jaxvibro.compiled.kernels import OPTIONS
+from jaxvibro.maps.inverse import backward
 
 from .basins_proof import SCENE, bisected, distance
 from .test_basins import SCENES

@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro import itinerary
-from jaxvibro.end import End
-from jaxvibro.meetings import is_same_orbit, meetings, mirrored, times_round
-from jaxvibro.solve import by_section
-from jaxvibro.told import Spot
-from jaxvibro.told import itinerary as walls
-from jaxvibro.tree import is_same
+from jaxvibro.branches.branch_tree import is_same
+from jaxvibro.branches.describe import Spot
+from jaxvibro.branches.describe import itinerary as walls
+from jaxvibro.branches.end import End
+from jaxvibro.maps import itinerary
+from jaxvibro.orbits.by_impacts import by_section
+from jaxvibro.orbits.impact_points import is_same_orbit, meetings, mirrored, times_round
 from tests.test_extend import drawn
 
 NEAR = 1e-6

@@ -5,10 +5,10 @@ import pytest
 
 import jaxvibro as jv
 from continuation import locate
-from jaxvibro.along import problem
-from jaxvibro.branch import row_of, spot_of
-from jaxvibro.follow import placed
-from jaxvibro.mirror import mirrored, stays_symmetric
+from jaxvibro.branches.branch import row_of, spot_of
+from jaxvibro.branches.follow import placed
+from jaxvibro.branches.mirror import mirrored, stays_symmetric
+from jaxvibro.problem.equations import problem
 
 
 @pytest.fixture(scope="module")

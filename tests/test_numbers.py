@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.codes import Status
+from jaxvibro.scene.codes import Status
 from tests.status_proof import draw
 
 PERIODS = 4

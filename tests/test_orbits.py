@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro import cycle
-from jaxvibro.frame import frame
-from jaxvibro.solve import by_impacts, padded, solution
+from jaxvibro.flight.coefficients import frame
+from jaxvibro.orbits import impact_equations
+from jaxvibro.orbits.by_impacts import by_impacts, padded, solution
 from tests.reference import closed, floquet, grid
 from tests.reference.scene import Motion, Scene, Wall
 
@@ -50,14 +50,16 @@ def agrees(orbit, state, multipliers):
 
 def test_the_jacobian_of_the_impacts_equations_is_their_derivative(scene):
     built = frame(scene)
-    given = cycle.Cycle(jnp.array([0.2, 1.1, 1.9]), jnp.array([1.0, 0.4, 2.0]), jnp.array([1.0, -1.0, 1.0]), 0.3, 1.0)
+    given = impact_equations.Cycle(
+        jnp.array([0.2, 1.1, 1.9]), jnp.array([1.0, 0.4, 2.0]), jnp.array([1.0, -1.0, 1.0]), 0.3, 1.0
+    )
 
     def values(unknowns):
-        return cycle.equations(built, given._replace(times=unknowns[:3], speeds=unknowns[3:]))[0]
+        return impact_equations.equations(built, given._replace(times=unknowns[:3], speeds=unknowns[3:]))[0]
 
     at = jnp.concatenate([given.times, given.speeds])
-    value, slopes = cycle.equations(built, given)
-    change, _ = cycle.solve(slopes, value)
+    value, slopes = impact_equations.equations(built, given)
+    change, _ = impact_equations.solve(slopes, value)
     assert np.allclose(jax.jacfwd(values)(at) @ change, value, rtol=0, atol=1e-12)
 
 

@@ -11,13 +11,14 @@ import xarray as xr
 from scipy.integrate import quad
 
 import jaxvibro as jv
-from jaxvibro.command import main
-from jaxvibro.paper import closed, diagrams, figures, lasting, portraits, run, stepped
-from jaxvibro.paper.claim import AGREES, DIFFERS, FALSE, HOLDS, OPEN, judged, number, own, statement, told
-from jaxvibro.paper.hysteresis import apart
-from jaxvibro.paper.panels import Drawn, panels
-from jaxvibro.paper.report import counts, page, rows, text
-from jaxvibro.scenefile import read, understood
+from jaxvibro.attractors.find import Attractor
+from jaxvibro.reproduction import closed, diagrams, figures, lasting, portraits, run, stepped
+from jaxvibro.reproduction.claim import AGREES, DIFFERS, FALSE, HOLDS, OPEN, judged, number, own, statement, told
+from jaxvibro.reproduction.hysteresis import apart
+from jaxvibro.reproduction.panels import Drawn, panels
+from jaxvibro.reproduction.report import counts, page, rows, text
+from jaxvibro.studies.command import main
+from jaxvibro.studies.scene_file import read, understood
 
 SCENES = run.ROOT.parent / "scenes"
 SCENE = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "right": {"position": 1.0}}
@@ -69,7 +70,7 @@ def test_what_stays_unresolved_makes_a_verdict_undecided_where_it_could_change_i
 
 
 def attractor(kind, exponent, label="P111", share=0.5):
-    return jv.attractors.Attractor(
+    return Attractor(
         label=label,
         kind=kind,
         share=share,

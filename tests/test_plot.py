@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.attractors import Attractor
-from jaxvibro.branch import Branch, Segment, row_of, special_of
-from jaxvibro.end import End
+from jaxvibro.attractors.find import Attractor
+from jaxvibro.branches.branch import Branch, Segment, row_of, special_of
+from jaxvibro.branches.end import End
 from jaxvibro.plot import path, style
 
 SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.3, 0.5, 2))))

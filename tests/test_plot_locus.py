@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.locus import MEANINGS, Locus
-from jaxvibro.outset import KINDS
+from jaxvibro.loci.first_point import KINDS
+from jaxvibro.loci.locus import MEANINGS, Locus
 from jaxvibro.plot import style
 
 PAIR = ("amplitude", "frequency")

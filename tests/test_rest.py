@@ -5,8 +5,8 @@ import pytest
 from scipy.optimize import brentq
 
 import jaxvibro as jv
-from jaxvibro import itinerary
-from jaxvibro.rest import rests
+from jaxvibro.maps import itinerary
+from jaxvibro.maps.rests import rests
 
 # amplitude, frequency, damping, restitution, wall, side: the mass rests on it once a period
 BY_HAND = [

@@ -11,8 +11,10 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro import command, picture, plot, scenefile, study, tree
-from jaxvibro.told import Spot
+from jaxvibro import plot
+from jaxvibro.branches import branch_tree
+from jaxvibro.branches.describe import Spot
+from jaxvibro.studies import command, compute, figures, scene_file
 from tests.scene_files import SCENE, check_refusal, each_of
 
 SCENE_FILE = Path(__file__).parents[1] / "scenes" / "branches.toml"
@@ -30,7 +32,7 @@ at = {amplitude = 2.0}
 def followed(tmp_path_factory):
     """What a file that asks for branches alone gives: its folder and its summary; and what was `Found`."""
     out, found = tmp_path_factory.mktemp("branch"), []
-    plain = study.study
+    plain = compute.study
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys.modules[jv.run.__module__], "study", lambda *given: found.append(plain(*given)) or found[0])
         (out / "branch.toml").write_text(SCENE + BRANCH)
@@ -95,11 +97,11 @@ def test_branches_are_drawn_alone_and_over_what_was_swept_along_their_parameter(
 
     def picked(*changes, **others):
         drawn.clear()
-        file = scenefile.read(SCENE_FILE, ["branch.bounds=[0.0, 4.0]", *changes])
-        picture.picture(replace(found, file=msgspec.structs.replace(file, attractors=None), **others))
+        file = scene_file.read(SCENE_FILE, ["branch.bounds=[0.0, 4.0]", *changes])
+        figures.picture(replace(found, file=msgspec.structs.replace(file, attractors=None), **others))
         return list(drawn)
 
-    picture.picture(found)
+    figures.picture(found)
     assert drawn == 3 * ["x"] + 3 * ["v"]
     assert picked() == [("x", True), *3 * ["x"], ("v", True), *3 * ["v"]]
     assert picked("branch.at.damping=0.06") == [("x", False), ("v", False)]
@@ -111,10 +113,10 @@ def test_a_diagram_of_branches_says_where_it_is_and_takes_what_is_of_the_same_sc
     found = followed[2]
     assert (found.across, found.mark(found.file.branch)) == ("amplitude", 2.0)
     at = [
-        scenefile.read(SCENE_FILE, [f"orbits.at={given}"]).orbits for given in ("{amplitude=3}", "{damping=0.1}", "{}")
+        scene_file.read(SCENE_FILE, [f"orbits.at={given}"]).orbits for given in ("{amplitude=3}", "{damping=0.1}", "{}")
     ]
     assert [found.mark(each) for each in at] == [3.0, None, 4.65]
-    assert "A$" not in picture._heading(found) and "2.1" in picture._heading(found)
+    assert "A$" not in figures._heading(found) and "2.1" in figures._heading(found)
 
 
 def test_a_start_that_settles_on_no_orbit_is_one_clear_line(tmp_path, capsys):
@@ -130,12 +132,12 @@ def test_a_start_that_settles_on_no_orbit_is_one_clear_line(tmp_path, capsys):
 
 
 def test_a_branch_has_defaults():
-    asked = scenefile.read(SCENE_FILE).branch
+    asked = scene_file.read(SCENE_FILE).branch
     assert (asked.parameter, asked.bounds, asked.max_period, asked.at) == ("amplitude", (0.0, 6.0), 2, {"amplitude": 2})
     assert (asked.start.x, asked.start.v, asked.settle, asked.largest_step) == (0.9, -1.1, 200, 0.1)
     table = "branch = {parameter='frequency', bounds=[1, 3]}"
-    file = msgspec.to_builtins(msgspec.structs.replace(scenefile.read(SCENE_FILE), branch=None))
-    asked = scenefile.understood(scenefile.apply(file, table)).branch
+    file = msgspec.to_builtins(msgspec.structs.replace(scene_file.read(SCENE_FILE), branch=None))
+    asked = scene_file.understood(scene_file.apply(file, table)).branch
     assert (asked.start.x, asked.start.v, asked.at, asked.max_period) == (0.0, 0.0, {}, 1)
 
 
@@ -178,9 +180,9 @@ def test_a_bad_branch_is_one_clear_line(change, key, said):
 
 
 def test_a_branch_survives_writing(tmp_path):
-    file = scenefile.read(SCENE_FILE, ["branch.at.'right.restitution'=0.5", "branch.settle=0"])
-    scenefile.dump(file, tmp_path / "copy.toml")
-    assert scenefile.read(tmp_path / "copy.toml") == file
+    file = scene_file.read(SCENE_FILE, ["branch.at.'right.restitution'=0.5", "branch.settle=0"])
+    scene_file.dump(file, tmp_path / "copy.toml")
+    assert scene_file.read(tmp_path / "copy.toml") == file
 
 
 PLAIN = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
@@ -195,7 +197,7 @@ class Point:
     value: float
     spot: Spot
     place: int
-    scene: jv.scene.Scene = PLAIN
+    scene: jv.Scene = PLAIN
     name: str = "amplitude"
 
 
@@ -232,14 +234,14 @@ def walked(monkeypatch, first, ways, symmetric=False, **given):
         asked.append(one)
         return ways[one.kind, one.value]
 
-    monkeypatch.setattr(tree, "follow", lambda orbit, name, bounds, **settings: first)
-    monkeypatch.setattr(tree, "_starts", starts)
-    monkeypatch.setattr(tree, "left", lambda one, start, bounds, **settings: start)
-    monkeypatch.setattr(tree, "placed", lambda scene, name, spot: (None, None))
-    monkeypatch.setattr(tree, "is_repeated", lambda along, z: False)
-    monkeypatch.setattr(tree, "stays_symmetric", lambda scene, name: symmetric)
-    monkeypatch.setattr(tree, "mirrored", reflected)
-    return tree.followed(SimpleNamespace(scene=PLAIN), "amplitude", (0.0, 9.0), **given), asked
+    monkeypatch.setattr(branch_tree, "follow", lambda orbit, name, bounds, **settings: first)
+    monkeypatch.setattr(branch_tree, "_starts", starts)
+    monkeypatch.setattr(branch_tree, "left", lambda one, start, bounds, **settings: start)
+    monkeypatch.setattr(branch_tree, "placed", lambda scene, name, spot: (None, None))
+    monkeypatch.setattr(branch_tree, "is_repeated", lambda along, z: False)
+    monkeypatch.setattr(branch_tree, "stays_symmetric", lambda scene, name: symmetric)
+    monkeypatch.setattr(branch_tree, "mirrored", reflected)
+    return branch_tree.followed(SimpleNamespace(scene=PLAIN), "amplitude", (0.0, 9.0), **given), asked
 
 
 def test_each_special_point_is_left_once_and_mirror_images_are_two(monkeypatch):
@@ -296,4 +298,4 @@ def test_there_are_64_branches_at_most_and_points_without_length_are_none(monkey
 
     ways = {("BP", float(k)): [half(k + 1), Walk("P101", point("EP", float(k), [1.0]))] for k in range(100)}
     found, _ = walked(monkeypatch, half(0), ways)
-    assert len(found) == tree.MOST == 64
+    assert len(found) == branch_tree.MOST == 64

@@ -8,8 +8,8 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro import command, scenefile, study
-from jaxvibro.diagram import Diagram
+from jaxvibro.branches.diagram import Diagram
+from jaxvibro.studies import command, compute, scene_file
 from tests.scene_files import SCENE, check_refusal, each_of
 
 SCENES = Path(__file__).parents[1] / "scenes"
@@ -37,14 +37,14 @@ def explored(branch, tmp_path, monkeypatch):
 
     `explore` itself is left out: it has tests of its own, which take longer.
     """
-    asked, found, plain = [], [], study.study
+    asked, found, plain = [], [], compute.study
 
     def explore(scene, name, bounds, **given):
         given.pop("progress")(1)
         asked.append((scene, name, bounds, given))
         return Diagram(name, bounds, scene, (branch,), (), True, REASON, {})
 
-    monkeypatch.setattr(study, "explore", explore)
+    monkeypatch.setattr(compute, "explore", explore)
     monkeypatch.setattr(sys.modules[jv.run.__module__], "study", lambda *each: found.append(plain(*each)) or found[0])
     (tmp_path / "all.toml").write_text(SCENE + EXPLORE)
     done = jv.run(tmp_path / "all.toml", tmp_path / "out")
@@ -79,7 +79,7 @@ def test_what_explore_refuses_is_told_with_the_files_key(tmp_path, monkeypatch, 
     def explore(*given, **settings):
         raise jv.SceneError("bounds", "must hold some value", [0.0, 4.0])
 
-    monkeypatch.setattr(study, "explore", explore)
+    monkeypatch.setattr(compute, "explore", explore)
     (tmp_path / "all.toml").write_text(SCENE + EXPLORE)
     assert command.main(["run", str(tmp_path / "all.toml"), "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.splitlines()[-1] == "jaxvibro: explore.bounds: must hold some value; got [0.0, 4.0]"
@@ -93,25 +93,25 @@ def file(tmp_path):
 
 
 def test_an_explore_has_defaults_and_survives_writing(file, tmp_path):
-    asked = scenefile.read(file)
+    asked = scene_file.read(file)
     assert asked.followed is asked.explore and asked.explore.budget == 7
-    scenefile.dump(asked, tmp_path / "copy.toml")
-    assert scenefile.read(tmp_path / "copy.toml") == asked
+    scene_file.dump(asked, tmp_path / "copy.toml")
+    assert scene_file.read(tmp_path / "copy.toml") == asked
     text = SCENE + EXPLORE[: EXPLORE.index("at = {")]
     file.write_text(text)
-    asked = scenefile.read(file).explore
+    asked = scene_file.read(file).explore
     assert (asked.parameter, asked.bounds, asked.at) == ("amplitude", (0.0, 4.0), {})
     assert (asked.max_period, asked.seed, asked.budget) == (8, 0, None)
 
 
 def test_a_locus_may_follow_what_was_explored(file):
     changes = ["locus.parameters=['amplitude', 'damping']", "locus.bounds={amplitude=[0, 9], damping=[0.01, 0.2]}"]
-    asked = scenefile.read(file, changes)
+    asked = scene_file.read(file, changes)
     assert asked.locus.bounds["damping"] == (0.01, 0.2) and asked.branch is None
     with pytest.raises(
         jv.SceneError, match=r"^locus\.bounds\.damping: must hold the damping of \[explore\], 0\.06; got"
     ):
-        scenefile.read(file, [*changes, "locus.bounds.damping=[0.01, 0.055]"])
+        scene_file.read(file, [*changes, "locus.bounds.damping=[0.01, 0.055]"])
 
 
 ALLOWED = "(parameter, bounds, at, max_period, seed, budget)"

@@ -12,9 +12,12 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
-from jaxvibro import loci, picture, plot, report, scenefile, study, tables
-from jaxvibro.coexistence import coexistences
-from jaxvibro.outset import KINDS
+from jaxvibro import plot
+from jaxvibro.loci import loci
+from jaxvibro.loci.bistability import coexistences
+from jaxvibro.loci.first_point import KINDS
+from jaxvibro.studies import compute, report, scene_file, schema
+from jaxvibro.studies import figures as picture
 from tests.reference import closed
 from tests.scene_files import check_refusal, each_of
 
@@ -33,7 +36,7 @@ SMALL = [
 def followed(tmp_path_factory):
     """What a file that asks for loci gives: its folder and its summary; and what was `Found`."""
     out, found = tmp_path_factory.mktemp("loci"), []
-    plain = study.study
+    plain = compute.study
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys.modules[jv.run.__module__], "study", lambda *given: found.append(plain(*given)) or found[0])
         done = jv.run(LOCI, out, SMALL)
@@ -187,7 +190,7 @@ def test_a_point_that_cannot_be_followed_is_told(followed):
     assert curves == () and [(one.kind, one.label) for one, _ in refused] == [("SB", "P111")]
     (why,) = [why for _, why in refused]
     assert why.startswith("must keep the scene symmetric")
-    told = study.Found(found.file, found.scene, None, None, None, found.branches, None, curves, refused)
+    told = compute.Found(found.file, found.scene, None, None, None, found.branches, None, curves, refused)
     lines = report.table(told, "loci.toml").splitlines()
     assert f"not followed: SB of P111 at amplitude = {refused[0][0].value:.12g}: {why}" in lines
     (line,) = report.summary(told, {})["not_followed"]
@@ -197,10 +200,10 @@ def test_a_point_that_cannot_be_followed_is_told(followed):
 
 
 def test_a_locus_has_defaults():
-    asked = scenefile.read(LOCI, ["locus = {largest_step = 0.2}"]).locus
+    asked = scene_file.read(LOCI, ["locus = {largest_step = 0.2}"]).locus
     assert asked.parameters == PAIR and asked.bounds == {"amplitude": (0.0, 12.0), "frequency": (1.2, 3.0)}
-    assert asked.kinds == tables.KINDS == KINDS and asked.largest_step == 0.2
-    assert scenefile.read(FIG4).locus is None
+    assert asked.kinds == schema.KINDS == KINDS and asked.largest_step == 0.2
+    assert scene_file.read(FIG4).locus is None
 
 
 ALLOWED = "(parameters, bounds, kinds, largest_step)"
@@ -263,19 +266,19 @@ def test_loci_need_branches(tmp_path):
     text = LOCI.read_text()
     (tmp_path / "lone.toml").write_text(text[: text.index("[branch]")] + text[text.index("[locus]") :])
     with pytest.raises(jv.SceneError, match=r"^locus: must come with \[branch\] or \[explore\], whose special points"):
-        scenefile.read(tmp_path / "lone.toml")
+        scene_file.read(tmp_path / "lone.toml")
 
 
 def test_a_locus_survives_writing(tmp_path):
     old, new = "{amplitude = [0.0, 12.0], frequency = [1.2, 3.0]}", "{damping = [0, 1], 'right.position' = [0.9, 2]}"
     text = LOCI.read_text().replace(old, new)
     (tmp_path / "other.toml").write_text(text.replace('["amplitude", "frequency"]', '["damping", "right.position"]'))
-    file = scenefile.read(tmp_path / "other.toml", ["locus.kinds=['GR']"])
-    scenefile.dump(file, tmp_path / "copy.toml")
-    assert scenefile.read(tmp_path / "copy.toml") == file
+    file = scene_file.read(tmp_path / "other.toml", ["locus.kinds=['GR']"])
+    scene_file.dump(file, tmp_path / "copy.toml")
+    assert scene_file.read(tmp_path / "copy.toml") == file
     assert file.locus.bounds == {"damping": (0.0, 1.0), "right.position": (0.9, 2.0)}
     with pytest.raises(jv.SceneError) as caught:
-        scenefile.read(tmp_path / "other.toml", ["locus.bounds.'right.position'=[1, 'far']"])
+        scene_file.read(tmp_path / "other.toml", ["locus.bounds.'right.position'=[1, 'far']"])
     assert caught.value.key == "locus.bounds.right.position[1]"
 
 

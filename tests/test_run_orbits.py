@@ -9,7 +9,8 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro import data, picture, plot, report, scenefile, study
+from jaxvibro import plot
+from jaxvibro.studies import compute, dataset, figures, report, scene_file
 from tests.scene_files import SCENE
 
 SCENE_FILE = Path(__file__).parents[1] / "scenes" / "branches.toml"
@@ -67,14 +68,14 @@ def test_the_data_hold_the_orbits(orbited):
 
 def unbranched(*changes):
     """Figure 4's file with these changes, without its branches."""
-    return msgspec.structs.replace(scenefile.read(SCENE_FILE, changes), branch=None)
+    return msgspec.structs.replace(scene_file.read(SCENE_FILE, changes), branch=None)
 
 
 @pytest.fixture(scope="module")
 def beside():
     """Attractors and orbits of one scene beside a sweep."""
     changes = [f"sweep.{key}=5" for key in ("count", "settle", "keep")] + ["attractors.starts=50"]
-    return study.study(unbranched(*changes, "orbits={max_period=1, starts=20, at={amplitude=4.65}}"))
+    return compute.study(unbranched(*changes, "orbits={max_period=1, starts=20, at={amplitude=4.65}}"))
 
 
 def test_orbits_among_the_attractors_are_left_to_them(beside):
@@ -89,10 +90,10 @@ def test_a_diagram_gets_both_and_portraits_are_nine_at_most(beside, monkeypatch)
     monkeypatch.setattr(plot, "mark", lambda some, value, variable, ax: marked.append((len(some), value)))
     monkeypatch.setattr(plot, "mark_orbits", lambda some, value, variable, ax: marked.append((len(some), value)))
     monkeypatch.setattr(plot, "orbit", lambda one, ax: drawn.append(one.label))
-    picture.picture(beside)
+    figures.picture(beside)
     assert marked == 2 * [(4, 4.65), (3, 4.65)] and drawn == []
     file = msgspec.structs.replace(beside.file, sweep=None, attractors=None)
-    picture.picture(replace(beside, file=file, swept=None, attractors=None, orbits=beside.orbits + beside.orbits))
+    figures.picture(replace(beside, file=file, swept=None, attractors=None, orbits=beside.orbits + beside.orbits))
     assert drawn == 3 * ["P111"] + 2 * ["P112"] + 2 * ["P121"] + 2 * ["P111"]
 
 
@@ -106,14 +107,14 @@ def test_a_state_at_another_phase_is_told_with_it(beside):
 
 def test_orbits_with_another_parameter_than_the_sweep_s_stay_out_of_the_diagram():
     file = unbranched("orbits={at={damping=0.1}}")
-    found = study.Found(file, file.scene.make(), None, (), ())
+    found = compute.Found(file, file.scene.make(), None, (), ())
     assert found.mark(file.orbits) is None and found.mark(file.attractors) == 4.65
     assert (found.there(file.orbits).damping, found.there(file.attractors).amplitude) == (0.1, 4.65)
 
 
 def test_a_scene_without_such_orbits_says_so():
     file = unbranched("orbits={}")
-    found = study.Found(msgspec.structs.replace(file, sweep=None, attractors=None), file.scene.make(), None, None, ())
+    found = compute.Found(msgspec.structs.replace(file, sweep=None, attractors=None), file.scene.make(), None, None, ())
     assert "200 starts (seed 0): none found" in report.table(found, "name")
-    assert report.summary(found, {})["orbits"] == [] and picture.picture(found).startswith(b"\x89PNG")
-    assert data.dataset(found).sizes == {}
+    assert report.summary(found, {})["orbits"] == [] and figures.picture(found).startswith(b"\x89PNG")
+    assert dataset.dataset(found).sizes == {}

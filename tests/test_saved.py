@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro import diagram as diagrams
-from jaxvibro.sealed import FORMAT, MARKS, netcdf, sealed
+from jaxvibro.branches import diagram as diagrams
+from jaxvibro.output.checksums import FORMAT, MARKS, netcdf, sealed
 
 MARKED = set(MARKS)
 

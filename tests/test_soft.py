@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.codes import Contact
-from jaxvibro.frame import frame
-from jaxvibro.stay import duration
+from jaxvibro.flight.coefficients import frame
+from jaxvibro.maps.contact_duration import duration
+from jaxvibro.scene.codes import Contact
 from tests import soft_proof
 
 FIG10 = {"amplitude": 0.3, "frequency": 1.3, "damping": 0.05, "restitution": 0.7}

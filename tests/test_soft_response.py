@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.paper import fitting
-from jaxvibro.rebound import hardened
-from jaxvibro.sensitivity import held, moved
+from jaxvibro.loci.sensitivity import held, moved
+from jaxvibro.reproduction import fitting
+from jaxvibro.scene.soft_walls import hardened
 from tests.reference import compliant
 
 A, GAMMA, GAMMA2 = 0.3, 0.076, 0.1

@@ -8,9 +8,9 @@ import pytest
 from scipy.linalg import expm
 
 import jaxvibro as jv
-from jaxvibro.domain import marked
-from jaxvibro.explore import _resumed, asked
-from jaxvibro.frame import frame
+from jaxvibro.branches.explore import _resumed, asked
+from jaxvibro.flight.coefficients import frame
+from jaxvibro.scene.parameters import marked
 
 RIGID_SN = 0.508057896812
 HARDNESSES = np.linspace(5.0, 8.0, 4)

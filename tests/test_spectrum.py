@@ -9,10 +9,10 @@ import xarray as xr
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
-from jaxvibro.check import SceneError
-from jaxvibro.codes import Status
-from jaxvibro.growth import of_motion
-from jaxvibro.spread import standard_error
+from jaxvibro.attractors.batch_means import standard_error
+from jaxvibro.attractors.chaotic_exponents import of_motion
+from jaxvibro.scene.check import SceneError
+from jaxvibro.scene.codes import Status
 from tests.reference import closed
 from tests.spectrum_proof import other
 from tests.test_rest import BY_HAND, NEAR, next_rest
@@ -162,7 +162,7 @@ def test_values_do_not_see_each_other():
 
 def test_what_settles_while_it_is_averaged_is_an_orbit(monkeypatch):
     """Near the pitchfork at 3.5439 motions settle slowly; here they are given too little time."""
-    values, home = [2.0, 3.53], import_module("jaxvibro.spectrum")
+    values, home = [2.0, 3.53], import_module("jaxvibro.attractors.spectrum")
     patient = jv.spectrum(scene(), "amplitude", values, START)
     monkeypatch.setattr(home, "FEW", 1)
     monkeypatch.setattr(home, "MANY", 1)

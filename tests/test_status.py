@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro import tangent
-from jaxvibro.codes import Status
-from jaxvibro.place import places
-from jaxvibro.trail import trail
+from jaxvibro.attractors import tangent
+from jaxvibro.flight.wall_positions import places
+from jaxvibro.maps.iterate import trail
+from jaxvibro.scene.codes import Status
 from tests.status_proof import draw, judged
 
 FIXED, MOVING, SOFT, SOFT_MOVING = (False, 0), (False, 1), (True, 0), (True, 1)
 SPENT = """
 import jax, jax.numpy as jnp
 from jax import lax
-from jaxvibro.lanes import one_kernel
+from jaxvibro.compiled.kernels import one_kernel
 
 def carried(a, spent):
     turn = lambda carry: (carry[0] + 1, 2.0 * carry[1], carry[2])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flow import fly
+from jaxvibro.flight.flow import fly
 from tests.proof import STRUCTURES, first_flights, strobe_errors
 from tests.reference import closed, orbit
 from tests.reference.scene import Motion, Scene, Wall

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.check import SceneError
-from jaxvibro.codes import Status
-from jaxvibro.place import fit, places
+from jaxvibro.flight.wall_positions import fit, places
+from jaxvibro.scene.check import SceneError
+from jaxvibro.scene.codes import Status
 
 
 def scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0), **more):

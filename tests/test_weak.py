@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro import evidence
-from jaxvibro.weak import weigh
+from jaxvibro.attractors import classify
+from jaxvibro.attractors.weak_chaos import weigh
 from tests.attractors_proof import drawn
 from tests.reference.lyapunov import Oscillator, exponents
 
@@ -30,18 +30,18 @@ def test_where_the_first_look_decides_nothing_the_estimator_does(monkeypatch):
     """Two chaotic attractors, mirror images, and two orbits: the same starts on each as with the first look."""
     given = scene(5.0, left=-1.0)
     found = jv.find_attractors(given, starts=32)
-    first = evidence.exponents
+    first = classify.exponents
 
     def unsure(*numbers):
         rates, errors = first(*numbers)
         return rates, np.where(rates > 0, rates, errors)
 
-    monkeypatch.setattr(evidence, "exponents", unsure)
+    monkeypatch.setattr(classify, "exponents", unsure)
     again = jv.find_attractors(given, starts=32)
     assert sorted(one.label for one in again) == ["P111", "P111", "chaotic", "chaotic"]
     assert sorted((one.label, one.share) for one in again) == sorted((one.label, one.share) for one in found)
     assert all("+-" in one.note and abs(one.exponent - 0.343) < 0.01 for one in again if one.kind == "chaotic")
-    monkeypatch.setattr(evidence, "WEIGHED", 0)
+    monkeypatch.setattr(classify, "WEIGHED", 0)
     (*orbits, rest) = jv.find_attractors(given, starts=32)
     assert [one.kind for one in orbits] == ["periodic"] * 2 and "was not looked at for long" in rest.note
 

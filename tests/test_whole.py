@@ -10,13 +10,13 @@ from pathlib import Path
 
 import pytest
 
-from jaxvibro.whole import refuse_folder, whole
+from jaxvibro.output.atomic_write import refuse_folder, whole
 
 # Writes a file while links lie wherever its process can be guessed to put a part of it.
 PLANTED = """
 import os, sys
 from pathlib import Path
-from jaxvibro.whole import whole
+from jaxvibro.output.atomic_write import whole
 folder, victim = Path(sys.argv[1]), Path(sys.argv[2])
 for name in (f".{os.getpid()}-mine", f"{os.getpid()}-mine", f"mine.{os.getpid()}", ".mine", "mine.part", "mine.tmp"):
     (folder / name).symlink_to(victim)
@@ -90,7 +90,7 @@ def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
         os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY))
         return builtins.open("/dev/full", "wb", buffering=0)
 
-    monkeypatch.setattr("jaxvibro.whole.open", full, raising=False)
+    monkeypatch.setattr("jaxvibro.output.atomic_write.open", full, raising=False)
     with pytest.raises(OSError, match="No space left on device") as caught, whole(tmp_path / "mine") as file:
         file.write(b"new")
     assert caught.value.filename == str(tmp_path / "mine") and not list(tmp_path.iterdir())

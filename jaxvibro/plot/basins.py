@@ -5,7 +5,7 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from ..capture import OUTSIDE, UNRESOLVED
+from ..attractors.assign import OUTSIDE, UNRESOLVED
 from .style import COORDINATES, WALL, axes, is_from, plain
 
 # Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too; chaos is white.

@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 from matplotlib.font_manager import FontProperties
 
-from ..branch import MEANINGS, Branch
+from ..branches.branch import MEANINGS, Branch
 from .lines import columns_of, lines
 from .style import COLOURS, COORDINATES, WALL, are_of, axes, is_of, label, plain
 

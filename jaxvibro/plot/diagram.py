@@ -3,8 +3,8 @@
 import numpy as np
 from matplotlib.markers import TICKLEFT, TICKRIGHT
 
-from ..attractors import Attractor
-from ..share import share_text
+from ..attractors.find import Attractor
+from ..attractors.shares import share_text
 from .style import COLOURS, COORDINATES, WALL, are_of, axes, is_from, label, paler, plain
 
 SIZE = 1.2  # points, of the first leg's dots; later ones are smaller, so that where legs agree both are seen

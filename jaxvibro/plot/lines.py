@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..peaks import peaks
+from ..branches.peaks import peaks
 from .path import SIGNS, position, velocity
 
 MARGIN = 1e-6  # of a multiplier beyond 1, at a special point

@@ -4,8 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from ..check import SceneError
-from ..locus import MEANINGS, Locus
+from ..loci.locus import MEANINGS, Locus
+from ..scene.check import SceneError
 from .style import COLOURS, axes, is_of, label, plain
 
 # Of each kind: a colour, and a style that tells it without colour.

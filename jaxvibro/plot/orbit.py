@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from ..orbit import Orbit
-from ..simulate import simulate
+from ..maps.simulate import simulate
+from ..orbits.orbit import Orbit
 from .portrait import portrait
 from .style import COLOURS, WALL, are_of, axes, is_of
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..scene import Scene
+from ..scene.scene import Scene
 from .path import with_impacts
 from .style import COLOURS, COORDINATES, WALL, axes, is_from, is_of
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..check import SceneError
+from ..scene.check import SceneError
 from .style import COLOURS, COORDINATES, axes, is_from
 
 WALLS = ("left", "right")

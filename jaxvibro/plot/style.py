@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import xarray as xr
 from matplotlib.colors import to_rgb
 
-from ..check import SceneError
+from ..scene.check import SceneError
 
 # Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..scene import Scene
+from ..scene.scene import Scene
 from .path import position, with_impacts
 from .style import COLOURS, COORDINATES, TIME, WALL, axes, is_from, is_of
 

@@ -1,0 +1,205 @@
+"""Traced functions kept between processes, in a folder within jax's own compile cache, where that is set.
+
+jax's cache spares a process compiling, but each traces and lowers anew what it calls, which is most of a cached start.
+Here the lowered module is kept too (jax.export), and called in place of the function's body. What is kept is trusted
+like jax's cache, which lies beside it, and like the program itself: the folder is to be the user's own.
+"""
+
+import dataclasses
+import hashlib
+import json
+import os
+import shutil
+import sys
+import tempfile
+from contextlib import suppress
+from functools import lru_cache, partial, reduce, wraps
+from pathlib import Path
+
+import jax
+import jaxlib
+import numpy as np
+from jax import export
+from jax.core import Tracer
+
+FOLDER = "modules"  # within jax's cache
+GENERATIONS = 3  # of sources, whose modules are kept
+DIGEST = hashlib.sha256().digest_size
+NUMBER = "number"
+_ours = {__name__.split(".")[0]}  # packages whose sources decide what a traced function is
+
+
+class Unknown(Exception):
+    """A value that has no name which says the same in every process."""
+
+
+def persistent_jit(function=None, **options):
+    """`jax.jit` for a function of a module that the host calls, its options the same; its module is kept.
+
+    Under a transformation it is the jitted function: what has been exported has no derivatives and no lanes. Nothing is
+    kept where jax has no compile cache, of anything but one processor, or for an argument that is known to this process
+    alone, as a user's function.
+    """
+    if function is None:
+        return partial(persistent_jit, **options)
+    _ours.add(function.__module__.split(".")[0])
+    plain = jax.jit(function, **options)
+
+    @wraps(function)
+    def traced(*args, **named):
+        module = _module(function, args, named)
+        return function(*args, **named) if module is None else module(*_numbers((args, named)))
+
+    stored = jax.jit(traced, **options)
+
+    @wraps(function)
+    def call(*args, **named):
+        return (plain if _numbers((args, named)) else stored)(*args, **named)
+
+    call.lower = plain.lower
+    return call
+
+
+def _numbers(tree):
+    """What of a tree is known only to a transformation."""
+    return [leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, Tracer)]
+
+
+def _module(function, args, named):
+    """(numbers) -> the function's result, by its module, found or made; None where there can be none."""
+    try:
+        folder = _folder()
+        if folder is None:
+            return None
+        told = [_named(function), _described((args, named)), bool(jax.config.jax_enable_x64)]
+        told.append(str(jax.config.jax_default_matmul_precision))
+        place = folder / hashlib.sha256(json.dumps(told).encode()).hexdigest()
+        form, content = _read(place) or _made(function, args, named, place)
+        module, tree = export.deserialize(bytearray(content)), jax.tree.structure(_built(form))
+    except Exception:  # a full disk, another's file, what jax cannot export: the function itself does without
+        return None
+    return lambda *numbers: tree.unflatten(module.call(*numbers))
+
+
+def _folder():
+    """Where the modules of these sources are, made where it is missing; None where nothing is to be kept."""
+    place = jax.config.jax_compilation_cache_dir
+    if not place or "://" in place or jax.default_backend() != "cpu" or jax.device_count() > 1:
+        return None
+    folder = Path(place) / FOLDER / _stamp(tuple(sorted(_ours)))
+    if not folder.is_dir():
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        others = sorted((one for one in folder.parent.iterdir() if one != folder), key=lambda one: -one.stat().st_mtime)
+        for one in others[GENERATIONS - 1 :]:
+            shutil.rmtree(one, ignore_errors=True)
+    return folder
+
+
+@lru_cache
+def _stamp(packages):
+    """A name for all that a module depends on besides the function and its arguments: sources and versions."""
+    whole = hashlib.sha256(repr((sys.version_info[:2], jax.__version__, jaxlib.__version__, np.__version__)).encode())
+    for package in packages:
+        origin = Path(sys.modules[package].__file__)
+        for path in sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]:
+            content = path.read_bytes()
+            whole.update(f"\n{package} {path.relative_to(origin.parent)} {len(content)}\n".encode() + content)
+    return whole.hexdigest()[:32]
+
+
+def _read(place):
+    """(form of the result, serialized module) of a file; None where there is no file, or not a whole one."""
+    try:
+        content = place.read_bytes()
+    except OSError:
+        return None
+    if hashlib.sha256(content[DIGEST:]).digest() != content[:DIGEST]:
+        return None
+    form, module = content[DIGEST:].split(b"\n", 1)
+    return json.loads(form), module
+
+
+def _made(function, args, named, place):
+    """The same of a function traced now, and written."""
+    values, tree = jax.tree.flatten((args, named))
+    form = []
+
+    def flat(*numbers):
+        rest = iter(numbers)
+        args, named = tree.unflatten([next(rest) if isinstance(one, Tracer) else one for one in values])
+        result = function(*args, **named)
+        form[:] = [_described(jax.tree.map(lambda _: NUMBER, result))]
+        if jax.tree.structure(_built(*form)) != jax.tree.structure(result):
+            raise Unknown(result)
+        return jax.tree.leaves(result)
+
+    flat.__name__ = function.__name__
+    kinds = (jax.ShapeDtypeStruct(one.shape, one.dtype, weak_type=one.weak_type) for one in _numbers(values))
+    module = export.export(jax.jit(flat))(*kinds)
+    if any(one.weak_type for one in module.out_avals):
+        raise Unknown("a number of weak type, which is not written")
+    content = bytes(module.serialize())
+    _write(place, json.dumps(*form).encode() + b"\n" + content)
+    return form[0], content
+
+
+def _write(place, content):
+    """A whole file or none: written beside its place and renamed into it."""
+    with suppress(OSError):
+        handle, part = tempfile.mkstemp(dir=place.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(hashlib.sha256(content).digest() + content)
+            os.replace(part, place)
+        except BaseException:
+            os.unlink(part)
+            raise
+
+
+def _described(value):
+    """A value's form as lists and texts: of numbers under a transformation their kind, of all else what it is."""
+    if value is NUMBER:
+        return NUMBER
+    if isinstance(value, Tracer):
+        return {"number": [str(value.dtype), list(value.shape), bool(value.weak_type)]}
+    if value is None or type(value) in (bool, int, float, str):
+        return {"is": value}
+    if type(value) in (tuple, list):
+        return {type(value).__name__: [_described(one) for one in value]}
+    if type(value) is dict:
+        return {"dict": [_described(one) for one in value.items()]}
+    if isinstance(value, partial):
+        return {"partial": [_described(one) for one in (value.func, value.args, value.keywords)]}
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        parts = [getattr(value, field.name) for field in dataclasses.fields(value)]
+        return {"class": _named(type(value)), "parts": [_described(one) for one in parts]}
+    if isinstance(value, tuple):
+        return {"class": _named(type(value)), "parts": [_described(one) for one in value]}
+    return {"function": _named(value)}
+
+
+def _built(form):
+    """The value of a described form."""
+    if form == NUMBER:
+        return NUMBER
+    if "class" in form:
+        return _known(form["class"])(*(_built(one) for one in form["parts"]))
+    ((kind, parts),) = form.items()
+    return parts if kind == "is" else {"tuple": tuple, "list": list, "dict": dict}[kind](_built(one) for one in parts)
+
+
+def _named(value):
+    """module:name of a function or class of ours. Raises Unknown for any other value."""
+    name = f"{getattr(value, '__module__', '')}:{getattr(value, '__qualname__', '')}"
+    found = _known(name)
+    if value not in (found, getattr(found, "__wrapped__", None)):
+        raise Unknown(name)
+    return name
+
+
+def _known(name):
+    """The function or class of ours with a name."""
+    module, path = name.split(":")
+    if module.split(".")[0] not in _ours:
+        raise Unknown(name)
+    return reduce(getattr, path.split("."), sys.modules[module])

@@ -1,0 +1,112 @@
+"""Basins of attraction: which attractor each start of a grid ends on."""
+
+import numpy as np
+import xarray as xr
+
+from ..maps.initial_conditions import box
+from ..scene import check
+from .assign import OUTSIDE, captured, homes
+from .find import find_attractors
+from .fractal import BOX, dimension, entropies
+
+PATIENCE = 2000  # drive periods after which a start is given up
+LENGTH, SPEED = {"units": "length of the walls"}, {"units": "length per t"}
+
+
+@check.host("use strobe")
+def basins(scene, x, v, phase=0.0, attractors=None, patience=PATIENCE, progress=None):
+    """The basins of attraction on Sigma: an xarray.Dataset.
+
+    scene: a single one. x (columns,), v (rows,): positions and velocities of the starts, rising, at least two of each;
+    phase: of the drive at the start, rad. attractors: a tuple as from `find_attractors`, which is asked where it is
+    None; those that it calls unresolved take no starts. patience: drive periods that a start may take, a whole number
+    from 1 on. progress: called with the number of starts that are done.
+
+    Dataset: label(v, x): the attractor's place in the tuple, -1 where the start is not certain to be on any (many of
+    them: another attractor, ask `find_attractors` with more starts), -2 beyond a wall; periods(v, x): drive periods
+    after which it was seen. Of each attractor, over the dimension "attractor": name (P n p q, "chaotic", ...), kind,
+    mirror_of (place of its mirror image, -1: none), point_x and point_v on Sigma at the phase (nan where it has fewer),
+    fraction: of the starts between the walls, fraction_error: the spread between the four grids of every other row and
+    column, and the unresolved share. mixed(side): the share of boxes, so many cells wide, with more than one label.
+    Attributes: the scene's numbers; phase; basin_entropy and boundary_basin_entropy of boxes of 5 x 5 starts (Daza et
+    al., Sci. Rep. 6, 31416, 2016); boundary_dimension and its error (`fractal.dimension`).
+
+    A start is on a periodic attractor once it is in an ellipse that the return map takes into itself, tried on a fan of
+    states (`trap`); on a chaotic one when it was near a sample of it at eight looks in a row, eight periods apart. An
+    attractor with an impact just at the section's phase has no such ellipse: take another phase.
+
+    Raises SceneError for a batch of scenes and for numbers that cannot be.
+    """
+    check.is_single(scene)
+    check.is_rigid(scene, "basins")
+    x, v = _axis("x", x), _axis("v", v)
+    phase = check.number("phase", phase, np.float64)
+    if phase.shape:
+        raise check.SceneError("phase", "must be a number", phase)
+    patience = check.whole("patience", patience, 1)
+    attractors = find_attractors(scene) if attractors is None else tuple(attractors)
+    left, right, fast = box(scene)
+    found = homes(scene, attractors, float(phase), float(max(abs(left), abs(right), fast)))
+    starts = [each.ravel() for each in np.meshgrid(x, v)]
+    label, periods = captured(scene, *starts, float(phase), found, patience, progress)
+    shape = (len(v), len(x))
+    return _dataset(scene, x, v, float(phase), attractors, found, label.reshape(shape), periods.reshape(shape))
+
+
+def _axis(key, values):
+    values = check.number(key, values, np.float64)
+    if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
+        raise check.SceneError(key, "must be at least two numbers in rising order", values)
+    return values
+
+
+def _dataset(scene, x, v, phase, attractors, homes, label, periods):
+    most = max((len(home.points) for home in homes), default=0)
+    points = np.full((len(homes), most, 2), np.nan)
+    for row, home in zip(points, homes, strict=True):
+        row[: len(home.points)] = home.points
+    fraction, error = _fractions(label, len(homes))
+    size = dimension(label)
+    entropy, at_boundary = entropies(label)
+    mirrors = [-1 if one.mirror_of is None else one.mirror_of for one in attractors]
+    return xr.Dataset(
+        {
+            "label": (("v", "x"), label, {"long_name": "attractor, -1 unresolved, -2 beyond a wall"}),
+            "periods": (("v", "x"), periods, {"long_name": "drive periods after which it was seen"}),
+            "fraction": ("attractor", fraction, {"long_name": "share of the starts between the walls"}),
+            "fraction_error": ("attractor", error),
+            "point_x": (("attractor", "point"), points[..., 0], LENGTH),
+            "point_v": (("attractor", "point"), points[..., 1], SPEED),
+            "mixed": ("side", size.mixed, {"long_name": "share of boxes with more than one label"}),
+        },
+        coords={
+            "x": ("x", x, {"long_name": "displacement", **LENGTH}),
+            "v": ("v", v, {"long_name": "velocity", **SPEED}),
+            "name": ("attractor", [one.label for one in attractors]),
+            "kind": ("attractor", [one.kind for one in attractors]),
+            "mirror_of": ("attractor", np.array(mirrors, int)),
+            "side": ("side", size.sides, {"units": "cells"}),
+        },
+        attrs={
+            **scene.numbers,
+            "phase": phase,
+            "basin_entropy": entropy,
+            "boundary_basin_entropy": at_boundary,
+            "entropy_box": BOX,
+            "boundary_dimension": float(size.value),
+            "boundary_dimension_error": float(size.error),
+        },
+    )
+
+
+def _fractions(label, count):
+    """(shares of the starts between the walls, their errors), each (count,)."""
+
+    def shares(part):
+        inside = max(1, (part != OUTSIDE).sum())
+        return np.array([(part == place).sum() for place in range(count)]) / inside
+
+    parts = [shares(label[row::2, column::2]) for row in (0, 1) for column in (0, 1)]
+    inside = label[label != OUTSIDE]
+    unresolved = float((inside < 0).mean()) if inside.size else 0.0
+    return shares(label), np.std(parts, axis=0, ddof=1) + unresolved

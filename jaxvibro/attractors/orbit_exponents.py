@@ -1,0 +1,123 @@
+"""The Lyapunov exponents of periodic orbits: ln abs(multiplier) / n, of many orbits at once.
+
+The determinant of M is known without error from impacts and damping, ln det M = 2 sum ln R - 2 gamma n T (paper, (38)):
+it gives the second multiplier, however much smaller than the first.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..scene.codes import Status
+from ..scene.state import State
+from .tangent import LAPS, begin, run
+
+NEUTRAL = 1e-5  # growth a period that rounding may make of none
+ROUNDS = 5  # of Newton's method on the strobe: the last two are rounding apart
+
+
+class Rates(NamedTuple):
+    """What is known of one motion. exponent, error: (2,), a period, the larger first; impacts: a period, of all, left,
+    right, (3,); periods: of the orbit, 0 for none; status: see `tangent.run`; count: periods averaged."""
+
+    exponent: np.ndarray
+    error: np.ndarray
+    impacts: np.ndarray
+    periods: int
+    status: int
+    count: int
+
+    @property
+    def repels(self):
+        """Whether motions near it certainly leave it."""
+        return bool(self.exponent[0] > NEUTRAL)
+
+
+def lost(status):
+    """The `Rates` of a motion that has none."""
+    none = np.full(2, np.nan)
+    return Rates(none, none, np.full(3, np.nan), 0, int(status), 0)
+
+
+def shrinkage(scene, left, right, count):
+    """ln abs det M of so many periods with these impacts on each wall: numbers that broadcast."""
+    length = 2.0 * np.pi / np.asarray(scene.frequency)
+    total = -2.0 * np.asarray(scene.damping) * length * count
+    for side, hits in (("left", left), ("right", right)):
+        if side in scene.walls:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                total = total + np.where(hits > 0, 2.0 * hits * np.log(np.asarray(scene.bounce(side))), 0.0)
+    return total
+
+
+def of_orbits(scene, state, periods):
+    """A list of `Rates`, of the periodic orbits that states are near to.
+
+    scene: a single one or a lane of a batch each; state: leaves (lanes,); periods: of the orbits, (lanes,), at most
+    LAPS. Newton's method on the strobe brings the states to rounding; the best of its steps gives the exponents, how
+    far the second best is from that their errors.
+    """
+    seen = []
+    for _ in range(ROUNDS):
+        _, laps = run(scene, begin(state), LAPS)
+        off = laps.points[periods - 1, np.arange(len(periods))] - np.stack([state.x, state.v], -1)
+        left, right, hits = (_until(part, periods) for part in (laps.left, laps.right, laps.count))
+        matrix, size = _product(laps.matrix, periods)
+        logs = _multiplied(matrix, size, shrinkage(scene, left, right, periods))
+        away = np.nan_to_num(abs(off).max(axis=1), nan=np.inf)
+        seen.append((away, logs / periods[:, None], np.stack([hits, left, right], -1), laps.status))
+        state = _nearer(state, matrix, size, off)
+    away, logs, hits, status = map(np.stack, zip(*seen, strict=True))
+    order = np.argsort(away, axis=0, kind="stable")[:2]
+    lanes = zip(range(len(periods)), order.T, periods.tolist(), strict=True)
+    return [_told(logs[two, k], hits[two[0], k] / n, int(status[two[0], k]), n) for k, two, n in lanes]
+
+
+def _until(rows, periods):
+    """The sum of the first so many rows of each lane."""
+    return np.where(np.arange(len(rows))[:, None] < periods, rows, 0.0).sum(axis=0)
+
+
+def _product(matrix, periods):
+    """(M over so many periods over its largest entry, the logarithm of that), from M of each: (periods, lanes, 4)."""
+    lanes = len(periods)
+    total, size = np.tile(np.eye(2, dtype=matrix.dtype), (lanes, 1, 1)), np.zeros(lanes, matrix.dtype)
+    for k in range(periods.max()):
+        more = (k < periods)[:, None, None]
+        total = np.where(more, matrix[k].reshape(lanes, 2, 2) @ total, total)
+        largest = abs(total).max(axis=(1, 2))
+        total = total / np.where(largest > 0, largest, 1.0)[:, None, None]
+        with np.errstate(divide="ignore"):
+            size = size + np.log(largest)
+    return total, size
+
+
+def _multiplied(matrix, size, both):
+    """ln abs of the two multipliers, the larger first, (lanes, 2); both: ln abs det M."""
+    trace = 0.5 * abs(matrix[:, 0, 0] + matrix[:, 1, 1])
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        inner = trace * trace - np.exp(both - 2.0 * size)
+        first = np.where(inner < 0, 0.5 * both, size + np.log(trace + np.sqrt(np.where(inner < 0, 0.0, inner))))
+        second = np.where(np.isneginf(both), -np.inf, both - first)
+    return np.where(np.isneginf(size)[:, None], -np.inf, np.stack([first, second], -1))
+
+
+def _nearer(state, matrix, size, off):
+    """The states of Newton's next step, as far as there is one: none from a mass that is on a wall."""
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        full = np.eye(2) - matrix * np.exp(size)[:, None, None]
+        (a, b), (c, d) = np.moveaxis(full, 0, -1)
+        step = np.stack([d * off[:, 0] - b * off[:, 1], a * off[:, 1] - c * off[:, 0]]) / (a * d - b * c)
+    good = np.isfinite(step).all(axis=0) & np.isfinite(size) & (state.contact == 0)
+    x, v = np.where(good, step, 0.0).astype(off.dtype)
+    return State(state.x + x, state.v + v, state.phase, state.contact)
+
+
+def _told(rates, impacts, status, periods):
+    """`Rates` from the exponents of the best and of the second best step."""
+    if np.isnan(rates[0]).any() or np.isposinf(rates[0]).any() or status >= Status.CAP:
+        return lost(status or Status.NONFINITE)
+    with np.errstate(invalid="ignore"):
+        apart = abs(rates[0] - rates[1]) + 4.0 * np.finfo(rates.dtype).eps * abs(rates[0])
+    error = np.where(np.isneginf(rates[0]), 0.0, np.where(np.isnan(apart), np.inf, apart))
+    return Rates(rates[0], error, impacts, periods, status, periods)

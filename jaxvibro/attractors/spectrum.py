@@ -1,0 +1,181 @@
+"""The Lyapunov spectrum against a parameter: both exponents of what a scene settles on, with error bars."""
+
+import os
+from concurrent.futures import ThreadPoolExecutor
+
+import jax
+import numpy as np
+import xarray as xr
+
+from ..compiled.kernels import WIDTH
+from ..maps.rests import NO_RESTS, rests
+from ..scene import check
+from ..scene.state import check_start, real_state
+from .chaotic_exponents import of_motion, settled
+from .orbit_exponents import lost, of_orbits
+from .sweep import EQUATION, MEANING, UNITS, others, started, static
+from .tangent import LAPS, begin
+
+FEW, MANY = 8, 64  # rounds after which most values have settled, and after which the others are averaged
+
+
+@check.host("use monodromy")
+def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, progress=None):
+    """Both Lyapunov exponents per drive period of what a scene settles on, for many values of a parameter: a Dataset.
+
+    scene: a single one; name: of any of its parameters, dotted for a wall's; values: shape (count,). state: a `State`
+    where every value starts, of numbers or with a number for each value. settle: drive periods left out. What recurs
+    after at most 32 periods has its exponents from its multipliers, ln abs(mu) / n; all else from averages along 64
+    copies of the motion, until the standard errors of both are at most `error`, or about `most` drive periods have been
+    averaged. progress: called with the number of values done.
+
+    The Dataset, along `name`: exponent and error (name, order), the larger first, per drive period, the error a
+    standard error (of an orbit: what rounding leaves unsure); impacts per period, and impacts_on (name, wall), of the
+    first 32 in a period; periods of the orbit, 0 where none was recognised; count, drive periods averaged; status, as
+    `Impacts` has it. The exponents' sum is -2 gamma T + 2 ln R times impacts_on, without error. Both are -inf where the
+    mass comes to rest on a wall, as it then forgets all. rests: how often a period it does so; between: the largest
+    growth of tangents from where a wall lets it go to where it next comes to rest, the hops of complete chatter
+    included, a drive period of the time between (`rest`: to within some hundredths); nan where it has no such flight.
+    Where a wall that is hit has R = 0 and the mass does not rest the second exponent is -inf. Both are nan where the
+    motion has no end, with more than 32 impacts a period in flight (status full), and on an impact without speed
+    (nonfinite).
+
+    Sources: Benettin et al., Meccanica 15 (1980) 9-20; at impacts Mueller, Chaos, Solitons and Fractals 5 (1995)
+    1671-1681; paper, (38). Errors by batch means (`spread.standard_error`).
+
+    Raises SceneError as `sweep` does, for an error that is not positive, and for counts that cannot be.
+    """
+    check.is_single(scene)
+    check.is_rigid(scene, "spectrum")
+    settle, most = check.whole("settle", settle, 0), check.whole("most", most, 1)
+    goal = check.number("error", error, np.float64)
+    check.require("error", "must be greater than 0", goal, goal > 0)
+    if goal.shape:
+        raise check.SceneError("error", "must be a single number", error)
+    values, state = _checked(scene, name, values, state)
+    scenes = scene.replace(**{name: values})
+    starts = jax.tree.map(lambda leaf: np.broadcast_to(leaf, values.shape), state)
+    with ThreadPoolExecutor(_cores()) as pool:
+        found, resting = _found(pool, scenes, starts, settle, float(goal), most, progress or (lambda done: None))
+    return _dataset(scene, name, values, state, found, resting)
+
+
+def _checked(scene, name, values, state):
+    """(values, state), arrays of the scene's type, once they break no rule."""
+    check.is_known(name, scene.names, name)
+    values = check.number(name, values, scene.dtype)
+    if values.ndim != 1 or len(values) == 0:
+        raise check.SceneError(name, "must be a sequence of values, at least one", values)
+    scenes = scene.replace(**{name: values})
+    state = started(real_state(scene, state), scene.dtype, [(name, values)])
+    check_start(scenes, state, "at each value")
+    return values, state
+
+
+def _cores():
+    """How many cores there are to be used: a block of lanes keeps one busy, and lets others run."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _found(pool, scenes, state, settle, goal, most, progress):
+    """The `Rates` and the `Rests`, their count a period, of each value, in order."""
+    everyone = np.arange(len(state.x))
+
+    def early(index):
+        return settled(_some(scenes, index), begin(_some(state, index)), settle, FEW)
+
+    def late(index):
+        return settled(_some(scenes, index), _joined(seen[k].lanes for k in index), 0, MANY)
+
+    def orbits(index):
+        state, periods = _joined((seen[k].lanes.state, seen[k].periods) for k in index)
+        return of_orbits(_some(scenes, index), state, periods)
+
+    def motion(k):
+        return of_motion(_some(scenes, k), seen[k], goal, most)
+
+    seen = _lanes(_in_blocks(pool, early, everyone))
+    going = np.array([k for k, one in enumerate(seen) if one.goes_on], int)
+    for k, one in zip(going, _lanes(_in_blocks(pool, late, going)), strict=True):
+        seen[k] = one
+    found = {k: lost(one.status[0]) for k, one in enumerate(seen) if not one.is_well}
+    found |= _orbits(pool, orbits, [k for k, one in enumerate(seen) if one.periods[0]])
+    progress(len(found))
+    rest = [k for k in everyone.tolist() if k not in found]
+    for k, (rates, end) in zip(rest, _in_order(pool, motion, rest), strict=True):
+        found[k] = rates
+        if end is not None:
+            seen[k] = end
+        progress(len(found))
+    found |= _orbits(pool, orbits, [k for k in rest if seen[k].periods[0]])
+    resting = [NO_RESTS] * len(everyone)
+    for k in (k for k, one in found.items() if np.isneginf(one.exponent[0])):
+        one, state = _some(scenes, k), jax.tree.map(lambda leaf: leaf[0], seen[k].lanes.state)
+        resting[k] = rests(one, state, found[k].periods or LAPS)
+        resting[k] = resting[k]._replace(count=resting[k].count / (found[k].periods or LAPS))
+    return [found[k] for k in everyone.tolist()], resting
+
+
+def _some(tree, index):
+    """The tree of some lanes; a number that all lanes share stays one."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[index] if np.ndim(leaf) else np.asarray(leaf), tree)
+
+
+def _joined(parts):
+    """Trees of lanes, their last axis, one after the other."""
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
+
+
+def _lanes(trees):
+    """Trees of one lane each."""
+    cut = []
+    for tree in trees:
+        leaves, form = jax.tree.flatten(tree)
+        cut += [form.unflatten([leaf[..., k : k + 1] for leaf in leaves]) for k in range(leaves[0].shape[-1])]
+    return cut
+
+
+def _in_blocks(pool, function, index):
+    """The results of a function of an array of lanes, block by block."""
+    return list(_in_order(pool, function, [index[first : first + WIDTH] for first in range(0, len(index), WIDTH)]))
+
+
+def _in_order(pool, function, items):
+    """The results in order; the first alone, as two threads would each compile what it needs."""
+    yield from map(function, items[:1])
+    yield from pool.map(function, items[1:])
+
+
+def _orbits(pool, orbits, index):
+    """{value: `Rates`} of those that are on a periodic orbit which does not repel."""
+    rates = [one for block in _in_blocks(pool, orbits, np.array(index, int)) for one in block]
+    return {k: one for k, one in zip(index, rates, strict=True) if not one.repels}
+
+
+def _dataset(scene, name, values, state, found, resting):
+    """The named result of the `Rates` and the `Rests` of each value."""
+    exponent, error, impacts, periods, status, count = (np.stack(part) for part in zip(*found, strict=True))
+    coords = {
+        name: (name, values, {"long_name": name}),
+        "order": ("order", [1, 2], {"long_name": "place among the exponents, the larger first"}),
+        "wall": ("wall", ["left", "right"]),
+    }
+    attrs = {"equation": EQUATION, "units": UNITS, "swept": name, **static(scene)}
+    for key, value in (others(scene, name) | {"phase": state.phase}).items():
+        if np.ndim(value):
+            coords[key] = (name, value)
+        else:
+            attrs[key] = float(value)
+    rate = {"units": "per drive period"}
+    variables = {
+        "exponent": ([name, "order"], exponent, {"long_name": "Lyapunov exponents", **rate}),
+        "error": ([name, "order"], error, {"long_name": "standard errors of the exponents", **rate}),
+        "rests": (name, [float(one.count) for one in resting], {"long_name": "comings to rest on a wall", **rate}),
+        "between": (name, [one.rate for one in resting], {"long_name": "largest growth between rests", **rate}),
+        "impacts": (name, impacts[:, 0], {"long_name": "impacts", **rate}),
+        "impacts_on": ([name, "wall"], impacts[:, 1:], {"long_name": "impacts on a wall", **rate}),
+        "periods": (name, periods, {"long_name": "drive periods of the orbit, 0 where none was recognised"}),
+        "count": (name, count, {"long_name": "drive periods averaged"}),
+        "status": (name, status, {"long_name": "worst status at this value", **MEANING}),
+    }
+    return xr.Dataset(variables, coords, attrs)

@@ -1,0 +1,176 @@
+"""The swept diagram: a parameter goes through its values, and the state at the end of one starts the next."""
+
+import math
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax import lax
+
+from continuation.persistent_jit import persistent_jit
+
+from ..compiled.kernels import OPTIONS
+from ..flight.wall_positions import fit
+from ..maps.strobe import strobe
+from ..scene import check
+from ..scene.codes import Status
+from ..scene.state import State, check_start
+
+CHUNK = 16  # values between two reports of progress
+EQUATION = "x'' + 2 damping x' + x = amplitude cos(frequency t), y+ - v_b = -restitution (y- - v_b) at a rigid wall"
+MEANING = {"flag_values": [int(one) for one in Status], "flag_meanings": " ".join(one.word for one in Status)}
+UNITS = "lengths in that of the walls, time t in 1/w0"
+
+
+@check.host("use strobe")
+def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progress=None):
+    """What a scene settles on as one of its parameters goes through values, in their order: an xarray.Dataset.
+
+    name: of any parameter of the scene, dotted for a wall's. values: shape (count,), or (count, ...) with lanes: the
+    first axis is the way, the others broadcast with the scene's and the state's numbers, as in `strobe`; a lane is a
+    sweep of its own. state: a `State`, where the first value starts. At each value `settle` drive periods are left out
+    and the next `keep` recorded. chunk: values between two calls of `progress`, which is given the number of values
+    done; it changes no bit of the result.
+
+    The Dataset holds x and v on Sigma (the state's phase) with dimensions (name, lane, period) and status with (name,
+    lane); without lanes there is no dimension `lane`, with several axes of them they are lane_0, lane_1, ... Where
+    values have lanes of their own, the first dimension is called "step" and the values are its coordinate (step, lane).
+    The other parameters are attributes, or coordinates where they have lanes.
+
+    A wall that moves over the mass, from one value to the next, carries it along (`place.fit`). A lane whose status is
+    CAP or worse (`Impacts`) has nan for that value, and starts the next one anew from the given state.
+
+    Raises SceneError for an unknown name, values that are not finite or break a rule of the scene, a start beyond a
+    wall, and counts that cannot be, all before any work.
+    """
+    settle, keep = check.whole("settle", settle, 0), check.whole("keep", keep, 1)
+    chunk = check.whole("chunk", chunk, 1)
+    values, state = _checked(scene, name, values, state)
+    shape = np.broadcast_shapes(values.shape[1:], scene.shape, *map(np.shape, jax.tree.leaves(state)))
+    found = _run(*_lanes(shape, scene, values, state), name, settle, keep, chunk, progress)
+    parts = [part.reshape(len(values), *shape, *part.shape[2:]) for part in found]
+    return _dataset(scene, name, values, state, parts)
+
+
+def _checked(scene, name, values, state):
+    """(values, state), arrays of the scene's type, once they break no rule."""
+    check.is_known(name, scene.names, name)
+    values = check.number(name, values, scene.dtype)
+    if values.ndim == 0 or values.shape[0] == 0:
+        raise check.SceneError(name, "must be a sequence of values to sweep through, at least one", values)
+    spare = max(0, len(scene.shape) - (values.ndim - 1))
+    aligned = values.reshape(values.shape[0], *[1] * spare, *values.shape[1:])
+    scene.replace(**{name: aligned})
+    state = started(state, scene.dtype, [("scene", np.empty(scene.shape)), (name, values[0])])
+    check_start(scene.replace(**{name: aligned[0]}), state, "at the first value")
+    return values, state
+
+
+def started(state, dtype, beside):
+    """The state, its numbers finite arrays of this type that broadcast with the named arrays beside it."""
+    keys = ("x", "v", "phase", "contact")
+    parts = [check.number(f"state.{key}", getattr(state, key), dtype) for key in keys]
+    check.shapes_agree([*beside, *zip((f"state.{key}" for key in keys), parts, strict=True)])
+    return State(*parts)
+
+
+def _lanes(shape, scene, values, state):
+    """Scene, values (count, lanes) and state with their lanes along one axis."""
+    size = math.prod(shape)
+
+    def flat(leaf):
+        return np.broadcast_to(leaf, shape).reshape(size)
+
+    return jax.tree.map(flat, scene), np.stack([flat(value) for value in values]), jax.tree.map(flat, state)
+
+
+def _run(scene, values, start, name, settle, keep, chunk, progress):
+    """x, v of shape (count, lanes, keep) and status (count, lanes)."""
+    state, found = start, []
+    for first in range(0, len(values), chunk):
+        some = values[first : first + chunk]
+        padded = np.pad(some, ((0, chunk - len(some)), (0, 0)), mode="edge")
+        state, parts = _chunk(scene, padded, len(some), start, state, settle, name=name, keep=keep)
+        found.append([np.asarray(part)[: len(some)] for part in parts])
+        if progress is not None:
+            progress(first + len(some))
+    x, v, status = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    return np.moveaxis(x, 1, 2), np.moveaxis(v, 1, 2), status
+
+
+@persistent_jit(static_argnames=("name", "keep"), compiler_options=OPTIONS)
+def _chunk(scene, values, count, start, state, settle, *, name, keep):
+    """The state after the first `count` of the values, and x, v (values, keep, lanes), status (values, lanes)."""
+    size = values.shape
+    record = jnp.zeros((size[0], keep, size[1]), values.dtype)
+    status = jnp.zeros(size, jnp.int32)
+
+    def one(k, carry):
+        state, *record = carry
+        here = scene.replace(**{name: values[k]})
+        state, x, v, status = _value(here, fit(here, state), settle, keep)
+        bad = status >= Status.CAP
+        state = jax.tree.map(lambda old, new: jnp.where(bad, old, new), start, state)
+        return state, *(old.at[k].set(new) for old, new in zip(record, (x, v, status), strict=True))
+
+    state, *record = lax.fori_loop(0, count, one, (state, record, record, status))
+    return state, record
+
+
+def _value(scene, state, settle, keep):
+    """The state after settle + keep periods, x and v (keep, lanes) at the end of the last `keep`, the worst status."""
+
+    def one(k, carry):
+        state, x, v, status = carry
+        state, impacts = strobe(scene, state, slots=0)
+        place = jnp.maximum(k - settle, 0)
+        worst = jnp.where(
+            status >= Status.CAP, status, jnp.where(impacts.status >= Status.CAP, impacts.status, Status.OK)
+        )
+        return state, x.at[place].set(state.x), v.at[place].set(state.v), worst
+
+    record = jnp.zeros((keep, *state.x.shape), state.x.dtype)
+    state, x, v, status = lax.fori_loop(
+        0, settle + keep, one, (state, record, record, jnp.zeros(state.x.shape, jnp.int32))
+    )
+    bad = status >= Status.CAP
+    return state, jnp.where(bad, jnp.nan, x), jnp.where(bad, jnp.nan, v), status
+
+
+def _dataset(scene, name, values, state, parts):
+    """The named result of x, v (count, lanes..., keep) and status (count, lanes...)."""
+    x, v, status = parts
+    lanes = ["lane"] if status.ndim == 2 else [f"lane_{axis}" for axis in range(status.ndim - 1)]
+    step = name if values.ndim == 1 else "step"
+    whole = values if values.ndim == 1 else np.stack([np.broadcast_to(value, status.shape[1:]) for value in values])
+    coords = {
+        name: ([step, *lanes][: whole.ndim], whole, {"long_name": name}),
+        "period": ("period", np.arange(x.shape[-1]), {"long_name": "drive periods after those left out"}),
+    }
+    attrs = {"equation": EQUATION, "units": UNITS, "swept": name, **static(scene)}
+    for key, value in (others(scene, name) | {"phase": state.phase}).items():
+        if np.ndim(value):
+            coords[key] = (lanes, np.broadcast_to(value, status.shape[1:]))
+        else:
+            attrs[key] = float(value)
+    variables = {
+        "x": ([step, *lanes, "period"], x, {"long_name": "position on Sigma", "units": "length"}),
+        "v": ([step, *lanes, "period"], v, {"long_name": "velocity on Sigma", "units": "length w0"}),
+        "status": ([step, *lanes], status, {"long_name": "worst status at this value", **MEANING}),
+    }
+    return xr.Dataset(variables, coords, attrs)
+
+
+def others(scene, name):
+    """The parameters that are not swept, without those that a wall takes from the scene, or that follow from others."""
+    follows = [f"{side}.{name}" for side, wall in scene.walls.items() for name in wall.taken]
+    follows += [f"{side}.{own}" for side in scene.soft_sides for own in ("stiffness", "damping") if name == "hardness"]
+    follows.append("hardness")
+    return {key: scene.parameter(key) for key in scene.names if key != name and key not in follows}
+
+
+def static(scene):
+    """What of the scene is no parameter: its walls, and the harmonics of those that move."""
+    moving = {side: wall.motion.harmonic for side, wall in scene.walls.items() if wall.motion is not None}
+    return {"walls": " ".join(scene.walls) or "none"} | {f"{side}.motion.harmonic": m for side, m in moving.items()}

@@ -1,0 +1,128 @@
+"""Lanes run on with a tangent vector each, which the strobe's derivative turns and stretches: periods of one kernel.
+
+A lane's vector is brought back to unit length every period and the logarithm of its growth recorded (Benettin et al.,
+Meccanica 15, 1980, 9-20). The derivative is that of `monodromy`, saltation at impacts included (Mueller, Chaos,
+Solitons and Fractals 5, 1995, 1671-1681).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from continuation.persistent_jit import persistent_jit
+
+from ..compiled.kernels import OPTIONS, WIDTH, choose, one_kernel
+from ..maps.iterate import padded
+from ..maps.monodromy import passage
+from ..maps.one_period import SLOTS
+from ..scene.codes import Status
+from ..scene.state import State
+
+LAPS = 64  # periods recorded, of however many are run
+
+
+class Lanes(NamedTuple):
+    """Where lanes are: a `State` with leaves (lanes,), unit tangent vectors along x and v (lanes,)."""
+
+    state: State
+    along_x: jax.Array
+    along_v: jax.Array
+
+
+class Laps(NamedTuple):
+    """The last periods of lanes, at most LAPS, NumPy arrays (periods, lanes).
+
+    x, v: at a period's end; growth: the logarithm of the tangent's growth, -inf where the mass has rested; left, right:
+    impacts on each wall, at most `period.SLOTS` together; count: all impacts; matrix: the derivative of each period by
+    rows, (periods, lanes, 4); status: the worst of all periods run, (lanes,).
+    """
+
+    x: np.ndarray
+    v: np.ndarray
+    growth: np.ndarray
+    left: np.ndarray
+    right: np.ndarray
+    count: np.ndarray
+    matrix: np.ndarray
+    status: np.ndarray
+
+    @property
+    def points(self):
+        """Positions and velocities at the ends of the periods, (periods, lanes, 2)."""
+        return np.stack([self.x, self.v], -1)
+
+
+def begin(state):
+    """`Lanes` at a state, their tangents along no direction that is special."""
+    one = np.ones_like(state.x)
+    return Lanes(state, 0.6 * one, 0.8 * one)
+
+
+def worse(old, new):
+    """The worse of two statuses, one after the other: a lane that has met its end keeps the reason."""
+    return jnp.where(old >= Status.CAP, old, jnp.maximum(old, new))
+
+
+def run(scene, lanes, periods):
+    """(Lanes, Laps) so many periods later.
+
+    scene: a single one or a lane of a batch each, which is compiled on its own; lanes: any number, run in blocks of
+    WIDTH; periods: whole number >= 1, no compilation of its own. The status of a lane is `Impacts.status`; FULL where a
+    period had more than `period.SLOTS` impacts, NONFINITE where the derivative is none, as at an impact without speed.
+    """
+    size = len(lanes.state.x)
+    blocks = [padded((scene, lanes), first, WIDTH) for first in range(0, size, WIDTH)]
+    runs = [_run(*block, periods) for block in blocks]
+    ends, rows, worst = jax.tree.map(_put_together, *runs)
+    rows = rows[..., :size][:periods]
+    if periods > LAPS:
+        rows = np.roll(rows, -(periods % LAPS), axis=0)
+    ends, worst = jax.tree.map(lambda leaf: leaf[:size], (ends, worst))
+    return ends, Laps(*np.moveaxis(rows, 1, 0)[:6], np.moveaxis(rows[:, 6:], 1, 2), worst)
+
+
+def _put_together(*parts):
+    """Lanes, the last axis, one block after the other; a copy costs, so a single block is left as it is."""
+    return np.asarray(parts[0]) if len(parts) == 1 else np.concatenate(parts, axis=-1)
+
+
+@persistent_jit(compiler_options=OPTIONS)
+def _run(scene, lanes, periods):
+    """(lanes, the last periods as a ring (LAPS, numbers, lanes): period i is row i modulo LAPS, the worst status)."""
+    size = lanes.state.x.shape
+
+    def one(k, carry):
+        lanes, ring, worst = carry
+        x, v, contact, along_x, along_v, status, *rest = one_kernel(_period, scene, lanes)
+        lanes = Lanes(State(x, v, lanes.state.phase, contact), along_x, along_v)
+        row = jnp.stack([x, v, *rest])  # a ring for each number costs as much as all else
+        return lanes, lax.dynamic_update_index_in_dim(ring, row, k % LAPS, 0), worse(worst, status)
+
+    ring = jnp.zeros((LAPS, 10, *size), lanes.state.x.dtype)
+    return lax.fori_loop(0, periods, one, (lanes, ring, jnp.zeros(size, jnp.int32)))
+
+
+def _period(scene, lanes):
+    """x, v, contact and tangent a period later, the status; growth, impacts on the left, on the right, all; M."""
+    end, impacts, rests, product = passage(scene, lanes.state, 1, SLOTS)
+    full = (impacts.count > SLOTS) & ~rests
+    matrix = [choose(full, jnp.nan, choose(rests, 0.0, each)) for each in product]
+    a, b, c, d = matrix
+    along, across = a * lanes.along_x + b * lanes.along_v, c * lanes.along_x + d * lanes.along_v
+    size = lax.sqrt(along * along + across * across)
+    grown = (size > 0) & jnp.isfinite(size)
+    status = choose(full, Status.FULL, choose(jnp.isfinite(size), lax.full_like(impacts.count, 0), Status.NONFINITE))
+    status = choose(impacts.status >= Status.CAP, impacts.status, status)
+    held = lax.min(impacts.count, jnp.int32(SLOTS)).astype(size.dtype)
+    balance = jnp.sum(impacts.side.astype(size.dtype), axis=-1)
+    return (
+        *(end.x, end.v, end.contact),
+        *(choose(grown, along / size, lanes.along_x), choose(grown, across / size, lanes.along_v)),
+        status,
+        *(lax.log(size), 0.5 * (held - balance), 0.5 * (held + balance)),
+        impacts.count.astype(size.dtype),
+        *matrix,
+    )

@@ -1,0 +1,197 @@
+"""From the pieces of a walk to a `Branch`: its data, segments and special points."""
+
+from dataclasses import replace
+
+import numpy as np
+import xarray as xr
+
+from ..maps import itinerary as words
+from ..orbits.impact_points import is_same_orbit, is_symmetric, mirrored
+from ..orbits.orbit import MARGIN, roots
+from ..problem.points import joined, turned
+from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
+from .describe import Spot, impacts, itinerary
+from .end import End
+from .segment import Piece
+
+START = End.START.reason()
+SAME = 1e-6  # of the largest speed: two impacts as near are one
+
+
+def assembled(scene, name, bounds, settings, back, on, start=START):
+    """The `Branch` of what was walked from a start backwards and onwards; either may be None. start: the `Reason` of
+    that end."""
+    pieces = [_turned(one) for one in reversed(back.pieces)] if back else []
+    if back and on:
+        pieces[-1] = _glued(pieces[-1], on.pieces[0])
+        pieces += on.pieces[1:]
+    elif on:
+        pieces = on.pieces
+    ends, reasons = zip(back.reason if back else start, on.reason if on else start, strict=True)
+    data, segments, special = _told(scene, name, bounds, pieces)
+    return Branch(name, bounds, scene, data, segments, special, reasons, settings, ends)
+
+
+def merged(one, other):
+    """Two branches as one, the second, of two points at least, beginning where the first ends."""
+    shift = len(one) - 1
+    widest = max(one.data.sizes["impact"], other.data.sizes["impact"])
+    more = other.data.isel(point=slice(1, None))
+    more = more.assign(segment=more["segment"] + one.data["segment"].values[-1])
+    data = xr.concat([_widened(one.data, widest), _widened(more, widest)], "point")
+    moved = [replace(each, first=each.first + shift, last=each.last + shift) for each in other.segments]
+    last = replace(one.segments[-1], last=moved[0].last)
+    special = (*one.special, *(replace(each, place=each.place + shift) for each in other.special))
+    return replace(
+        one,
+        data=data,
+        segments=(*one.segments[:-1], last, *moved[1:]),
+        special=tuple(each for each in special if each.kind != "EP" or each.place != shift),
+        reasons=(one.reasons[0], other.reasons[1]),
+        ends=(one.ends[0], other.ends[1]),
+    )
+
+
+def _widened(data, widest):
+    """The data with room for so many impacts."""
+    room = {"impact": (0, widest - data.sizes["impact"])}
+    if not room["impact"][1]:
+        return data
+    sides = data["side"].pad(room, constant_values=0)
+    return data.drop_vars("side").pad(room).assign(side=sides)
+
+
+def _turned(one):
+    """A piece from its end to its start."""
+    last = len(one.points.z) - 1
+    points = turned(one.points)
+    marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
+    return Piece(one.along, points._replace(tangent=-points.tangent), turned(one.look), marks, one.why)
+
+
+def _glued(one, other):
+    """Two pieces of the same orbits, the second beginning where the first ends."""
+    last = len(one.points.z) - 1
+    marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
+    points, look = joined([one.points, other.points]), joined([one.look, other.look])
+    return Piece(one.along, points, look, marks, other.why)
+
+
+def _told(scene, name, bounds, pieces):
+    widest = max(int(np.sum(one.along.cycle.sides != 0)) for one in pieces)
+    parts = [_columns(one, name, widest, k) for k, one in enumerate(pieces)]
+    whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
+    about = _about(name)
+    data = xr.Dataset({key: (about[key][0], each, about[key][1]) for key, each in whole.items()})
+    segments, special, first = [], [], 0
+    marked = set()
+    for one in pieces:
+        row, size = row_of(data, first), len(one.points.z)
+        walls = itinerary(spot_of(row, name), frequency_at(scene, name, float(row[name])))
+        segments.append(Segment(first, first + size - 1, words.label(walls), walls))
+        for mark in one.marks:
+            place = first + mark.place
+            known = mark.kind == "GR" and place - 1 in marked  # the same grazing, met from the other piece
+            if not known:
+                special.append(_special(scene, name, bounds, mark, place, row_of(data, place)))
+            if mark.kind == "GR":
+                marked.add(place)
+        first += size
+    for place in (0, first - 1):
+        if not any(one.place == place for one in special):
+            row = row_of(data, place)
+            special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
+    return data.assign_attrs(parameter=name), tuple(segments), tuple(sorted(special, key=lambda one: one.place))
+
+
+def _columns(one, name, widest, place):
+    """What a branch's data have of a piece: {name: array}, a row a point."""
+    z, turn, look = one.points.z, one.points.tangent, one.look
+    count, rows, size = int(np.sum(one.along.cycle.sides != 0)), len(one.along.cycle.sides), len(one.points.z)
+
+    def impacts(values, fill):
+        found = np.full((size, widest), fill)
+        found[:, :count] = values
+        return found
+
+    sides = np.broadcast_to(one.along.cycle.sides[:count], (size, count))
+    slow = z[:, rows : rows + count] if rows else z[:, :0]
+    quick = turn[:, rows : rows + count] if rows else slow
+    found = roots(look.trace, look.determinant)
+    return {
+        name: z[:, -1],
+        "time": impacts(z[:, :count] if rows else slow, np.nan),
+        "speed": impacts(slow, np.nan),
+        "side": impacts(sides, 0).astype(np.int8),
+        "x": look.x,
+        "v": look.v,
+        "multiplier_real": found.real,
+        "multiplier_imag": found.imag,
+        "stable": (abs(found) < 1.0 - MARGIN).all(axis=1).astype(np.int8),
+        "least_speed": slow.min(axis=1, initial=np.inf),
+        "least_clearance": look.clear.min(axis=(1, 2)),
+        "residual": one.points.residual,
+        "time_slope": impacts(turn[:, :count] if rows else slow, np.nan),
+        "speed_slope": impacts(quick, np.nan),
+        "value_slope": turn[:, -1],
+        "segment": np.full(size, place),
+    }
+
+
+def _about(name):
+    """The dimensions, what it is and the units of each column."""
+
+    def told(meaning, units, *more):
+        return ("point", *more), {"long_name": meaning, "units": units}
+
+    return {
+        name: (("point",), {"long_name": "the parameter"}),
+        "time": told("since phase 0", "1/w0", "impact"),
+        "speed": told("abs(y- - v_b)", "length w0", "impact"),
+        "side": told("-1 left, 1 right, 0 none", "1", "impact"),
+        "x": told("position at phase 0 of each period", "length", "period"),
+        "v": told("velocity at phase 0 of each period", "length w0", "period"),
+        "multiplier_real": told("Floquet's, the larger first", "1", "multiplier"),
+        "multiplier_imag": told("Floquet's, the larger first", "1", "multiplier"),
+        "stable": told("1: both are smaller than 1", "1"),
+        "least_speed": told("of the impacts, inf: none", "length w0"),
+        "least_clearance": told("at turning points, inf: none", "length"),
+        "residual": told("largest error left in the equations", "length"),
+        "time_slope": told("of the unit tangent", "1", "impact"),
+        "speed_slope": told("of the unit tangent", "1", "impact"),
+        "value_slope": told("of the unit tangent", "1"),
+        "segment": told("which stretch of one itinerary", "1"),
+    }
+
+
+def _special(scene, name, bounds, mark, place, row):
+    kind = mark.kind
+    if kind == "BP" and is_symmetric(scene):
+        spot = spot_of(row, name)
+        kind = "SB" if is_own_image(spot, frequency_at(scene, name, spot.value)) else kind
+    joins = [_joined(way) for way in mark.exits]
+    return special_of(scene, name, bounds, place, row, kind, mark.residual, joins, mark.aside)
+
+
+def _joined(way):
+    """The `Spot` of an `Exit`."""
+    along, z = way.along, way.near
+    count, rows = int(np.sum(along.cycle.sides != 0)), len(along.cycle.sides)
+    look = way.look
+    sides = np.asarray(along.cycle.sides[:count])
+    periods, start = int(along.cycle.periods), (float(look.x[0, 0]), float(look.v[0, 0]))
+    return Spot(
+        float(z[-1]),
+        z[:count] if rows else z[:0],
+        z[rows : rows + count] if rows else z[:0],
+        sides,
+        periods,
+        *start,
+        0.0,
+    )
+
+
+def is_own_image(spot, frequency):
+    """Whether an orbit is its own mirror image."""
+    points = impacts(spot, frequency)
+    return is_same_orbit(points, mirrored(points), SAME)

@@ -1,0 +1,230 @@
+"""A branch of periodic orbits along a parameter, and the special points on it."""
+
+import json
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import msgspec
+import numpy as np
+import xarray as xr
+
+from .. import __version__
+from ..maps import itinerary as words
+from ..output.atomic_write import whole
+from ..output.checksums import netcdf
+from ..output.columns import columns, pair
+from ..scene.check import SceneError
+from ..scene.scene import Scene
+from ..scene.scene_table import table_of
+from .describe import Spot, itinerary, told
+from .end import End
+
+NUMBERS = ("first_step", "largest_step", "tolerance")  # of the settings
+
+MEANINGS = {
+    "SN": "saddle-node",
+    "SB": "symmetry breaking",
+    "BP": "branch point",
+    "PD": "period doubling",
+    "GR": "grazing",
+    "CH": "rest after chatter",
+    "EP": "end",
+}
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A stretch of a branch with one itinerary. first, last: the places of its points; label; itinerary: at its first
+    point, a word a period (where an impact crosses phase 0 the words change, not the order of the walls)."""
+
+    first: int
+    last: int
+    label: str
+    itinerary: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Special:
+    """A special point of a branch.
+
+    kind: SN, SB (symmetry breaking), BP (other branch point), PD, GR, CH (the mass begins to rest on a wall), EP (end),
+    or a monitor's name. name, value: of
+    the parameter. bounds: of the branch. scene: at the value. itinerary: the walls hit, a word a period. multipliers:
+    the larger first, infinite at an impact without speed. residual: the largest error left in the point's equations.
+    place: among the branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the
+    parameter); joins: spots of the orbits that meet at a GR, a little on; aside: which of them the branch does not
+    go on with.
+    """
+
+    kind: str
+    name: str
+    value: float
+    bounds: tuple[float, float]
+    scene: Scene = field(repr=False)
+    itinerary: tuple[str, ...]
+    multipliers: np.ndarray
+    residual: float
+    place: int
+    spot: Spot = field(repr=False)
+    slopes: np.ndarray = field(repr=False)
+    joins: tuple[Spot, ...] = field(repr=False)
+    aside: tuple[bool, ...] = field(repr=False)
+
+    @property
+    def label(self):
+        """P n p q of the orbit."""
+        return words.label(self.itinerary)
+
+    @cached_property
+    def orbit(self):
+        """The `Orbit` at the point. At a GR an impact may have no speed."""
+        return told(self.scene, self.spot)
+
+    @cached_property
+    def meets(self):
+        """The `Orbit`s that meet at a GR, each a little on from it, one for every branch that leaves the point."""
+        return tuple(told(self.scene.replace(**{self.name: one.value}), one) for one in self.joins)
+
+
+@dataclass(frozen=True, eq=False)
+class Branch:
+    """A branch of periodic orbits.
+
+    name: the parameter; bounds: of it; scene: at the start; data: an xarray.Dataset with a row a point, in order along
+    the branch (see `jaxvibro.follow`); segments: stretches of one itinerary; special: special points in order; reasons:
+    why it ends, at its first and at its last point; settings: steps and tolerance; ends: the `End` of each reason.
+    """
+
+    name: str
+    bounds: tuple[float, float]
+    scene: Scene = field(repr=False)
+    data: xr.Dataset = field(repr=False)
+    segments: tuple[Segment, ...]
+    special: tuple[Special, ...]
+    reasons: tuple[str, str]
+    settings: dict
+    ends: tuple[End, End]
+
+    def __repr__(self):
+        values, kinds = self.values, " ".join(one.kind for one in self.special)
+        return f"Branch({self.name} from {values[0]:g} to {values[-1]:g}, {len(self)} points, {kinds})"
+
+    def __len__(self):
+        return self.data.sizes["point"]
+
+    @property
+    def values(self):
+        """The parameter's value at each point, (points,)."""
+        return self.data[self.name].values
+
+    @property
+    def stable(self):
+        """Whether each point's orbit is stable, (points,)."""
+        return self.data["stable"].values.astype(bool)
+
+    @property
+    def multipliers(self):
+        """Floquet's, (points, 2), complex, the larger first."""
+        return self.data["multiplier_real"].values + 1j * self.data["multiplier_imag"].values
+
+    @property
+    def reason(self):
+        """Why each end is one: {"first": ..., "last": ...}."""
+        return dict(zip(("first", "last"), self.reasons, strict=True))
+
+    def points(self, kind):
+        """The special points of a kind, a tuple."""
+        return tuple(one for one in self.special if one.kind == kind)
+
+    def orbit(self, place):
+        """The `Orbit` at one of the points, by its place along the branch."""
+        count = len(self)
+        if not -count <= place < count:
+            raise SceneError("place", f"must be a point of the branch, from 0 to {count - 1}", place)
+        spot = spot_of(row_of(self.data, place), self.name)
+        return told(self.scene.replace(**{self.name: spot.value}), spot)
+
+    def save(self, path, force=False):
+        """Write the branch to a NetCDF file, from which `load_branch` reads the same numbers.
+
+        Raises FileExistsError where the file is there already, unless force is given; OSError where it cannot be
+        written.
+        """
+        with whole(path, force) as file:
+            file.write(self.content)
+
+    @property
+    def content(self):
+        """The bytes of the file that `save` writes."""
+        known = [
+            [one.kind, one.place, one.residual, [_plain(each) for each in one.joins], one.aside] for one in self.special
+        ]
+        attrs = {
+            "title": "jaxvibro branch",
+            "source": f"jaxvibro {__version__}",
+            "parameter": self.name,
+            "bounds": list(self.bounds),
+            "scene": msgspec.toml.encode(table_of(self.scene)).decode(),
+            "special": json.dumps(known),
+            "segments": json.dumps([[one.first, one.last, one.label, one.itinerary] for one in self.segments]),
+            "reasons": json.dumps(self.reasons),
+            "ends": json.dumps([one.name for one in self.ends]),
+            "settings": json.dumps({key: self.settings[key] for key in NUMBERS}),
+        }
+        return netcdf(self.data.assign_attrs(attrs))
+
+    def table(self):
+        """The special points as a text, a line each, and why the branch ends."""
+        rows = [("kind", self.name, "orbit", "itinerary", "multipliers", "meets")]
+        for one in self.special:
+            walls = " ".join(word or "." for word in one.itinerary)
+            rows.append(
+                (one.kind, f"{one.value:.12g}", one.label, walls, pair(one.multipliers), " ".join(labels(one)) or "-")
+            )
+        ends = [f"{end} point: {why}" for end, why in self.reason.items()]
+        return "\n".join([columns(rows), *ends])
+
+
+def _plain(spot):
+    return [each.tolist() if isinstance(each, np.ndarray) else each for each in spot]
+
+
+def labels(special):
+    """The labels of the orbits that meet at a special point, each with the side of the parameter it is on."""
+    found = []
+    for one in special.joins:
+        frequency = frequency_at(special.scene, special.name, one.value)
+        way = ">" if one.value > special.value else "<"
+        found.append(words.label(itinerary(one, frequency)) + way)
+    return found
+
+
+def frequency_at(scene, name, value):
+    """The drive's frequency where a parameter has a value."""
+    return value if name == "frequency" else float(scene.frequency)
+
+
+def row_of(data, place):
+    """The numbers of one point of a branch's data, {name: array}."""
+    return {name: each.values[place] for name, each in data.variables.items()}
+
+
+def spot_of(row, name):
+    """The `Spot` of a `row_of` a branch's data."""
+    hit = row["side"] != 0
+    columns = (row[key][hit].astype(float) for key in ("time", "speed", "side"))
+    plain = (float(row[key][0]) for key in ("x", "v"))
+    return Spot(float(row[name]), *columns, len(row["x"]), *plain, float(row["residual"]))
+
+
+def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=()):
+    """The `Special` at a `row_of` a branch's data."""
+    spot = spot_of(row, name)
+    found = row["multiplier_real"] + 1j * row["multiplier_imag"]
+    there = scene.replace(**{name: spot.value})
+    walls = itinerary(spot, float(there.frequency))
+    hit = row["side"] != 0
+    slopes = np.concatenate([row["time_slope"][hit], row["speed_slope"][hit], [row["value_slope"]]])
+    return Special(
+        kind, name, spot.value, bounds, there, walls, found, residual, place, spot, slopes, tuple(joins), tuple(aside)
+    )

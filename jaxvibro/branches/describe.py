@@ -1,0 +1,60 @@
+"""An orbit that is known to be one, described without Newton's method: a point of a branch, be it singular."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..maps import itinerary as words
+from ..orbits.by_impacts import by_section
+from ..orbits.impact_equations import Cycle
+from ..orbits.impact_points import meetings
+from ..orbits.orbit import described, multipliers
+from ..problem.diagnostics import looked
+from ..problem.equations import Along
+from ..scene.codes import Status
+from ..scene.state import Impacts, State
+
+
+class Spot(NamedTuple):
+    """An orbit in plain numbers. value: of the branch's parameter; times, since phase 0, speeds, sides: of the impacts;
+    periods; x, v: at phase 0; residual: the largest error left in its equations."""
+
+    value: float
+    times: np.ndarray
+    speeds: np.ndarray
+    sides: np.ndarray
+    periods: int
+    x: float
+    v: float
+    residual: float
+
+
+def itinerary(spot, frequency):
+    """The walls that a `Spot`'s orbit hits, a word a period."""
+    return words.around(spot.times, spot.sides, spot.periods, 2.0 * np.pi / frequency)
+
+
+def impacts(spot, frequency, pace=None):
+    """The impacts of a `Spot`'s orbit in order as points (`meetings`), speeds over a pace, or over the largest."""
+    return meetings(frequency, spot.times, spot.sides, spot.speeds, pace or spot.speeds.max(initial=0.0) or 1.0)
+
+
+def told(scene, spot):
+    """The `Orbit` of a `Spot` of a scene."""
+    if len(spot.times):
+        return by_section(scene, spot.times, spot.speeds, spot.sides, spot.periods, spot.residual)
+    blank = np.zeros(0)
+    along = Along(
+        scene, jax.tree.map(lambda leaf: np.int32(0), scene), Cycle(*[blank] * 3, *_numbers(0.0, spot.periods))
+    )
+    look = looked(along, np.array([[spot.x, spot.v, spot.value]]))
+    clear = float(look.clear.min(initial=np.inf))
+    impacts = Impacts(blank, blank.astype(np.int8), blank, 0, np.inf, clear, Status.OK)
+    roots = multipliers(float(look.trace[0]), float(look.determinant[0]))
+    walls = ("",) * spot.periods
+    return described(scene, State(spot.x, spot.v), impacts, walls, roots, spot.residual, "state")
+
+
+def _numbers(*values):
+    return (np.asarray(value, float) for value in values)

@@ -1,0 +1,26 @@
+"""`diagrams`: what `explore` gives, for each value of another parameter."""
+
+from ..scene import check
+from ..scene.parameters import values_of
+from .explore import asked, explored, settled_on
+
+
+@check.host("use strobe or monodromy")
+def diagrams(scene, name, bounds, third, values, max_period=8, seed=0, budget=None, largest_step=0.1, progress=None):
+    """The periodic orbits along a parameter for each value of another: a tuple of `Diagram`, one a value.
+
+    third: a parameter of the scene other than name; values: of it, a row of one at least, in any order; its value in
+    the scene does not matter. The other arguments, and each diagram, are as of `explore`; the budget is of each, and
+    progress is called with the number of branches of the one at hand. The random starts of all values are settled
+    together, then one is explored after the other.
+
+    Raises SceneError for arguments that cannot be.
+    """
+    check.is_single(scene)
+    check.is_known(name, scene.names, name)
+    values = values_of(scene, third, values)
+    if third == name:
+        raise check.SceneError("third", "must be another parameter than name", third)
+    scenes = [scene.replace(**{third: value}) for value in values]
+    tasks = [asked(each, name, bounds, max_period, seed, budget, largest_step) for each in scenes]
+    return tuple(explored(*each, progress) for each in zip(tasks, settled_on(tasks), strict=True))

@@ -1,0 +1,184 @@
+"""`explore`: the periodic orbits of a scene along a parameter, unattended: followed both ways and from point to point.
+
+What many starts at values all over the parameter's range settle on is looked at in turn. What lies on no branch so far
+is followed, through folds and grazings, and so is all that leaves the branch points and period doublings met; then the
+next is looked at.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..orbits.impact_points import is_same_orbit
+from ..problem import same_orbit
+from ..problem.equations import there
+from ..scene import check
+from ..scene.parameters import bounds_of, domain
+from ..scene.scene import Scene
+from .branch import row_of, spot_of
+from .branch_tree import Tree
+from .describe import impacts
+from .diagram import Diagram
+from .follow import brought, placed, settled, through
+from .mirror import stays_symmetric
+from .probes import probes
+from .switch import FIRST
+
+MOST = 400  # branches, where no budget is given
+NEAR = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
+SAME = 1e-12  # of a soft wall's numbers: as near is rounding
+ON = 1e-5  # of the largest speed: an orbit with impacts as near is on the branch
+PERIODS = 32  # the longest orbits
+DONE = "all that was found has been followed"
+SPENT = "the budget of {} branches is spent"
+
+
+@check.host("use strobe or monodromy")
+def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None, largest_step=0.1, progress=None):
+    """The periodic orbits of a scene along a parameter: a `Diagram`.
+
+    scene: a single one; name, bounds: as in `follow`; the scene's own value of the parameter does not matter.
+    max_period: drive periods of the longest orbits that are looked for and that a period doubling is followed to;
+    seed: of the random starts. budget: it stops when there are as many branches, those of one point being found
+    together; None is 400. resume: a `Diagram` that stopped at its budget, of the same scene, parameter and settings, to
+    go on from. progress: called with the number of branches so far.
+
+    Every attractor that one of 256 starts settles on is on a branch. What lies on no branch that leaves these is not
+    found: an isolated unstable orbit, or one that only meets them at a grazing, where a branch goes on with one other;
+    `Special.meets` has all, and `switch` follows them. In a symmetric scene a branch comes with its mirror image. The
+    same arguments give the same diagram.
+
+    Raises SceneError for arguments that cannot be.
+    """
+    task = asked(scene, name, bounds, max_period, seed, budget, largest_step)
+    before = _resumed(resume, task)
+    (some,) = settled_on([task])
+    return explored(task, some, progress, *before)
+
+
+class Task(NamedTuple):
+    """What is to be explored. scene: at a value within the bounds; most: branches; steps, settings: by name."""
+
+    scene: Scene
+    name: str
+    bounds: tuple[float, float]
+    most: int
+    steps: dict
+    settings: dict
+
+
+def asked(scene, name, bounds, max_period, seed, budget, largest_step):
+    """The `Task` of these arguments. Raises SceneError."""
+    check.is_single(scene)
+    max_period, seed = check.whole("max_period", max_period, 1), check.whole("seed", seed, 0)
+    if max_period > PERIODS:
+        raise check.SceneError("max_period", f"must be at most {PERIODS}", max_period)
+    most = MOST if budget is None else check.whole("budget", budget, 1)
+    check.is_known(name, scene.names, name)
+    scene = scene.replace(**{name: _inside(scene, name, bounds)})
+    bounds = bounds_of(scene, name, bounds)
+    steps = settled(FIRST, largest_step, 1e-10, (), ())
+    settings = {"max_period": max_period, "seed": seed, "largest_step": largest_step}
+    return Task(scene, name, bounds, most, steps, settings)
+
+
+def settled_on(tasks):
+    """What the starts of `Task`s that differ in their scenes settle on, the `Probe`s of each."""
+    one = tasks[0]
+    return probes(
+        [each.scene for each in tasks], one.name, one.bounds, one.settings["max_period"], one.settings["seed"]
+    )
+
+
+def explored(task, some, progress=None, found=(), done=()):
+    """The `Diagram` of a task and what its starts settle on; found, done: its branches so far, and points left."""
+    scene, name, bounds, most, steps, settings = task
+    symmetric = stays_symmetric(scene, name)
+    tree = Tree(bounds, settings["max_period"], most, steps, list(found), list(done), symmetric, progress)
+    tree.grow()
+    for probe in some:
+        if not tree.is_spent and not any(_is_on(probe, branch) for branch in tree.found):
+            _begin(tree, probe, scene, name, bounds, steps)
+    told = SPENT.format(most) if tree.is_spent else DONE
+    return Diagram(name, bounds, scene, tuple(tree.found), tuple(tree.done), not tree.is_spent, told, settings)
+
+
+def _begin(tree, probe, scene, name, bounds, steps):
+    """Follows the orbit that a probe settled on, and all that leaves it."""
+    found = _settled_at(probe, *placed(scene, name, probe.spot))
+    if found is None:  # it had not settled
+        return
+    branch = through(scene.replace(**{name: probe.spot.value}), name, bounds, found, "both", steps)
+    if not tree.has(branch):
+        tree.add(branch)
+        tree.grow()
+
+
+def _inside(scene, name, bounds):
+    """A value within the bounds and the parameter's domain."""
+    value = float(scene.parameter(name))
+    if np.shape(bounds) != (2,) or not np.isfinite(bounds).all() or not bounds[0] < bounds[1]:
+        return value  # `bounds_of` tells
+    low, high = np.clip(domain(scene, name), *bounds)
+    return value if low <= value <= high else 0.5 * (low + high)
+
+
+def _resumed(resume, task):
+    """(branches, points left) of a `Diagram` to go on from, empty where there is none."""
+    if resume is None:
+        return (), ()
+    if not isinstance(resume, Diagram):
+        raise check.SceneError("resume", "must be a Diagram", resume)
+    same = (resume.name, resume.bounds, resume.settings) == (task.name, task.bounds, task.settings)
+    if not same or not _is_alike(task.scene, resume.scene, task.name):
+        raise check.SceneError("resume", "must be of the same scene, parameter, bounds and settings", resume)
+    return resume.branches, resume.left
+
+
+def _is_alike(scene, other, name):
+    """Whether two scenes differ in nothing but a parameter."""
+    if scene.names != other.names:
+        return False
+    near = 0.0
+    if name == "hardness":  # the walls' numbers follow from it, but for rounding
+        scene, near = scene.replace(hardness=other.parameter(name)), SAME
+    pairs = [(float(scene.parameter(key)), float(other.parameter(key))) for key in scene.names if key != name]
+    return all(abs(one - two) <= near * abs(two) for one, two in pairs)
+
+
+def _is_on(probe, branch):
+    """Whether what a probe settled on is an orbit of a branch."""
+    if branch.data.sizes["period"] != probe.spot.periods:
+        return False
+    gaps, points = branch.values - probe.spot.value, np.stack([branch.data[key].values for key in "xv"], axis=2)
+    size = NEAR * abs(points).max()
+    for place in np.flatnonzero(gaps[:-1] * gaps[1:] <= 0):
+        if _is_near(probe, points[place : place + 2], size) and _is_there(probe, branch, place):
+            return True
+    return False
+
+
+def _is_near(probe, points, size):
+    """Whether a probe's states are as near to those of one of some points of a branch, counted from any period."""
+    turns = [np.roll(row, k, axis=0) for row in points for k in range(len(row))]
+    return any(abs(turn - probe.points).max() < size for turn in turns)
+
+
+def _is_there(probe, branch, place):
+    """Whether Newton's method leads from one of a branch's two points to the very orbit."""
+    spots = (spot_of(row_of(branch.data, k), branch.name) for k in (place, place + 1))
+    return any(_settled_at(probe, *placed(branch.scene, branch.name, spot)) is not None for spot in spots)
+
+
+def _settled_at(probe, along, z):
+    """(along, z) at a probe's value, None where Newton's method does not come to its orbit from z."""
+    found = brought(along, z, probe.spot.value)
+    return (along, found.z) if found.met and _is_orbit(probe, along, found.z) else None
+
+
+def _is_orbit(probe, along, z):
+    if not len(along.cycle.sides):
+        return not len(probe.spot.times) and abs(z[:2] - probe.points[0]).max() < ON * max(1.0, abs(probe.points).max())
+    pace = probe.spot.speeds.max(initial=0.0)
+    theirs = impacts(probe.spot, float(there(along, z).frequency), pace)
+    return is_same_orbit(same_orbit.impacts(along, z, pace), theirs, ON)

@@ -1,0 +1,137 @@
+"""`follow`: a branch of periodic orbits along a parameter, through folds and grazings."""
+
+import numpy as np
+
+from continuation import locate
+from continuation.arclength import Control, Point
+from continuation.follow import pinned, tangent
+
+from ..orbits.impact_equations import Cycle
+from ..orbits.orbit import Orbit, OrbitError
+from ..problem.equations import Along, problem
+from ..problem.touches import free_start, padded, scales
+from ..scene import check
+from ..scene.parameters import bounds_of, domain, marked
+from ..scene.scale import scene_length
+from .assemble import assembled
+from .describe import Spot
+from .end import End
+from .segment import Asked
+from .through_grazings import walked
+
+DIRECTIONS = ("both", "forward", "backward")
+SMALLEST = 1e-8  # step
+NO_ORBIT = 1e-6  # of the scene's length: a start with as large a residual is no orbit
+
+
+@check.host("use strobe or monodromy; sensitivity has derivatives of special points")
+def follow(
+    orbit, name, bounds, direction="both", first_step=0.05, largest_step=0.1, tolerance=1e-10, monitors=(), stop=()
+):
+    """The branch of periodic orbits through an orbit, along one parameter of its scene: a `Branch`.
+
+    orbit: an `Orbit`, stable or not; name: of the parameter ("amplitude", "right.restitution", ...); bounds: (low,
+    high) of it. direction: "forward" begins towards greater values, "backward" towards smaller, "both" does both.
+    first_step, largest_step: along the branch, as the length of (times, speeds, parameter), the root mean square over
+    the impacts, in the scene's units (1/w0; the distance of the farther wall). tolerance: of Newton's method, such a
+    length; special points are always located to rounding. monitors: {label: function}, a special point of that label
+    where the function changes its sign; it takes a record with value, times, speeds, sides (an entry an impact, none
+    at all on P100), x, v (an entry a period), multipliers and clearance. stop: a label or labels that end the branch.
+
+    Unknowns are the impacts' times and speeds, and the parameter, by pseudo-arclength. Located are saddle-nodes (SN),
+    symmetry breakings and other branch points (SB, BP), period doublings (PD) from the Jacobian of those equations, and
+    grazings (GR): at one the impact is put in or left out and the branch goes on, if orbits do. Every point is checked
+    to keep to its walls.
+
+    The branch's `data` has a row a point: the parameter, time, speed and side of each impact, x and v at phase 0 of
+    each period, multiplier_real and multiplier_imag, stable, least_speed, least_clearance, residual, segment.
+
+    Raises SceneError for arguments that cannot be, OrbitError where the start is no orbit, rests on a wall or is
+    singular. What ends a branch is told by its `reason`.
+    """
+    if not isinstance(orbit, Orbit):
+        raise check.SceneError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
+    if direction not in DIRECTIONS:
+        raise check.SceneError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
+    bounds = bounds_of(orbit.scene, name, bounds)
+    given = settled(first_step, largest_step, tolerance, monitors, stop)
+    return through(orbit.scene, name, bounds, started(orbit, name), direction, given)
+
+
+def through(scene, name, bounds, start, direction, settings):
+    """The `Branch` through (`Along`, z) at the scene's value of the parameter; settings: those that are `settled`."""
+    (along, z), length = start, scene_length(scene)
+    asked = asking(scene, name, bounds, length, start, **settings)
+    ahead = tangent(problem(along), z, scales(along, length), along)
+    on = walked(along, point(z, ahead), asked) if direction != "backward" else None
+    closed = on is not None and on.reason.end is End.CLOSED
+    back = walked(along, point(z, -ahead), asked) if direction != "forward" and not closed else None
+    return assembled(scene, name, bounds, settings, back, on)
+
+
+def point(z, tangent):
+    """The `Point` at a start."""
+    zero = np.zeros(())
+    return Point(z, tangent, zero, zero, zero, np.True_, np.True_)
+
+
+def asking(scene, name, bounds, length, start, first_step, largest_step, tolerance, monitors, stop):
+    """The `Asked` of these arguments; start: (along, z) that ends the branch where it comes back."""
+    own = domain(scene, name)
+    low, high = max(bounds[0], own[0]), min(bounds[1], own[1])
+    numbers = (np.float64(each) for each in (min(SMALLEST, first_step), largest_step, tolerance, low, high))
+    along, z = start
+    rows = len(along.cycle.sides)
+    marks = ((along.cycle._replace(times=z[:rows], speeds=z[rows : 2 * rows]), z[-1]),) if rows else ()
+    only = tuple(each for each in own if not bounds[0] <= each <= bounds[1] or each not in bounds)
+    return Asked(Control(np.ones(1), *numbers), min(first_step, largest_step), only, monitors, stop, length, marks)
+
+
+def started(orbit, name):
+    """(`Along`, z) of an orbit, polished at its value of the parameter. Raises OrbitError."""
+    impacts, frequency = orbit.impacts, float(orbit.scene.frequency)
+    if orbit.unknowns == "state" and impacts.count:
+        raise OrbitError("the orbit rests on a wall, or chatters", orbit.residual, "follow takes separate impacts")
+    late = np.mod(impacts.time + orbit.state.phase / frequency, orbit.periods * 2.0 * np.pi / frequency)
+    order = np.argsort(late)
+    value = float(orbit.scene.parameter(name))
+    plain = late[order], impacts.speed[order], impacts.side[order].astype(float)
+    along, z = placed(orbit.scene, name, Spot(value, *plain, orbit.periods, 0.0, 0.0, 0.0))
+    residual = float(abs(np.asarray(locate.evaluated(problem(along), z, along)[0])).max())
+    if not residual < NO_ORBIT * scene_length(orbit.scene):
+        raise OrbitError("the start is no orbit", residual, "give an Orbit of find_orbit, with its own scene")
+    found = brought(along, z, value)
+    return along, found.z if found.met else z
+
+
+def brought(along, z, value):
+    """The `Point` near z at a value of the parameter, to rounding: `met` says whether there is one."""
+    numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
+    return pinned(problem(along), z, -1, value, Control(scales(along, 1.0), *numbers), along)
+
+
+def placed(scene, name, spot):
+    """(`Along`, z) of a `told.Spot` of a scene."""
+    blank = np.zeros(0)
+    cycle = Cycle(blank, blank, blank, np.asarray(0.0), np.asarray(float(spot.periods)))
+    along = Along(*marked(scene, name), cycle)
+    if not len(spot.times):
+        return along, free_start(along, spot.value)
+    along = along._replace(cycle=padded(along, list(zip(spot.times, spot.speeds, spot.sides, strict=True))))
+    return along, np.concatenate([along.cycle.times, along.cycle.speeds, [spot.value]])
+
+
+def settled(first_step, largest_step, tolerance, monitors, stop):
+    """The settings of a branch by name, checked. Raises SceneError."""
+    settings = {"first_step": first_step, "largest_step": largest_step, "tolerance": tolerance}
+    for key, value in settings.items():
+        if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
+            raise check.SceneError(key, "must be a positive number", value)
+    try:
+        monitors = dict(monitors)
+    except (TypeError, ValueError):
+        raise check.SceneError("monitors", "must be functions by their labels, {label: function}", monitors) from None
+    for label, function in monitors.items():
+        if not callable(function):
+            raise check.SceneError(f"monitors.{label}", "must be a function of a point", function)
+    return settings | {"monitors": monitors, "stop": check.sequence("stop", stop or ())}

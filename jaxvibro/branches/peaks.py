@@ -1,0 +1,141 @@
+"""The largest abs x of orbits: where a flight, or a stay within a soft wall, turns back, or at a wall that is hit.
+
+Each flight and stay is looked at in cells; where v changes its sign in one, the turning point is found by false
+position. Whatever is compared is a value of x on the orbit, so that a cell without a turning point does no harm.
+"""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..flight import flow, soft_contact
+from ..flight.coefficients import frame
+from ..orbits import flight_clearance, impact_equations
+from ..orbits.orbit import Orbit
+from ..problem.diagnostics import each_of, flight
+from ..problem.equations import cycle_at, there
+from ..scene import check
+from ..scene.codes import Contact
+from .branch import Branch, row_of, spot_of
+from .describe import Spot
+from .follow import placed
+
+ROUNDS = 6  # of false position: x at a turning point is right to the square of its time's error
+
+
+@check.host("use strobe")
+def peaks(branch):
+    """The largest abs x on the orbit of each point of a `Branch`, (points,), in the scene's lengths."""
+    if not isinstance(branch, Branch):
+        raise check.SceneError("branch", "must be a Branch, as follow gives it", branch)
+    found = np.zeros(len(branch))
+    for one in branch.segments:
+        rows = branch.data.isel(point=slice(one.first, one.last + 1))
+        spot = spot_of(row_of(rows, 0), branch.name)
+        along, z = placed(branch.scene, branch.name, spot)
+        found[one.first : one.last + 1] = _largest(along, _unknowns(rows, branch.name, along, z))
+    return found
+
+
+@check.host("use strobe")
+def peak(orbit):
+    """The largest abs x on an `Orbit` of separate impacts, a number in the scene's lengths.
+
+    Raises SceneError for an orbit that rests on a wall.
+    """
+    if not isinstance(orbit, Orbit) or (orbit.unknowns == "state" and orbit.impacts.count):
+        raise check.SceneError("orbit", "must be an Orbit of separate impacts, as find_orbit gives it", orbit)
+    scene, state, impacts = orbit.scene, orbit.state, orbit.impacts
+    late = float(state.phase) / float(scene.frequency)
+    rows = impacts.time + late, impacts.speed, impacts.side.astype(float)
+    spot = Spot(float(scene.amplitude), *rows, orbit.periods, float(state.x), float(state.v), orbit.residual)
+    along, z = placed(scene, "amplitude", spot)
+    if not len(spot.times):
+        z = np.array([spot.x, spot.v, spot.value])
+        along = along._replace(cycle=along.cycle._replace(phase=np.asarray(float(state.phase))))
+    return float(_largest(along, z[None])[0])
+
+
+def _unknowns(rows, name, along, z):
+    """The unknowns z at the rows of a branch's data that have one itinerary."""
+    wide, count = len(along.cycle.sides), int(np.sum(along.cycle.sides != 0))
+    found = np.zeros((rows.sizes["point"], len(z)))
+    found[:, -1] = rows[name].values
+    if not wide:
+        found[:, 0], found[:, 1] = rows["x"].values[:, 0], rows["v"].values[:, 0]
+        return found
+    hit = rows["side"].values[0] != 0
+    found[:, :count], found[:, wide : wide + count] = rows["time"].values[:, hit], rows["speed"].values[:, hit]
+    return found
+
+
+def _largest(along, zs):
+    return each_of(_hitting if len(along.cycle.sides) else _free, along, zs, 1)[0]
+
+
+def _hitting(along, z, _):
+    """(the largest abs x,) at one point of orbits with impacts."""
+    built, given = frame(there(along, z)), cycle_at(along, z)
+    found, hit = impact_equations.flights(built, given), given.sides != 0
+
+    def at(time):
+        return impact_equations.at(built, given, found, time)
+
+    best = jnp.where(hit, abs(found.met.where), 0.0)
+    begin, span = given.times, found.time
+    if built.soft:
+        inside = soft_contact.gives(built, given.sides)
+        here = soft_contact.felt(built, given.sides * float(Contact.WITHIN))
+        stay = jnp.where(inside & hit, jnp.maximum(found.met.stay, 0.0), 0.0)
+        best = _highest(at, begin, stay, jnp.min(here.reach), best)
+        begin = begin + stay
+    best = _highest(at, begin, span, built.reach, best)
+    return (jnp.max(jnp.where(hit, best, 0.0)),)
+
+
+def _free(along, z, _):
+    built, found = flight(along, z)
+
+    def at(time):
+        free, forced, _ = flow.doubled(built.series, built.frequency, built.damping, time)
+        return flow.flown((free, forced), built.force * found.cosine, built.force * found.sine, found.x, found.v)
+
+    none = jnp.zeros_like(found.x)
+    return (jnp.max(_highest(at, none, found.time, built.reach, none)),)
+
+
+def _highest(at, begin, span, reach, best):
+    """The largest abs x of rows from a time on, over a span, if it is larger than the best so far; at: time -> (x, v);
+    reach: of a step of the flow, of which a cell is a small part."""
+    cells = jnp.ceil(jnp.max(span) / (flight_clearance.TURN * reach)).astype(int) + 8
+    step = span / cells
+
+    def look(k, carry):
+        best, before = carry
+        low, high = begin + k * step, begin + (k + 1.0) * step
+        x, v = at(high)
+        turned, _ = at(_turn(at, low, high, before, v))
+        turns = before * v < 0
+        best = jnp.maximum(best, abs(x))
+        return jnp.maximum(best, jnp.where(turns, abs(turned), 0.0)), v
+
+    x, v = at(begin)
+    return jax.lax.fori_loop(0, cells, look, (jnp.maximum(best, abs(x)), v))[0]
+
+
+def _turn(at, low, high, first, last):
+    """Where v is zero between two times with these v: false position, the end that stays counted half (Illinois)."""
+
+    def narrow(_, carry):
+        (low, high), (first, last) = carry
+        gap = jnp.where(first == last, 1.0, first - last)
+        middle = low + (high - low) * jnp.clip(first / gap, 0.0, 1.0)
+        _, v = at(middle)
+        after = v * last < 0  # the zero lies between the middle and the high end
+        low, high = jnp.where(after, middle, low), jnp.where(after, high, middle)
+        first, last = jnp.where(after, v, 0.5 * first), jnp.where(after, 0.5 * last, v)
+        return (low, high), (first, last)
+
+    (low, high), (first, last) = jax.lax.fori_loop(0, ROUNDS, narrow, ((low, high), (first, last)))
+    gap = jnp.where(first == last, 1.0, first - last)
+    return low + (high - low) * jnp.clip(first / gap, 0.0, 1.0)

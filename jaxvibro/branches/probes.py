@@ -1,0 +1,75 @@
+"""Probes: what random starts at values all over a parameter's range settle on."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..attractors.recurrence import returns
+from ..maps.initial_conditions import random_starts
+from ..maps.iterate import trail
+from ..scene.codes import Contact, Status
+from ..scene.parameters import domain
+from .describe import Spot
+
+STARTS = 256  # at as many values
+SETTLE = 600  # drive periods
+SETTLED = 1e-7  # of the largest x and v: a return as near as this
+
+
+class Probe(NamedTuple):
+    """What a start settled on. spot: the orbit, about; points: x and v at the end of each period, (periods, 2)."""
+
+    spot: Spot
+    points: np.ndarray
+
+
+def probes(scenes, name, bounds, max_period, seed):
+    """For each of some scenes the `Probe`s that come back within so many periods, those of the shortest first.
+
+    scenes: alike but for their numbers, a list; the starts of all are settled together.
+    """
+    starts = [_starts(scene, name, bounds, seed) for scene in scenes]
+    values, state = jax.tree.map(lambda *each: np.concatenate(each), *starts)
+    found = trail(_lanes(scenes).replace(**{name: values}), state, SETTLE)
+    rows = [slice(first, first + STARTS) for first in range(0, len(values), STARTS)]
+    return [
+        _listed(scene, name, values[some], found.lanes(some), max_period)
+        for scene, some in zip(scenes, rows, strict=True)
+    ]
+
+
+def _starts(scene, name, bounds, seed):
+    """(values of the parameter, the `State` of a random start at each)."""
+    low, high = np.clip(domain(scene, name), *bounds)
+    rng = np.random.default_rng(seed)
+    values = low + (high - low) * (np.arange(STARTS) + rng.random(STARTS)) / STARTS
+    return values, random_starts(scene.replace(**{name: values}), STARTS, (seed, 1))
+
+
+def _lanes(scenes):
+    """One scene for the starts of all: what differs has a number a start."""
+
+    def leaf(*each):
+        numbers = np.stack(each)
+        return each[0] if (numbers == numbers[0]).all() else np.repeat(numbers, STARTS)
+
+    return jax.tree.map(leaf, *scenes)
+
+
+def _listed(scene, name, values, found, max_period):
+    points, length = found.points, 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
+    apart, size = returns(points)[:max_period], SETTLED * abs(points).max(axis=(0, 2))
+    listed = []
+    for lane in np.flatnonzero((apart < size).any(axis=0) & (found.status == Status.OK)):
+        periods = int(np.argmax(apart[:, lane] < size[lane])) + 1
+        if (abs(found.contact[-periods:, lane]) == Contact.STUCK).any():  # it rests on a wall
+            continue
+        hit = found.side[-periods:, lane] != 0
+        late = found.time[-periods:, lane] + length[lane] * np.arange(periods)[:, None]
+        impacts = (
+            part[hit] for part in (late, found.speed[-periods:, lane], found.side[-periods:, lane].astype(float))
+        )
+        begin = points[-1, lane].tolist()
+        listed.append(Probe(Spot(float(values[lane]), *impacts, periods, *begin, 0.0), points[-periods:, lane]))
+    return sorted(listed, key=lambda one: (one.spot.periods, one.spot.value))

@@ -1,0 +1,87 @@
+"""From piece to piece along a branch: at each grazing it is decided what goes on."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..orbits.impact_points import is_same_orbit
+from ..problem.same_orbit import impacts, is_repeated
+from ..problem.touches import scales
+from .end import End, Reason
+from .segment import Piece, piece
+
+MOST = 200  # pieces of a branch
+SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
+SLOW = 1e-4  # of the scene's length per t: below, the flights between impacts are lost in rounding
+
+
+class Walked(NamedTuple):
+    """The pieces of a branch in one direction, and why it ends."""
+
+    pieces: list[Piece]
+    reason: Reason
+
+
+def walked(along, start, asked):
+    """The `Walked` from a `Point`, whose tangent leads away."""
+    pieces, met = [], []
+    while True:
+        scale = scales(along, asked.length)
+        one = piece(along, start, asked._replace(control=asked.control._replace(scale=scale)))
+        way = None
+        if one.why is End.GRAZE:
+            one, way = _onwards(one, scale)
+            here = one.points.z[-1, -1], impacts(along, one.points.z[-1], asked.length)
+            if any(_is_met(here, each) for each in met):
+                one, way = one._replace(why=End.CLOSED), None
+            elif is_repeated(along, one.points.z[-1]):
+                one, way = one._replace(why=End.HALVED), None
+            elif _is_chatter(along, one.points.z[-1], asked.length):
+                one, way = one._replace(why=End.CHATTER), None
+            met.append(here)
+        if len(pieces) == MOST - 1 and way is not None:
+            one, way = one._replace(why=End.POINTS), None
+        pieces.append(one)
+        if way is None:
+            return Walked(pieces, _reason(one))
+        along, start = way.along, way.point
+
+
+def _onwards(one, scale):
+    """(the piece, its last mark telling which exits are left aside; the `Exit` by which the branch goes on).
+
+    It goes on with the touches' impacts exchanged, those it had for those it had not, else as many of them as can be;
+    the exit is None where there is none.
+    """
+    mark = one.marks[-1]
+    here = tuple(touch.own for touch in mark.touches)
+    arrived = one.points.tangent[-1]
+
+    def is_back(way):
+        same = way.included == here and way.point.tangent.shape == arrived.shape
+        return same and np.sum(scale * scale * way.point.tangent * arrived) < 0
+
+    def exchanged(way):
+        forward = way.included == here
+        return forward, sum(a != b for a, b in zip(way.included, here, strict=True))
+
+    chosen = max((way for way in mark.exits if not is_back(way)), key=exchanged, default=None)
+    aside = tuple(not (way is chosen or is_back(way)) for way in mark.exits)
+    why = one.why if chosen or mark.sure else End.STEP
+    return one._replace(marks=(*one.marks[:-1], mark._replace(aside=aside)), why=why), chosen
+
+
+def _is_chatter(along, z, length):
+    """Whether at a grazing yet another impact is very slow."""
+    speeds = z[len(along.cycle.sides) :][along.hits]
+    return bool(((speeds > 0) & (speeds < SLOW * length)).any())
+
+
+def _is_met(here, other):
+    """Whether two grazings, (value, impacts) each, are one."""
+    return abs(here[0] - other[0]) < SAME and is_same_orbit(here[1], other[1], NEAR)
+
+
+def _reason(one):
+    kind = one.marks[-1].kind if one.marks else ""
+    return one.why.reason(one.points.z[-1, -1], kind)

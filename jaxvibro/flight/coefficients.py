@@ -1,0 +1,139 @@
+"""What a flight needs of a scene, worked out once."""
+
+import math
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..scene.scale import swift
+from . import flow
+from .event import TERMS, weights
+from .soft_contact import SoftFlow, contact
+from .wall import Lane, extent, lane, tail
+
+SIDES = (-1, 1)
+TURN_LOW = 2.4492935982947064e-16  # 2 pi less its double
+
+
+class Frame(NamedTuple):
+    """The oscillator, its drive, its walls, and bounds for the longest step; each number a scalar or one for each lane.
+
+    force A, frequency omega, damping gamma; walls: those that exist, left first; period 2 pi / omega and its low part;
+    swift: see `path`; series: of the flow; reach: the longest step (t), pace: 1 / reach, weights: reach^k / k!; size: a
+    length of the scene, the walls' distances and A together, to measure rounding by; curb, slope: abs x^(8) is at most
+    curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall;
+    rushes: bounds on the change of the press on each; gap: the walls are never nearer to each other; contacts: the
+    `contact.SoftFlow` within each wall, None for rigid ones.
+
+    stiffness and its root are 1, and None, but where they are what a lane feels (`contact.felt`).
+    """
+
+    force: jax.Array
+    frequency: jax.Array
+    damping: jax.Array
+    walls: tuple[Lane, ...]
+    period: jax.Array
+    period_low: jax.Array
+    swift: jax.Array
+    series: flow.Series
+    reach: jax.Array
+    pace: jax.Array
+    weights: tuple[jax.Array, ...]
+    size: jax.Array
+    curb: jax.Array
+    slope: jax.Array
+    tails: tuple[jax.Array, ...]
+    swings: tuple[jax.Array, ...]
+    rushes: tuple[jax.Array, ...]
+    gap: jax.Array
+    contacts: tuple[SoftFlow | None, ...] = ()
+    stiffness: jax.Array | None = None
+    root: jax.Array | None = None
+
+    @property
+    def soft(self):
+        """Whether there is a soft wall."""
+        return any(each is not None for each in self.contacts)
+
+
+def frame(scene):
+    """The `Frame` of a scene."""
+    dtype = scene.dtype
+    force, frequency, damping = (jnp.asarray(n, dtype) for n in (scene.amplitude, scene.frequency, scene.damping))
+    given = zip(SIDES, (scene.left, scene.right), strict=True)
+    given = [(side, wall) for side, wall in given if wall is not None]
+    walls = tuple(lane(wall, scene, side, dtype) for side, wall in given)
+    rate = flow.rate(frequency, damping)
+    for wall in walls:
+        rate = jnp.maximum(rate, frequency * (wall.harmonic if wall.swing is not None else 1.0))
+    reach = flow.STEP / rate
+    # energy of x^(6): abs x^(6), abs x^(7) <= abs x^(6)(0) + abs x^(7)(0) + A omega^6 t, damping only helps
+    forcing, slope = abs(force) * frequency**6, jnp.sqrt(1.0 + 4.0 * damping * damping)
+    period = 2.0 * jnp.pi / frequency
+    bounds = [tail(wall, force, frequency, damping, TERMS) for wall in walls]
+    return Frame(
+        force=force,
+        frequency=frequency,
+        damping=damping,
+        walls=walls,
+        period=period,
+        period_low=_remainder(frequency, period) / frequency,
+        swift=swift(frequency, damping, force),
+        series=flow.series(frequency, damping),
+        reach=reach,
+        pace=rate / flow.STEP,
+        weights=weights(reach),
+        size=sum((extent(wall) for wall in walls), abs(force)),
+        curb=forcing * (1.0 + slope * reach),
+        slope=slope,
+        tails=tuple(press for press, _ in bounds),
+        swings=tuple(swing for _, swing in bounds),
+        rushes=tuple(tail(wall, force, frequency, damping, 1)[0] for wall in walls),
+        gap=_gap(walls, force),
+        contacts=tuple(contact(wall, force, frequency) for wall in walls),
+    )
+
+
+def _gap(walls, like):
+    if len(walls) < 2:
+        return jnp.full_like(like, jnp.inf)
+    left, right = walls
+    return (right.position - left.position) - sum(abs(wall.swing) for wall in walls if wall.swing is not None)
+
+
+def _remainder(frequency, period):
+    """2 pi - frequency period, the product taken exactly (Dekker) and 2 pi beyond its double."""
+    high, low = _split(frequency)
+    top, bottom = _split(period)
+    product = frequency * period
+    error = ((high * top - product) + high * bottom + low * top) + low * bottom
+    turn = jnp.asarray(2.0 * jnp.pi, period.dtype)
+    beyond = TURN_LOW if period.dtype == jnp.float64 else 2.0 * math.pi - float(np.float32(2.0 * math.pi))
+    return (turn - product) - error + beyond
+
+
+def _split(a):
+    """a as the sum of two numbers of half its digits (Veltkamp)."""
+    scaled = a * (2.0 ** ((jnp.finfo(a.dtype).nmant + 2) // 2) + 1.0)
+    high = scaled - (scaled - a)
+    return high, a - high
+
+
+def is_valid(frame):
+    """Whether the scene of each lane keeps the rules that `make_scene` checks: (valid, finite)."""
+    numbers = jax.tree.leaves((frame.force, frame.frequency, frame.damping, frame.walls))
+    finite = jnp.isfinite(frame.force)
+    for number in numbers:
+        finite &= jnp.isfinite(number)
+    valid = (frame.frequency > 0) & (frame.damping >= 0)
+    for wall in frame.walls:
+        if wall.stiffness is None:
+            valid &= (wall.restitution >= 0) & (wall.restitution <= 1)
+        else:
+            valid &= (wall.stiffness > 0) & (wall.damping >= 0)
+    if len(frame.walls) == 2:
+        left, right = frame.walls
+        valid &= left.position < right.position
+    return valid, finite

@@ -1,0 +1,118 @@
+"""A path from step to step: one flat loop over a block of lanes, and what the lanes leave behind.
+
+At each turn every lane flies a step, lands and rebounds, or is done. The loop pauses where a turning point has to be
+measured or impacts have to be put into their slots: work that is the same for all lanes and rarely due.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ..compiled.kernels import choose, stage
+from . import impact_log, soft_long_step, turning_points
+from .path import CAPPED, Path
+from .soft_contact import is_inside
+from .step import micro
+
+IMPACTS = 1000  # of one lane in one period, the cap
+STEPS = 8  # times the steps that a flight alone would take, the cap on the rest
+MOST_STEPS = 1e6  # of one lane in one period: more would be a hang
+# what a lane may need: another step, its impacts in their slots, a measurement, a long step
+GOING, FULL, CROWDED, WAITING = 1, 2, 4, 8
+
+
+class Journey(NamedTuple):
+    """Where the lanes are, their impacts, their closest calls (none where there is no wall).
+
+    wait: steps taken within a soft wall since it was entered, or a long one tried; None where there is no soft wall.
+    """
+
+    path: Path
+    log: impact_log.Log
+    slots: impact_log.Slots
+    calls: turning_points.Calls | None
+    wait: jax.Array | None = None
+
+
+class Cap(NamedTuple):
+    """How many impacts a lane may have, and how many steps it may take."""
+
+    impacts: jax.Array
+    steps: jax.Array
+
+
+def begin(frame, path, slots, end, watched=True):
+    """A `Journey` that has not begun; end: when the time to go is used up; watched: with closest calls."""
+    calls = turning_points.nothing(path.x) if frame.walls and watched else None
+    return Journey(path, *impact_log.empty(path.x, slots, end), calls, jnp.zeros_like(path.x) if frame.soft else None)
+
+
+def cap(frame, periods):
+    """The `Cap` for some drive periods."""
+    reach = frame.reach
+    for each in frame.contacts:
+        reach = reach if each is None else lax.min(reach, each.reach)
+    steps = 4.0 * IMPACTS + lax.min(STEPS * frame.period / reach, lax.full_like(frame.period, MOST_STEPS))
+    return Cap(lax.full_like(frame.period, IMPACTS * periods), steps * periods)
+
+
+def run(frame, journey, cap, again=None):
+    """The journey when no lane has time to go; again: gives the lanes that have ended a period their next."""
+    walls, watched = bool(frame.walls), journey.calls is not None
+
+    def turn(journey):
+        step = micro(frame, journey.path)
+        book = impact_log.write(journey.log, step.side, journey.path.contact, step.strike, step.path.rest)
+        calls = turning_points.note(frame, journey.path, step, journey.calls) if watched else None
+        wait = stage(_waited, journey.wait, step.path.contact) if frame.soft else None
+        journey = journey._replace(path=step.path, log=book, calls=calls, wait=wait)
+        journey = again(journey) if again else journey
+        path = journey.path
+        over = ((journey.log.count >= cap.impacts) | (journey.log.steps > cap.steps)) & (path.rest > 0)
+        # with a low part left, the next step would round CAPPED to a time that has been used up
+        rest, low = choose(over, CAPPED, path.rest), choose(over, 0.0, path.rest_low)
+        return journey._replace(path=path._replace(rest=rest, rest_low=low))
+
+    def leg(journey):
+        slots, journey = journey.slots, journey._replace(slots=None)
+        journey = lax.while_loop(lambda j: _need(j) == GOING, turn, journey)
+        if frame.soft:
+            waits = (_need(journey) & WAITING) != 0
+            path, wait = lax.cond(
+                waits, partial(soft_long_step.leap, frame), lambda *same: same, journey.path, journey.wait
+            )
+            journey = journey._replace(path=path, wait=wait)
+        need = _need(journey)
+        over = (need & GOING) == 0
+        pours, measures = over | ((need & FULL) != 0), over | ((need & CROWDED) != 0)
+        book, slots = lax.cond(pours, impact_log.pour, lambda *same: same, journey.log, slots)
+        calls = journey.calls
+        if watched:
+            calls = lax.cond(measures, lambda calls: turning_points.measure(frame, calls), lambda same: same, calls)
+        return journey._replace(log=book, slots=slots, calls=calls)
+
+    def pending(journey):
+        return jnp.any((journey.path.rest > 0) | (journey.calls.noted.mark != 0))
+
+    def going(journey):
+        return jnp.any(journey.path.rest > 0)
+
+    return lax.while_loop(pending if watched else going, leg if walls else turn, journey)
+
+
+def _waited(wait, contact):
+    return choose(is_inside(contact), wait + 1.0, 0.0)
+
+
+def _need(journey):
+    """What some lane needs: a sum of GOING, FULL and CROWDED."""
+    need = choose(journey.path.rest > 0, jnp.int8(GOING), jnp.int8(0))
+    need |= choose(impact_log.is_full(journey.log), jnp.int8(FULL), jnp.int8(0))
+    if journey.calls is not None:
+        need |= choose(turning_points.is_crowded(journey.calls), jnp.int8(CROWDED), jnp.int8(0))
+    if journey.wait is not None:
+        need |= choose(soft_long_step.is_due(journey.path, journey.wait), jnp.int8(WAITING), jnp.int8(0))
+    return lax.reduce(need, jnp.int8(0), lax.bitwise_or, tuple(range(need.ndim)))

@@ -1,0 +1,134 @@
+"""Where a lane is along its path, and which part of its motion the flow carries.
+
+The swift part of the response to the drive, swift cos(theta), follows the drive's angle. What is left, x less it, feels
+the force -2 swift Re((1 + gamma omega + i gamma omega) exp(i theta)) in place of A cos(theta): one that falls off as
+the drive gets fast, so that the rounding of a step is small beside the motion. Any swift part would do; this one,
+-A / (1 + omega^2 + 2 gamma omega), has no singular point and is never larger than the forced amplitude.
+"""
+
+from typing import NamedTuple
+
+import jax
+
+from ..compiled.kernels import choose, stage, two_sum
+from . import flow, soft_contact
+from .wall import course
+
+CAPPED = -1.0
+
+
+class Motion(NamedTuple):
+    """What the flow carries: x and v less the swift part, with the low parts of their sums; the drive's angle."""
+
+    slow_x: jax.Array
+    slow_x_low: jax.Array
+    slow_v: jax.Array
+    slow_v_low: jax.Array
+    cosine: jax.Array
+    sine: jax.Array
+
+
+class Path(NamedTuple):
+    """Where a lane is: x and its low part, v; the motion; the time to go and its low part; the contact.
+
+    A lane that was given up has CAPPED to go, its low part 0.
+
+    contact: 0 free; times the wall's sign: 1 has landed and leaves, 2 rests on the wall, 3 is within a soft wall, 4 has
+    just entered it, 5 is released, no push on it. Within a wall x and v are counted from the wall's.
+    """
+
+    x: jax.Array
+    x_low: jax.Array
+    v: jax.Array
+    motion: Motion
+    rest: jax.Array
+    rest_low: jax.Array
+    contact: jax.Array
+
+    @property
+    def cosine(self):
+        return self.motion.cosine
+
+    @property
+    def sine(self):
+        return self.motion.sine
+
+
+def motion(frame, x, v, cosine, sine):
+    """The `Motion` of a position and a velocity."""
+    slow_x, slow_v = -(frame.swift * cosine), frame.swift * frame.frequency * sine
+    return Motion(*two_sum(x, slow_x), *two_sum(v, slow_v), cosine, sine)
+
+
+def place(frame, motion):
+    """(x, its low part, v) of a motion."""
+    slow_x, slow_x_low, slow_v, slow_v_low, cosine, sine = motion
+    x, low = two_sum(slow_x, frame.swift * cosine)
+    return x, low + slow_x_low, slow_v + (slow_v_low - frame.swift * frame.frequency * sine)
+
+
+def moved(frame, motion, time, touch=None):
+    """The `Motion` a time later. touch: the lanes' contact, where they may be within a soft wall."""
+    if touch is None:
+        gains, more = stage(flow.gains, frame.series, frame.frequency, time), None
+    else:
+        gains = stage(soft_contact.gains, frame, touch, time)
+        waves = stage(soft_contact.waves, frame, touch, time) if soft_contact.moves(frame) else None
+        more = stage(soft_contact.pushed, frame, touch, motion, gains, waves)
+    slow = stage(_carry, frame, motion, gains, touch, more)
+    return Motion(*slow, *stage(flow.turn, *motion[4:], gains.versed, gains.sined))
+
+
+def _carry(frame, motion, gains, touch, more):
+    """(slow_x, slow_x_low, slow_v, slow_v_low) after a flight; more: what the drive's force is not the cause of."""
+    twist = frame.damping * frame.frequency
+    along = -2.0 * frame.swift * (motion.cosine + twist * (motion.cosine - motion.sine))
+    across = -2.0 * frame.swift * (motion.sine + twist * (motion.sine + motion.cosine))
+    if touch is not None:
+        inside = soft_contact.is_inside(touch)
+        along = choose(inside, frame.force * motion.cosine, along)
+        across = choose(inside, frame.force * motion.sine, across)
+    stay, move, lift, lag = gains[:4]
+    dx = stay * motion.slow_x + (move * motion.slow_v + (along * lift - across * lag))
+    forced = along * (move - frame.frequency * lag) - across * (frame.frequency * lift)
+    dv = (stay - 2.0 * frame.damping * move) * motion.slow_v + (
+        forced - move * flow.pulled(frame.stiffness, motion.slow_x)
+    )
+    if more is not None:
+        dx, dv = dx + more[0], dv + more[1]
+    return *two_sum(motion.slow_x, dx + motion.slow_x_low), *two_sum(motion.slow_v, dv + motion.slow_v_low)
+
+
+def left(path, time):
+    """The time to go, and its low part, a time later."""
+    rest, low = two_sum(path.rest, -time)
+    return two_sum(rest, low + path.rest_low)
+
+
+def absolute(frame, path):
+    """(x, v) of the lanes, also of those that are within a soft wall."""
+    x, v = path.x, path.v
+    for wall, soft in zip(frame.walls, frame.contacts, strict=True):
+        if soft is not None:
+            where, pace = course(wall, frame.frequency, path.cosine, path.sine, 1)
+            inside = soft_contact.is_inside(path.contact) & (path.contact * wall.sign > 0)
+            x = choose(inside, where + path.x, x)
+            v = v if pace is None else choose(inside, pace + path.v, v)
+    return x, v
+
+
+def accelerations(frame, x, v, cosine, sine, bias=(None, None)):
+    """The acceleration of a free mass, and its rate of change; bias: see `flow.extend`."""
+    drive = frame.force * cosine, -(frame.force * sine) * frame.frequency
+    return flow.extend(frame.frequency, frame.damping, frame.stiffness, drive, bias, (x, v))[1]
+
+
+def jet(frame, x, v, cosine, sine, order, bias=()):
+    """x and its derivatives, two at a time so that each is computed once: at least as many as the order."""
+    force, found = (frame.force * cosine, -(frame.force * sine) * frame.frequency), [x, v]
+    bias = [*bias, *[None] * order]
+    while len(found) <= order:
+        pair = bias[len(found) - 2 : len(found)]
+        force, new = stage(flow.extend, frame.frequency, frame.damping, frame.stiffness, force, pair, found[-2:])
+        found += new
+    return found

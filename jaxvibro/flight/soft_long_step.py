@@ -1,0 +1,182 @@
+"""Long steps of a mass within a soft wall: over most of a contact (`plunge`), or over many of the wall's own swings.
+
+Within a wall y = slow + fast: the forced motion and, where the wall is overdamped, what creeps back; and the rest w,
+whose energy falls, so that it never exceeds B = sqrt(w^2 + w'^2 / (1 + k2)). While slow stays above B there is no way
+out: that is the certified step of `event`, in the slow part's own time. The flow over it is the exact one.
+"""
+
+from typing import NamedTuple
+
+import jax
+from jax import lax
+
+from ..compiled.kernels import choose, least, mask, merge, stage
+from ..scene.codes import Contact
+from . import event, flow, soft_contact
+from .path import Motion, left
+from .soft_first_step import is_sure
+
+PATIENCE = 8.0  # short steps before a long one is tried
+WORTH = 4.0  # short steps that a long one must be
+STIFF = 4.0  # times the square of the drive's rate: below that stiffness all motion is slow
+OVERDAMPED = 2.0  # times the stiffness: damping^2 from which two rates are told apart
+
+
+class Wave(NamedTuple):
+    """A part of a slow motion: the real part of (real + i imaginary) exp(i rate t)."""
+
+    real: jax.Array
+    imaginary: jax.Array
+    rate: jax.Array
+
+    @property
+    def size(self):
+        return lax.abs(self.real) + lax.abs(self.imaginary)
+
+    def values(self, count):
+        """So many derivatives at t = 0, from the value on."""
+        found, (real, imaginary) = [], (self.real, self.imaginary)
+        for _ in range(count):
+            found.append(real)
+            real, imaginary = -self.rate * imaginary, self.rate * real
+        return found
+
+
+class Creep(NamedTuple):
+    """A part of a slow motion: real exp(-rate t)."""
+
+    real: jax.Array
+    rate: jax.Array
+
+    @property
+    def size(self):
+        return lax.abs(self.real)
+
+    def values(self, count):
+        """So many derivatives at t = 0, from the value on."""
+        found = [self.real]
+        while len(found) < count:
+            found.append(-self.rate * found[-1])
+        return found
+
+
+def plunged(frame, path):
+    """The path with the lanes that have just entered a stiff wall, fast enough, carried most of the way back.
+
+    frame: as the lanes feel it (`contact.felt`).
+    """
+    going = stage(_plunges, frame, path)
+    angle = stage(_turned, frame, path)
+    x, v = stage(_plunged, frame, path)
+    rest = stage(_left, frame, path)
+    new = x, v, x, v, *angle, *rest, lax.sign(path.contact) * Contact.WITHIN
+    old = path.x, path.v, path.motion.slow_x, path.motion.slow_v, path.cosine, path.sine
+    old = *old, path.rest, path.rest_low, path.contact
+    x, v, slow_x, slow_v, cosine, sine, rest, low, touch = (merge(going, *each) for each in zip(new, old, strict=True))
+    motion = path.motion._replace(slow_x=slow_x, slow_v=slow_v, cosine=cosine, sine=sine)
+    return path._replace(x=x, v=v, motion=motion, rest=rest, rest_low=low, contact=touch)
+
+
+def _plunges(frame, path):
+    first, side = soft_contact.plunges(frame, path.contact), lax.sign(path.contact)
+    push = frame.force * path.cosine
+    (bias,) = soft_contact.biases(frame, path.contact, path.cosine, path.sine, 0)
+    sure = is_sure(first, side * path.v, side * (push if bias is None else push + bias))
+    return mask((lax.abs(path.contact) == Contact.ENTERED) & sure & (path.rest > first.time), path.x)
+
+
+def _turned(frame, path):
+    return flow.turn(path.cosine, path.sine, *soft_contact.plunges(frame, path.contact).angle)
+
+
+def _plunged(frame, path):
+    first = soft_contact.plunges(frame, path.contact)
+    response = soft_contact.Response(first.free, first.forced, first.waves)
+    return soft_contact.flown(frame, path.contact, response, (path.x, path.v), path.cosine, path.sine)
+
+
+def _left(frame, path):
+    return left(path, soft_contact.plunges(frame, path.contact).time)
+
+
+def is_due(path, wait):
+    """The lanes that have waited long enough for a long step to be tried."""
+    return (wait >= PATIENCE) & (path.rest > 0)
+
+
+def leap(frame, path, wait):
+    """(path, wait): lanes that wait for a long step have taken it where there is one, and begin to wait anew."""
+    here = soft_contact.feeling(frame, path.contact)
+    due = is_due(path, wait)
+    time = choose(due, least(stage(_safe, here, path), path.rest), 0.0)
+    taken = time > WORTH * here.reach
+    time = choose(taken, time, 0.0)
+    angle = frame.frequency * time
+    turned = stage(flow.turn, path.cosine, path.sine, flow.versine(angle), flow.sinus(angle))
+    x, v = stage(_flown, here, path, time)
+    none = lax.full_like(x, 0.0)
+    moved = Motion(x, none, v, none, *turned)
+    moved = Motion(*(choose(taken, new, old) for new, old in zip(moved, path.motion, strict=True)))
+    rest, low = left(path, time)
+    sign = lax.sign(path.contact)
+    after = path._replace(
+        x=choose(taken, x, path.x),
+        x_low=choose(taken, 0.0, path.x_low),
+        v=choose(taken, v, path.v),
+        motion=moved,
+        rest=choose(taken, rest, path.rest),
+        rest_low=choose(taken, low, path.rest_low),
+        contact=choose(taken, sign * Contact.WITHIN, path.contact),
+    )
+    return after, choose(due, 0.0, wait)
+
+
+def _safe(frame, path):
+    """A time for which the mass certainly stays within its wall; 0 where that cannot be said."""
+    parts = _forced(frame, path.contact, path.cosine, path.sine)
+    stiffness, damping, side = frame.stiffness, frame.damping, lax.sign(path.contact)
+    place, pace = (sum(each) for each in zip(*(part.values(2) for part in parts), strict=True))
+    w, u = path.x - place, path.v - pace
+    inner = damping * damping - stiffness
+    creeps = damping * damping > OVERDAMPED * stiffness
+    swift = damping + lax.sqrt(choose(creeps, inner, 0.0))
+    creep = choose(creeps, stiffness / swift, 0.0)
+    gone = (u + creep * w) / choose(creeps, creep - swift, -1.0)
+    kept = choose(creeps, w - gone, 0.0)
+    bound = choose(creeps, lax.abs(gone), lax.sqrt(w * w + u * u / stiffness))
+    parts = [*parts, Creep(kept, creep)]
+    pace = creep
+    for part in parts[:-1]:
+        pace = choose(part.rate > pace, part.rate, pace)
+    reach = flow.STEP / pace
+    weights = event.weights(reach)
+    slow = [sum(each) for each in zip(*(part.values(event.TERMS) for part in parts), strict=True)]
+    terms = [-(side * each) * weight for each, weight in zip(slow, weights, strict=False)]
+    terms[0] = terms[0] + bound
+    rest = sum(part.size * part.rate**event.TERMS for part in parts) * weights[event.TERMS]
+    ahead = event.Progress(tuple(terms), rest)
+    limit = event.bound(ahead, event.cubic(ahead))
+    near = event.free_step(limit)
+    step = event.sure_step(limit, event.horizon(limit, event.quadratic(*limit[:3])), near)
+    stiff = stiffness > STIFF * pace * pace
+    return choose((terms[0] < 0) & stiff, step * reach, 0.0)
+
+
+def _flown(frame, path, time):
+    """(y, y') a time later, the flow's short step doubled."""
+    response = soft_contact.response(frame, path.contact, time)
+    return soft_contact.flown(frame, path.contact, response, (path.x, path.v), path.cosine, path.sine)
+
+
+def _forced(frame, touch, cosine, sine):
+    """The `Wave`s that drive and wall force on y; frame: as the lanes feel it. Of no use where they resonate."""
+    none = 0.0 * cosine
+    drive = frame.force * cosine, frame.force * sine, frame.frequency + none
+    waves = [drive, *([soft_contact.wave(frame, touch, cosine, sine)] if soft_contact.moves(frame) else [])]
+    found = []
+    for along, across, rate in waves:
+        lag, away = 2.0 * frame.damping * rate, frame.stiffness - rate * rate
+        size = away * away + lag * lag
+        found.append(Wave((along * away + across * lag) / size, (across * away - along * lag) / size, rate))
+    place, _ = soft_contact.rested(frame, touch, cosine, -1.0, none)
+    return [Wave(place, none, none), *found]

@@ -1,0 +1,154 @@
+"""One step of a path: it flies to the next event or as far as is certain, lands, rebounds, rests or is released.
+
+Each step is a handful of stages on lanes; a stage's results are stored, see `lanes.stage`.
+"""
+
+from typing import NamedTuple
+
+import jax
+from jax import lax
+
+from ..compiled.kernels import choose, least, most, positive, stage
+from ..scene.codes import Contact
+from . import event, flow, impact, soft_long_step
+from .path import Path, jet, left, moved, place
+from .soft_contact import biases, felt, is_inside
+from .wall import chosen, course, less, picked, press
+
+SLOW = 0.25  # of the speed that the acceleration makes over the longest step
+
+
+class Step(NamedTuple):
+    """What a step did: its time, the path before any impact and after, the side of the impact (0: none), the strike."""
+
+    time: jax.Array
+    flown: Path
+    path: Path
+    side: jax.Array
+    strike: impact.Strike
+
+
+def micro(frame, path):
+    """One certified step of every lane that has time to go; a lane that has none stays as it is."""
+    if not frame.walls:
+        time = positive(least(frame.reach, path.rest))
+        flown = _advance(frame, path, time)
+        none = lax.full_like(path.x, 0.0)
+        return Step(time, flown, flown, none, impact.Strike(none, none, none))
+    bias, whole, touch = (), frame, None
+    if frame.soft:
+        frame = frame._replace(**stage(felt, frame, path.contact)._asdict())
+        path = soft_long_step.plunged(frame, path)
+        touch = path.contact
+        bias = stage(biases, frame, touch, path.cosine, path.sine, order=event.TERMS - 2)
+    derivatives = jet(frame, path.x, path.v, path.cosine, path.sine, event.TERMS, bias)
+    side = stage(_side, frame, path, *derivatives[2:4])
+    ahead = stage(_progress, frame, path, derivatives, side)
+    bound = event.bound(ahead, stage(event.cubic, ahead))
+    near = stage(event.free_step, bound)
+    other = lax.full_like(near, 1.0)
+    if len(frame.walls) == 2:
+        other = stage(_other, path, stage(_behind, frame, path, derivatives, side), soft=frame.soft)
+    guess = stage(event.quadratic, *bound[:3])
+    step = stage(event.sure_step, bound, stage(event.horizon, bound, guess), near)
+    root = stage(event.newton, ahead, stage(event.halley, ahead, guess))
+    slack = stage(event.slack, ahead, guess, root)
+    hit = stage(_lands, frame, path, ahead, root, slack, other, side)
+    time = stage(_time, frame, path, hit, root, slack, step, other)
+    flown = _advance(frame, path, time, touch)
+    late = stage(impact.late, frame, flown, hit)
+    strike = stage(impact.strike, frame, flown, hit, late)
+    after = stage(impact.part, whole, flown, hit, late, strike, time)
+    return Step(time, flown, after, hit, strike)
+
+
+def _side(frame, path, pull, jerk):
+    """The wall to aim at: the nearer if it holds the mass (`_holds`), else that reached first at the present speed."""
+    found = []
+    for wall in frame.walls:
+        where, speed, bend, change = course(wall, frame.frequency, path.cosine, path.sine, 3)
+        clear, closing = wall.sign * ((where - path.x) + path.x_low), wall.sign * less(path.v, speed)
+        bend, change = wall.sign * less(pull, bend), less(jerk, change)
+        found.append((clear, closing, _holds(frame, path.contact * wall.sign, clear, closing, bend, change)))
+    if len(found) == 1:
+        return lax.full_like(path.x, float(frame.walls[0].sign))
+    (clear, closing, held), (other_clear, other_closing, other_held) = found
+    nearer, sooner = other_clear < clear, other_closing * clear > closing * other_clear
+    right = choose(nearer, other_held | sooner, sooner & ~held)
+    if frame.soft:
+        inside = is_inside(path.contact)
+        right = (inside & (path.contact > 0)) | (~inside & right)
+    return choose(right, lax.full_like(path.x, 1.0), -1.0)
+
+
+def _holds(frame, contact, clear, closing, bend, change):
+    """Whether the mass rests on a wall, hops back to it, or is so near and slow that only a short horizon helps."""
+    quick = SLOW * frame.reach * (lax.abs(bend) + frame.reach * lax.abs(change))
+    slow = (lax.abs(closing) < quick) & (clear < frame.reach * quick)
+    hops = (contact == Contact.LANDED) & (2.0 * lax.abs(closing) < frame.reach * bend)
+    return slow | hops | (contact == Contact.STUCK)
+
+
+def _progress(frame, path, derivatives, side):
+    """The `event.Progress` towards the wall on a side."""
+    walls, contact = frame.walls, path.contact * side
+    values = frame.force, frame.frequency, frame.damping, path.cosine, path.sine
+    push = picked(side, walls, [press(wall, *values, event.TERMS - 1) for wall in walls])
+    way = picked(side, walls, [course(wall, frame.frequency, path.cosine, path.sine, event.TERMS) for wall in walls])
+    stuck, released = contact == Contact.STUCK, contact == Contact.RELEASED
+    tail, swing = chosen(side, walls, frame.tails), chosen(side, walls, frame.swings)
+    on, weights = (contact == Contact.LANDED) | released, frame.weights
+    if frame.soft:  # from within, y falls to 0
+        inside = (contact == Contact.WITHIN) | (contact == Contact.ENTERED)
+        way = [None if where is None else choose(inside, 0.0, where + 0.0 * side) for where in way]
+        on |= contact == Contact.ENTERED
+        swing, side = choose(inside, 0.0, swing + 0.0 * side), choose(inside, -side, side)
+        weights = event.weights(frame.reach)
+    clear = [less(place, where) for place, where in zip(derivatives, way, strict=True)]
+    clear[0] = clear[0] + path.x_low
+    terms = [
+        choose(stuck, -pushed, free) * (side * weight)
+        for pushed, free, weight in zip(push, clear, weights, strict=False)
+    ]
+    terms[1:3] = (choose(released, 0.0, term) for term in terms[1:3])
+    sixth, seventh = flow.pulled(frame.root, lax.abs(derivatives[6])), lax.abs(derivatives[7])
+    bound = frame.reach * (frame.curb + frame.slope * (sixth + seventh)) + seventh
+    rest = (choose(stuck, tail, bound) + swing) * weights[event.TERMS]
+    return event.progress(terms, rest, on)
+
+
+def _behind(frame, path, derivatives, side):
+    """The `event.Bound` towards the wall that is not aimed at."""
+    progress = _progress(frame, path, derivatives, -side)
+    return event.bound(progress, event.cubic(progress))
+
+
+def _other(path, bound, soft):
+    """A step that is certain not to meet the wall that is not aimed at."""
+    held = lax.abs(path.contact) == Contact.STUCK
+    if soft:
+        held |= is_inside(path.contact)
+    return choose(held, 1.0, event.free_step(bound))
+
+
+def _lands(frame, path, progress, root, slack, other, side):
+    """The side of the wall that is met at the root, 0 where the root is not near enough or not the next event."""
+    g = progress.terms
+    rest = path.rest * frame.pace
+    tiny = 4.0 * event.rounding(rest.dtype) * frame.period * frame.pace
+    close = slack * (lax.abs(g[2]) + g[1]) < event.landing(rest.dtype) * g[1]
+    inside = (root + slack <= rest) | ((slack <= tiny) & (root <= rest + tiny))
+    hits = (slack >= 0) & close & inside & (root <= other) & (rest > 0)
+    return choose(hits, side, 0.0)
+
+
+def _time(frame, path, hit, root, slack, step, other):
+    """How long the step is."""
+    short = least(most(step, choose(slack >= 0, root - slack, 0.0)), other)
+    return positive(least(choose(hit != 0, root, short) * frame.reach, path.rest))
+
+
+def _advance(frame, path, time, touch=None):
+    """The path a free flight later."""
+    motion = moved(frame, path.motion, time, touch)
+    return Path(*stage(place, frame, motion), motion, *stage(left, path, time), path.contact)

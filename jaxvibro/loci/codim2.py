@@ -1,0 +1,218 @@
+"""Points of codimension two on a locus: where it meets another, or where what crosses it changes its kind.
+
+On a locus of SN a cusp (CP), where w F_uu v v is zero, v and w being the right and left null vectors of F_u; on one of
+PD or SB a generalized period doubling (GPD) or degenerate symmetry breaking (DSB), where w (F_uuu v v v + 3 F_uu v h)
+is, with F_u h = -F_uu v v (Kuznetsov, Elements of Applied Bifurcation Theory, 5.4); on one of GR a point of SN, PD or
+SB, or of resonant grazing (RG), where SN and PD are one. F is entire in times and speeds: central differences over many
+points give these derivatives to rounding.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from continuation import locate
+from continuation.follow import Event, fetched
+from continuation.linear import solve
+from continuation.persistent_jit import persistent_jit
+
+from ..compiled.kernels import one_kernel
+from ..flight import flow
+from ..flight.coefficients import frame
+from ..orbits import cyclic_system, impact_equations
+from ..problem.diagnostics import looked
+from ..problem.equations import cycle_at, problem, there
+from ..problem.points import between
+from .extended_system import Grazing
+
+APART = 0.03  # between the nearest of the points of a difference, times the fastest rate
+PLACES = np.array([-8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8])
+
+
+def _weights(nine, order, power):
+    """Of a derivative at PLACES: of nine points, and of nine twice as far apart, so that the first error falls out."""
+    near, far = (
+        np.array([nine[k // n + 4] if k % n == 0 and abs(k) <= 4 * n else 0.0 for k in PLACES]) for n in (1, 2)
+    )
+    return (2.0**power * near - far / 2.0**order) / (2.0**power - 1.0)
+
+
+# places and weights of the second and the third derivative: to rounding, and for a sign alone
+THIRTEEN = (
+    PLACES,
+    _weights([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560], 2, 8),
+    _weights([-7 / 240, 3 / 10, -169 / 120, 61 / 30, 0, -61 / 30, 169 / 120, -3 / 10, 7 / 240], 3, 6),
+)
+SEVEN = (
+    np.arange(-3, 4),
+    np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90]),
+    np.array([1 / 8, -1, 13 / 8, 0, -13 / 8, 1, -1 / 8]),
+)
+ORDERS = {"CP": 2, "GPD": 3, "DSB": 3}  # of the derivative that is zero there
+STEP = 1e-5  # of 1 + abs z: the points of a difference, for Newton's method
+SAME = 1e-7  # of z: two points as near are one
+LANES = 132  # points of a compiled call
+
+
+def events(curve, points, look, control):
+    """The `Event`s between points in a row, of which the `Look` is known."""
+    found = []
+    for kind, values in _watched(curve, points, look).items():
+        for after in np.flatnonzero(values[:-1] * values[1:] < 0):
+            one = _located(curve, kind, points, int(after), values, control)
+            if one is not None and np.linalg.norm(control.scale * (one.z - points.z[0])) > SAME:
+                found.append(one)
+    return _told_apart(sorted(found, key=lambda one: (one.after, one.length)))
+
+
+def _watched(curve, points, look):
+    """{kind: values at points that change their sign there}."""
+    if not isinstance(curve, Grazing):
+        if float(curve.closing) > 0:
+            turned = np.sum(points.tangent[1:, -2:] * points.tangent[:-1, -2:], axis=1)
+            return {"CP": np.cumprod(np.append(1.0, np.sign(turned)))}
+        bend = _bent(curve, points.z, 3, False)
+        return {_doubling(curve, "GPD", "DSB"): bend.value * np.sign(bend.across)}
+    fold, flip = _singled(curve, look)
+    return {"SN": fold, _doubling(curve, "PD", "SB"): flip}
+
+
+def _singled(curve, look):
+    """What is zero on a GR where the orbit is an SN, and where a PD or SB. With a smooth touch the equations of the
+    impacts are always singular: there it is the monodromy matrix less or plus 1, its determinant."""
+    if curve.cycle.still is None:
+        return look.fold, look.flip
+    turn = -1.0 if float(curve.cycle.turn) < 0 else 1.0
+    return tuple(1.0 + look.determinant - sign * turn * look.trace for sign in (1.0, -1.0))
+
+
+def _doubling(curve, whole, half):
+    return half if float(curve.cycle.turn) < 0 else whole
+
+
+def _located(curve, kind, points, after, values, control):
+    here, length = points.z[after], float(points.step[after + 1])
+    share = values[after] / (values[after] - values[after + 1])
+    for guess in (share, 0.5):
+        near = between(curve, points, after, guess * length, control)
+        z = here + guess * length * points.tangent[after] if near is None else near.z
+        found = _polished(curve, kind, z)
+        if found.z is None:
+            continue
+        along = float(np.sum(control.scale**2 * points.tangent[after] * (found.z - here)))
+        if -0.05 * length <= along <= 1.05 * length:
+            return Event(kind, after, min(max(along, 0.0), length), found.z, found.residual)
+    return None
+
+
+def _polished(curve, kind, z):
+    """Newton's method on the locus and the event's equation: `locate.Located`."""
+    found, vectors = _measured(curve, kind, z[None])
+    size = abs(found[0]) or 1.0
+
+    def system(z):
+        value, slopes = (np.asarray(each) for each in locate.evaluated(problem(curve), z, curve))
+        steps = STEP * (1.0 + abs(z))
+        both = np.concatenate([z + np.diag(steps), z - np.diag(steps), z[None]])
+        found = _measured(curve, kind, both, vectors)[0] / size
+        count = len(z)
+        more = (found[:count] - found[count : 2 * count]) / (2.0 * steps)
+        return np.append(value, found[-1]), np.vstack([slopes, more])
+
+    return locate.newton(system, z)
+
+
+def _measured(curve, kind, zs, reference=None):
+    """(what is zero at an event, at some points; the null vectors that give it its sign, as `_Bend`)."""
+    if kind in ORDERS:
+        bend = _bent(curve, zs, ORDERS[kind], True, reference)
+        return bend.value, (bend.v[0], bend.w[0])
+    fold, flip = _singled(curve, looked(curve, zs))
+    return fold if kind == "SN" else flip, None
+
+
+def _told_apart(found):
+    """Events in order; SN and PD of a GR in one point are a resonant grazing."""
+    apart = []
+    for one in found:
+        if apart and np.linalg.norm(one.z - apart[-1].z) < SAME * (1.0 + np.linalg.norm(one.z)):
+            apart[-1] = apart[-1]._replace(kind="RG")
+        else:
+            apart.append(one)
+    return apart
+
+
+class _Bend(NamedTuple):
+    """value: the derivative of second or third order along the null vectors v and w; across: by how much the closing
+    changes along them, whose sign makes that of the third derivative a normal form's."""
+
+    value: np.ndarray
+    v: np.ndarray
+    w: np.ndarray
+    across: np.ndarray
+
+
+def _bent(curve, zs, order, fine, reference=None):
+    """The `_Bend` at each point. fine: to rounding, else to seven digits or so; reference: the (v, w) that give these
+    their signs."""
+    reference = tuple(np.zeros((2, 2 * len(curve.cycle.sides)))) if reference is None else reference
+    parts = []
+    for first in range(0, len(zs), LANES):
+        some = zs[first : first + LANES]
+        padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
+        found = fetched(_bending(curve, padded, reference, np.int32(len(some)), order, fine))
+        parts.append([each[: len(some)] for each in found])
+    return _Bend(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+
+
+@persistent_jit(static_argnums=(4, 5))
+def _bending(curve, zs, reference, count, order, fine):
+    return one_kernel(_each, curve, zs, reference, count, order=order, fine=fine)
+
+
+def _each(curve, zs, reference, count, order, fine):
+    def bend(k, found):
+        new = _bend(curve, lax.dynamic_index_in_dim(zs, k, keepdims=False), reference, order, fine)
+        return jax.tree.map(lambda whole, part: lax.dynamic_update_index_in_dim(whole, part, k, 0), found, new)
+
+    line, plane = (jnp.zeros((len(zs), *shape), zs.dtype) for shape in ((), reference[0].shape))
+    return lax.fori_loop(0, count, bend, _Bend(line, plane, plane, line))
+
+
+def _bend(curve, z, reference, order, fine):
+    built = frame(there(curve, z))
+    found = cyclic_system.of(impact_equations.equations(built, cycle_at(curve, z))[1])
+    w, v = (each / jnp.sqrt(jnp.sum(each * each)) for each in cyclic_system.nulls(found, curve.closing))
+    v, w = (jnp.where(jnp.sum(one * given) < 0, -one, one) for one, given in zip((v, w), reference, strict=True))
+    across = cyclic_system.product(w, found, v, 1.0) - cyclic_system.product(w, found, v, -1.0)
+    step = APART / _rate(built)
+    places, *weights = THIRTEEN if fine else SEVEN
+
+    def derivative(k, given):  # of the second order, then of the third with its h
+        last, _ = given
+        h = jnp.where(k > 0, -solve(cyclic_system.dense(found), last).x, 0.0)
+        beside = jax.vmap(lambda k: _ahead(curve, built, z, v, h, k * step))(jnp.array(places, z.dtype))
+        weight = lax.dynamic_index_in_dim(jnp.array(weights, z.dtype), k, keepdims=False)
+        return jnp.sum(weight[:, None] * beside, 0) / step ** (k + 2.0), h
+
+    last, _ = lax.fori_loop(0, order - 1, derivative, (jnp.zeros_like(v), jnp.zeros_like(v)))
+    return _Bend(jnp.sum(w * last), v, w, across)
+
+
+def _rate(built):
+    """The fastest of the flights', and of what is felt within soft walls."""
+    found = flow.rate(built.frequency, built.damping)
+    for soft in built.contacts:
+        found = found if soft is None else jnp.maximum(found, flow.STEP / soft.reach)
+    return found
+
+
+def _ahead(curve, built, z, v, h, s):
+    """F of the impacts moved by s v + s^2 / 2 h, the first impact of the next time round by what its closing says."""
+    rows, moves = len(curve.cycle.sides), ((s * v, curve.closing), (0.5 * s * s * h, 1.0))
+    value = impact_equations.equations(built, impact_equations.unwound(cycle_at(curve, z), built.period, moves))[0]
+    own = jnp.arange(rows) < jnp.sum(curve.cycle.sides != 0)
+    return jnp.concatenate([jnp.where(own, value[:rows], 0.0), jnp.where(own, value[rows + 1 : 2 * rows + 1], 0.0)])

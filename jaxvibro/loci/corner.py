@@ -1,0 +1,85 @@
+"""Where a grazing touches several walls at once: which of them counts on either side, and on from wall to wall.
+
+Each touch alone has a locus of its own, as an impact without speed. It counts where the others come to be free. Where
+all stay touched whatever the parameters do, as P100 touches opposite walls at the same distance, one is followed. Else
+each counts on one side: the boundary has a corner there, and its derivatives are one-sided.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..branches.describe import Spot
+from ..branches.end import End
+from ..problem.equations import there as at
+from ..problem.touches import FLAT, opening, stays, touches, wall_sides
+from ..scene import check
+from ..scene.scale import scene_length
+from ..scene.scene import changed
+from .extended_system import Grazing
+from .first_point import Begun, backward, ways
+from .track import tracked
+
+MOST = 64  # parts of a locus
+SAME = 1e-6  # of a period: touches as near are one
+
+
+def outsets(start, names, bounds, *steps):
+    """The `track.Way`s of a locus from a `Begun`, on and back. Raises SceneError for arguments that cannot be."""
+    found = ways(start, names, bounds, *steps)
+    if len(found) == 1:
+        return found[0], backward(found[0])
+    senses = _open(found)
+    for pair in senses:
+        if len(pair) == 2:
+            return tuple(pair)
+    single = sorted((pair[0] for pair in senses if pair), key=lambda way: way.start.tangent[-1])
+    if len(single) < 2:
+        rule = "must be a grazing whose touches go on alone; here touch walls at once"
+        raise check.SceneError("special", rule, len(found))
+    return single[-1], single[0]
+
+
+def traced(start, way, steps, one=None):
+    """What is tracked along a `Way` and on from wall to wall, a list of (`Way`, `Tracked`); one: the first, if it is
+    known. start: the `Begun` of the locus; steps: as of `outsets`."""
+    found = []
+    while way is not None and len(found) < MOST:
+        found.append((way, one or tracked(*way)))
+        way, one = _beyond(start, *found[-1], steps), None
+    return found
+
+
+def _open(found):
+    """For each of some ways those of its two senses in which the other touches come free or stay."""
+    return [[one for one in (way, backward(way)) if _is_free(one)] for way in found]
+
+
+def _is_free(way):
+    """Whether along a way no other touch than its own becomes an impact."""
+    curve, z, tangent = way.curve, way.start.z, way.start.tangent
+    walls, held = wall_sides(curve.scene), stays(curve, z)
+    others = (one for one in touches(curve, z, scene_length(curve.scene)) if not one.own)
+    places = [(one.row, walls.index(one.side), one.late - float(held[one.row])) for one in others]
+    return all(opening(curve, z, tangent, *place) > -FLAT for place in places)
+
+
+def _beyond(start, way, one, steps):
+    """The `Way` on from where the motion without impacts comes to touch another wall, None elsewhere."""
+    curve, names = way.curve, way.asked.names
+    if one.why is not End.GRAZE or not isinstance(curve, Grazing) or len(curve.hits) or float(curve.cycle.turn) < 0:
+        return None
+    z, none = one.points.z[-1], np.zeros(0)
+    values = zip(names, z[-2:], strict=True)
+    scene = changed(start.scene, {name: jnp.asarray(value, start.scene.dtype) for name, value in values})
+    spot = Spot(
+        float(z[-2]), none, none, none, int(curve.cycle.periods), np.nan, np.nan, float(one.points.residual[-1])
+    )
+    senses = _open(ways(Begun("GR", names[0], scene, spot), names, way.asked.bounds, *steps))
+    others = (pair[0] for pair in senses if len(pair) == 1)
+    return next((each for each in others if not _is_touch(each.curve, each.start.z, curve, z)), None)
+
+
+def _is_touch(curve, z, other, there):
+    """Whether the touches of two motions without impacts are one."""
+    late = (z[0] - there[0]) * float(at(curve, z).frequency) / (2.0 * np.pi * int(curve.cycle.periods))
+    return curve.cycle.sides[0] == other.cycle.sides[0] and abs(late - np.round(late)) < SAME

@@ -1,0 +1,89 @@
+"""`family`: the loci of a special point for values of a third parameter, tracked together."""
+
+import numpy as np
+
+from ..branches.describe import Spot
+from ..branches.end import End
+from ..branches.mirror import stays_symmetric
+from ..branches.segment import to_value
+from ..scene import check
+from ..scene.parameters import values_of
+from .corner import outsets, traced
+from .first_point import Begun, begun, impacts_of, named
+from .locus import locus_of
+from .track import together
+
+
+@check.host("use strobe or monodromy")
+def family(special, names, bounds, third, values, first_step=0.02, largest_step=0.1, tolerance=1e-12):
+    """The loci of a special point for values of a third parameter: a tuple, for each value a `Locus` or None.
+
+    special, names, bounds, first_step, largest_step, tolerance: as in `locus`; third: a parameter of the scene other
+    than these two; values: of it, a row of one at least, in any order.
+
+    The point is carried to each value along its locus in one of names (that of its branch, or the first) and third,
+    the other one fixed; where that passes the value more than once, the first time along it counts. None stands where
+    it does not come to the value: it ends before, at a bound, a grazing or where the point exists no more. The loci
+    of all values are then tracked as lanes of one compiled call; each is that which `locus` gives from its point.
+
+    Raises SceneError for points of other kinds and arguments that cannot be.
+    """
+    start, steps = begun(special), (first_step, largest_step, tolerance)
+    names, values = named(start.scene, names), values_of(start.scene, third, values)
+    if third in names:
+        raise check.SceneError("third", "must be none of names", third)
+    if start.kind == "SB" and not stays_symmetric(start.scene, third):
+        raise check.SceneError("third", "must keep the scene symmetric: an SB is no point of another", third)
+    outsets(start, names, bounds, *steps)  # refuses what cannot be
+    found = carried(start, names, bounds, third, values, *steps)
+    starts = [one for one in found if one is not None]
+    ways = [outsets(one, names, bounds, *steps) for one in starts]
+    first = together([each for pair in ways for each in pair])
+    both = zip(starts, ways, zip(first[::2], first[1::2], strict=True), strict=True)
+    loci = iter([_locus(one, *pair, *tracks, steps) for one, pair, tracks in both])
+    return tuple(None if one is None else next(loci) for one in found)
+
+
+def _locus(start, on, back, ahead, behind, steps):
+    """The `Locus` of ways on and back and what was tracked along each first."""
+    closes = ahead.why is End.CLOSED
+    return locus_of(start, traced(start, on, steps, ahead), () if closes else traced(start, back, steps, behind))
+
+
+def carried(start, names, bounds, third, values, *steps):
+    """The `outset.Begun` at each value of a third parameter, None where a point's locus does not come to it."""
+    free = start.name if start.name in names else names[0]
+    own = float(start.scene.parameter(third))
+    start = start._replace(scene=start.scene.replace(**{third: own}))  # a wall's restitution then is its own
+    low, high = min(own, *values), max(own, *values)
+    if low == high:
+        return [start] * len(values)
+    pair = outsets(start, (free, third), {free: bounds[free], third: (low, high)}, *steps)
+    sides = [traced(start, way, steps) for way in pair]
+    return [start if value == own else _crossed(start, sides, (free, third), value) for value in values]
+
+
+def _crossed(start, sides, pair, value):
+    """The `outset.Begun` where a locus both ways first has a value of its second parameter, None where it has not."""
+    ahead = []
+    for side in sides:
+        past = 0.0
+        for way, (points, *_) in side:
+            late, level = past + np.cumsum(points.step), points.z[:, -1] - value
+            for after in np.flatnonzero(level[:-1] * level[1:] <= 0):
+                share = level[after] / ((level[after] - level[after + 1]) or 1.0)
+                ahead.append((late[after] + share * points.step[after + 1], int(after), points, way))
+            past = late[-1]
+    for _, after, points, way in sorted(ahead, key=lambda one: one[0]):
+        cut, there = to_value(way.curve, points, after + 1, -1, value, way.asked)
+        if there:
+            return _begun(start, way.curve, pair, cut.z[-1], float(cut.residual[-1]))
+    return None
+
+
+def _begun(start, curve, pair, z, residual):
+    """The `outset.Begun` at a point of a locus."""
+    times, speeds, sides, periods = impacts_of(curve, z[None])
+    scene = start.scene.replace(**dict(zip(pair, z[-2:].tolist(), strict=True)))
+    spot = Spot(float(z[-2]), times[0], speeds[0], sides, periods, np.nan, np.nan, residual)
+    return Begun(start.kind, pair[0], scene, spot)

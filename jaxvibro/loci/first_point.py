@@ -1,0 +1,188 @@
+"""Where a locus begins: a special point in plain numbers, the equations of its curve, and what is asked of it."""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from continuation.arclength import Control
+from continuation.follow import tangent
+
+from ..branches.assemble import is_own_image
+from ..branches.branch import Special
+from ..branches.describe import Spot
+from ..branches.follow import SMALLEST, placed, point, settled
+from ..branches.mirror import stays_symmetric
+from ..orbits.impact_equations import Cycle
+from ..problem import soft_grazing
+from ..problem.equations import problem
+from ..problem.points import between
+from ..problem.touches import TOUCH, padded, scales, touches
+from ..scene import check
+from ..scene.parameters import bounds_of, domain, flat, marked, tied
+from ..scene.scale import scene_length
+from ..scene.scene import Scene
+from .extended_system import Grazing, Singular
+from .track import Bounded, Way
+
+KINDS = ("SN", "PD", "SB", "GR")
+
+
+class Begun(NamedTuple):
+    """A special point in plain numbers. kind; name: of the parameter of `spot.value`; scene: at the point; spot: its
+    orbit."""
+
+    kind: str
+    name: str
+    scene: Scene
+    spot: Spot
+
+
+def begun(special):
+    """The `Begun` of a `Special`. Raises SceneError for points of other kinds."""
+    if not isinstance(special, Special) or special.kind not in KINDS:
+        given = special.kind if isinstance(special, Special) else special
+        raise check.SceneError("special", f"must be a special point of kind {', '.join(KINDS)}", given)
+    return Begun(special.kind, special.name, special.scene, special.spot)
+
+
+def ways(start, names, bounds, first_step, largest_step, tolerance):
+    """The `track.Way`s from a `Begun`, in two parameters: one, or at a GR one for each touch. Raises SceneError for
+    arguments that cannot be."""
+    names = named(start.scene, names)
+    if not isinstance(bounds, dict) or set(bounds) != set(names):
+        raise check.SceneError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
+    bounds = {name: bounds_of(start.scene, name, bounds[name]) for name in names}
+    given = settled(first_step, largest_step, tolerance, (), ())
+    length = scene_length(start.scene)
+    own = [domain(start.scene, name) for name in names]
+    box = [(max(low, least), min(high, most)) for (low, high), (least, most) in zip(bounds.values(), own, strict=True)]
+    only = tuple(
+        tuple(each for each in pair if each not in bounds[name]) for pair, name in zip(own, names, strict=True)
+    )
+    numbers = [np.float64(each) for each in (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])]
+    control = Control(np.ones(1), *numbers)
+    asked = Bounded(control, min(first_step, largest_step), names, bounds, tuple(box), only, length)
+    return [_way(curve, z, asked) for curve, z in equations(start, names)]
+
+
+def _way(curve, z, asked):
+    """The `track.Way` from z, towards greater values of the second parameter."""
+    weights = scales(curve, asked.length)
+    for k, name in enumerate(asked.names, -2):
+        if name.endswith(".stiffness"):  # it goes through orders of magnitude
+            weights[k] = 1.0 / (1.0 + abs(z[k]))
+    control = asked.control._replace(scale=weights)
+    ahead = tangent(problem(curve), z, control.scale, curve)
+    start = point(_settled_at(curve, z, ahead, control), ahead)
+    return Way(curve, start, asked._replace(control=control))
+
+
+def backward(way):
+    """The `track.Way` in the other direction."""
+    return way._replace(start=point(way.start.z, -way.start.tangent))
+
+
+def named(scene, names):
+    """Two parameters of a scene by name. Raises SceneError."""
+    pair = tuple(names) if isinstance(names, tuple | list) else ()
+    for name in pair:
+        check.is_known(name, scene.names, name)
+    if len(pair) != 2 or pair[0] == pair[1]:
+        raise check.SceneError("names", "must be two different parameters of the scene", names)
+    check.are_apart(*pair)
+    return pair
+
+
+def equations(start, names):
+    """(`Grazing` or `Singular`, z) at a `Begun`, along any number of parameters, a list of one; at a GR of one for each
+    touch, which leaves the others out. A tuple of names is one, of several that have one value. Raises SceneError."""
+    scene, spot = start.scene, start.spot
+    impacts = _impacts(start)
+    values = [tied(scene, name) for name in names]
+    numbered, which = marked(scene, *names)
+    half = _is_half(start, impacts, names)
+    if start.kind == "SB" and not half:
+        raise check.SceneError("names", "must keep the scene symmetric: an SB is no point of another", names)
+    turn, periods = (-1.0, 0.5 * spot.periods) if half else (1.0, float(spot.periods))
+    if half:
+        impacts = impacts[: len(impacts) // 2]
+    blank = np.zeros(0)
+    numbers = (np.asarray(each) for each in (0.0, periods, turn))
+    seed = Singular(numbered, which, Cycle(blank, blank, blank, *numbers), np.asarray(1.0))
+    if start.kind != "GR":
+        closing = 1.0 if start.kind == "SN" else -1.0
+        return [_singular(seed._replace(closing=np.asarray(closing)), impacts, values)]
+    slack = TOUCH * scene_length(scene)
+    still = [k for k, (_, speed, _) in enumerate(impacts) if speed <= slack]
+    if not still:
+        raise check.SceneError("special", "must touch a wall: a GR at which none is", start.spot.value)
+    alone = ([one for k, one in enumerate(impacts) if k == touch or k not in still] for touch in still)
+    return [_grazing(seed, each, values, slack) for each in alone]
+
+
+def _singular(seed, impacts, values):
+    """(`Singular`, z) with these impacts."""
+    cycle = padded(seed, impacts)
+    return seed._replace(cycle=cycle), np.concatenate([cycle.times, cycle.speeds, values])
+
+
+def _grazing(seed, impacts, values, slack):
+    """(`Grazing`, z) with these impacts, one of them without speed."""
+    cycle = padded(seed, impacts)
+    pick = np.where((cycle.sides != 0) & (cycle.speeds <= slack), 1.0, 0.0)
+    z = np.concatenate([cycle.times, cycle.speeds, values])
+    if soft_grazing.is_smooth(seed.scene, cycle.sides[np.argmax(pick)]):
+        cycle = cycle._replace(still=pick)
+    return Grazing(seed.scene, seed.which, cycle, pick, np.asarray(slack)), z
+
+
+def _impacts(start):
+    """(time, speed, side) of each impact, and of each touch at a GR, in order, the first within the first period."""
+    spot = start.spot
+    listed = [((k, 0.0), one) for k, one in enumerate(zip(spot.times, spot.speeds, spot.sides, strict=True))]
+    if start.kind == "GR":
+        along, z = placed(start.scene, start.name, spot)
+        for one in touches(along, z, scene_length(start.scene)):
+            if not one.own:
+                begin = z[one.row] if len(spot.times) else 0.0
+                listed.append(((one.row, one.late), (begin + one.late, 0.0, one.side)))
+    listed = [one for _, one in sorted(listed)]
+    period = 2.0 * np.pi / float(start.scene.frequency)
+    late = period * np.floor(listed[0][0] / period)
+    return [(time - late, speed, side) for time, speed, side in listed]
+
+
+def _is_half(start, impacts, names):
+    """Whether an orbit is its own mirror image, and stays one whatever the parameters are."""
+    if len(impacts) % 2 or not stays_symmetric(start.scene, *flat(names)):
+        return False
+    times, speeds, sides = np.array(impacts).T
+    whole = start.spot._replace(times=times, speeds=speeds, sides=sides)
+    return is_own_image(whole, float(start.scene.frequency))
+
+
+def impacts_of(curve, zs):
+    """(times, speeds, sides, periods) of the whole orbits at points of a curve, (points, n + 1): times and speeds are
+    (points, impacts), sides (impacts,); half an orbit is followed by its mirror image."""
+    rows, count = len(curve.cycle.sides), int(np.sum(curve.cycle.sides != 0))
+    times, speeds, sides = zs[:, :count], zs[:, rows : rows + count], curve.cycle.sides[:count]
+    periods = float(curve.cycle.periods)
+    if float(curve.cycle.turn) < 0:
+        late = periods * 2.0 * np.pi / _frequencies(curve, zs)
+        times, speeds, sides = np.hstack([times, times + late]), np.hstack([speeds] * 2), np.append(sides, -sides)
+        periods *= 2
+    return times, speeds, sides, int(periods)
+
+
+def _frequencies(curve, zs):
+    """(points, 1), or one number where the frequency is no parameter of the curve."""
+    place = int(curve.which.frequency)
+    return zs[:, [2 * len(curve.cycle.sides) + place - 1]] if place else float(curve.scene.frequency)
+
+
+def _settled_at(curve, z, ahead, control):
+    """z after Newton's method."""
+    at = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point(z, ahead))
+    found = between(curve, at, 0, 0.0, control)
+    return z if found is None else found.z

@@ -1,0 +1,243 @@
+"""`locus`: a curve of special points in two parameters, with its points of codimension two."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+
+from continuation.arclength import Point
+
+from ..branches.branch import row_of
+from ..branches.describe import Spot, itinerary, told
+from ..branches.end import End
+from ..maps import itinerary as words
+from ..orbits.orbit import roots
+from ..output.columns import columns
+from ..problem.diagnostics import Look
+from ..problem.points import joined, turned
+from ..scene import check
+from ..scene.scene import Scene, changed
+from .corner import outsets, traced
+from .extended_system import Grazing, Singular
+from .first_point import begun, impacts_of
+
+MEANINGS = {
+    "CP": "cusp",
+    "GPD": "generalized period doubling",
+    "DSB": "degenerate symmetry breaking",
+    "GR": "end on a grazing",
+    "GG": "two grazings",
+    "RG": "resonant grazing",
+    "EP": "end",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Codim2:
+    """A special point of a locus.
+
+    kind: CP (cusp), GPD (generalized period doubling), DSB (degenerate symmetry breaking), GR (an SN, PD or SB ends on
+    a grazing), GG (two grazings), RG (resonant grazing), SN, PD, SB (a grazing meets such a locus), EP (end).
+    values: the two parameters by name; multipliers: the larger first; place: among the locus' points; residual: the
+    largest error left in the point's equations; label, itinerary: of the orbit; scene: at the values.
+    """
+
+    kind: str
+    values: dict
+    multipliers: np.ndarray
+    place: int
+    residual: float
+    itinerary: tuple[str, ...]
+    scene: Scene = field(repr=False)
+    spot: Spot = field(repr=False)
+
+    @property
+    def label(self):
+        """P n p q of the orbit."""
+        return words.label(self.itinerary)
+
+    @cached_property
+    def orbit(self):
+        """The `Orbit` at the point; an impact may have no speed."""
+        return told(self.scene, self.spot)
+
+
+@dataclass(frozen=True, eq=False)
+class Locus:
+    """A curve of special points in two parameters.
+
+    kind: of the points, SN, PD, SB or GR; names: of the parameters; bounds: of each; scene: at the start; data: an
+    xarray.Dataset with a row a point, in order along the curve (see `jaxvibro.locus`); special: points of codimension
+    two and ends, in order; reasons: why it ends, at its first and at its last point.
+    """
+
+    kind: str
+    names: tuple[str, str]
+    bounds: dict
+    scene: Scene = field(repr=False)
+    data: xr.Dataset = field(repr=False)
+    special: tuple[Codim2, ...]
+    reasons: tuple[str, str]
+
+    def __repr__(self):
+        ends = " ".join(one.kind for one in self.special)
+        return f"Locus({self.kind} of {self.label} in {self.names[0]} and {self.names[1]}, {len(self)} points, {ends})"
+
+    def __len__(self):
+        return self.data.sizes["point"]
+
+    @property
+    def values(self):
+        """The two parameters at each point, (points, 2)."""
+        return np.stack([self.data[name].values for name in self.names], axis=1)
+
+    @property
+    def label(self):
+        """P n p q of the orbits."""
+        return self.special[0].label
+
+    @property
+    def reason(self):
+        """Why each end is one: {"first": ..., "last": ...}."""
+        return dict(zip(("first", "last"), self.reasons, strict=True))
+
+    def points(self, kind):
+        """The special points of a kind, a tuple."""
+        return tuple(one for one in self.special if one.kind == kind)
+
+    def orbit(self, place):
+        """The `Orbit` at one of the points, by its place along the locus."""
+        count = len(self)
+        if not -count <= place < count:
+            raise check.SceneError("place", f"must be a point of the locus, from 0 to {count - 1}", place)
+        spot, values = _spot_of(self.data, place, self.names)
+        return told(self.scene.replace(**values), spot)
+
+    def table(self):
+        """The special points as a text, a line each, and why the locus ends."""
+        rows = [("kind", *self.names, "orbit", "itinerary")]
+        for one in self.special:
+            walls = " ".join(word or "." for word in one.itinerary)
+            rows.append((one.kind, *(f"{value:.12g}" for value in one.values.values()), one.label, walls))
+        ends = [f"{end} point: {why}" for end, why in self.reason.items()]
+        return "\n".join([columns(rows), *ends])
+
+
+@check.host("use strobe or monodromy")
+def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1e-12):
+    """The curve of a special point in two parameters of its scene: a `Locus`.
+
+    special: a `Special` of a branch, SN, PD, SB or GR; names: two parameters; bounds: {name: (low, high)} of both.
+    first_step, largest_step, tolerance: as in `follow`, lengths of (times, speeds, parameters), a stiffness
+    being measured by 1 and its value at the start.
+
+    Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
+    point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
+    doublings (GPD), degenerate symmetry breakings (DSB), ends on a grazing (GR), grazings of two impacts or walls at
+    once (GG), and on a GR where loci of SN, PD, SB come to it, or SN and PD in one point (RG, resonant grazing). The
+    GR of a motion without impacts goes on from a GG along the other wall, the nearer one from there on.
+
+    The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
+    multiplier_imag, least_speed, least_clearance, residual.
+
+    Raises SceneError for points of other kinds and arguments that cannot be.
+    """
+    start, steps = begun(special), (first_step, largest_step, tolerance)
+    on, back = outsets(start, names, bounds, *steps)
+    ahead = traced(start, on, steps)
+    return locus_of(special, ahead, () if ahead[0][1].why is End.CLOSED else traced(start, back, steps))
+
+
+def locus_of(special, on, back):
+    """The `Locus` of what was `corner.traced` from its start on and back, the latter empty where the first closes."""
+    asked, parts = (
+        on[0][0].asked,
+        [_turned(*one) for one in reversed(back)] + [_Part(way.curve, *one[:3]) for way, one in on],
+    )
+    if back and back[0][0].curve is on[0][0].curve:
+        parts[len(back) - 1 : len(back) + 1] = [_glued(*parts[len(back) - 1 : len(back) + 1])]
+    data, found, first = [], {}, 0
+    for part in parts:
+        data.append(_data(part.curve, asked.names, part).isel(point=slice(1 if data else 0, None)))
+        found |= {first + mark.place: (mark.kind, mark.residual) for mark in part.marks}
+        last = first + len(part.points.z) - 1
+        if part is not parts[-1]:  # a corner
+            found.setdefault(last, ("GG", float(part.points.residual[-1])))
+        first = last
+    data = xr.concat(data, "point", combine_attrs="override")
+    for place in (0, first):
+        found.setdefault(place, ("EP", float(data["residual"].values[place])))
+    points = tuple(_codim2(special.scene, asked.names, data, place, *found[place]) for place in sorted(found))
+    reasons = (back[-1][1].reason if back else "the start", on[-1][1].reason)
+    return Locus(special.kind, asked.names, asked.bounds, special.scene, data, points, reasons)
+
+
+class _Part(NamedTuple):
+    """A stretch of a locus with one curve: its points, their `Look`, and marks."""
+
+    curve: Grazing | Singular
+    points: Point
+    look: Look
+    marks: tuple
+
+
+def _turned(way, one):
+    """What was tracked as a `_Part` from its end to its start."""
+    last = len(one.points.z) - 1
+    marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
+    return _Part(way.curve, turned(one.points), turned(one.look), marks)
+
+
+def _glued(one, other):
+    """Two parts of one curve, the second beginning where the first ends."""
+    last = len(one.points.z) - 1
+    marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
+    points, look = (joined([a, b]) for a, b in ((one.points, other.points), (one.look, other.look)))
+    return _Part(one.curve, points, look, marks)
+
+
+def _data(curve, names, one):
+    z, look, rows = one.points.z, one.look, len(curve.cycle.sides)
+    times, speeds, sides, periods = impacts_of(curve, z)
+    found = roots(look.trace, look.determinant)
+    if float(curve.cycle.turn) < 0:  # of half the orbit
+        with np.errstate(invalid="ignore"):
+            found = found * found
+    own = np.arange(times.shape[1]) % int(np.sum(curve.cycle.sides != 0))
+    speed = np.where(np.isin(own, curve.hits), speeds, np.inf).min(axis=1)
+    per_impact = {"time": (times, "since phase 0", "1/w0"), "speed": (speeds, "abs(y- - v_b)", "length w0")}
+    plain = {
+        "least_speed": (speed, "of the impacts but for that which grazes", "length w0"),
+        "least_clearance": (look.clear.min(axis=(1, 2)), "at turning points, inf: none", "length"),
+        "residual": (one.points.residual, "largest error left in the equations", "length"),
+    }
+    columns = {name: ("point", z[:, 2 * rows + k], {"long_name": "a parameter"}) for k, name in enumerate(names)}
+    columns |= {key: (("point", "impact"), each[0], _attrs(*each[1:])) for key, each in per_impact.items()}
+    sides = np.broadcast_to(sides.astype(np.int8), times.shape)
+    columns["side"] = (("point", "impact"), sides, _attrs("-1 left, 1 right", "1"))
+    for key, part in (("real", found.real), ("imag", found.imag)):
+        columns[f"multiplier_{key}"] = (("point", "multiplier"), part, _attrs("Floquet's, the larger first", "1"))
+    columns |= {key: ("point", each[0], _attrs(*each[1:])) for key, each in plain.items()}
+    return xr.Dataset(columns, attrs={"periods": periods})
+
+
+def _attrs(meaning, units):
+    return {"long_name": meaning, "units": units}
+
+
+def _spot_of(data, place, names):
+    """(the `Spot` at a point of a locus, {name: value})."""
+    row, values = row_of(data, place), {name: float(data[name].values[place]) for name in names}
+    rows = (row[key].astype(float) for key in ("time", "speed", "side"))
+    return Spot(values[names[0]], *rows, data.attrs["periods"], np.nan, np.nan, float(row["residual"])), values
+
+
+def _codim2(scene, names, data, place, kind, residual):
+    row, (spot, values) = row_of(data, place), _spot_of(data, place, names)
+    there = {name: jnp.asarray(value, scene.dtype) for name, value in values.items()}
+    scene = changed(scene, there)  # in its domain: not checked again
+    found = row["multiplier_real"] + 1j * row["multiplier_imag"]
+    return Codim2(kind, values, found, place, residual, itinerary(spot, float(scene.frequency)), scene, spot)

@@ -1,0 +1,202 @@
+"""How the value of a fold or grazing changes with other numbers of its scene, and where it is when they are others.
+
+F(u, p, q) = 0 are an orbit's equations, p the point's value, q the numbers that are kept. At a fold F_u is singular:
+with w its null vector from the left, dp/dq = -(w F_q) / (w F_p). At a grazing one speed is zero and no unknown: what is
+left of (F_u, F_p) is regular, and dp/dq is the last row of -(F_u, F_p)^-1 F_q. No second derivative is asked for.
+"""
+
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from continuation import locate
+
+from ..problem.equations import Along, problem
+from ..scene import check
+from ..scene.parameters import flat, marked
+from ..scene.scene import SIDES, Scene
+from .extended_system import Grazing
+from .first_point import begun, equations
+
+KINDS = ("SN", "GR")
+ALIKE = 1e-6  # derivatives as near are one
+SHORTEST = 1.0 / 256.0  # of the way to other numbers: a step as short that fails is the end
+WARY = 0.3  # of 1 + the largest unknown: more must nothing change in a step
+
+
+class Held(NamedTuple):
+    """A fold or grazing, and the numbers of its scene that are kept. along: its orbit's equations; z: (times, speeds,
+    value); still: places in z of speeds that are zero; kept: the numbers, (count,); marks: for each the scene's tree,
+    1 where it stands; residual: the largest error left in the equations."""
+
+    along: Along
+    z: np.ndarray
+    still: np.ndarray
+    kept: np.ndarray
+    marks: tuple[Scene, ...]
+    residual: float
+
+    @property
+    def value(self):
+        """Of the point's parameter."""
+        return float(self.z[-1])
+
+
+@check.host("use monodromy")
+def sensitivity(special, names, wall=None):
+    """How the value of a special point changes with other parameters of its scene: an array, a number for each name.
+
+    special: a `Special` of a branch, SN or GR; names: of parameters but the point's own, one or a sequence; a tuple
+    among them is one parameter, of several that have one value and change together: [("left.damping",
+    "right.damping")]. Where their values differ, a common shift does what the single ones do, added. wall: "left" or
+    "right", for a GR that touches both at once: along what moves one of them it has a corner, and what is given is how
+    the value at which this wall is touched changes. It counts on the side where this wall is touched first.
+
+    Raises SceneError for points of other kinds, names that cannot be, and a corner where no wall is given; its value is
+    then what each wall gives.
+    """
+    return slopes(held(special, names, wall))
+
+
+def held(special, names, wall=None):
+    """The `Held` of a `Special`, such names and a wall."""
+    start = begun(special)
+    if start.kind not in KINDS:
+        raise check.SceneError("special", f"must be a special point of kind {', '.join(KINDS)}", start.kind)
+    names = check.sequence("names", names)
+    each = flat(names)
+    for name in each:
+        check.is_known(name, start.scene.names, name)
+    if not all(map(len, names)) or not names or special.name in each or len(set(each)) < len(each):
+        raise check.SceneError("names", f"must be different, one at least, and none {special.name}", names)
+    check.are_apart(special.name, *each)
+    if wall not in (None, "left", "right"):
+        raise check.SceneError("wall", 'must be "left", "right" or None', wall)
+    return _only([_held(*sheet, special.name, names) for sheet in equations(start, (special.name, *names))], wall)
+
+
+def _only(found, wall):
+    """The one `Held` of some, each of a touch of a wall, or that of a wall: they have to give the same."""
+    known = {}
+    for one in found:
+        try:
+            by, side = slopes(one), _side(one)
+        except np.linalg.LinAlgError:  # the value does not matter to this touch
+            continue
+        if wall is None or wall == side:
+            known.setdefault(side, []).append((one, by))
+    every = [each for some in known.values() for each in some]
+    if not every:
+        raise check.SceneError("wall", "must be one that is touched, and that the point's value changes", wall)
+    first, by = every[0]
+    if all(np.allclose(by, other, rtol=ALIKE, atol=ALIKE) for _, other in every):
+        return first
+    told = {side: [float(f"{each:.6g}") for each in known[side][0][1]] for side in sorted(known)}
+    raise check.SceneError("wall", 'must be "left" or "right" at a corner: each counts where it is touched first', told)
+
+
+def _side(one):
+    """Of the wall that a `Held` grazing touches."""
+    rows = len(one.along.cycle.sides)
+    return None if not len(one.still) else SIDES[int(one.along.cycle.sides[one.still[0] - rows] > 0)]
+
+
+def _held(curve, z, name, names):
+    """The `Held` of a curve's point along a parameter and others."""
+    rows, own = len(curve.cycle.sides), z[: len(z) - len(names)]
+    scene, which = marked(curve.scene, name)
+    still = rows + np.flatnonzero(curve.pick) if isinstance(curve, Grazing) else np.zeros(0, int)
+    marks = tuple(marked(scene, each)[1] for each in names)
+    one = Held(Along(scene, which, curve.cycle._replace(still=None)), own, still, z[len(own) :], marks, np.nan)
+    one = _with(one, one.kept)  # `marked` has put the hardness to zero
+    return _solved(one) or one
+
+
+def slopes(one):
+    """dp/dq at a `Held`, (count,)."""
+    whole, by = _slopes(one.along, one.z), _by_kept(one)
+    if len(one.still):
+        return -np.linalg.solve(np.delete(whole, one.still, 1), by)[-1]
+    left = locate.null(whole[:, :-1].T)
+    return -(left @ by) / (left @ whole[:, -1])
+
+
+def moved(one, kept, steps=1):
+    """(the `Held` of the same point where its numbers are others, how much of the way there it is: 1 all of it).
+
+    kept: (count,); the way is cut into steps at first, and into shorter ones where Newton's method does not follow.
+    """
+    start, way = one.kept, np.asarray(kept) - one.kept
+    share, step, before = 0.0, 1.0 / steps, None
+    while share < 1.0 and step >= SHORTEST:
+        ahead = min(1.0, share + step)
+        z = np.array(one.z)
+        if before is not None:  # on along the line through the last two
+            z += (one.z - before[0].z) * (ahead - share) / (share - before[1])
+        else:
+            z[-1] += slopes(one) @ way * (ahead - share)
+        found = _solved(_with(one, start + ahead * way)._replace(z=z))
+        if found is None or abs(found.z - one.z).max() > WARY * (1.0 + abs(one.z).max()):
+            step *= 0.5
+        else:
+            before, one, share, step = (one, share), found, ahead, 2.0 * step
+    return one, share
+
+
+def _with(one, kept):
+    """The `Held` with other numbers, its orbit not yet theirs."""
+    scene = one.along.scene
+    for mark, value in zip(one.marks, kept, strict=True):
+        scene = _put(scene, mark, value)
+    return one._replace(along=one.along._replace(scene=scene), kept=kept)
+
+
+def _put(scene, mark, value):
+    return jax.tree.map(lambda leaf, here: np.where(here, value, leaf), scene, mark)
+
+
+def _by_kept(one):
+    """F_q, a column for each number."""
+    there = _put(one.along.scene, one.along.which, one.z[-1])
+    columns = [
+        _slopes(one.along._replace(scene=there, which=mark), np.append(one.z[:-1], value))[:, -1]
+        for mark, value in zip(one.marks, one.kept, strict=True)
+    ]
+    return np.stack(columns, 1)
+
+
+def _slopes(along, z):
+    return locate.slopes_of(problem(along), z, along)
+
+
+def _solved(one):
+    """The `Held` by Newton's method from this one, None where there is none whose impacts are into the walls."""
+    try:
+        with np.errstate(all="ignore"):
+            found = _grazing(one) if len(one.still) else locate.fold(problem(one.along), one.z, one.along)
+    except np.linalg.LinAlgError:  # a flight without an end
+        return None
+    if found.z is None:
+        return None
+    cycle = one.along.cycle
+    rows = len(cycle.sides)
+    moving = np.setdiff1d(rows + np.flatnonzero(cycle.sides != 0), one.still)
+    return one._replace(z=found.z, residual=found.residual) if np.all(found.z[moving] > 0.0) else None
+
+
+def _grazing(one):
+    """`locate.Located` where the speeds that are still stay zero."""
+    free = np.delete(np.arange(len(one.z)), one.still)
+
+    def whole(y):
+        z = np.zeros(len(one.z))
+        z[free] = y
+        return z
+
+    def system(y):
+        value, by = locate.evaluated(problem(one.along), whole(y), one.along)
+        return np.asarray(value), np.asarray(by)[:, free]
+
+    found = locate.newton(system, one.z[free])
+    return found if found.z is None else found._replace(z=whole(found.z))

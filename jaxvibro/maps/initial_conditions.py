@@ -1,0 +1,47 @@
+"""Random starts: where a mass may be at phase 0, and how fast it may go."""
+
+import jax
+import numpy as np
+
+from ..flight.wall_positions import places
+from ..scene.state import State
+
+LEAST_DIVISOR = 1e-3  # of A, sqrt(D): at resonance without damping there is no steady motion
+
+
+def forced_amplitude(scene):
+    """A / sqrt(D), the amplitude of the steady motion that meets no wall (paper, (8)); sqrt(D) at least 1e-3."""
+    a, w, c = (np.asarray(getattr(scene, name), float) for name in ("amplitude", "frequency", "damping"))
+    return abs(a) / np.maximum(np.hypot((1.0 - w) * (1.0 + w), 2.0 * c * w), LEAST_DIVISOR)
+
+
+def box(scene):
+    """(lowest x, highest x, highest speed) of the starts at phase 0, of the scene's shape.
+
+    x lies between the walls; where one is missing, at most 2 forced amplitudes, at least 2, from the origin and from
+    the other wall. The speed is at most 3 max(1, forced speed).
+    """
+    (low, _), (high, _) = jax.tree.map(lambda leaf: np.asarray(leaf, float), places(scene, 0.0))
+    forced = forced_amplitude(scene)
+    far = np.maximum(2.0, 2.0 * forced)
+    left = np.where(np.isinf(low), np.minimum(-far, high - far), low)
+    right = np.where(np.isinf(high), np.maximum(far, low + far), high)
+    return left, right, 3.0 * np.maximum(1.0, np.asarray(scene.frequency, float) * forced)
+
+
+def random_starts(scene, count, seed):
+    """Starts drawn uniformly from the `box`, a `State` of shape (count,): more of them begin with the same ones.
+
+    scene: a single one, or one with a number for each start.
+    """
+    left, right, fast = box(scene)
+    draws = np.random.default_rng(seed).random((count, 2))
+    x, v = left + (right - left) * draws[:, 0], fast * (2.0 * draws[:, 1] - 1.0)
+    zero = np.zeros(count, scene.dtype)
+    return State(np.clip(x, left, right).astype(scene.dtype), v.astype(scene.dtype), zero, zero)
+
+
+def box_text(scene):
+    """The box of starts of a single scene for reading."""
+    left, right, fast = (float(edge) for edge in box(scene))
+    return f"x from {left:.4g} to {right:.4g}, v from {-fast:.4g} to {fast:.4g}"

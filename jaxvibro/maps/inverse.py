@@ -1,0 +1,87 @@
+"""The way back: the state a drive period before, by the same certified flight with time reversed.
+
+In -t the motion (x, -v, -phase) obeys the same equations with damping -gamma, the walls' phases negated and restitution
+1 / R. Speeds then grow at every impact, so that no hops die out (`impact.chatters` never holds), and the energy of a
+flight grows like exp(2 gamma t), which the bound on its derivatives has to allow for.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+
+from ..compiled.blocks import in_blocks
+from ..compiled.kernels import choose, one_kernel, stage
+from ..flight import flow, integrate
+from ..flight.coefficients import frame, is_valid
+from ..flight.entry import enter
+from ..scene import check
+from ..scene.codes import Status
+from ..scene.scale import swift
+from ..scene.state import State
+from .one_period import blank, finish
+
+
+def is_reversible(scene):
+    """Refuse a single scene with a wall that takes all speed, as it has no way back, and one that is too damped."""
+    for side in scene.walls:
+        bounce = scene.bounce(side)
+        if bounce == 0:
+            raise check.SceneError(f"{side}.restitution", "must be greater than 0, else the map has no inverse", bounce)
+    if not scene.damping < 1:
+        raise check.SceneError("damping", "must be less than 1 on the way back", scene.damping)
+
+
+def backward(scene, state, least):
+    """(State, Impacts) a drive period before a state, in blocks of so many lanes at least; inside jit.
+
+    scene: one that `is_reversible`; state: leaves that broadcast, at their phase, which comes back. `strobe` leads from
+    the result to the state. Impacts: of the reversed motion, in its order, none recorded but counted.
+    """
+    shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
+    turned = State(jnp.broadcast_to(state.x, shape), -state.v, -state.phase, jnp.zeros_like(state.x))
+    end, impacts = in_blocks(
+        lambda given: one_kernel(_through, *given), (scene, turned), lambda count: blank(count, 0, scene.dtype), least
+    )
+    return State(end.x, -end.v, -end.phase, jnp.zeros_like(end.x)), impacts
+
+
+def _through(scene, state):
+    built = reversed_frame(scene)
+    path, fault = stage(enter, built, state, rules=_rules)
+    path = path._replace(rest=choose(fault == Status.OK, built.period, 0.0))
+    told = integrate.begin(built, path, 0, built.period)
+    return finish(built, integrate.run(built, told, integrate.cap(built, 1)), state, fault)
+
+
+def reversed_frame(scene):
+    """The `Frame` of a scene with time reversed.
+
+    The energy of x^(6) is at most exp(2 gamma t) times that without damping, for which `frame` has its bounds.
+    """
+    built = frame(scene)
+    growth = jnp.exp(2.0 * built.damping * built.reach)
+    slope, forcing = built.slope * growth, abs(built.force) * built.frequency**6
+    return built._replace(
+        damping=-built.damping,
+        walls=tuple(_reversed(wall) for wall in built.walls),
+        swift=swift(built.frequency, -built.damping, built.force),
+        series=flow.series(built.frequency, -built.damping),
+        curb=forcing * (1.0 + slope * built.reach),
+        slope=slope,
+    )
+
+
+def _reversed(wall):
+    sine = None if wall.sine is None else -wall.sine
+    return replace(wall, restitution=1.0 / wall.restitution, sine=sine)
+
+
+def _rules(frame):
+    """`is_valid` of the reversed scene."""
+    walls = tuple(replace(wall, restitution=0.0 * wall.position) for wall in frame.walls)
+    valid, finite = is_valid(frame._replace(damping=-frame.damping, walls=walls))
+    for wall in frame.walls:
+        valid &= wall.restitution >= 1
+        finite &= jnp.isfinite(wall.restitution)
+    return valid, finite

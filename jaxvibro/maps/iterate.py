@@ -1,0 +1,106 @@
+"""Trails: many states run on for any number of periods, in blocks of one compiled shape; the last periods are kept."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+
+from continuation.persistent_jit import persistent_jit
+
+from ..compiled.kernels import OPTIONS, WIDTH
+from ..scene.codes import Status
+from ..scene.state import State
+from .strobe import strobe
+
+KEEP = 64  # periods kept, of however many have been run
+SLOTS = 16  # impacts recorded in a period
+
+
+class Trail(NamedTuple):
+    """The ends of some lanes, and their last periods; NumPy arrays, periods first, then lanes, then slots.
+
+    state: x, v, phase, contact (lanes); status: the worst met, FULL of the kept periods only; x, v, contact: at the end
+    of each kept period; time, side, speed: of the impacts in it, time since its start (see `Impacts`).
+    """
+
+    state: State
+    status: np.ndarray
+    x: np.ndarray
+    v: np.ndarray
+    contact: np.ndarray
+    time: np.ndarray
+    side: np.ndarray
+    speed: np.ndarray
+
+    @property
+    def points(self):
+        """Positions and velocities at the ends of the kept periods, shape (periods, lanes, 2)."""
+        return np.stack([self.x, self.v], -1)
+
+    def lanes(self, chosen):
+        """The trail of some of the lanes."""
+        ends = jax.tree.map(lambda leaf: leaf[chosen], self.state)
+        return Trail(ends, self.status[chosen], *(part[:, chosen] for part in self[2:]))
+
+
+def trail(scene, state, periods, slots=SLOTS):
+    """Runs a state's lanes on: a `Trail` of the last periods, at most KEEP.
+
+    scene: a single one, or a lane of a batch each; state: leaves of shape (lanes,); periods: whole number >= 1, no
+    compilation of its own.
+    """
+    size, width = len(state.x), max(1, WIDTH * SLOTS // slots)
+    blocks = [padded((scene, state), first, width) for first in range(0, size, width)]
+    runs = [_run(*block, periods, _needed(scene, slots)) for block in blocks]
+    ends = jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *[run[0] for run in runs])
+    worst = np.concatenate([run[1] for run in runs])[:size]
+    count = min(periods, KEEP)
+    kept = [np.concatenate(parts, axis=1)[:, :size] for parts in zip(*(run[2] for run in runs), strict=True)]
+    kept = [np.roll(part, -(periods % KEEP) if periods > KEEP else 0, axis=0)[:count] for part in kept]
+    return Trail(ends, worst, *kept)
+
+
+def ends(scene, state, periods):
+    """(state, status) of a state's lanes so many periods later; the same compiled run as `trail`'s."""
+    size = len(state.x)
+    blocks = [padded((scene, state), first, WIDTH) for first in range(0, size, WIDTH)]
+    runs = [_run(*block, periods, _needed(scene, SLOTS))[:2] for block in blocks]
+    return jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *runs)
+
+
+def _needed(scene, slots):
+    return 0 if scene.left is None and scene.right is None else slots
+
+
+def padded(lanes, first, width):
+    """So many of a tree's lanes, the last one again where there are fewer; numbers that all share stay."""
+
+    def part(leaf):
+        if not np.shape(leaf):
+            return leaf
+        some = leaf[first : first + width]
+        return np.pad(some, (0, width - len(some)), mode="edge")
+
+    return jax.tree.map(part, lanes)
+
+
+@persistent_jit(static_argnames="slots", compiler_options=OPTIONS)
+def _run(scene, state, periods, slots):
+    """(state, status, the kept periods as a ring: period i is row i modulo KEEP)."""
+    lanes = state.x.shape
+    numbers = jnp.zeros((KEEP, *lanes), state.x.dtype)
+    record = jnp.zeros((KEEP, *lanes, slots), state.x.dtype)
+    ring = (numbers, numbers, numbers, record, record.astype(jnp.int32), record)
+
+    def one(k, carry):
+        state, status, ring = carry
+        state, impacts = strobe(scene, state, slots=slots)
+        full = (impacts.status == Status.FULL) & (k >= periods - KEEP)
+        new = jnp.where(impacts.status >= Status.CAP, impacts.status, jnp.where(full, Status.FULL, Status.OK))
+        status = jnp.where(status >= Status.CAP, status, jnp.maximum(status, new))
+        row = (state.x, state.v, state.contact, impacts.time, impacts.side, impacts.speed)
+        return state, status, tuple(old.at[k % KEEP].set(part) for old, part in zip(ring, row, strict=True))
+
+    return lax.fori_loop(0, periods, one, (state, jnp.zeros(lanes, jnp.int32), ring))

@@ -1,0 +1,174 @@
+"""The monodromy matrix as a product (paper, (37)): P for each flight, Q for each impact, never by autodiff.
+
+P(t) is the matrix of the free flow. Q follows from the impact law and from when the wall is met: with u = v- - v_b,
+
+    Q = ((-R, 0), ((a+ + R a- - (1 + R) a_b) / u, -R)),
+
+a-, a+ the accelerations before and after, v_b, a_b the wall's velocity and acceleration. A mass that rests on a wall
+forgets where it came from: M = 0.
+"""
+
+from dataclasses import replace
+from functools import cache, partial
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ..compiled.blocks import LEAST, batched, in_blocks
+from ..compiled.kernels import OPTIONS, choose, one_kernel, stage
+from ..flight import flow
+from ..flight.coefficients import frame
+from ..flight.path import accelerations
+from ..flight.soft_contact import bounce as restitution
+from ..flight.soft_contact import feeling, flown, gives, is_inside, response
+from ..flight.taylor import Now
+from ..flight.wall import chosen, course, less, picked
+from ..scene import check
+from ..scene.codes import Contact, Status
+from ..scene.state import real_state
+from . import contact_replay, one_period
+from .contact_duration import carried, duration, product, share
+from .one_period import SLOTS
+
+
+def monodromy(scene, state, periods=1, slots=SLOTS):
+    """The derivative of `strobe`'s (x, v) by the given (x, v): shape (..., 2, 2), rows x and v of the end.
+
+    scene, state, periods as for `strobe`; slots: impacts of a period that there is room for. nan where the strobe has
+    no end (status from CAP on) or has more impacts than that and does not end at rest; zero where the mass rests on a
+    wall. On an impact without speed the derivative does not exist: inf or nan.
+
+    Raises SceneError as `strobe` does, and TypeError where it is itself to be differentiated.
+    """
+    periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 1)
+    leaves, tree = jax.tree.flatten((scene, real_state(scene, state)))
+    traced = check.is_traced(*leaves)
+    return (_within if traced else _at_once)(tree, periods, slots * periods)(*leaves)
+
+
+@cache
+def _within(tree, periods, slots):
+    run = jax.custom_jvp(batched(jax.jit(partial(_matrices, tree, periods, slots, 1))))
+
+    @run.defjvp
+    def _(primals, tangents):
+        raise TypeError("monodromy is a product without derivatives: differentiate jax.jacfwd of strobe instead")
+
+    return run
+
+
+@cache
+def _at_once(tree, periods, slots):
+    return jax.jit(partial(_matrices, tree, periods, slots, LEAST), compiler_options=OPTIONS)
+
+
+def _matrices(tree, periods, slots, least, *leaves):
+    """M of all lanes, block by block."""
+    scene, state = tree.unflatten(leaves)
+    shape = jnp.broadcast_shapes(*map(jnp.shape, leaves))
+
+    def run(given):
+        entries = one_kernel(_block, *given, periods=periods, slots=slots)
+        return jnp.stack(entries, -1).reshape(*entries[0].shape, 2, 2)
+
+    given = scene, replace(state, x=jnp.broadcast_to(state.x, shape))
+    return in_blocks(run, given, lambda lanes: jnp.zeros((lanes, 2, 2), scene.dtype), least)
+
+
+def _block(scene, state, periods, slots):
+    """M of a block of lanes, by rows."""
+    end, impacts, rests, matrix = passage(scene, state, periods, slots)
+    stays = abs(end.contact) == Contact.STUCK
+    lost = (impacts.status >= Status.CAP) | ((impacts.count > slots) & ~stays)
+    return [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in matrix]
+
+
+def passage(scene, state, periods, slots):
+    """(end, impacts, rests, product) of a block of lanes: where `strobe` leads, unwatched, and what M is made of.
+
+    rests: whether the mass is on a wall at some time, which makes M zero whatever the product is. product: of P and Q,
+    four entries by rows, of no meaning with a status from CAP on, or with more impacts than slots. state.x has the
+    lanes' shape, other numbers are scalars or of that shape. To be called within one kernel.
+    """
+    (end, impacts), freed = one_period.through(scene, state, periods, slots, watched=False)
+    rests = (abs(end.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (freed >= 0)
+    return end, impacts, rests, _product(scene, state, impacts, lax.full_like(freed, 0.0), periods, slots)
+
+
+def _product(scene, state, impacts, zero, periods, slots):
+    """P of each flight and Q of each impact, multiplied, by rows; zero: of every lane."""
+    built = frame(scene)
+    rows = (impacts.time, impacts.side.astype(zero.dtype), impacts.speed)
+    rows = [jnp.moveaxis(each, -1, 0) for each in rows]
+    most = lax.min(jnp.max(impacts.count), jnp.int32(slots)) if built.walls else jnp.int32(0)
+
+    def turn(carry):
+        """A flight and the impact at its end, or, after all impacts, the flight to the end."""
+        k, past, cosine, sine, matrix = carry
+        time, side, speed = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in rows)
+        last = k == most
+        hit = (side != 0) & ~last
+        span = choose(last, whole - past, choose(hit, time - past, 0.0))
+        free, _, angle = flow.doubled(built.series, built.frequency, built.damping, span)
+        p00, p01, p11 = free
+        cosine, sine = flow.turn(cosine, sine, *angle)
+        matrix = product((p00, p01, -p01, p11), matrix)
+        if built.walls:
+            bounce, shear = stage(saltation, built, side, speed, cosine, sine)
+            after = product((-bounce, zero, shear, -bounce), matrix)
+            matrix = tuple(choose(hit, new, old) for new, old in zip(after, matrix, strict=True))
+        past = past + span
+        if built.soft:
+            touch = choose(hit & gives(built, side), side * Contact.ENTERED, 0.0)
+            return k + 1, *_stayed(built, (touch, zero, side * speed), True, past, whole, cosine, sine, matrix)
+        return k + 1, past, cosine, sine, matrix
+
+    cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
+    whole, one = zero + periods * built.period, (zero + 1.0, zero, zero, zero + 1.0)
+    start = zero, cosine, sine, one
+    if built.soft:
+        touch = contact_replay.initial(
+            built, Now(state.x + zero, state.v + zero, cosine, sine, zero), state.contact + zero
+        )
+        start = _stayed(built, touch, False, zero, whole, cosine, sine, one)
+    return lax.while_loop(lambda carry: carry[0] <= most, turn, (jnp.int32(0), *start))[-1]
+
+
+def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):
+    """(past, cosine, sine, matrix) after the stay of lanes that are within a wall, or at the end.
+
+    lanes: contact, y, y'; enters: whether they have come from outside just now.
+    """
+    touch, y, v = lanes
+    inside, left = is_inside(touch), whole - past
+    time = choose(inside, duration(frame, touch, y, v, cosine, sine, left), 0.0)
+    here = feeling(frame, touch)
+    angle = frame.frequency * time
+    after = flow.turn(cosine, sine, jnp.cos(angle) - 1.0, jnp.sin(angle))
+    answer = response(here, touch, time)
+    _, opening = flown(here, touch, answer, (y, v), cosine, sine)
+    shares = []
+    for phasor, speed in (((cosine, sine), v), (after, opening)):
+        paces = [course(wall, frame.frequency, *phasor, 1)[1] for wall in frame.walls]
+        pace = chosen(touch, frame.walls, [0.0 * v if each is None else each + 0.0 * v for each in paces])
+        shares.append(share(pace, speed))
+    out = inside & (time < left)
+    last, whole = choose(out, shares[1], 0.0), (out, v, cosine, sine)
+    new = carried(frame, touch, time, answer, shares[0] if enters else 0.0, last, whole if enters else None)[0]
+    new = product(new, matrix)
+    new = tuple(choose(inside, one, old) for one, old in zip(new, matrix, strict=True))
+    return past + time, *after, new
+
+
+def saltation(frame, side, speed, cosine, sine):
+    """R and the lower left entry of Q, of an impact on a side with this speed; side 0: of none, any numbers."""
+    walls = frame.walls
+    where, pace, bend = picked(side, walls, [course(wall, frame.frequency, cosine, sine, 2) for wall in walls])
+    bounce = restitution(frame, side) + 0.0 * speed
+    pace = 0.0 if pace is None else pace
+    closing = side * speed
+    before, _ = accelerations(frame, where, pace + closing, cosine, sine)
+    after, _ = accelerations(frame, where, pace - bounce * closing, cosine, sine)
+    shift = after + bounce * before
+    return bounce, less(shift, None if bend is None else (1.0 + bounce) * bend) / closing

@@ -1,0 +1,113 @@
+"""The lanes' way through drive periods, from their start to their end and impacts."""
+
+from dataclasses import replace
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ..compiled.blocks import in_blocks
+from ..compiled.kernels import choose, one_kernel, positive, stage
+from ..flight import integrate
+from ..flight.coefficients import frame
+from ..flight.entry import enter
+from ..flight.path import CAPPED, absolute
+from ..flight.soft_contact import is_inside
+from ..scene.codes import Contact, Status
+from ..scene.state import Impacts, State
+
+SLOTS = 32  # impacts of a period whose derivatives can be told
+
+
+def strobe(scene, state, periods, slots, least):
+    """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least."""
+    return _in_blocks(_seen, scene, state, periods, slots, least)
+
+
+def recorded(scene, state, periods, slots, least):
+    """((State, Impacts), when the mass was last released from a wall, -1: never), as `strobe`."""
+    return _in_blocks(through, scene, state, periods, slots, least)
+
+
+def _in_blocks(function, scene, state, periods, slots, least):
+    shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
+
+    def run(given):
+        return one_kernel(function, *given, periods=periods, slots=slots)
+
+    def empty(count):
+        out = blank(count, slots, scene.dtype)
+        return out if function is _seen else (out, jnp.zeros(count, scene.dtype))
+
+    return in_blocks(run, (scene, replace(state, x=jnp.broadcast_to(state.x, shape))), empty, least)
+
+
+def _seen(scene, state, periods, slots):
+    return through(scene, state, periods, slots)[0]
+
+
+def through(scene, state, periods, slots, watched=True):
+    """((State, Impacts), when the mass was last released from a wall, -1: never): numbers are scalars or of one shape.
+
+    state.x is of that shape. watched: whether to measure the least clearance, a fifth of the work; inf if not.
+    """
+    built = frame(scene)
+    path, fault = stage(enter, built, state)
+    start = path.motion
+    path = path._replace(rest=choose(fault == Status.OK, built.period, 0.0))
+    end = built.period if periods == 1 else built.period + lax.full_like(path.x, 0.0)
+    limit = integrate.cap(built, periods)
+    again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
+    told = integrate.run(built, integrate.begin(built, path, slots, end, watched), limit, again)
+    return finish(built, told, state, fault), told.log.freed
+
+
+def _again(frame, start, last, told):
+    """A path that has ended a period begins the next, its drive turned back by what rounding left of the last one."""
+    path, book = told.path, told.log
+    over = (path.rest == 0) & (book.end < last)
+    low = path.rest_low + frame.period_low
+    angle = -frame.frequency * low
+    cosine, sine = start.cosine - angle * start.sine, start.sine + angle * start.cosine
+    turned = path.motion._replace(cosine=choose(over, cosine, path.cosine), sine=choose(over, sine, path.sine))
+    rest, low = choose(over, frame.period, path.rest), choose(over, low, path.rest_low)
+    path = path._replace(motion=turned, rest=rest, rest_low=low)
+    end = choose(over, book.end + frame.period, book.end)
+    return told._replace(path=path, log=book._replace(end=end))
+
+
+def finish(frame, told, state, fault):
+    """(State, Impacts) of a journey at its end."""
+    path, book, slots, calls = told[:4]
+    x, v = absolute(frame, path)
+    full = (book.count > slots.times.shape[-1]) | (book.least_speed < 0)
+    status = choose(full, lax.full_like(book.count, Status.FULL), Status.OK)
+    status = choose(path.rest == CAPPED, Status.CAP, status)
+    finite = jnp.isfinite(x) & jnp.isfinite(v) & jnp.isfinite(path.cosine)
+    status = choose(finite, status, Status.NONFINITE)
+    status = choose(fault == Status.OK, status, fault)
+    good = status < Status.CAP
+    kind = choose(is_inside(path.contact), Contact.WITHIN, abs(jnp.sign(path.contact)))
+    contact = jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, kind)
+    phase = jnp.broadcast_to(state.phase, status.shape)
+    end = State(choose(good, x, jnp.nan), choose(good, v, jnp.nan), phase, choose(good, contact, 0.0))
+    none = jnp.full_like(path.x, jnp.inf)
+    return end, Impacts(
+        time=slots.times,
+        side=(slots.speeds > 0).astype(jnp.int8) - (slots.speeds < 0).astype(jnp.int8),
+        speed=abs(slots.speeds),
+        count=book.count.astype(jnp.int32),
+        least_speed=positive(book.least_speed),
+        least_clearance=none if calls is None else calls.least,
+        status=status.astype(jnp.int32),
+    )
+
+
+def blank(count, slots, dtype):
+    """Results to fill in; arrays of one content would be filled once and copied, so times begin as they end, empty."""
+    none = jnp.zeros(count, dtype)
+    whole = jnp.zeros(count, jnp.int32)
+    times, speeds = jnp.full((count, slots), jnp.inf, dtype), jnp.zeros((count, slots), dtype)
+    sides = jnp.zeros((count, slots), jnp.int8)
+    return State(none, none, none, none), Impacts(times, sides, speeds, whole, none, none, whole)

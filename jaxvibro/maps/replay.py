@@ -1,0 +1,140 @@
+"""The end of a strobe and its impacts as smooth functions of state and scene: the impacts are known, and made again.
+
+A flight takes as long as it took, a constant, and ends at the time of an impact as it was. The impact itself comes
+later than that by a time that is 0 and has derivatives: it is found, and its effect brought back to the old time, by
+Taylor polynomials as long as the order of the derivatives asked for. So flights stay linear in the state, and no
+iteration is differentiated but Newton's on these polynomials: k steps are right to the order 2^k - 1.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+
+from ..compiled.kernels import choose, stage
+from ..flight import flow, taylor
+from ..flight.soft_contact import bounce, is_inside
+from ..flight.taylor import Now
+from ..flight.wall import course, less, picked, press
+from ..scene.codes import Contact
+from . import contact_replay
+
+
+class Known(NamedTuple):
+    """What happened: times and sides (-1, 0, +1) of the impacts, shape (slots, lanes), inf and 0 where there is none;
+    count: how many, below 0 where a replay is not possible; freed: when the mass was last released from a wall, -1 if
+    never; rests: the contact of a mass that rests on a wall at the end, or is within a soft one, else 0; slowest: the
+    place of the slowest impact."""
+
+    times: jax.Array
+    sides: jax.Array
+    count: jax.Array
+    freed: jax.Array
+    rests: jax.Array
+    slowest: jax.Array | None = None
+
+
+def replay(frame, state, known, periods, order):
+    """((x, v) at the end, times, speeds of the impacts: shape (slots, lanes)), with derivatives right to an order."""
+    zero = lax.full_like(known.freed, 0.0)
+    cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
+    start = _held(frame, Now(state.x + zero, state.v + zero, cosine, sine, zero), _resting(state.contact) + zero)
+    span = periods * frame.period
+    whole = lax.stop_gradient(span) + zero
+    if frame.soft:
+        start = contact_replay.begun(frame, start, state.contact + zero, whole, order)
+    if frame.walls:
+        end, times, speeds = _journey(frame, start, known, whole, order)
+    else:
+        end, times, speeds = _fly(frame, start, whole), known.times, jnp.zeros_like(known.times)
+    late = span - whole
+    last = start._replace(
+        **dict(zip("xv", contact_replay.shifted(frame, end, _within(known.rests), late, order), strict=True))
+    )
+    last = _held(frame, last, _resting(known.rests))
+    return (last.x, last.v), times, speeds
+
+
+def _within(contact):
+    return choose(is_inside(contact), contact, 0.0)
+
+
+def _journey(frame, start, known, whole, order):
+    """(where the lanes are after so much time, times, speeds of the impacts)."""
+    most = lax.min(jnp.max(known.count).astype(jnp.int32), jnp.int32(len(known.times)))
+
+    def turn(carry):
+        """To the next impact, or to the release before it, or, after all impacts, to the end."""
+        k, freed, now, *rows = carry
+        time, side = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in (known.times, known.sides))
+        last = k == most
+        time, side = choose(last, whole, time), choose(last, 0.0, side)
+        due = (freed >= 0) & (freed < time)
+        waits = jnp.any(due)
+        hit = (side != 0) & ~waits
+        aim = choose(waits, choose(due, freed, now.time), choose(hit | last, time, now.time))
+        now = _fly(frame, now, aim - now.time)
+        now = lax.cond(waits, lambda now: _left(frame, now, due, order), lambda now: now, now)
+        late, speed, x, v = stage(_kick, frame, now, side, order=order)
+        rows = [_put(*each, k, hit) for each in zip(rows, (time + late, speed), strict=True)]
+        now = now._replace(x=choose(hit, x, now.x), v=choose(hit, v, now.v))
+        if frame.soft:
+            now = contact_replay.entered(frame, now, choose(hit, side, 0.0), late, whole, order)
+        return k + (~waits).astype(jnp.int32), choose(due, -1.0, freed), now, *rows
+
+    carry = (jnp.int32(0), known.freed, start, known.times, jnp.zeros_like(known.times))
+    return lax.while_loop(lambda carry: carry[0] <= most, turn, carry)[2:]
+
+
+def _put(rows, new, k, where):
+    """The rows with some lanes of one replaced."""
+    old = lax.dynamic_index_in_dim(rows, k, keepdims=False)
+    return lax.dynamic_update_index_in_dim(rows, choose(where, new, old), k, 0)
+
+
+def _resting(contact):
+    return choose(lax.abs(contact) == Contact.STUCK, jnp.sign(contact), 0.0)
+
+
+def _fly(frame, now, time):
+    """A free flight later."""
+    free, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, time)
+    x, v = flow.flown((free, forced), frame.force * now.cosine, frame.force * now.sine, now.x, now.v)
+    return Now(x, v, *flow.turn(now.cosine, now.sine, *angle), now.time + time)
+
+
+def _held(frame, now, side):
+    """Where the wall on a side is, side 0: where it was."""
+    if not frame.walls:
+        return now
+    ways = [course(wall, frame.frequency, now.cosine, now.sine, 1) for wall in frame.walls]
+    where, speed = picked(side, frame.walls, ways)
+    held = side != 0
+    return now._replace(x=choose(held, where, now.x), v=choose(held, 0.0 if speed is None else speed, now.v))
+
+
+def _left(frame, now, due, order):
+    """Lanes that leave a wall about now, where the press on it passes zero: no earlier state matters any more.
+
+    Of two walls it is the one with the lesser press.
+    """
+    values = frame.force, frame.frequency, frame.damping, now.cosine, now.sine
+    pushes = [press(wall, *values, order) for wall in frame.walls]
+    side = lax.full_like(now.x, float(frame.walls[0].sign))
+    if len(pushes) == 2:
+        side = choose(lax.abs(pushes[1][0]) < lax.abs(pushes[0][0]), 1.0, side)
+    late = taylor.root(picked(side, frame.walls, pushes), order)
+    way = taylor.way(frame, now, side, order)
+    x, v = taylor.back(frame, now, *taylor.placed(way, late, order), late, order)
+    return now._replace(x=choose(due, x, now.x), v=choose(due, v, now.v))
+
+
+def _kick(frame, now, side, order):
+    """(late, speed against the wall, x, v) of an impact about now, brought back to now."""
+    path, way = taylor.jet(frame, now, order), taylor.way(frame, now, side, order)
+    late = taylor.root([less(a, b) for a, b in zip(path[: order + 1], way, strict=False)], order)
+    (where, speed), v = taylor.placed(way, late, order), taylor.shifted(path[1:], late, order)
+    closing = v - speed
+    after = v - (1.0 + bounce(frame, side)) * closing
+    return late, side * closing, *taylor.back(frame, now, where, after, late, order)

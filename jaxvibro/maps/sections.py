@@ -1,0 +1,73 @@
+"""What a motion leaves on the three sections: states on Sigma, impacts on the walls L and R (paper, 1)."""
+
+import numpy as np
+import xarray as xr
+
+from ..flight.wall_positions import SIGNS, places
+from ..scene import check
+from ..scene.codes import Status
+from ..scene.scene import SIDES
+from ..scene.state import State, check_start, real_state
+from .iterate import KEEP, ends, trail
+from .phase_shift import carried
+
+LENGTH, SPEED = {"units": "length"}, {"units": "length w0"}
+
+
+@check.host("use return_map or strobe")
+def sections(scene, state, phase=0.0, periods=1000, settle=300):
+    """A motion's points on Sigma, L and R: an xarray.Dataset.
+
+    scene: a single one; state: a `State` of numbers, at its phase. settle: drive periods left out; periods: those
+    looked at after them. phase: of the drive at which Sigma lies, rad.
+
+    x, v on Sigma along "period", in order: the map P1 leads from each to the next. left_phase (rad, from 0 to 2 pi) and
+    left_velocity, right_phase and right_velocity: of the drive at each impact on a wall and of the mass after it, in
+    order: P2 and P3 lead from each to the next (`return_map`). At most 16 impacts a period are seen.
+
+    Raises SceneError for a batch, numbers that cannot be, and a motion that ends with a bad status.
+    """
+    check.is_single(scene)
+    check.is_rigid(scene, "sections")
+    settle, periods = check.whole("settle", settle, 0), check.whole("periods", periods, 1)
+    state = real_state(scene, state)
+    if np.shape(state.x + state.v + state.phase + state.contact):
+        raise check.SceneError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
+    check_start(scene, state)
+    phase = check.number("phase", phase, np.float64)
+    if phase.shape:
+        raise check.SceneError("phase", "must be a number", phase)
+    phase = float(phase)
+    state = State(*(np.reshape(np.asarray(each), 1) for each in (state.x, state.v, state.phase, state.contact)))
+    if settle:
+        state = _good(*ends(scene, state, settle))
+    state = _good(*carried(scene, state, phase))
+    parts = []
+    for first in range(0, periods, KEEP):
+        run = trail(scene, state, min(KEEP, periods - first))
+        state = _good(run.state, run.status)
+        parts.append(run)
+    return _dataset(scene, phase, parts)
+
+
+def _good(state, status):
+    if status[0] >= Status.CAP:
+        raise check.SceneError("state", "must start a motion that goes on", Status(status[0]).word)
+    return state
+
+
+def _dataset(scene, phase, parts):
+    x, v, time, side, speed = (
+        np.concatenate([getattr(run, key)[:, 0] for run in parts]) for key in ("x", "v", "time", "side", "speed")
+    )
+    columns = {"x": ("period", x, LENGTH), "v": ("period", v, SPEED)}
+    for name, sign, k in zip(SIDES, SIGNS, (0, 1), strict=True):
+        hit = side == sign
+        angle = phase + float(scene.frequency) * time[hit]
+        after = np.empty(0)
+        if getattr(scene, name) is not None:
+            pace = np.asarray(places(scene, angle)[k][1])
+            after = pace - float(scene.bounce(name)) * sign * speed[hit]
+        columns[f"{name}_phase"] = f"{name}_impact", np.mod(angle, 2.0 * np.pi), {"units": "rad"}
+        columns[f"{name}_velocity"] = f"{name}_impact", after, SPEED
+    return xr.Dataset(columns, attrs=scene.numbers | {"phase": phase})

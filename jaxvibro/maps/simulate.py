@@ -1,0 +1,99 @@
+"""A trajectory at even samples, with its impacts: for pictures."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import xarray as xr
+from jax import lax
+
+from continuation.persistent_jit import persistent_jit
+
+from ..compiled.kernels import choose
+from ..flight import integrate
+from ..flight.coefficients import frame
+from ..flight.entry import enter
+from ..flight.path import CAPPED, absolute
+from ..scene import check
+from ..scene.codes import Status
+from ..scene.state import check_start, real_state
+from .one_period import finish
+
+SLOTS = 1024
+
+
+@check.host("use strobe")
+def simulate(scene, state, periods=1, samples=200):
+    """The trajectory of one state over whole drive periods, as an xarray.Dataset.
+
+    scene, state: one of each, no batch. samples: of a period, evenly spaced; the first is the given state, the last the
+    one at the end. Dataset: x(time), v(time), phase(time) in radians, counted on from the start's; and of the impacts,
+    in order, side, speed and position over the coordinate impact_time. Times in t since the start.
+
+    Raises SceneError for a batch, for a start beyond a wall or not finite, and where an impact cap ends the trajectory.
+    """
+    periods, samples = check.whole("periods", periods, 1), check.whole("samples", samples, 1)
+    state = real_state(scene, state)
+    shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
+    if shape:
+        raise check.SceneError("state", "must be one state in one scene, no batch", f"shape {shape}")
+    check_start(scene, state)
+    x, v, angle, impacts = jax.device_get(_trace(scene, state, periods, samples))
+    if impacts.status >= Status.CAP or impacts.count > SLOTS:
+        told = Status(int(impacts.status)).word if impacts.status else f"more than {SLOTS} impacts"
+        raise check.SceneError("state", f"must have a trajectory ({told})", f"x {float(x[0])}, v {float(v[0])}")
+    return _dataset(scene, x, v, angle, impacts)
+
+
+def _sampled(scene, state, periods, samples):
+    built = frame(scene)
+    path, fault = enter(built, state)
+    span = choose(fault == Status.OK, built.period / samples, 0.0)
+    limit = integrate.cap(built, periods * samples)
+    angles = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
+
+    def sample(told, step):
+        angle, end = step
+        turned = told.path.motion._replace(cosine=jnp.cos(angle), sine=jnp.sin(angle))
+        path = told.path._replace(motion=turned, rest=choose(told.path.rest == CAPPED, CAPPED, span))
+        return integrate.run(built, told._replace(path=path, log=told.log._replace(end=end)), limit), absolute(
+            built, path
+        )
+
+    ends = span * jnp.arange(1, periods * samples + 1)
+    told, (x, v) = lax.scan(sample, integrate.begin(built, path, SLOTS, ends[0]), (angles[:-1], ends))
+    last, impacts = finish(built, told, state, fault)
+    return jnp.append(x, last.x), jnp.append(v, last.v), angles, impacts
+
+
+_trace = persistent_jit(_sampled, static_argnums=(2, 3))
+
+
+def _dataset(scene, x, v, angle, impacts):
+    time = (angle - angle[0]) / float(scene.frequency)
+    hit = impacts.side != 0
+    length, speed = {"units": "length of the walls"}, {"units": "length per t"}
+    at = {"impact_time": ("impact", impacts.time[hit], {"units": "t"})}
+    place = _places(scene, impacts.time[hit], impacts.side[hit], angle[0])
+    return xr.Dataset(
+        {
+            "x": ("time", x, {"long_name": "displacement", **length}),
+            "v": ("time", v, {"long_name": "velocity", **speed}),
+            "side": ("impact", impacts.side[hit], {"long_name": "wall, -1 left, +1 right"}),
+            "speed": ("impact", impacts.speed[hit], {"long_name": "relative speed before the impact", **speed}),
+            "position": ("impact", place, {"long_name": "displacement at the impact", **length}),
+        },
+        coords={"time": ("time", time, {"units": "t"}), "phase": ("time", angle, {"units": "rad"}), **at},
+        attrs=scene.numbers,
+    )
+
+
+def _places(scene, time, side, phase):
+    """Where the walls were that were hit."""
+    found = np.zeros_like(time)
+    for sign, wall in ((-1, scene.left), (1, scene.right)):
+        if wall is not None:
+            motion = wall.motion
+            angle = 0.0 if motion is None else motion.harmonic * (phase + scene.frequency * time) + motion.phase
+            swing = 0.0 if motion is None else motion.amplitude * np.cos(angle)
+            found = np.where(side == sign, wall.position + swing, found)
+    return found

@@ -1,0 +1,94 @@
+"""Orbits from states: `find_orbit` from one, settled or not; `find_orbits` from many."""
+
+import numpy as np
+
+from ..maps import itinerary as words
+from ..maps.initial_conditions import box
+from ..maps.iterate import KEEP, trail
+from ..maps.rests import may_rest
+from ..scene import check
+from ..scene.codes import Status
+from ..scene.state import State, check_start, real_state
+from .by_impacts import by_impacts, guessed
+from .by_shooting import by_state
+from .orbit import OrbitError
+
+LONGEST = 32  # periods of an orbit whose period is not given
+SETTLED = 1e-3  # of the largest x and v: a return as near as this
+
+
+@check.host("use strobe or monodromy")
+def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
+    """The periodic orbit that a state settles on, or, with settle=0, an orbit near it, stable or not: an `Orbit`.
+
+    scene: a single one; state: a `State` of numbers, the section lies at its phase. periods: drive periods n of the
+    orbit, at most 64; None takes the least number, up to 32, after which the state comes back; what is found may have
+    a divisor of it. itinerary: the walls to be hit, a word of "L" and "R" a period, ("LR",) or ("LRL", "R"), compared
+    cyclically; None takes those that are hit from the state on. Where the state hits others, the orbit may be far from
+    it: of those that random guesses lead to the nearest is taken. settle: drive periods before Newton's method.
+
+    Raises OrbitError, with status, residual and advice, where there is no such orbit: no return, no convergence, a
+    singular Jacobian (a bifurcation), a flight through a wall; SceneError for arguments that cannot be.
+    """
+    check.is_single(scene)
+    state, settle = _lane(real_state(scene, state)), check.whole("settle", settle, 0)
+    check_start(scene, state)
+    if itinerary is not None:
+        itinerary = _checked(itinerary, periods)
+        periods = len(itinerary)
+    if periods is not None and check.whole("periods", periods, 1) > KEEP:
+        raise check.SceneError("periods", f"must be at most {KEEP}", periods)
+    if settle:
+        state = _followed(trail(scene, state, settle)).state
+    periods = periods or _returns(scene, state, settle)
+    return _near(scene, state, periods, itinerary)
+
+
+def _lane(state):
+    if np.shape(state.x + state.v + state.phase + state.contact):
+        raise check.SceneError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
+    return State(*(np.reshape(np.asarray(each), 1) for each in (state.x, state.v, state.phase, state.contact)))
+
+
+def _checked(itinerary, periods):
+    told = 'must be words of "L" and "R", one a drive period, as ("LR",)'
+    if not isinstance(itinerary, tuple | list) or not itinerary:
+        raise check.SceneError("itinerary", told, itinerary)
+    if not all(isinstance(word, str) and set(word) <= {"L", "R"} for word in itinerary):
+        raise check.SceneError("itinerary", told, itinerary)
+    if periods not in (None, len(itinerary)):
+        raise check.SceneError("periods", f"must be the number of words, {len(itinerary)}, or None", periods)
+    return tuple(itinerary)
+
+
+def _followed(found):
+    if found.status[0] >= Status.CAP:
+        what = f"the state cannot be followed ({Status(found.status[0]).word})"
+        raise OrbitError(what, np.nan, "start between the walls of the scene, at the state's phase")
+    return found
+
+
+def _returns(scene, state, settle):
+    """The least number of periods after which the state comes back: to within SETTLED where it has settled."""
+    points = _followed(trail(scene, state, LONGEST)).points[:, 0]
+    first = np.array([state.x[0], state.v[0]])
+    apart, scale = abs(points - first).max(axis=1), abs(points).max()
+    if settle and apart.min() > SETTLED * scale:
+        advice = "settle longer; or give periods and settle=0 for an unstable orbit, or ask find_orbits"
+        raise OrbitError(f"the state does not come back within {LONGEST} periods", float(apart.min()), advice)
+    return int(np.argmax(apart <= max(2.0 * apart.min(), 1e-6 * scale))) + 1
+
+
+def _near(scene, state, periods, itinerary):
+    """The orbit near a state: by its impacts, or by the state where it rests on a wall or meets none."""
+    kept = _followed(trail(scene, state, periods))
+    found = words.words(kept.side[:, 0])
+    plain = State(*(float(each[0]) for each in (state.x, state.v, state.phase, state.contact)))
+    if itinerary is not None and not words.same(found, itinerary):
+        return guessed(scene, itinerary, plain, box(scene)[2])
+    if not any(found) or may_rest(scene, kept.status, kept.contact):
+        return by_state(scene, plain, periods)
+    length = 2.0 * np.pi / float(scene.frequency)
+    hit = kept.side[:, 0] != 0
+    times = (kept.time[:, 0] + length * np.arange(periods)[:, None])[hit]
+    return by_impacts(scene, times, kept.speed[:, 0][hit], kept.side[:, 0][hit], plain.phase, periods)

@@ -1,0 +1,97 @@
+"""A periodic orbit and what is known of it; and why there is none."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..maps import itinerary as words
+from ..maps.rests import NO_RESTS
+from ..scene.scene import Scene
+from ..scene.state import Impacts, State
+
+MARGIN = 1e-9  # a multiplier as near to size 1 is a special point's, whose stability rounding would decide
+
+
+class OrbitError(ValueError):
+    """There is no orbit to return. status: in a few words; residual: how far what was found is from an orbit, in the
+    scene's lengths, nan where nothing was; advice: what may help."""
+
+    def __init__(self, status, residual, advice):
+        super().__init__(status, residual, advice)
+        self.status, self.residual, self.advice = status, residual, advice
+
+    def __str__(self):
+        left = "" if np.isnan(self.residual) else f" (residual {self.residual:.1e})"
+        return f"no orbit: {self.status}{left}; {self.advice}"
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """A periodic orbit of a scene.
+
+    label: P n p q, inf for p or q on a wall with complete chatter: P1-0-inf. periods: n, the least number of drive
+    periods. state: on it, at the section's phase: the phase asked for, unless an impact is within a thousandth of a
+    period of it; then the middle of the longest flight. impacts: in n periods from there, without empty slots.
+    itinerary: the walls hit, a word a period. multipliers: Floquet's, the larger first, complex, shape (2,). stable:
+    both are smaller than 1, by more than rounding. residual: the largest error left in the equations that were solved
+    (lengths, lengths per t). least_speed, least_clearance: of the impacts, and of turning points towards a wall; inf
+    where there are none. unknowns: "impacts" where their times and speeds were solved for, "state" where the state was.
+    scene: whose orbit it is. mirror_of: in a tuple of `find_orbits` the place of its mirror image, its own where it is
+    symmetric; else None. rests: whether the mass rests on a wall for a while; hops of complete chatter are recorded up
+    to where they are certain to end.
+    """
+
+    label: str
+    periods: int
+    state: State
+    impacts: Impacts
+    itinerary: tuple[str, ...]
+    multipliers: np.ndarray
+    stable: bool
+    residual: float
+    least_speed: float
+    least_clearance: float
+    unknowns: str
+    scene: Scene = field(repr=False)
+    mirror_of: int | None = None
+    rests: bool = False
+
+
+def multipliers(trace, determinant):
+    """The eigenvalues of a matrix with this trace and determinant: complex, shape (2,), see `roots`."""
+    return roots(np.reshape(trace, 1), np.reshape(determinant, 1))[0]
+
+
+def roots(trace, determinant):
+    """The eigenvalues of matrices with these traces and determinants, (points,): (points, 2), the larger first.
+
+    The larger is found without cancellation, the smaller from the determinant. Both are infinite where a number is not
+    finite: at an impact without speed.
+    """
+    with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
+        half = 0.5 * trace
+        inside = half * half - determinant
+        larger = half + np.copysign(np.sqrt(np.maximum(inside, 0.0)), half)
+        real = np.stack([larger, np.where(larger != 0, determinant / larger, 0.0)], 1)
+        turned = half[:, None] + 1j * np.sqrt(np.maximum(-inside, 0.0))[:, None] * np.array([1.0, -1.0])
+        found = np.where((inside < 0)[:, None], turned, real)
+    return np.where(np.isfinite(found).all(axis=1)[:, None], found, np.inf)
+
+
+def described(scene, state, impacts, itinerary, roots, residual, unknowns, resting=NO_RESTS):
+    """The `Orbit` of these, its label and its stability read from them."""
+    return Orbit(
+        label=words.label(itinerary, resting.endless),
+        periods=len(itinerary),
+        state=state,
+        impacts=impacts,
+        itinerary=itinerary,
+        multipliers=roots,
+        stable=bool(np.all(abs(roots) < 1.0 - MARGIN)),
+        residual=residual,
+        least_speed=impacts.least_speed,
+        least_clearance=impacts.least_clearance,
+        unknowns=unknowns,
+        scene=scene,
+        rests=resting.rests,
+    )

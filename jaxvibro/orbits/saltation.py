@@ -1,0 +1,129 @@
+"""What an impact, or a stay within a soft wall, makes of a mass that comes to a wall at a time with a speed.
+
+Both are the same to the equations of the impacts (`cycle`): from where and when the next flight begins, and how that
+changes with the impact's own time and speed. A stay takes time; it is as smooth as an impact where its speed is zero.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+
+from ..compiled.kernels import choose
+from ..flight import flow, soft_contact
+from ..flight.path import accelerations
+from ..flight.wall import course, picked
+from ..maps.contact_duration import carried, guess, leave, share
+from ..scene.codes import Contact
+
+
+class Meeting(NamedTuple):
+    """Of each impact: the drive's cosine and sine; the wall's position, velocity and acceleration; R and the velocity
+    against the wall; the acceleration before. And of the start of the flight that follows: the stay before it, None
+    where all walls are rigid; (x, v); the drive's (cosine, sine); how (x, v) change with the impact's time and speed,
+    the flight's start being kept; the velocity against the wall. gives: whether it is a stay, None where all walls are
+    rigid."""
+
+    cosine: jax.Array
+    sine: jax.Array
+    where: jax.Array
+    pace: jax.Array
+    bend: jax.Array
+    bounce: jax.Array
+    closing: jax.Array
+    stay: jax.Array | None
+    state: tuple[jax.Array, jax.Array]
+    phasor: tuple[jax.Array, jax.Array]
+    by_time: tuple[jax.Array, jax.Array]
+    by_speed: tuple[jax.Array, jax.Array]
+    opening: jax.Array
+    gives: jax.Array | None = None
+
+
+def meeting(frame, sides, cosine, sine, speed, still=None):
+    """The `Meeting` of impacts on these sides, 0: of none, any numbers; arrays of one shape. still: as of a `Cycle`."""
+    where, pace, bend = _way(frame, sides, cosine, sine)
+    closing, zero = sides * speed, jnp.zeros_like(speed)
+    bounce = soft_contact.bounce(frame, sides) + zero
+    v = pace - bounce * closing
+    after, _ = accelerations(frame, where, v, cosine, sine)
+    by_time, by_speed = (bounce * closing, bend - after), (zero, -bounce * sides)
+    found = Meeting(
+        cosine, sine, where, pace, bend, bounce, closing, None, (where, v), (cosine, sine), by_time, by_speed, v - pace
+    )
+    return _softened(frame, sides, speed, found, still) if frame.soft else found
+
+
+def _softened(frame, sides, speed, met, still):
+    """The `Meeting` with stays in place of impacts where the wall is soft."""
+    gives = soft_contact.gives(frame, sides)
+    gives = gives if still is None else gives & (still == 0)
+    side = choose(gives, sides, 0.0)
+
+    given, none = (met.cosine, met.sine, speed), jnp.zeros_like(speed)
+    near = guess(frame, side, *given)
+
+    def left(cosine, sine, speed):
+        return leave(frame, side, cosine, sine, speed, near)
+
+    turned = (-frame.frequency * met.sine, frame.frequency * met.cosine, none), (none, none, none + 1.0)
+    along = jax.tree.map(lambda *each: jnp.stack(each), *turned)
+    out, changes = jax.vmap(lambda way: jax.jvp(left, given, way), out_axes=(None, 0))(along)
+    late, more = (jax.tree.map(lambda each, k=k: each[k], changes) for k in range(2))
+    where, pace, bend = _way(frame, sides, out.cosine, out.sine)
+    v = pace + out.v
+    after, _ = accelerations(frame, where, v, out.cosine, out.sine)
+
+    def change(time, pull):
+        return -out.v * time, pull + (bend - after) * time
+
+    soft = met._replace(
+        stay=out.time,
+        state=(where, v),
+        phasor=(out.cosine, out.sine),
+        by_time=change(1.0 + late.time, late.v),
+        by_speed=change(more.time, more.v),
+        opening=out.v,
+    )
+    met = met._replace(stay=none)
+    met = jax.tree.map(lambda soft, hard: jnp.where(gives, soft, hard), soft, met)
+    return met._replace(gives=gives)
+
+
+def _way(frame, sides, cosine, sine):
+    """Position, velocity and acceleration of the walls on these sides."""
+    ways = [course(wall, frame.frequency, cosine, sine, 2) for wall in frame.walls]
+    return [0.0 * sides if each is None else each + 0.0 * sides for each in picked(sides, frame.walls, ways)]
+
+
+def jump(frame, met, sides):
+    """(Q by rows, det Q) of each meeting (paper, (35)), for a stay S P S, S the saltation where the damping jumps."""
+    before, _ = accelerations(frame, met.where, met.pace + met.closing, met.cosine, met.sine)
+    after, _ = accelerations(frame, *met.state, *met.phasor)
+    shear = (after + met.bounce * before - (1.0 + met.bounce) * met.bend) / met.closing
+    if frame.soft:
+        shear = choose(met.bounce < 0, 0.0, shear)  # a touch does nothing
+    hard = (-met.bounce, jnp.zeros_like(shear), shear, -met.bounce), met.bounce * met.bounce
+    if not frame.soft:
+        return hard
+    touch, stay = choose(met.gives, sides * float(Contact.WITHIN), 0.0), jnp.maximum(met.stay, 0.0)
+    _, pace, _ = _way(frame, sides, *met.phasor)
+    whole = touch != 0, met.closing, met.cosine, met.sine
+    here = soft_contact.feeling(frame, touch)
+    response = soft_contact.response(here, touch, stay)
+    soft = carried(frame, touch, stay, response, share(met.pace, met.closing), share(pace, met.opening), whole)
+    return jax.tree.map(lambda soft, hard: jnp.where(met.gives, soft, hard), soft, hard)
+
+
+def stayed(frame, met, sides, k, since, state):
+    """(x, v) a time after the meetings in rows k: within the wall during the stay, else the state given."""
+    touch = choose(met.gives, sides * float(Contact.WITHIN), 0.0)[k]
+    here = soft_contact.feeling(frame, touch)
+    inside = (touch != 0) & (since < met.stay[k])
+    span = choose(inside, since, 0.0)
+    cosine, sine = met.cosine[k], met.sine[k]
+    y, v = soft_contact.flown(
+        here, touch, soft_contact.response(here, touch, span), (0.0 * span, met.closing[k]), cosine, sine
+    )
+    where, pace, _ = _way(frame, sides[k], *flow.rotated(cosine, sine, frame.frequency * span))
+    return choose(inside, where + y, state[0]), choose(inside, pace + v, state[1])

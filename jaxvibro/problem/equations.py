@@ -1,0 +1,125 @@
+"""The equations of a periodic orbit along parameters of the scene, as `continuation` takes them.
+
+An orbit with impacts: z = (times, speeds, parameters), see `cycle`. One without: z = (x, v at the section, parameters).
+A branch has one parameter, a locus (see `crossing`) two.
+"""
+
+from functools import singledispatch
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from continuation.arclength import bordered
+from continuation.problem import Problem, Test
+
+from ..compiled.kernels import one_kernel
+from ..flight import flow
+from ..flight.coefficients import frame
+from ..orbits import cyclic_system, impact_equations
+from ..orbits.impact_equations import Cycle
+from ..scene.scene import Scene
+
+NONE = 1e-10  # of the drive's amplitude, per t: as small a speed is none
+
+
+class Along(NamedTuple):
+    """What a branch is of. scene: its numbers but for the parameters; which: the scene's tree with 1 where the first
+    parameter stands, 2 the second, else 0; cycle: sides, phase and periods; its times and speeds are not used."""
+
+    scene: Scene
+    which: Scene
+    cycle: Cycle
+
+    @property
+    def hits(self):
+        """The rows of impacts, whose speeds are to be positive."""
+        return np.flatnonzero(self.cycle.sides != 0)
+
+    @property
+    def slack(self):
+        """How deep behind a wall a flight may be, as a touch that is meant is found with a rounding."""
+        return 0.0
+
+
+def there(along, z):
+    """The scene at z."""
+    values = z[2 * len(along.cycle.sides) or 2 :]
+
+    def put(leaf, mark):
+        for k in range(len(values)):
+            leaf = jnp.where(mark == k + 1, values[k], leaf)
+        return leaf
+
+    return jax.tree.map(put, along.scene, along.which)
+
+
+def cycle_at(along, z):
+    """The `Cycle` with these unknowns."""
+    rows = len(along.cycle.sides)
+    return along.cycle._replace(times=z[:rows], speeds=z[rows : 2 * rows])
+
+
+@jax.jit
+def impacts(z, along):
+    """(F, its `ring.Ring`)."""
+    return varied(z, along)[:2]
+
+
+def varied(z, along):
+    """(F, its `ring.Ring`, how the ring's own and following change with each parameter)."""
+    given, free = cycle_at(along, z), 2 * len(along.cycle.sides)
+
+    def at(values):
+        value, slopes = impact_equations.equations(frame(there(along, jnp.concatenate([z[:free], values]))), given)
+        return value, cyclic_system.of(slopes)
+
+    by, more = [], []
+    for unit in np.eye(len(z) - free):
+        (value, slopes), (change, bent) = jax.jvp(at, (z[free:],), (jnp.asarray(unit, z.dtype),))
+        by.append(change)
+        more.append(slopes._replace(own=bent.own, following=bent.following))
+    return value, slopes._replace(by=cyclic_system.pairs(jnp.stack(by, 1), len(given.sides))), more
+
+
+def _plain(z, along):
+    """(F, dF/dz); an empty row's unknowns are to be zero."""
+    value, slopes = impacts(z, along)
+    empty = jnp.tile(along.cycle.sides == 0, 2)
+    return jnp.where(empty, z[: len(value)], value), cyclic_system.dense(slopes)
+
+
+def _flip(z, along):
+    built, given = frame(there(along, z)), cycle_at(along, z)
+    return cyclic_system.dense(cyclic_system.of(impact_equations.equations(built, given)[1]), -1.0)
+
+
+def _hits(z, along):
+    """Whether each impact has a speed: where one has none, the equations are singular, and every test is zero."""
+    speeds = z[len(along.cycle.sides) :][along.hits]
+    return bool((speeds > NONE * abs(float(there(along, z).amplitude))).all())
+
+
+@jax.jit
+def _free(z, along):
+    """(F, dF/dz): what a flight over the periods leaves to be periodic."""
+
+    def values(z):
+        scene, turns = there(along, z), along.cycle
+        span = turns.periods * 2.0 * jnp.pi / scene.frequency
+        force = scene.amplitude * jnp.cos(turns.phase), scene.amplitude * jnp.sin(turns.phase)
+        x, v = flow.flown(flow.responses(scene.frequency, scene.damping, span), *force, z[0], z[1])
+        return jnp.stack([x - z[0], v - z[1]])
+
+    return values(z), jax.jacfwd(values)(z)
+
+
+IMPACTS = Problem(impacts, cyclic_system.bordered, _plain, (Test("PD", _flip),), one_kernel, _hits)
+FREE = Problem(_free, bordered, _free, (), one_kernel)
+
+
+@singledispatch
+def problem(along):
+    """The `Problem` of what is followed: of the orbits of an `Along`."""
+    return IMPACTS if len(along.cycle.sides) else FREE

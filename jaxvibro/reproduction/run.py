@@ -1,0 +1,129 @@
+"""Recomputes the paper: each figure from its scene file, and the report of all that is there."""
+
+import hashlib
+import json
+import sys
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from .. import __version__
+from ..output.atomic_write import refuse_folder, whole
+from ..output.checksums import MARKS, digest, is_sealed, netcdf, sealed
+from ..scene.check import SceneError, among, sequence
+from ..studies import scene_file
+from .claim import Claim
+from .figures import JOBS
+from .panels import Drawn
+from .report import counts, page, text
+
+ROOT = Path(__file__).parents[1]
+REPORT = "report"
+
+
+@dataclass(frozen=True)
+class Report:
+    """What `paper` wrote. page, text: the paths of the report; claims: all that are in it; told: a sentence on them."""
+
+    page: Path
+    text: Path
+    claims: tuple[Claim, ...]
+    told: str
+
+
+def paper(names=(), out="out/paper", scenes=None, force=False, progress=False):
+    """Recomputes figures and claims of the paper and writes them into a folder: a `Report`.
+
+    names: of `figures.JOBS`, all where none is given. out: the folder, made where it is missing; it holds NAME.png and
+    NAME.json (the claims) of each, its data as NetCDF, and report.html and report.md of all that is there. scenes: the
+    folder of the scene files, by default those that come with the package. What is there already, of the same scene
+    files and program, is kept unless force is given: so an interrupted run goes on where it stopped. progress: show
+    bars on stderr.
+
+    Raises SceneError for a name that is none and for scene files that break a rule, OSError where a file cannot be read
+    or written.
+    """
+    out, folder = Path(out), _scenes() if scenes is None else Path(scenes)
+    names = sequence("names", names) or tuple(JOBS)
+    for name in names:
+        if name not in JOBS:
+            raise SceneError("figure", f"must be one of those known{among(name, JOBS)}", name)
+    files = {name: [scene_file.read(folder / f"{one}.toml") for one in JOBS[name].files] for name in names}
+    keys = {name: _key(folder, JOBS[name].files) for name in JOBS if _exist(folder, JOBS[name].files)}
+    refuse_folder(out)
+    out.mkdir(parents=True, exist_ok=True)
+    for place, name in enumerate(names, 1):
+        if force or _kept(out, name, keys[name]) is None:
+            _told(progress, f"{name} ({place} of {len(names)})")
+            began = time.perf_counter()
+            _keep(out, name, keys[name], JOBS[name].drawn(*files[name], progress=progress))
+            _told(progress, f"{name}: {time.perf_counter() - began:.1f} s")
+    return _report(out, keys)
+
+
+def _told(progress, message):
+    if progress:
+        print(message, file=sys.stderr, flush=True)
+
+
+def _scenes():
+    """The folder of the scene files: in the package where it was installed, beside it in a checkout."""
+    inside = ROOT / "scenes"
+    return inside if inside.is_dir() else ROOT.parent / "scenes"
+
+
+def _exist(folder, names):
+    return all((folder / f"{name}.toml").is_file() for name in names)
+
+
+def _key(folder, names):
+    """What tells one computation from another: the scene files' and the program's text."""
+    whole = hashlib.sha256(__version__.encode())
+    sources = [one for package in (ROOT, ROOT.parent / "continuation") for one in sorted(package.rglob("*.py"))]
+    for path in [*(folder / f"{name}.toml" for name in names), *sources]:
+        whole.update(path.read_bytes())
+    return whole.hexdigest()
+
+
+def _keep(out, name, key, drawn):
+    """Writes what was computed, its claims last: they tell that all is there, by the SHA-256 of each other file."""
+    files = {f"{name}{ending}.nc": netcdf(data) for ending, data in drawn.data.items()}
+    if drawn.picture is not None:
+        files[f"{name}.png"] = drawn.picture
+    claims = [asdict(one) | {"verdict": one.verdict} for one in drawn.claims]
+    digests = {each: digest(content) for each, content in files.items()}
+    told = MARKS | {"key": key, "caption": drawn.caption, "files": digests, "claims": claims}
+    files[f"{name}.json"] = sealed(json.dumps(told, indent=1).encode())
+    for each, content in files.items():
+        with whole(out / each, force=True) as file:
+            file.write(content)
+
+
+def _kept(out, name, key):
+    """The `Drawn` of an earlier run with the same key, without its data; None where there is none, or a file is not as
+    it was written."""
+    try:
+        content = (out / f"{name}.json").read_bytes()
+        told = json.loads(content) if is_sealed(content, name) else {"key": None}
+        if told["key"] != key:
+            return None
+        files = {each: (out / each).read_bytes() for each in told["files"]}
+        if any(digest(files[each]) != written for each, written in told["files"].items()):
+            return None
+        claims = [Claim(**{key: value for key, value in one.items() if key != "verdict"}) for one in told["claims"]]
+        return Drawn(files.get(f"{name}.png"), told["caption"], tuple(claims))
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
+
+
+def _report(out, keys):
+    """Writes the report of all that is there: the `Report`."""
+    kept = {name: _kept(out, name, key) for name, key in keys.items()}
+    parts = [(name, one) for name, one in kept.items() if one is not None]
+    titled = [(JOBS[name].title, one) for name, one in parts]
+    named = [(JOBS[name].title, f"{name}.png" if one.picture else None, one) for name, one in parts]
+    for ending, content in ((".html", page(titled)), (".md", text(named))):
+        with whole(out / f"{REPORT}{ending}", force=True) as file:
+            file.write(content.encode())
+    claims = [claim for _, one in parts for claim in one.claims]
+    return Report(out / f"{REPORT}.html", out / f"{REPORT}.md", tuple(claims), counts(claims))

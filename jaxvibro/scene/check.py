@@ -1,0 +1,282 @@
+"""The rules for a scene: each broken one is a single line that names the key, the rule and the value."""
+
+import difflib
+from functools import wraps
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend.core import get_opaque_trace_state
+
+from .wall_gap import least_gap
+
+HIGHEST_HARMONIC = 1000
+LONGEST = 300  # characters of a message
+
+
+class SceneError(ValueError):
+    """A scene breaks a rule. key: the parameter, dotted; rule: what it must be; value: what was given; index: the
+    first place in a batch where it is broken, None without a batch."""
+
+    def __init__(self, key, rule, value, index=None):
+        super().__init__(key, rule, value, index)
+        self.key, self.rule, self.value, self.index = key, rule, value, index
+
+    def __str__(self):
+        place = "" if self.index is None else f" at index {self.index}"
+        end = f"; got {shown(self.value)}{place}"
+        return short(f"{short(self.key)}: {self.rule}", LONGEST - len(end)) + end
+
+
+def short(text, most=80):
+    """A text on one line of at most so many characters."""
+    line = " ".join(str(text)[: 100 * most].split())
+    return line if len(line) <= most else f"{line[: most - 3]}..."
+
+
+def among(name, names):
+    """The end of a rule that a name breaks as it is none of these: the nearest of them, and all."""
+    near = difflib.get_close_matches(short(name), names, 1)
+    return f"{', perhaps ' + near[0] if near else ''} ({', '.join(names)})"
+
+
+def shown(value):
+    """A value on one short line."""
+    array = hasattr(value, "dtype")
+    if array and np.ndim(value):
+        return f"an array of shape {np.shape(value)} and type {value.dtype}"
+    try:
+        line = " ".join((str(value) if array else repr(value)).split())
+    except ValueError:
+        return "a whole number too long to show"
+    except RecursionError:
+        return "a value too deep to show"
+    return short(line)
+
+
+def is_traced(*values):
+    """True where any of the values is known only to a transformation (jit, vmap, grad)."""
+    return any(isinstance(value, jax.core.Tracer) for value in values)
+
+
+def is_transformed():
+    """Whether this is called within a transformation (jit, vmap, grad), whatever it is called with."""
+    now = get_opaque_trace_state()
+    with jax.core.eval_context():
+        return now != get_opaque_trace_state()
+
+
+def host(instead):
+    """Decorates a function that runs on the host: under a transformation it says so at once, and what does it there.
+
+    Raises SceneError where an argument is traced, and within jit, vmap and grad where none is.
+    """
+
+    def decorated(function):
+        @wraps(function)
+        def called(*args, **named):
+            traced = [each for each in jax.tree.leaves((args, named)) if is_traced(each)]
+            if traced or is_transformed():
+                rule = "runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, " + instead
+                raise SceneError(function.__name__, rule, traced[0] if traced else "a call within one")
+            return function(*args, **named)
+
+        return called
+
+    return decorated
+
+
+def is_known(name, names, value):
+    """Refuse a name that is none of these parameters."""
+    if not isinstance(name, str):
+        raise SceneError("name", f"must be a parameter of this scene ({', '.join(names)})", name)
+    if name not in names:
+        raise SceneError(name, f"is not a parameter of this scene{among(name, names)}", value)
+
+
+def sequence(key, names):
+    """Names as a tuple; a text is one name, not its letters."""
+    if isinstance(names, str):
+        return (names,)
+    try:
+        return tuple(names)
+    except TypeError:
+        raise SceneError(key, "must be a name or a sequence of names", names) from None
+
+
+def are_apart(*names):
+    """Refuse parameters of which one, the hardness, changes another."""
+    if "hardness" in names and any(name.endswith((".stiffness", ".damping")) for name in names):
+        raise SceneError("names", "must not name what the hardness changes beside it", names)
+
+
+def is_of_one_kind(side, wall):
+    """Refuse a wall that is neither rigid nor soft."""
+    if wall.stiffness is not None and wall.restitution is not None:
+        raise SceneError(f"{side}.restitution", "a wall with stiffness has none", wall.restitution)
+    if wall.stiffness is None and wall.damping is not None:
+        raise SceneError(f"{side}.damping", "a wall without stiffness has none", wall.damping)
+
+
+def is_rigid(scene, what):
+    """Refuse a soft wall where only rigid ones are known."""
+    for side, wall in scene.walls.items():
+        if wall.soft:
+            raise SceneError(f"{side}.stiffness", f"{what} is for rigid walls only", wall.stiffness)
+
+
+def is_single(scene):
+    """Refuse a batch of scenes."""
+    if scene.shape:
+        raise SceneError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")
+
+
+def pair(walls):
+    """The walls as a tuple of two entries, left and right: of a tuple, a list or an array of two positions."""
+    array = hasattr(walls, "dtype") and np.shape(walls) == (2,)
+    if not array and (not isinstance(walls, tuple | list) or len(walls) != 2):
+        raise SceneError("walls", "must be a pair (left, right), each a position, None or a Wall", walls)
+    return tuple(walls)
+
+
+def float_type(dtype):
+    """The scene's floating-point type: float64 where None was given, and then jax must have it on."""
+    try:
+        kind = np.dtype(np.float64 if dtype is None else dtype)
+    except TypeError:
+        kind = None
+    if kind not in (np.float32, np.float64):
+        raise SceneError("dtype", "must be None, float32 or float64", dtype)
+    if kind == np.float64 and not jax.config.jax_enable_x64:
+        advice = "call jax.config.update('jax_enable_x64', True) first, or ask for dtype=jnp.float32"
+        raise SceneError("dtype", f"double precision is off in jax: {advice}", kind.name)
+    return kind
+
+
+def real(key, value, dtype):
+    """The value as an array of real numbers: NumPy's, or a tracer's, of which only the type is checked."""
+    if is_traced(value):
+        if value.dtype.kind not in "fiu":
+            raise SceneError(key, "must be a real number", f"type {value.dtype}")
+        return jnp.asarray(value, dtype)
+    array = _plain(value)
+    if array is None or array.dtype.kind not in "fiu":
+        raise SceneError(key, "must be a real number", value)
+    with np.errstate(over="ignore"):
+        return array.astype(dtype)
+
+
+def number(key, value, dtype):
+    """Like `real`, and known values must be finite."""
+    array = real(key, value, dtype)
+    if not is_traced(array):
+        require(key, "must be finite", array, np.isfinite(array))
+    return array
+
+
+def quantity(key, value, dtype):
+    """Like `number`, for what a scene is made of: there a list is taken neither for a batch nor for the two walls'."""
+    if isinstance(value, list | tuple):
+        told = "what each wall has of its own is written walls=(Wall(...), Wall(...)), a batch np.array([...])"
+        raise SceneError(key, f"must be a number or an array, not a {type(value).__name__}: {told}", value)
+    return number(key, value, dtype)
+
+
+def _plain(value):
+    if value is None or isinstance(value, str | bytes | bool):
+        return None
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError):
+        return None
+
+
+def harmonic(key, value):
+    """The harmonic as an int: a whole number from 1 on (a truth value is none)."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    if not whole or not 1 <= value <= HIGHEST_HARMONIC:
+        raise SceneError(key, f"must be a whole number from 1 to {HIGHEST_HARMONIC}", value)
+    return int(value)
+
+
+def require(key, rule, value, holds):
+    """Refuse the first element for which the rule does not hold."""
+    value, holds = np.broadcast_arrays(value, holds)
+    if not holds.all():
+        place = tuple(int(i) for i in np.argwhere(~holds)[0])
+        raise SceneError(key, rule, value[place], place or None)
+
+
+def check_scene(scene):
+    """The scene itself, once it breaks no rule: shapes always, values where they are known."""
+    leaves = [(path_name(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(scene)]
+    shapes_agree(leaves)
+    for key, leaf in leaves:
+        obey(key, leaf)
+    if scene.left is not None and scene.right is not None:
+        walls_apart(scene.left, scene.right)
+    return scene
+
+
+_FRACTION = ("must lie between 0 and 1", lambda value: (value >= 0) & (value <= 1))
+_POSITIVE = ("must be greater than 0", lambda value: value > 0)
+_NOT_NEGATIVE = ("must not be negative", lambda value: value >= 0)
+_RULES = {
+    "frequency": _POSITIVE,
+    "damping": _NOT_NEGATIVE,
+    "restitution": _FRACTION,
+    "left.restitution": _FRACTION,
+    "right.restitution": _FRACTION,
+    "left.stiffness": _POSITIVE,
+    "right.stiffness": _POSITIVE,
+    "left.damping": _NOT_NEGATIVE,
+    "right.damping": _NOT_NEGATIVE,
+    "mass": _POSITIVE,
+    "stiffness": _POSITIVE,
+    "length": _POSITIVE,
+}
+
+
+def obey(key, value):
+    """Refuse a known value that breaks the rule of its key; without a rule any real number will do."""
+    if key in _RULES and not is_traced(value):
+        rule, holds = _RULES[key]
+        require(key, rule, value, holds(value))
+
+
+def path_name(path):
+    """The dotted name of a leaf from its path in the tree."""
+    return ".".join(step.name for step in path)
+
+
+def shapes_agree(leaves):
+    """Refuse the first array that does not broadcast with those before it."""
+    shape = ()
+    for key, leaf in leaves:
+        try:
+            shape = np.broadcast_shapes(shape, leaf.shape)
+        except ValueError:
+            raise SceneError(key, f"must broadcast with the shape {shape} of the others", leaf) from None
+
+
+def walls_apart(left, right):
+    """Refuse walls out of order, and walls that touch or cross at some phase of their motion."""
+    if is_traced(left.position, right.position):
+        return
+    rule = "must lie to the right of left.position"
+    require("right.position", rule, right.position, left.position < right.position)
+    if is_traced(*jax.tree.leaves((left.motion, right.motion))):
+        return
+    if left.motion is not None or right.motion is not None:
+        gap = least_gap(left, right)
+        side = "left" if right.motion is None else "right"
+        require(
+            f"{side}.motion", "walls may not touch or cross as they move: the least gap must exceed 0", gap, gap > 0
+        )
+
+
+def whole(key, value, least):
+    """The value as an int: a whole number from `least` on (a truth value is none)."""
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+        raise SceneError(key, f"must be a whole number from {least} on", value)
+    return int(value)

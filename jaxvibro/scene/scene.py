@@ -1,0 +1,239 @@
+"""The scene: an oscillator, its drive and its walls, a frozen pytree of nondimensional numbers (paper, section 1)."""
+
+from dataclasses import dataclass, field, replace
+from functools import reduce
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from . import check
+from .soft_walls import hardened
+
+SIDES = ("left", "right")
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A wall's motion about its mean position: amplitude cos(harmonic omega t + phase), t being the drive's own.
+
+    amplitude: length, any finite real number; phase: radians; harmonic: a whole number, static under transformations.
+    """
+
+    amplitude: jax.Array
+    phase: jax.Array = 0.0
+    harmonic: int = field(default=1, metadata={"static": True})
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """A wall: its mean position, what it does to the mass, its motion (None stands still).
+
+    A rigid wall has a restitution (None takes the scene's). A soft one has a stiffness k2 > 0 in its place, and a
+    damping gamma2 >= 0 (None takes the scene's): beyond it x'' + 2 gamma2 x' + k2 (x - x_b) + x = A cos(omega t), until
+    x is back at x_b (paper, (39)).
+    """
+
+    position: jax.Array
+    restitution: jax.Array | None = None
+    stiffness: jax.Array | None = None
+    damping: jax.Array | None = None
+    motion: Motion | None = None
+
+    @property
+    def soft(self):
+        """Whether the wall gives way."""
+        return self.stiffness is not None
+
+    @property
+    def taken(self):
+        """The names of what it takes from the scene."""
+        name = "damping" if self.soft else "restitution"
+        return () if getattr(self, name) is not None else (name,)
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """x'' + 2 damping x' + x = amplitude cos(frequency t) between the walls, y+ - v = -restitution (y- - v) at a rigid
+    one; beyond a soft one as `Wall` says.
+
+    Every real number is an array; together they broadcast to the batch of scenes. A wall that is None is not there.
+    harder: by how many decades the soft walls are stiffer than they say, at the same R_eff; None but along a branch.
+    Make one with `make_scene`, which checks it.
+    """
+
+    amplitude: jax.Array
+    frequency: jax.Array
+    damping: jax.Array
+    restitution: jax.Array
+    left: Wall | None
+    right: Wall | None
+    harder: jax.Array | None = None
+
+    @property
+    def dtype(self):
+        """The floating-point type of the scene's numbers."""
+        return jnp.result_type(self.amplitude)
+
+    @property
+    def shape(self):
+        """The shape of the batch: of all the scene's numbers, broadcast together."""
+        return jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves(self)))
+
+    @property
+    def names(self):
+        """The names of the scene's parameters, those of a wall dotted: "right.motion.phase".
+
+        Where there is a soft wall, "hardness" is one: the decimal logarithm of its stiffness, of the left one's where
+        there are two. Naming it multiplies the stiffness of all soft walls by one number, and changes the damping of
+        each so that its R_eff stays (`effective_restitution`).
+        """
+        found = ["amplitude", "frequency", "damping", "restitution"]
+        for side, wall in self.walls.items():
+            own = ("position", "stiffness", "damping") if wall.soft else ("position", "restitution")
+            found += [f"{side}.{name}" for name in own]
+            found += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
+        return (*found, "hardness") if self.soft_sides else tuple(found)
+
+    @property
+    def walls(self):
+        """{side: `Wall`} of the walls that there are, left first."""
+        return {side: getattr(self, side) for side in SIDES if getattr(self, side) is not None}
+
+    @property
+    def soft_sides(self):
+        """The sides of its soft walls, left first."""
+        return tuple(side for side, wall in self.walls.items() if wall.soft)
+
+    def parameter(self, name):
+        """The value of a parameter, an array; a wall without a restitution, or damping, of its own gives the scene's.
+
+        Raises SceneError where the scene has no parameter of this name.
+        """
+        check.is_known(name, self.names, name)
+        if name == "hardness":
+            stiffness = getattr(self, self.soft_sides[0]).stiffness
+            return (jnp if check.is_traced(stiffness) else np).log10(stiffness)
+        value = reduce(getattr, name.split("."), self)
+        return getattr(self, name.split(".")[-1]) if value is None else value
+
+    @property
+    def numbers(self):
+        """{name: number} of the parameters of a single scene."""
+        return {name: float(self.parameter(name)) for name in self.names}
+
+    def bounce(self, side):
+        """R of a wall, with which the velocity against it comes back; -1 of a soft one, which lets it pass."""
+        wall = getattr(self, side)
+        return -jnp.ones_like(wall.position) if wall.soft else self.parameter(f"{side}.restitution")
+
+    def replace(self, **changes):
+        """The same scene with other values: `scene.replace(**{"amplitude": 3.0, "right.restitution": 0.5})`.
+
+        Naming a wall's restitution, or damping, gives that wall its own; so does naming the hardness, which is changed
+        before the others. The new scene is checked like any other: SceneError.
+        """
+        return _checked(changed(self, changes), self.dtype)
+
+
+def make_scene(amplitude, frequency, damping, restitution, walls, dtype=None):
+    """A checked scene.
+
+    amplitude A, frequency omega > 0, damping gamma >= 0 (1 is critical), restitution 0 <= R <= 1: numbers or arrays
+    that broadcast together as a batch; a list is refused. walls: (left, right), each a position, None (no wall there)
+    or a `Wall`, which may have a restitution of its own; or an array of two positions.
+    Units: lengths in the unit of the walls, time in 1/w0, w0 the undamped natural frequency (paper, section 1).
+    dtype: None is float64 and needs jax's jax_enable_x64; jnp.float32 asks for single precision.
+
+    Raises SceneError, which names the argument, the rule and the first offending value. Under tracing only types and
+    shapes are checked.
+    """
+    left, right = (_wall(side, wall) for side, wall in zip(SIDES, check.pair(walls), strict=True))
+    return _checked(Scene(amplitude, frequency, damping, restitution, left, right), dtype)
+
+
+def _wall(side, given):
+    if given is None or isinstance(given, Wall):
+        return given
+    if isinstance(given, Motion):
+        raise check.SceneError(side, "must be a position, None or a Wall", given)
+    return Wall(given)
+
+
+def changed(scene, changes):
+    """The scene with other values put in by name, not yet checked beyond the names."""
+    for name, value in sorted(changes.items(), key=lambda change: change[0] != "hardness"):
+        check.is_known(name, scene.names, value)
+        scene = _of_hardness(scene, value) if name == "hardness" else _put(scene, name.split("."), value)
+    return scene
+
+
+def _of_hardness(scene, value):
+    if not check.is_traced(value):
+        value = check.quantity("hardness", value, np.float64)
+    decades, walls = value - scene.parameter("hardness"), {}
+    for side in scene.soft_sides:
+        wall = getattr(scene, side)
+        stiffness, damping = hardened(wall.stiffness, scene.parameter(f"{side}.damping"), decades)
+        walls[side] = replace(wall, stiffness=stiffness, damping=damping)
+    return replace(scene, **walls)
+
+
+def _put(node, path, value):
+    head, *rest = path
+    return replace(node, **{head: _put(getattr(node, head), rest, value) if rest else value})
+
+
+def _checked(scene, dtype):
+    return jax.tree.map(jnp.asarray, known(scene, check.float_type(dtype)))
+
+
+def known(scene, dtype):
+    """The scene once it breaks no rule, its numbers NumPy arrays of this type (tracers where they are traced)."""
+    return check.check_scene(_numbers(scene, dtype))
+
+
+def _numbers(scene, dtype):
+    """The scene with every number an array of this type, refused where it is no finite real number."""
+
+    def number(key, value):
+        return check.quantity(key, value, dtype)
+
+    def moving(side, motion):
+        if motion is None:
+            return None
+        if not isinstance(motion, Motion):
+            raise check.SceneError(f"{side}.motion", "must be a Motion or None", motion)
+        return Motion(
+            number(f"{side}.motion.amplitude", motion.amplitude),
+            number(f"{side}.motion.phase", motion.phase),
+            check.harmonic(f"{side}.motion.harmonic", motion.harmonic),
+        )
+
+    def standing(side, wall):
+        if wall is None:
+            return None
+        check.is_of_one_kind(side, wall)
+        own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
+        own = {name: number(f"{side}.{name}", value) for name, value in own.items() if value is not None}
+        return Wall(number(f"{side}.position", wall.position), **own, motion=moving(side, wall.motion))
+
+    plain = {key: number(key, getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
+    if scene.harder is not None:
+        plain["harder"] = number("harder", scene.harder)
+    return Scene(**plain, left=standing("left", scene.left), right=standing("right", scene.right))
+
+
+def between(scene, phase):
+    """Where the walls of a known scene are at a phase of the drive, NumPy's: (left, right), infinite where there is
+    none."""
+    places = [-np.inf, np.inf]
+    for k, side in enumerate(SIDES):
+        if (wall := getattr(scene, side)) is not None:
+            move = wall.motion
+            swing = 0.0 if move is None else move.amplitude * np.cos(move.harmonic * np.asarray(phase) + move.phase)
+            places[k] = np.asarray(wall.position) + swing
+    return tuple(places)

@@ -1,0 +1,131 @@
+"""The command line. Nothing heavy is loaded before there is work: `jaxvibro --help` answers at once."""
+
+import argparse
+import json
+import signal
+import sys
+
+import jaxvibro as jv
+
+from .. import __version__
+from ..output.atomic_write import whole
+from . import cache, scene_template
+
+BAD, INTERRUPTED = 2, 130
+LONGEST = 300  # characters of a complaint
+
+_RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
+periodic [orbits], stable and unstable; a [branch] of them is followed along a parameter, with the branches that leave
+it, or all branches are found by themselves ([explore]); a [locus] follows their special points in two parameters; a
+scene with none of these is followed from rest. Walls are rigid or soft. Writes DIR/NAME.png, NAME.nc and NAME.txt, for
+a scene file NAME.toml, and with a [locus] NAME.loci.png. The tables [spectrum], [basins] and [panels] are for paper."""
+_PAPER = """Recomputes figures 2 to 12 of Cheng and Xu (2007), its formulas and what it says of one wall and of walls
+that move, and judges every claim by numbers. Writes DIR/report.html, DIR/report.md and, for each NAME, NAME.json (the
+claims) and, where there are such, NAME.png and NAME.nc. What an earlier run has done is kept: an interrupted one goes
+on where it stopped."""
+_SET = """another value for this run, both as in the scene file: --set sweep.count=201. The "scene." may go:
+--set amplitude=3. A text keeps its quotes: --set 'sweep.parameter="frequency"'. May be given more than once."""
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser whose complaints are one line."""
+
+    def error(self, message):
+        self.exit(BAD, f"{self.prog}: {_line(message)}\n")
+
+
+def main(arguments=None):
+    """Runs the command line; the exit code: 0, 2 on bad input, with one line on stderr, or 130 when interrupted."""
+    try:
+        given = _parser().parse_args(arguments)
+    except SystemExit as end:
+        return end.code
+    try:
+        given.does(given)
+    except KeyboardInterrupt:
+        return _told("interrupted", INTERRUPTED)
+    except MemoryError:
+        return _told("there is not enough memory for this", BAD)
+    except OSError as error:
+        return _told(_complaint(error), BAD)
+    except jv.SceneError as error:  # last: looking it up loads jax
+        return _told(error, BAD)
+    return 0
+
+
+def _parser():
+    parser = _Parser("jaxvibro", description="Vibro-impact oscillators with rigid and soft walls.", allow_abbrev=False)
+    parser.add_argument("--version", action="version", version=__version__)
+    commands = parser.add_subparsers(metavar="COMMAND", required=True)
+
+    init = commands.add_parser("init", help="write a scene file to begin with", allow_abbrev=False)
+    init.description = "Writes a commented scene file to begin with."
+    init.add_argument("path", metavar="PATH", nargs="?", default="scene.toml", help="default: scene.toml")
+    init.add_argument("--force", action="store_true", help="overwrite what is there")
+    init.set_defaults(does=_init)
+
+    run = commands.add_parser("run", help="do what a scene file asks", description=_RUN, allow_abbrev=False)
+    run.add_argument("scene", metavar="SCENE", help="a scene file")
+    run.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET)
+    run.add_argument("--out", metavar="DIR", default="out", help="folder to write into; default: out")
+    run.add_argument("--force", action="store_true", help="overwrite what is there")
+    run.add_argument("--json", action="store_true", help="print a summary for machines, and only that, on stdout")
+    run.set_defaults(does=_run)
+
+    paper = commands.add_parser("paper", help="recompute the paper", description=_PAPER, allow_abbrev=False)
+    paper.add_argument("names", metavar="NAME", nargs="*", help="fig2 to fig12, walls, formulas; default: all")
+    paper.add_argument("--scenes", metavar="DIR", help="folder of the scene files; default: those of the package")
+    paper.add_argument("--out", metavar="DIR", default="out/paper", help="folder to write into; default: out/paper")
+    paper.add_argument("--force", action="store_true", help="compute again what is there already")
+    paper.set_defaults(does=_paper)
+    return parser
+
+
+def _init(given):
+    with whole(given.path, given.force) as file:
+        file.write(scene_template.SCENE.encode())
+    print(f"wrote {given.path}; next: jaxvibro run {given.path}")
+
+
+def _run(given):
+    cache.prepare()
+    done = _loaded("run")(given.scene, given.out, given.changes, given.force, progress=True)
+    if given.json:
+        print(json.dumps(done.summary, indent=2, allow_nan=False))
+        return
+    print(done.table)
+    for kind, path in done.summary["files"].items():
+        print(f"{kind:8}{path}")
+
+
+def _paper(given):
+    cache.prepare()
+    done = _loaded("paper")(given.names, given.out, given.scenes, given.force, progress=True)
+    print(done.told)
+    for kind, path in (("page", done.page), ("text", done.text)):
+        print(f"{kind:8}{path}")
+
+
+def _loaded(name):
+    """A function of the package, once all that it needs is loaded. Until then an interrupt ends the process at once:
+    one in the middle of loading compiled modules would end in a crash."""
+    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        return getattr(jv, name)
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _complaint(error):
+    if error.strerror:
+        return f"{str(error.filename)[-LONGEST // 2 :]}: {error.strerror}" if error.filename else error.strerror
+    return str(error)
+
+
+def _told(message, code):
+    print(f"jaxvibro: {_line(message)}", file=sys.stderr)
+    return code
+
+
+def _line(text):
+    return " ".join(str(text)[: 10 * LONGEST].split())[:LONGEST]

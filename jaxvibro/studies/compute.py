@@ -1,0 +1,205 @@
+"""What a scene file asks for, computed: a swept diagram, attractors, orbits, branches and loci; else the motion from
+rest."""
+
+from dataclasses import dataclass, replace
+
+import jax
+import numpy as np
+import xarray as xr
+from tqdm import tqdm
+
+from ..attractors.find import find_attractors
+from ..attractors.sweep import sweep
+from ..branches.branch_tree import followed
+from ..branches.diagram import Diagram
+from ..branches.explore import explore
+from ..flight.wall_positions import fit
+from ..loci.loci import count, loci
+from ..orbits.find import find_orbit
+from ..orbits.from_starts import find_orbits
+from ..orbits.orbit import OrbitError
+from ..scene.check import SceneError
+from ..scene.scene import Scene, changed
+from ..scene.state import State
+from .schema import SceneFile
+
+SETTLE, KEEP = 300, 100  # drive periods from rest, where no study says how many
+SAME = 1e-6  # of a state: an orbit as near to an attractor's is that attractor
+
+
+@dataclass(frozen=True)
+class Found:
+    """What came out. file: what was asked; scene: its scene.
+
+    swept: the Dataset of `sweep` with a dimension `leg`, of one value and a leg "rest" where no study was asked for;
+    attractors, orbits: as `find_attractors` and `find_orbits` give them; branches: as `followed` does, or those of the
+    `Diagram` of `explore`, which is in diagram; loci, refused: as `loci.loci` gives them. Each is None where the file
+    does not ask for it.
+    """
+
+    file: SceneFile
+    scene: Scene
+    swept: xr.Dataset | None
+    attractors: tuple | None
+    orbits: tuple | None
+    branches: tuple | None = None
+    diagram: Diagram | None = None
+    loci: tuple | None = None
+    refused: tuple | None = None
+
+    @property
+    def across(self):
+        """The parameter of the diagram: that which is swept, or else followed; None where there is no diagram."""
+        asked = self.file.sweep or self.file.followed
+        return None if asked is None else asked.parameter
+
+    @property
+    def base(self):
+        """The scene of the diagram, but for its parameter."""
+        return self.scene if self.file.sweep is not None else self.there(self.file.followed)
+
+    def there(self, asked):
+        """The scene that a table with values `at` is about; for None the file's own."""
+        return self.scene if asked is None else self.scene.replace(**asked.at)
+
+    def mark(self, asked):
+        """The value of the diagram's parameter at which what a table with values `at` gave belongs into it, None where
+        it does not."""
+        if asked is None or self.across is None or not self._is_inside(asked):
+            return None
+        return float(self.there(asked).parameter(self.across))
+
+    @property
+    def drawn(self):
+        """The branches that belong into the diagram: none where another parameter is swept, or in another scene."""
+        asked = self.file.followed
+        inside = self.branches and asked.parameter == self.across and self._is_inside(asked)
+        return self.branches if inside else ()
+
+    def _is_inside(self, asked):
+        """Whether the scene that a table is about is that of the diagram, but for its parameter."""
+        here = self.base
+        there = changed(self.there(asked), {self.across: here.parameter(self.across)})
+        return all(float(here.parameter(key)) == float(there.parameter(key)) for key in here.names)
+
+    @property
+    def others(self):
+        """The orbits that are not among the attractors, mirror images being places in this tuple."""
+        asked, orbits = self.file, self.orbits or ()
+        if asked.attractors is None or asked.orbits is None or asked.attractors.at != asked.orbits.at:
+            return orbits
+        kept = [k for k, one in enumerate(orbits) if not any(_is_on(one, other) for other in self.attractors)]
+        places = {old: new for new, old in enumerate(kept)}
+        return tuple(replace(orbits[k], mirror_of=places.get(orbits[k].mirror_of)) for k in kept)
+
+
+def study(file, progress=False):
+    """Does what a `SceneFile` asks: `Found`. progress: show bars on stderr.
+
+    Raises SceneError where the start of a branch settles on no orbit that can be followed.
+    """
+    scene = file.scene.make()
+    swept, attractors, orbits, branches, diagram, curves = None, None, None, None, None, (None, None)
+    if file.branch is not None:  # first, as its start may turn out to be none
+        branches = _branches(scene.replace(**file.branch.at), file.branch, progress)
+    if file.explore is not None:
+        diagram = _explored(scene.replace(**file.explore.at), file.explore, progress)
+        branches = diagram.branches
+    if file.locus is not None:
+        curves = _loci(branches, file.locus, progress)
+    if file.sweep is not None:
+        swept = _legs(scene, file.sweep, progress)
+    if file.attractors is not None:
+        attractors = _attractors(scene.replace(**file.attractors.at), file.attractors, progress)
+    if file.orbits is not None:
+        orbits = _orbits(scene.replace(**file.orbits.at), file.orbits, progress)
+    if swept is attractors is orbits is branches is None:
+        swept = _rest(scene)
+    return Found(file, scene, swept, attractors, orbits, branches, diagram, *curves)
+
+
+def _legs(scene, table, progress):
+    """The legs of a sweep as lanes of one: they are run side by side."""
+    values = np.stack([table.values(leg) for leg in table.legs], axis=-1)
+    start = State(*(np.array([getattr(leg.start, key) for leg in table.legs]) for key in ("x", "v")))
+    with tqdm(desc="sweep", total=len(values), unit=" values", mininterval=0.5, disable=not progress) as bar:
+        swept = sweep(
+            scene, table.parameter, values, start, table.settle, table.keep, progress=lambda n: bar.update(n - bar.n)
+        )
+    return _named(swept, [leg.name for leg in table.legs])
+
+
+def _attractors(scene, table, progress):
+    with tqdm(desc="attractors", total=table.starts, unit=" starts", disable=not progress) as bar:
+        found = find_attractors(scene, table.starts, table.seed)
+        bar.update(table.starts)
+    return found
+
+
+def _orbits(scene, table, progress):
+    with tqdm(desc="orbits", total=table.starts, unit=" starts", disable=not progress) as bar:
+        found = find_orbits(scene, table.max_period, table.starts, table.seed)
+        bar.update(table.starts)
+    return found
+
+
+def _branches(scene, table, progress):
+    with tqdm(desc="branches", unit=" branches", disable=not progress) as bar:
+        try:
+            orbit = find_orbit(scene, State(table.start.x, table.start.v), settle=table.settle)
+            found = followed(
+                orbit,
+                table.parameter,
+                table.bounds,
+                table.max_period,
+                lambda n: bar.update(n - bar.n),
+                largest_step=table.largest_step,
+            )
+        except OrbitError as error:
+            rule = f"must settle on an orbit that can be followed ({error})"
+            raise SceneError("branch.start", rule, {"x": table.start.x, "v": table.start.v}) from None
+        bar.update(len(found) - bar.n)
+    return found
+
+
+def _explored(scene, table, progress):
+    settings = {"max_period": table.max_period, "seed": table.seed, "budget": table.budget}
+    with tqdm(desc="explore", unit=" branches", disable=not progress) as bar:
+        try:
+            return explore(
+                scene, table.parameter, table.bounds, **settings, progress=lambda number: bar.update(number - bar.n)
+            )
+        except SceneError as error:
+            raise SceneError(f"explore.{error.key}", error.rule, error.value, error.index) from None
+
+
+def _loci(branches, table, progress):
+    total = count(branches, table.bounds, table.kinds)
+    with tqdm(desc="loci", total=total, unit=" points", disable=not progress) as bar:
+        return loci(
+            branches,
+            table.parameters,
+            table.bounds,
+            table.kinds,
+            table.largest_step,
+            lambda number: bar.update(number - bar.n),
+        )
+
+
+def _is_on(orbit, attractor):
+    """Whether an orbit's state is a point of a periodic attractor."""
+    if orbit.state.phase or not attractor.periods:
+        return False
+    point = np.array([orbit.state.x, orbit.state.v])
+    return bool(abs(attractor.points - point).max(axis=1).min() <= SAME * (1.0 + abs(point).max()))
+
+
+def _rest(scene):
+    """The motion from rest at 0, or at the wall in the way of that, as a sweep of one value."""
+    start = jax.tree.map(lambda leaf: np.reshape(leaf, 1), fit(scene, State(0.0, 0.0)))
+    found = sweep(scene, "amplitude", np.reshape(scene.amplitude, (1, 1)), start, SETTLE, KEEP)
+    return _named(found, ["rest"])
+
+
+def _named(swept, legs):
+    return swept.rename(lane="leg").assign_coords(leg=legs)

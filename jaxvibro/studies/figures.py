@@ -1,0 +1,189 @@
+"""The pictures of a run: the diagram of what was swept or followed, with attractors and orbits in it, or portraits; and
+the loci."""
+
+import math
+from functools import partial
+from io import BytesIO
+
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from .. import plot
+from ..attractors.shares import share_text
+from ..loci.bistability import coexistences
+from ..loci.loci import image
+from ..maps.initial_conditions import box_text
+from ..maps.simulate import simulate
+from ..plot import style
+from ..plot.locus import name as of_locus
+from ..plot.orbit import title
+from ..scene.check import SceneError
+from ..scene.state import State
+from .sweep_periods import recurrence
+
+DOTS = 170  # per inch
+MOST = 9  # portraits
+ROWS = 8  # of a legend's columns
+ROAMED = 40  # drive periods drawn of a motion that does not recur
+SAMPLES = 400  # of a drive period
+
+
+def picture(found):
+    """The picture of what was `Found`, as a PNG's bytes."""
+    figure = _diagram(found) if found.across is not None else _portraits(found)
+    figure.suptitle(_heading(found), fontsize="medium")
+    return _png(figure)
+
+
+def loci(found):
+    """The picture of the loci that were `Found`, as a PNG's bytes; mirror images on one curve are drawn as one."""
+    asked = found.file.locus
+    figure = Figure(figsize=(9.5, 6.5), layout="constrained")
+    ax = figure.subplots()
+    kept, twins = [], set()
+    for one in sorted(found.loci, key=lambda one: asked.kinds.index(one.kind)):
+        other = image(one, kept)
+        if other is None:
+            kept.append(one)
+            plot.locus(one, ax)
+        else:
+            twins.add(of_locus(other))
+    for pair in coexistences(found.branches, kept):
+        plot.region(*pair, ax)
+    for which, name in zip("xy", asked.parameters, strict=True):
+        ax.set(**{f"{which}label": style.label(name), f"{which}lim": asked.bounds[name]})
+    entries = zip(*ax.get_legend_handles_labels(), strict=True)
+    entries = [(handle, f"{text} and mirror image" if text in twins else text) for handle, text in entries]
+    entries.sort(key=lambda one: one[0].get_gid() == "codimension two")
+    if entries:
+        look = {"frameon": False, "fontsize": "small", "handlelength": 4.0}
+        figure.legend(*zip(*entries, strict=True), loc="outside right upper", **look)
+    figure.suptitle(_described(found.there(found.file.followed), asked.parameters), fontsize="medium")
+    return _png(figure)
+
+
+def _png(figure):
+    held = BytesIO()
+    figure.savefig(held, format="png", dpi=DOTS)
+    return held.getvalue()
+
+
+def _diagram(found):
+    figure = Figure(figsize=(7.5, 9.0 if found.drawn else 8.0), layout="constrained")
+    both = figure.subplots(2, 1, sharex=True)
+    for ax, variable in zip(both, "xv", strict=True):
+        if found.file.sweep is not None:
+            plot.diagram(found.swept, variable, ax, faint=bool(found.drawn))
+        for one in found.drawn:
+            plot.branch(one, variable, ax)
+        for asked, draw, some in (
+            (found.file.attractors, plot.mark, found.attractors),
+            (found.file.orbits, plot.mark_orbits, found.others),
+        ):
+            value = found.mark(asked)
+            if value is not None:
+                draw(some, value, variable, ax)
+        ax.label_outer()
+    if found.drawn:
+        plot.mark_points(found.drawn, both[0])
+    _legend(figure, both[0])
+    return figure
+
+
+def _legend(figure, ax):
+    """One legend below all: with branches in it, a column for each kind of entry."""
+    told = list(zip(*ax.get_legend_handles_labels(), strict=True))
+    look = {"loc": "outside lower center", "frameon": False}
+    kinds = [handle.get_gid() for handle, _ in told]
+    if "branch" not in kinds:
+        figure.legend(*zip(*told, strict=True), ncols=3, **look)
+        return
+    first = kinds.index("branch")
+    legs, rest = told[:first], told[first:]
+    groups = [[one for one in rest if one[0].get_gid() == kind] for kind in ("branch", "stability", "special", None)]
+    groups = [groups[0], legs + groups[1], groups[2], groups[3]]
+    rows = min(ROWS, max(map(len, groups)))
+    blank = Line2D([], [], linestyle="none"), ""
+    columns = [part + [blank] * (-len(part) % rows) for part in groups]
+    entries = [one for part in columns for one in part]
+    figure.legend(*zip(*entries, strict=True), ncols=len(entries) // rows, fontsize="small", columnspacing=1.0, **look)
+
+
+def _portraits(found):
+    motions = list(_motions(found))
+    drawn, columns = motions[:MOST], max(1, math.isqrt(max(0, min(MOST, len(motions)) - 1)) + 1)
+    rows = max(1, -(-len(drawn) // columns))
+    figure = Figure(figsize=(1 + 4.0 * columns, 0.5 + 3.7 * rows), layout="constrained")
+    for place, (draw, name) in enumerate(drawn, 1):
+        ax = figure.add_subplot(rows, columns, place)
+        try:
+            draw(ax)
+        except SceneError as error:  # too many impacts to draw
+            ax.text(0.5, 0.5, style.plain(str(error)), wrap=True, ha="center", va="center")
+        ax.set_title(name, fontsize="medium")
+    if len(motions) != len(drawn) or not motions:
+        told = f"the first {MOST} of {len(motions)} motions" if motions else "no motion to draw"
+        figure.supxlabel(told, fontsize="medium")
+    return figure
+
+
+def _motions(found):
+    """(what draws it into Axes, title) of each motion that there is to draw."""
+    for one in found.attractors or ():
+        if one.kind != "unresolved":
+            name = f"{one.label}, {share_text(one)}" + _at(found, found.file.attractors)
+            yield _drawing(found.there(found.file.attractors), one.state, one.periods or ROAMED), name
+    for one in found.others:
+        yield partial(plot.orbit, one), title(one) + _at(found, found.file.orbits)
+    if found.swept is not None:
+        n, last = int(recurrence(found.swept)[0, 0]), found.swept.isel(step=0, leg=0, period=-1)
+        if n >= 0:
+            state = State(float(last["x"]), float(last["v"]))
+            yield _drawing(found.scene, state, n or ROAMED), "from rest, settled"
+
+
+def _drawing(scene, state, periods):
+    return lambda ax: plot.portrait(simulate(scene, state, periods, SAMPLES), scene, ax)
+
+
+def _shared(found):
+    """The scene that the heading is of: the diagram's; where attractors and orbits are of two, the file's own."""
+    if found.across is not None:
+        return found.base
+    asked = [one for one in (found.file.attractors, found.file.orbits) if one is not None]
+    if not asked or any(one.at != asked[0].at for one in asked):
+        return found.scene
+    return found.there(asked[0])
+
+
+def _at(found, asked):
+    """For a title: the values in which a motion's scene differs from the heading's, in a line of their own."""
+    if _shared(found) is not found.scene or not asked.at:
+        return ""
+    return "\nat " + ", ".join(f"{style.SYMBOLS.get(name, name)} = {value:g}" for name, value in asked.at.items())
+
+
+def _heading(found):
+    """The scene in a line or two, but for what is swept, and the box of the starts."""
+    told = f"{_described(_shared(found), [found.across])};  states at phase 0 of the drive"
+    if found.attractors is None:
+        return told
+    return f"{told}\nstarts at phase 0: {box_text(found.there(found.file.attractors))}"
+
+
+def _described(scene, without):
+    """A scene in a line or two, but for some parameters."""
+    plain = [
+        f"{sign} = {float(scene.parameter(name)):g}" for name, sign in style.SYMBOLS.items() if name not in without
+    ]
+    walls = [_wall(side, wall, without) for side, wall in scene.walls.items()]
+    return ",  ".join(plain) + "\n" + (",  ".join(walls) or "no walls")
+
+
+def _wall(side, wall, without):
+    told = f"{side} wall"
+    if f"{side}.position" not in without:
+        told += f" at {float(wall.position):g}"
+    if wall.restitution is not None and f"{side}.restitution" not in without:
+        told += f" with $R$ = {float(wall.restitution):g}"
+    return told if wall.motion is None else told + ", moving"

@@ -1,0 +1,260 @@
+"""What was found, for reading and for machines."""
+
+import math
+
+import msgspec
+
+from .. import __version__
+from ..attractors.shares import share_text
+from ..branches.branch import MEANINGS, labels
+from ..loci.locus import MEANINGS as ON_LOCI
+from ..maps.initial_conditions import box, box_text
+from ..output.columns import columns, pair
+from .compute import KEEP, SETTLE
+from .sweep_periods import longest, stretches
+
+RESTS = "inf: the mass comes to rest by infinitely many hops, of which impacts has those before they are sure to end"
+
+
+def table(found, name):
+    """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci."""
+    scene = found.scene
+    parts = [f"jaxvibro {__version__}, {name}\n", columns(list(scene.numbers.items()))]
+    if found.swept is not None:
+        parts += ["", *_sweep(found)]
+    if found.attractors is not None:
+        parts += ["", *_attractors(found)]
+    if found.orbits is not None:
+        parts += ["", *_orbits(found)]
+    if found.branches is not None:
+        parts += ["", *_branches(found)]
+    if found.loci is not None:
+        parts += ["", *_loci(found)]
+    return "\n".join(parts) + "\n"
+
+
+def _sweep(found):
+    asked = found.file.sweep
+    if asked is None:
+        yield from _rest(found.swept)
+        return
+    yield f"sweep of {asked.parameter}: {asked.count} values, {asked.settle} periods settled, {asked.keep} kept"
+    yield f"periods: drive periods after which the state comes back, -: not within {longest(found.swept)}"
+    rows = [("leg", "from", "to", "values", "periods")]
+    rows += [(one.leg, one.first, one.last, one.count, _periods(one.periods)) for one in stretches(found.swept)]
+    yield columns(rows)
+
+
+def _rest(swept):
+    (one,), last = stretches(swept), swept.isel(step=0, leg=0, period=-1)
+    yield f"from rest, after {SETTLE + KEEP} drive periods, at phase 0 of the drive"
+    rows = [("x", f"{float(last['x']):.12f}"), ("v", f"{float(last['v']):.12f}"), ("periods", _periods(one.periods))]
+    yield columns(rows)
+    yield f"periods: drive periods after which the state comes back, -: not within {longest(swept)}"
+
+
+def _periods(number):
+    return "bad status" if number is None else number or "-"
+
+
+def _attractors(found):
+    asked = found.file.attractors
+    yield f"attractors at {_at(asked)}, from {asked.starts} starts (seed {asked.seed}); x and v at phase 0"
+    yield f"starts: random at phase 0, {box_text(found.there(asked))}; their shares with bounds at 95 %"
+    rows = [("", "label", "share", "periods", "x", "v", "impacts", "exponent", "rests", "mirror image")]
+    for place, one in enumerate(found.attractors, 1):
+        state = (f"{one.state.x:.12f}", f"{one.state.v:.12f}")
+        share, rate = share_text(one), f"{one.exponent:.4f}"
+        walls, twin = _walls(one.itinerary), _mirror(place, one.mirror_of)
+        rows.append((place, one.label, share, one.periods or "-", *state, walls, rate, _yes(one.rests), twin))
+    yield columns(rows)
+    yield "impacts: L left, R right, a word a period; exponent: the largest, per drive period"
+    if any(one.rests for one in found.attractors):
+        yield RESTS
+    for place, one in enumerate(found.attractors, 1):
+        yield f"{place}: {one.note}"
+
+
+def _at(asked):
+    return ", ".join(f"{key} = {value:g}" for key, value in asked.at.items()) or "the scene's own values"
+
+
+def _yes(rests):
+    return "yes" if rests else "-"
+
+
+def _walls(itinerary):
+    return " ".join(word or "." for word in itinerary) or "-"
+
+
+def _orbits(found):
+    asked = found.file.orbits
+    told = f"max_period {asked.max_period}, near trajectories from {asked.starts} starts (seed {asked.seed})"
+    yield f"periodic orbits at {_at(asked)}, {told}: {len(found.orbits) or 'none'} found"
+    if not found.orbits:
+        return
+    turned = any(one.state.phase for one in found.orbits)
+    names = ("", "label", "", "multipliers", "x", "v", "phase", "impacts", "least speed", "least clearance", "residual")
+    rows = [(*names, "mirror image")]
+    for place, one in enumerate(found.orbits, 1):
+        state = [f"{getattr(one.state, key):.12f}" for key in ("x", "v", "phase")]
+        least = (float(one.least_speed), float(one.least_clearance), f"{one.residual:.1e}")
+        kind = "stable" if one.stable else "unstable"
+        told = (one.label, kind + ", rests" if one.rests else kind, pair(one.multipliers, 7))
+        rows.append((place, *told, *state, _walls(one.itinerary), *least, _mirror(place, one.mirror_of)))
+    yield columns(rows if turned else [row[:6] + row[7:] for row in rows])
+    where = "at the phase (rad) given" if turned else "at phase 0"
+    yield f"x and v {where}; impacts: L left, R right, a word a period; multipliers: Floquet's, the larger first"
+    if any(one.rests for one in found.orbits):
+        yield RESTS
+
+
+def _branches(found):
+    asked, (low, high) = found.file.followed, found.file.followed.bounds
+    if found.diagram is None:
+        start = f"from x = {asked.start.x:g}, v = {asked.start.v:g} at {_at(asked)}, max_period {asked.max_period}"
+    else:
+        start = f"from many starts at {_at(asked)}, max_period {asked.max_period} (seed {asked.seed})"
+    yield f"branches of periodic orbits for {asked.parameter} from {low:g} to {high:g}, {start}: {len(found.branches)}"
+    if found.diagram is not None:
+        yield found.diagram.reason
+    for place, one in enumerate(found.branches, 1):
+        first, last = one.values[[0, -1]]
+        yield f"\n{place}: {one.segments[0].label} from {first:.12g} to {last:.12g}, {len(one)} points"
+        yield one.table()
+    yield f"\n{_meanings(MEANINGS)}"
+    yield "multipliers: Floquet's, the larger first; meets: orbits that meet there, on which side of the value"
+
+
+def _loci(found):
+    bounds = found.file.locus.bounds
+    where = " and ".join(f"{name} from {low:g} to {high:g}" for name, (low, high) in bounds.items())
+    yield f"loci of special points in {where}: {len(found.loci)}"
+    for place, one in enumerate(found.loci, 1):
+        yield f"\n{place}: {one.kind} of {one.label}, {len(one)} points"
+        yield one.table()
+    for one, why in found.refused:
+        yield f"\nnot followed: {one.kind} of {one.label} at {one.name} = {one.value:.12g}: {why}"
+    yield f"\n{_meanings(ON_LOCI)}; SN, PD, SB on a GR: such a locus ends there"
+
+
+def _meanings(meanings):
+    return ", ".join(f"{kind} {meaning}" for kind, meaning in meanings.items())
+
+
+def _mirror(place, twin):
+    if twin is None:
+        return "-"
+    return "itself" if twin + 1 == place else f"{twin + 1}"
+
+
+def summary(found, files):
+    """The same as plain dicts, lists, texts and numbers; what is not finite is None."""
+    told = {"version": __version__, "files": files, "job": msgspec.to_builtins(found.file)}
+    if found.swept is not None:
+        told["stretches"] = [msgspec.to_builtins(one) for one in stretches(found.swept)]
+    if found.attractors is not None:
+        told["starts"] = dict(zip(("left", "right", "fast"), _box(found), strict=True))
+        told["attractors"] = [_attractor(one) for one in found.attractors]
+    if found.orbits is not None:
+        told["orbits"] = [_orbit(one) for one in found.orbits]
+    if found.branches is not None:
+        told["branches"] = [_branch(one) for one in found.branches]
+    if found.diagram is not None:
+        told["explored"] = {"complete": found.diagram.complete, "reason": found.diagram.reason}
+    if found.loci is not None:
+        told["loci"] = [_locus(one) for one in found.loci]
+        told["not_followed"] = [
+            {"kind": one.kind, "label": one.label, "value": one.value, "reason": why} for one, why in found.refused
+        ]
+    return told
+
+
+def _box(found):
+    return (float(edge) for edge in box(found.there(found.file.attractors)))
+
+
+def _attractor(one):
+    return {
+        "kind": one.kind,
+        "share_bounds": list(one.share_bounds),
+        "starts": one.starts,
+        "rests": one.rests,
+        "points": one.points.tolist() if one.periods else [],
+        "note": one.note,
+        **_plain(one, ("share", "least_speed", "exponent")),
+    }
+
+
+def _orbit(one):
+    """Multipliers are pairs, real and imaginary part."""
+    return {
+        "stable": one.stable,
+        "rests": one.rests,
+        "unknowns": one.unknowns,
+        "multipliers": _pairs(one.multipliers),
+        **_plain(one, ("residual", "least_speed", "least_clearance")),
+    }
+
+
+def _pairs(multipliers):
+    return [[_finite(root.real), _finite(root.imag)] for root in multipliers]
+
+
+def _branch(one):
+    first, last = one.values[[0, -1]]
+    return {
+        "label": one.segments[0].label,
+        "parameter": one.name,
+        "from": float(first),
+        "to": float(last),
+        "points": len(one),
+        "reasons": list(one.reasons),
+        "segments": [
+            {"label": part.label, "itinerary": list(part.itinerary), "first": part.first, "last": part.last}
+            for part in one.segments
+        ],
+        "special": [_point(each) for each in one.special],
+    }
+
+
+def _locus(one):
+    return {
+        "kind": one.kind,
+        "label": one.label,
+        "parameters": list(one.names),
+        "points": len(one),
+        "reasons": list(one.reasons),
+        "special": [{"values": each.values, **_place(each)} for each in one.special],
+    }
+
+
+def _point(one):
+    return {"value": one.value, **_place(one), "meets": labels(one)}
+
+
+def _place(one):
+    """What special points of branches and of loci have in common."""
+    return {
+        "kind": one.kind,
+        "label": one.label,
+        "itinerary": list(one.itinerary),
+        "multipliers": _pairs(one.multipliers),
+        "residual": _finite(one.residual),
+        "place": int(one.place),
+    }
+
+
+def _plain(one, numbers):
+    """What attractors and orbits have in common, and some numbers of theirs."""
+    return {
+        "label": one.label,
+        "periods": one.periods,
+        "itinerary": list(one.itinerary),
+        "state": {key: _finite(getattr(one.state, key)) for key in ("x", "v", "phase", "contact")},
+        "mirror_of": one.mirror_of,
+    } | {key: _finite(getattr(one, key)) for key in numbers}
+
+
+def _finite(number):
+    return float(number) if math.isfinite(number) else None

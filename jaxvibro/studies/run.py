@@ -1,0 +1,87 @@
+"""Does what a scene file asks, and writes picture, data and table: all of them whole, or none."""
+
+import os
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..output.atomic_write import refuse_folder, whole
+from ..output.checksums import netcdf
+from ..scene.check import SceneError, host
+from ..scene.scene_table import SceneTable
+from . import report, scene_file
+from .compute import study
+from .dataset import dataset
+from .figures import loci, picture
+from .schema import SceneFile
+
+ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}
+LOCI = {"loci": ".loci.png"}  # where they are asked for
+FOR_PAPER = ("spectrum", "basins", "panels")  # tables that `paper` knows
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a run gives. summary: plain numbers, texts, lists and dicts, as `--json` prints it; table: for reading."""
+
+    summary: dict
+    table: str
+
+
+@host("use strobe or monodromy")
+def run(path, out="out", changes=(), force=False, progress=False):
+    """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus] a picture of
+    the loci too: `Done`.
+
+    path: of the scene file; its name without ending names the results. out: the folder, made where it is missing.
+    changes: other values for this run, each "key=value" as in the file ("sweep.count=201"); "scene." may be left out.
+    force: overwrite results that are there. progress: show bars on stderr.
+
+    Raises SceneError for what the file or the changes may not say, FileExistsError where a result is there already,
+    and OSError where the file cannot be read or the folder not be written to, all before any work; and SceneError
+    where the start of a [branch] turns out to settle on no orbit that can be followed, before the other studies.
+    """
+    began = time.perf_counter()
+    path, out = Path(path), Path(out)
+    file = scene_file.read(path, [_full(change) for change in changes])
+    for name in FOR_PAPER:
+        if getattr(file, name):
+            raise SceneError(name, "is a table for `jaxvibro paper`, not for a run", path.name)
+    endings = ENDINGS if file.locus is None else ENDINGS | LOCI
+    files = {kind: out / (path.stem + ending) for kind, ending in endings.items()}
+    _refuse(path, out, files.values(), force)
+    found = study(file, progress)
+    table = report.table(found, path.name)
+    contents = {"picture": picture(found), "data": netcdf(dataset(found)), "table": table.encode()}
+    contents |= {"loci": loci(found)} if "loci" in files else {}
+    _write({files[kind]: content for kind, content in contents.items()}, force)
+    summary = report.summary(found, {kind: str(one) for kind, one in files.items()})
+    return Done(summary | {"seconds": round(time.perf_counter() - began, 3)}, table)
+
+
+def _full(change):
+    """A change with its key from the top of the file: that of a scene's parameter may begin below [scene]."""
+    first = change.split("=")[0].split(".")[0].strip()
+    inner = first not in SceneFile.__struct_fields__ and first in SceneTable.__struct_fields__
+    return f"scene.{change}" if inner else change
+
+
+def _refuse(path, out, files, force):
+    """Refuse what could not be written at the end."""
+    refuse_folder(out)
+    for one in files:
+        if one.is_dir() or (one.exists() and one.samefile(path)):
+            raise FileExistsError(f"out: {one} is in the way")
+        if os.path.lexists(one) and not force:
+            raise FileExistsError(f"out: {one} is there already; --force overwrites it")
+
+
+def _write(contents, force):
+    """Write all files beside their places first, then put all there."""
+    with ExitStack() as stack:
+        for path, content in contents.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            file = stack.enter_context(whole(path, force))
+            file.write(content)
+            file.flush()

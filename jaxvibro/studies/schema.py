@@ -1,0 +1,162 @@
+"""The tables of a scene file: what may stand in them."""
+
+from typing import Annotated
+
+import numpy as np
+from msgspec import Meta, field
+
+from ..scene.scene_table import SceneTable, Table
+
+MOST = 1_000_000
+MOST_LEGS = 1000
+MOST_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
+Count = Annotated[int, Meta(ge=1, le=MOST)]
+Settle = Annotated[int, Meta(ge=0, le=MOST)]
+Periods = Annotated[int, Meta(ge=1, le=32)]  # half of what `trail` keeps
+Seed = Annotated[int, Meta(ge=0, lt=2**32)]
+Name = Annotated[str, Meta(min_length=1)]
+KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci
+
+
+class StartTable(Table):
+    """Where a motion starts, at phase 0: position x in the walls' unit of length, velocity v."""
+
+    x: float
+    v: float
+
+
+class LegTable(Table):
+    """[[sweep.legs]]: one direction of a sweep, from a first value of the parameter to a last one."""
+
+    name: Name
+    first: float = field(name="from")
+    last: float = field(name="to")
+    start: StartTable
+
+
+class SweepTable(Table, kw_only=True):
+    """[sweep]: count values a leg; at each, settle drive periods are left out and keep are drawn."""
+
+    parameter: Name
+    count: Count
+    settle: Settle = 300
+    keep: Count = 100
+    legs: Annotated[list[LegTable], Meta(min_length=1, max_length=MOST_LEGS)]
+
+    def values(self, leg):
+        """The parameter's values along a leg, in the order of the sweep: float64, shape (count,)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.linspace(leg.first, leg.last, self.count)
+
+
+class AttractorsTable(Table):
+    """[attractors]: what the scene, with the values under `at`, settles on from this many random starts."""
+
+    starts: Count = 200
+    seed: Seed = 0
+    at: dict[str, float] = field(default_factory=dict)
+
+
+class OrbitsTable(Table):
+    """[orbits]: the periodic orbits, stable and unstable, that trajectories of the scene, with the values under `at`,
+    come near."""
+
+    max_period: Periods = 4
+    starts: Count = 200
+    seed: Seed = 0
+    at: dict[str, float] = field(default_factory=dict)
+
+
+class BranchTable(Table, kw_only=True):
+    """[branch]: the periodic orbits along a parameter from that on which the scene, with the values under `at`, settles
+    from a start, and the branches that leave them."""
+
+    parameter: Name
+    bounds: tuple[float, float]
+    start: StartTable = StartTable(0.0, 0.0)
+    at: dict[str, float] = field(default_factory=dict)
+    settle: Settle = 200
+    max_period: Periods = 1
+    largest_step: float = 0.1
+
+
+class ExploreTable(Table, kw_only=True):
+    """[explore]: the periodic orbits along a parameter, found from many starts at values all over its range, the scene
+    having the values under `at`, and all branches that leave them."""
+
+    parameter: Name
+    bounds: tuple[float, float]
+    at: dict[str, float] = field(default_factory=dict)
+    max_period: Periods = 8
+    seed: Seed = 0
+    budget: Count | None = None
+
+
+class LocusTable(Table, kw_only=True):
+    """[locus]: the curves, in two parameters, of the special points of what [branch] or [explore] gives."""
+
+    parameters: tuple[Name, Name]
+    bounds: dict[str, tuple[float, float]]
+    kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = KINDS
+    largest_step: float = 0.1
+
+
+class SpectrumTable(Table, kw_only=True):
+    """[spectrum]: both Lyapunov exponents at so many values of a parameter, each from the same start."""
+
+    parameter: Name
+    first: float = field(name="from")
+    last: float = field(name="to")
+    count: Count
+    start: StartTable = StartTable(0.0, 0.0)
+    settle: Settle = 1000
+    error: float = 2e-3
+
+    @property
+    def values(self):
+        """The parameter's values: float64, shape (count,)."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return np.linspace(self.first, self.last, self.count)
+
+
+class BasinsTable(Table, kw_only=True):
+    """[basins]: which attractor each start of a grid settles on, the scene having the values under `at`."""
+
+    x: tuple[float, float]
+    v: tuple[float, float]
+    count: Annotated[int, Meta(ge=2, le=4001)]
+    phase: float = 0.0
+    starts: Count = 200
+    seed: Seed = 0
+    at: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def grid(self):
+        """The positions and the velocities: float64, shape (count,) each."""
+        return tuple(np.linspace(*ends, self.count) for ends in (self.x, self.v))
+
+
+class SceneFile(Table):
+    """All that a scene file says: the scene, and the studies that it asks for."""
+
+    scene: SceneTable
+    sweep: SweepTable | None = None
+    attractors: AttractorsTable | None = None
+    orbits: OrbitsTable | None = None
+    branch: BranchTable | None = None
+    explore: ExploreTable | None = None
+    locus: LocusTable | None = None
+    spectrum: SpectrumTable | None = None
+    basins: BasinsTable | None = None
+    panels: dict[str, list[float]] = field(default_factory=dict)
+
+    @property
+    def followed(self):
+        """What gives branches: [branch] or [explore]; None without."""
+        return self.branch or self.explore
+
+    @property
+    def panel_values(self):
+        """The values of the scene's parameters in each panel, a list of dicts; [{}] where there are no [panels]."""
+        rows = zip(*self.panels.values(), strict=True) if self.panels else [()]
+        return [dict(zip(self.panels, row, strict=True)) for row in rows]
