@@ -54,7 +54,7 @@ def p100_attracts(scene):
 
 
 def is_same(numbers, one):
-    """Whether an attractor's fields, as `evidence` gives them, are those of an `Attractor`."""
+    """Whether an attractor's fields, as `classify` gives them, are those of an `Attractor`."""
     if numbers["kind"] != one.kind or numbers["periods"] != one.periods:
         return False
     points = numbers["points"]

@@ -77,3 +77,11 @@ def test_no_circles():
     while free := {one for one, needs in wait.items() if not needs & wait.keys()}:
         wait = {one: needs for one, needs in wait.items() if one not in free}
     assert not wait
+
+
+def test_editors_read_the_names_that_are_loaded_when_asked_for():
+    stub = ast.parse((ROOT / "jaxvibro" / "__init__.pyi").read_text())
+    homes = {
+        alias.asname: node.module for node in stub.body if isinstance(node, ast.ImportFrom) for alias in node.names
+    }
+    assert homes == {"plot": None, **jv._HOMES}

@@ -1,7 +1,8 @@
 """The Lyapunov exponents of motions that do not recur: averages of a tangent's growth, over many copies of a motion.
 
 The first exponent is the mean growth of a tangent vector, the second what is left of ln abs det M, which impacts and
-damping tell (`rates.shrinkage`). With one tangent and the determinant this is Benettin's method for two exponents.
+damping tell (`orbit_exponents.shrinkage`). With one tangent and the determinant this is Benettin's method for two
+exponents.
 """
 
 from typing import NamedTuple

@@ -26,7 +26,7 @@ SAMPLES = 8  # times KEEP periods of chaos that are looked at
 class Seen:
     """An attractor before its share and its mirror image are known.
 
-    lanes: those that are on it; hits: its impacts as points (`meetings`); numbers: the fields of `Attractor`.
+    lanes: those that are on it; hits: its impacts as points (`impact_points`); numbers: the fields of `Attractor`.
     """
 
     lanes: list[int]

@@ -27,7 +27,7 @@ class Attractor:
     or "unresolved"; the last stands for all starts that gave evidence for neither. orbit: the `Orbit` of a periodic
     one, polished, with its multipliers; None where there is none, or none was found; its state and itinerary are these
     here, read from phase 0 on. share: of the starts; all shares sum to 1; 0 of what none settled on. share_bounds: the
-    lowest and the highest share that so many starts speak for, at 95 % (`share.share_bounds`). starts: how many there
+    lowest and the highest share that so many starts speak for, at 95 % (`shares.share_bounds`). starts: how many there
     were. state: on it, at phase 0; of the unresolved, the first of the starts. periods: minimal number of drive periods
     of a periodic one, else 0. itinerary: the walls it hits, a word a period from `state` on, else (). points: x and v
     on Sigma from `state` on, shape (periods, 2); a sample where chaotic. least_speed: of its impacts, inf if none.
@@ -59,7 +59,7 @@ def find_attractors(scene, starts=200, seed=0, settle=300):
     """What a scene settles on: a tuple of `Attractor`, the largest share first, unresolved starts last.
 
     scene: a single one. starts: how many, at phase 0, the same ones each time: drawn from `seed`, uniformly in
-    `starts.box`, x between the walls, at most 3 max(1, omega A / sqrt(D)) fast. Shares are of that box.
+    `initial_conditions.box`, x between the walls, at most 3 max(1, omega A / sqrt(D)) fast. Shares are of that box.
     settle: drive periods before recurrence is looked for. Periodic is what recurs after at most 32 periods and draws
     nearby trajectories in. Chaotic is what does not recur and has a largest exponent that is positive beyond doubt, in
     a scene that loses energy; starts that fill the same set there are one attractor. All else is unresolved. Whatever

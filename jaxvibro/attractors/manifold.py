@@ -25,8 +25,8 @@ def manifold(orbit, kind, length=20.0, phase=None, spacing=0.01, angle=0.05, fas
     orbit: an `Orbit` with one multiplier inside the unit circle and one outside. kind: "stable" (what leads into it) or
     "unstable" (what comes from it). length: of the curve on each side of each point. phase: of Sigma, rad; None takes
     the orbit's. spacing, angle: neighbours are no further apart, and between them the curve turns no more (rad); beyond
-    the speed of `starts.box` spacing grows with the speed. fastest: the speed beyond which the curve is left out; None
-    takes twice that of the box. most: points of a side.
+    the speed of `initial_conditions.box` spacing grows with the speed. fastest: the speed beyond which the curve is
+    left out; None takes twice that of the box. most: points of a side.
 
     Dataset over "point": x, v; arc: length of the curve from the saddle on; side (-1, 1), origin (which of the orbit's
     points, in order), image (how often the map, or its inverse, was applied to the piece at the saddle, which has 0),

@@ -35,13 +35,13 @@ def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, pro
     `Impacts` has it. The exponents' sum is -2 gamma T + 2 ln R times impacts_on, without error. Both are -inf where the
     mass comes to rest on a wall, as it then forgets all. rests: how often a period it does so; between: the largest
     growth of tangents from where a wall lets it go to where it next comes to rest, the hops of complete chatter
-    included, a drive period of the time between (`rest`: to within some hundredths); nan where it has no such flight.
+    included, a drive period of the time between (`rests`: to within some hundredths); nan where it has no such flight.
     Where a wall that is hit has R = 0 and the mass does not rest the second exponent is -inf. Both are nan where the
     motion has no end, with more than 32 impacts a period in flight (status full), and on an impact without speed
     (nonfinite).
 
     Sources: Benettin et al., Meccanica 15 (1980) 9-20; at impacts Mueller, Chaos, Solitons and Fractals 5 (1995)
-    1671-1681; paper, (38). Errors by batch means (`spread.standard_error`).
+    1671-1681; paper, (38). Errors by batch means (`batch_means.standard_error`).
 
     Raises SceneError as `sweep` does, for an error that is not positive, and for counts that cannot be.
     """

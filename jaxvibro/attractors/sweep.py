@@ -38,8 +38,8 @@ def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progres
     values have lanes of their own, the first dimension is called "step" and the values are its coordinate (step, lane).
     The other parameters are attributes, or coordinates where they have lanes.
 
-    A wall that moves over the mass, from one value to the next, carries it along (`place.fit`). A lane whose status is
-    CAP or worse (`Impacts`) has nan for that value, and starts the next one anew from the given state.
+    A wall that moves over the mass, from one value to the next, carries it along (`wall_positions.fit`). A lane whose
+    status is CAP or worse (`Impacts`) has nan for that value, and starts the next one anew from the given state.
 
     Raises SceneError for an unknown name, values that are not finite or break a rule of the scene, a start beyond a
     wall, and counts that cannot be, all before any work.

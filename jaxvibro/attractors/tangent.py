@@ -36,8 +36,8 @@ class Laps(NamedTuple):
     """The last periods of lanes, at most LAPS, NumPy arrays (periods, lanes).
 
     x, v: at a period's end; growth: the logarithm of the tangent's growth, -inf where the mass has rested; left, right:
-    impacts on each wall, at most `period.SLOTS` together; count: all impacts; matrix: the derivative of each period by
-    rows, (periods, lanes, 4); status: the worst of all periods run, (lanes,).
+    impacts on each wall, at most `one_period.SLOTS` together; count: all impacts; matrix: the derivative of each period
+    by rows, (periods, lanes, 4); status: the worst of all periods run, (lanes,).
     """
 
     x: np.ndarray
@@ -71,7 +71,8 @@ def run(scene, lanes, periods):
 
     scene: a single one or a lane of a batch each, which is compiled on its own; lanes: any number, run in blocks of
     WIDTH; periods: whole number >= 1, no compilation of its own. The status of a lane is `Impacts.status`; FULL where a
-    period had more than `period.SLOTS` impacts, NONFINITE where the derivative is none, as at an impact without speed.
+    period had more than `one_period.SLOTS` impacts, NONFINITE where the derivative is none, as at an impact without
+    speed.
     """
     size = len(lanes.state.x)
     blocks = [padded((scene, lanes), first, WIDTH) for first in range(0, size, WIDTH)]

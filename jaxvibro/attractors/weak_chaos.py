@@ -11,7 +11,7 @@ ROUNDS = 8  # looks at whether the lane recurs after all
 GOAL, MOST = 2e-3, 2**20  # standard error to come to, and drive periods that may be averaged for it
 SURE = 4.0  # standard errors by which a positive exponent must exceed 0
 LATE = "recurs only after long"
-SHEAR = 2e-3  # growth a period of what shears, as `growth.of_motion` sees it
+SHEAR = 2e-3  # growth a period of what shears, as `chaotic_exponents.of_motion` sees it
 
 
 def weigh(scene, state):

@@ -36,7 +36,7 @@ def itinerary(spot, frequency):
 
 
 def impacts(spot, frequency, pace=None):
-    """The impacts of a `Spot`'s orbit in order as points (`meetings`), speeds over a pace, or over the largest."""
+    """The impacts of a `Spot`'s orbit in order as points (`impact_points`), speeds over a pace, or over the largest."""
     return meetings(frequency, spot.times, spot.sides, spot.speeds, pace or spot.speeds.max(initial=0.0) or 1.0)
 
 

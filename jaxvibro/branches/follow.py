@@ -111,7 +111,7 @@ def brought(along, z, value):
 
 
 def placed(scene, name, spot):
-    """(`Along`, z) of a `told.Spot` of a scene."""
+    """(`Along`, z) of a `describe.Spot` of a scene."""
     blank = np.zeros(0)
     cycle = Cycle(blank, blank, blank, np.asarray(0.0), np.asarray(float(spot.periods)))
     along = Along(*marked(scene, name), cycle)

@@ -25,9 +25,9 @@ class Frame(NamedTuple):
     length of the scene, the walls' distances and A together, to measure rounding by; curb, slope: abs x^(8) is at most
     curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall;
     rushes: bounds on the change of the press on each; gap: the walls are never nearer to each other; contacts: the
-    `contact.SoftFlow` within each wall, None for rigid ones.
+    `soft_contact.SoftFlow` within each wall, None for rigid ones.
 
-    stiffness and its root are 1, and None, but where they are what a lane feels (`contact.felt`).
+    stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`).
     """
 
     force: jax.Array

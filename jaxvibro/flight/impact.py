@@ -72,7 +72,7 @@ def strike(frame, path, side, late):
 
 
 def _bias(frame, path):
-    """What `contact.biases` says of the path."""
+    """What `soft_contact.biases` says of the path."""
     return biases(frame, path.contact, path.cosine, path.sine, 1) if frame.soft else (None, None)
 
 

@@ -22,7 +22,7 @@ from .wall import chosen, course, less
 class SoftFlow(NamedTuple):
     """The oscillator within a wall: stiffness 1 + k2 and its root; damping gamma2; series: of its flow under the drive;
     waves: under the wall's own motion, None where it stands still; plunge: the first step after an entry; reach: the
-    longest of the others; curb, slope: as the `frame.Frame` has them, for y."""
+    longest of the others; curb, slope: as the `coefficients.Frame` has them, for y."""
 
     stiffness: jax.Array
     root: jax.Array
@@ -36,7 +36,8 @@ class SoftFlow(NamedTuple):
 
 
 class Felt(NamedTuple):
-    """What of a `frame.Frame` differs between lanes: damping; swift; stiffness, its root; reach, pace; curb, slope."""
+    """What of a `coefficients.Frame` differs between lanes: damping; swift; stiffness, its root; reach, pace; curb,
+    slope."""
 
     damping: jax.Array
     swift: jax.Array
@@ -114,7 +115,7 @@ def felt(frame, contact):
 
 
 def feeling(frame, contact):
-    """The `frame.Frame` as each lane feels it."""
+    """The `coefficients.Frame` as each lane feels it."""
     return frame._replace(**felt(frame, contact)._asdict())
 
 

@@ -1,4 +1,4 @@
-"""Long steps of a mass within a soft wall: over most of a contact (`plunge`), or over many of the wall's own swings.
+"""Long steps within a soft wall: over most of a contact (`soft_first_step`), or many of the wall's own swings.
 
 Within a wall y = slow + fast: the forced motion and, where the wall is overdamped, what creeps back; and the rest w,
 whose energy falls, so that it never exceeds B = sqrt(w^2 + w'^2 / (1 + k2)). While slow stays above B there is no way
@@ -63,7 +63,7 @@ class Creep(NamedTuple):
 def plunged(frame, path):
     """The path with the lanes that have just entered a stiff wall, fast enough, carried most of the way back.
 
-    frame: as the lanes feel it (`contact.felt`).
+    frame: as the lanes feel it (`soft_contact.felt`).
     """
     going = stage(_plunges, frame, path)
     angle = stage(_turned, frame, path)

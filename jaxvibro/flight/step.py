@@ -1,6 +1,6 @@
 """One step of a path: it flies to the next event or as far as is certain, lands, rebounds, rests or is released.
 
-Each step is a handful of stages on lanes; a stage's results are stored, see `lanes.stage`.
+Each step is a handful of stages on lanes; a stage's results are stored, see `kernels.stage`.
 """
 
 from typing import NamedTuple

@@ -1,6 +1,6 @@
 """Flights and walls near a known time, as Taylor polynomials as long as the order of the derivatives asked for.
 
-frame: as the lanes feel it; within a soft wall x is counted from the wall, and bias is what `contact.biases` says.
+frame: as the lanes feel it; within a soft wall x is counted from the wall, and bias is what `soft_contact.biases` says.
 """
 
 import math

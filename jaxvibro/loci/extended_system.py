@@ -7,8 +7,8 @@ regular there, while for the whole orbit a pitchfork is not.
 
 Between soft walls the derivatives by the parameters, and of the slopes, are differences (`beside`): the equations are
 compiled once in place of many times. They only point the way: where a locus lies is decided by the equations and their
-first derivatives by times and speeds, which are exact. A touch of a soft wall that is smooth (`brush.is_smooth`) is an
-impact that does nothing, as at speed zero the equations with a stay are singular.
+first derivatives by times and speeds, which are exact. A touch of a soft wall that is smooth (`soft_grazing.is_smooth`)
+is an impact that does nothing, as at speed zero the equations with a stay are singular.
 """
 
 from typing import NamedTuple
@@ -107,8 +107,8 @@ def _soft_singular(z, curve):
 
 
 def beside(z, curve, closing=None):
-    """(F, its `ring.Ring`, how the ring's own and following change with each parameter and, where a closing is given,
-    along its right null vector), by central differences."""
+    """(F, its `cyclic_system.Ring`, how the ring's own and following change with each parameter and, where a closing is
+    given, along its right null vector), by central differences."""
     rows, free = len(curve.cycle.sides), 2 * len(curve.cycle.sides)
     more, last = int(closing is not None), jnp.sum(curve.cycle.sides != 0) - 1
     apart = APART * (1.0 + jnp.append(abs(z[free:]), jnp.full(more, jnp.max(abs(z[:free])))))

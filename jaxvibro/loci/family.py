@@ -51,7 +51,7 @@ def _locus(start, on, back, ahead, behind, steps):
 
 
 def carried(start, names, bounds, third, values, *steps):
-    """The `outset.Begun` at each value of a third parameter, None where a point's locus does not come to it."""
+    """The `first_point.Begun` at each value of a third parameter, None where a point's locus does not come to it."""
     free = start.name if start.name in names else names[0]
     own = float(start.scene.parameter(third))
     start = start._replace(scene=start.scene.replace(**{third: own}))  # a wall's restitution then is its own
@@ -64,7 +64,8 @@ def carried(start, names, bounds, third, values, *steps):
 
 
 def _crossed(start, sides, pair, value):
-    """The `outset.Begun` where a locus both ways first has a value of its second parameter, None where it has not."""
+    """The `first_point.Begun` where a locus both ways first has a value of its second parameter, None where it has
+    not."""
     ahead = []
     for side in sides:
         past = 0.0
@@ -82,7 +83,7 @@ def _crossed(start, sides, pair, value):
 
 
 def _begun(start, curve, pair, z, residual):
-    """The `outset.Begun` at a point of a locus."""
+    """The `first_point.Begun` at a point of a locus."""
     times, speeds, sides, periods = impacts_of(curve, z[None])
     scene = start.scene.replace(**dict(zip(pair, z[-2:].tolist(), strict=True)))
     spot = Spot(float(z[-2]), times[0], speeds[0], sides, periods, np.nan, np.nan, residual)

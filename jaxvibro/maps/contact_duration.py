@@ -61,7 +61,7 @@ def duration(frame, touch, y, v, cosine, sine, longest):
 
 
 def carried(frame, touch, time, response, enters, leaves, whole=None):
-    """(matrix by rows, its determinant) of a stay of this `contact.Response`: how its end changes with its start.
+    """(matrix by rows, its determinant) of a stay of this `soft_contact.Response`: how its end changes with its start.
 
     Where the damping jumps from gamma to gamma2 and back, S = ((1, 0), (+-2 (gamma - gamma2) v / u, 1)), v the
     velocity, u that against the wall; enters, leaves: v / u there, 0 where there is no jump. whole: (lanes whose stay

@@ -1,5 +1,5 @@
 """From a state on the section to an `Orbit` by Newton's method on the strobe: any orbit, also one that rests on a wall
-or meets none. Near grazing it is worse than the equations of the impacts (`solve`)."""
+or meets none. Near grazing it is worse than the equations of the impacts (`by_impacts`)."""
 
 import jax
 import numpy as np

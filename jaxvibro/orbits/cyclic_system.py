@@ -25,8 +25,8 @@ class Ring(NamedTuple):
 
 
 def of(slopes, by=None):
-    """The `Ring` of the `Slopes` of `cycle.equations`, and of their derivative by p parameters, (2 rows, p), None for
-    none."""
+    """The `Ring` of the `Slopes` of `impact_equations.equations`, and of their derivative by p parameters, (2 rows, p),
+    None for none."""
     own = jnp.stack([jnp.stack(pair, 1) for pair in slopes.own], 1)
     e, f = slopes.following
     zero = jnp.zeros_like(e)

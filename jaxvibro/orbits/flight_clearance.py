@@ -1,7 +1,7 @@
 """How close the flights of a cycle come to the walls between their impacts, and how deep behind them.
 
 A flight is sampled; where x - x_b turns back between two samples, the turning point is found by Newton's steps. This
-measures; whether an orbit is one is decided by certified flights (`solve`).
+measures; whether an orbit is one is decided by certified flights (`by_impacts`).
 """
 
 from typing import NamedTuple
@@ -21,7 +21,7 @@ CLOSE = 1e-3  # of the samples' distance: Newton's last step at a turning point
 
 class Flight(NamedTuple):
     """What is asked of flights: how long they are, x, v and the drive's cosine and sine at their start, (rows,) each.
-    `cycle.Flights` have these too."""
+    `impact_equations.Flights` have these too."""
 
     time: jax.Array
     x: jax.Array
@@ -38,7 +38,8 @@ def samples(frame, found):
 def clearances(frame, found, samples):
     """The least distance to each wall at a turning point of a flight towards it, and its time since the flight's start.
 
-    found: the `cycle.Flights`. Shapes (rows, walls); inf where there is none. Below 0 the flight passes through.
+    found: the `impact_equations.Flights`. Shapes (rows, walls); inf where there is none. Below 0 the flight passes
+    through.
     """
     span = found.time / samples
     crest, cell, past = (jnp.stack(each) for each in zip(*_nearest(frame, found, span, samples), strict=True))

@@ -34,9 +34,10 @@ SAME = 1e-7  # of the largest speed: two orbits as near are one
 def find_orbits(scene, max_period=4, starts=200, seed=0):
     """The periodic orbits of a scene up to a number of drive periods, stable and unstable: a tuple of `Orbit`.
 
-    scene: a single one. starts: trajectories that are searched, at phase 0, drawn from `seed` as `starts.box` says.
-    Found are the orbits that trajectories come near: on an attractor, on the way to it, at the start; more starts find
-    more. Each is there once, the least period first; of mirror images both, and they say so.
+    scene: a single one. starts: trajectories that are searched, at phase 0, drawn from `seed` as
+    `initial_conditions.box` says. Found are the orbits that trajectories come near: on an attractor, on the way to it,
+    at the start; more starts find more. Each is there once, the least period first; of mirror images both, and they say
+    so.
 
     Raises SceneError for a batch of scenes and for counts that cannot be.
     """

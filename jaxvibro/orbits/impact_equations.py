@@ -2,8 +2,8 @@
 
 Between an impact at time t_i and the next at t_j the mass flies freely; there it must be at the wall, with the speed
 u_j against it. These equations stay smooth where a speed goes to zero, and see no wall between impacts: whether an
-orbit passes through one is asked afterwards (`passes`). All of it is for one cycle; arrays have a row an impact, those
-beyond the last are empty, with side 0.
+orbit passes through one is asked afterwards (`flight_clearance`). All of it is for one cycle; arrays have a row an
+impact, those beyond the last are empty, with side 0.
 """
 
 from typing import NamedTuple
@@ -43,7 +43,7 @@ class Cycle(NamedTuple):
 class Flights(NamedTuple):
     """The flight that follows each impact: its time; x, v, and the drive's cosine and sine at its start; x and v at its
     end; the `flow.responses`' matrix; the row of the impact at its end, and -1 where that is met as its mirror image,
-    else 1; and the `meet.Meeting` at its start."""
+    else 1; and the `saltation.Meeting` at its start."""
 
     time: jax.Array
     x: jax.Array

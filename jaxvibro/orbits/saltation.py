@@ -1,7 +1,8 @@
 """What an impact, or a stay within a soft wall, makes of a mass that comes to a wall at a time with a speed.
 
-Both are the same to the equations of the impacts (`cycle`): from where and when the next flight begins, and how that
-changes with the impact's own time and speed. A stay takes time; it is as smooth as an impact where its speed is zero.
+Both are the same to the equations of the impacts (`impact_equations`): from where and when the next flight begins, and
+how that changes with the impact's own time and speed. A stay takes time; it is as smooth as an impact where its speed
+is zero.
 """
 
 from typing import NamedTuple

@@ -1,7 +1,7 @@
 """The equations of a periodic orbit along parameters of the scene, as `continuation` takes them.
 
-An orbit with impacts: z = (times, speeds, parameters), see `cycle`. One without: z = (x, v at the section, parameters).
-A branch has one parameter, a locus (see `crossing`) two.
+An orbit with impacts: z = (times, speeds, parameters), see `impact_equations`. One without: z = (x, v at the section,
+parameters). A branch has one parameter, a locus (see `crossing`) two.
 """
 
 from functools import singledispatch
@@ -63,12 +63,12 @@ def cycle_at(along, z):
 
 @jax.jit
 def impacts(z, along):
-    """(F, its `ring.Ring`)."""
+    """(F, its `cyclic_system.Ring`)."""
     return varied(z, along)[:2]
 
 
 def varied(z, along):
-    """(F, its `ring.Ring`, how the ring's own and following change with each parameter)."""
+    """(F, its `cyclic_system.Ring`, how the ring's own and following change with each parameter)."""
     given, free = cycle_at(along, z), 2 * len(along.cycle.sides)
 
     def at(values):

@@ -2,7 +2,7 @@
 
 So it is where the force is continuous at the touch: at a wall that stands still whatever its damping, as the damping's
 jump goes with the velocity; at one that moves only if its damping is the scene's. Else a grazing is as that of a rigid
-wall, and left to `graze`.
+wall, and left to `touches`.
 
 A contact of speed u is u^2 / 2 a deep, a being the acceleration away from the wall: with u and with -u the equations of
 the impacts have the same orbit to first order, so that a grazing is a singular point of theirs. It is found, and left,
@@ -21,7 +21,7 @@ from .equations import problem
 from .touches import FLAT, LOOSE, scales, touched, wall_sides, with_impacts, with_touches
 
 NEAR = 1e-4  # of the scene's length per t: as slow a contact is about to be none
-ASIDE = 1e-3, 1e-4  # as in `graze`; nearer to the singular point Newton's steps are rounding
+ASIDE = 1e-3, 1e-4  # as in `touches`; nearer to the singular point Newton's steps are rounding
 WHOLE = 1e-9  # of the scene's length: as near is a touch of another wall at the same point
 
 
@@ -32,7 +32,7 @@ def is_smooth(scene, side):
 
 
 def is_singular(along, mark):
-    """Whether at a `piece.Mark` a contact with a soft wall has no speed: the equations are singular there."""
+    """Whether at a `segment.Mark` a contact with a soft wall has no speed: the equations are singular there."""
     return any(touch.own and is_smooth(along.scene, touch.side) for touch in mark.touches)
 
 
@@ -81,12 +81,12 @@ def _place(along, z, row, keep):
 
 
 def exits(along, z, length):
-    """As `graze.exits`, also where the walls touched are soft."""
+    """As `touches.exits`, also where the walls touched are soft."""
     return touches.exits(along, z, length, _ways)
 
 
 def _ways(along, z, met, length):
-    """As `graze.each_choice`; where all is smooth, both directions of the orbit that leaves the touches out."""
+    """As `touches.each_choice`; where all is smooth, both directions of the orbit that leaves the touches out."""
     if not met or not all(is_smooth(along.scene, one.side) for one in met):
         yield from touches.each_choice(along, z, met, length)
         return

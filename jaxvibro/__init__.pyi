@@ -1,0 +1,51 @@
+"""The names that `__init__.py` loads when they are asked for, as editors and type checkers read them."""
+
+from . import plot as plot
+from .attractors.basins import basins as basins
+from .attractors.find import find_attractors as find_attractors
+from .attractors.manifold import manifold as manifold
+from .attractors.spectrum import spectrum as spectrum
+from .attractors.sweep import sweep as sweep
+from .branches.branch import Branch as Branch
+from .branches.branch_file import load_branch as load_branch
+from .branches.diagram import Diagram as Diagram
+from .branches.diagram import load_diagram as load_diagram
+from .branches.diagrams import diagrams as diagrams
+from .branches.explore import explore as explore
+from .branches.follow import follow as follow
+from .branches.peaks import peak as peak
+from .branches.peaks import peaks as peaks
+from .branches.switch import extend as extend
+from .branches.switch import switch as switch
+from .loci.family import family as family
+from .loci.locus import Locus as Locus
+from .loci.locus import locus as locus
+from .loci.sensitivity import sensitivity as sensitivity
+from .maps.monodromy import monodromy as monodromy
+from .maps.return_map import Return as Return
+from .maps.return_map import return_map as return_map
+from .maps.sections import sections as sections
+from .maps.simulate import simulate as simulate
+from .maps.strobe import strobe as strobe
+from .orbits.find import find_orbit as find_orbit
+from .orbits.from_starts import find_orbits as find_orbits
+from .orbits.orbit import Orbit as Orbit
+from .orbits.orbit import OrbitError as OrbitError
+from .output.checksums import load_data as load_data
+from .reproduction.run import paper as paper
+from .scene.check import SceneError as SceneError
+from .scene.physical import scene_from_physical as scene_from_physical
+from .scene.scene import Motion as Motion
+from .scene.scene import Scene as Scene
+from .scene.scene import Wall as Wall
+from .scene.scene import make_scene as make_scene
+from .scene.soft_walls import contact_damping as contact_damping
+from .scene.soft_walls import effective_restitution as effective_restitution
+from .scene.soft_walls import soften as soften
+from .scene.state import Impacts as Impacts
+from .scene.state import State as State
+from .studies.run import run as run
+from .studies.scene_file import load_scene as load_scene
+from .studies.scene_file import save_scene as save_scene
+
+__version__: str
