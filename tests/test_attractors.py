@@ -12,8 +12,9 @@ from jaxvibro.attractors.recurrence import LONGEST, returns, settled_periods
 from jaxvibro.maps import itinerary
 from jaxvibro.maps.initial_conditions import box, forced_amplitude, random_starts
 from jaxvibro.maps.iterate import KEEP, trail
-from jaxvibro.orbits.impact_points import is_same_orbit, is_same_set, is_symmetric, meetings, mirrored
+from jaxvibro.orbits.impact_points import is_same_orbit, is_same_set, meetings, mirrored
 from jaxvibro.scene.check import SceneError
+from jaxvibro.scene.symmetry import is_symmetric
 
 PERIOD = 2 * np.pi / 2.1
 

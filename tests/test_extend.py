@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro.branches.end import End, read
+from jaxvibro.problem.end import End, read
 
 MOVING = jv.Wall(1.0, 0.8, motion=jv.Motion(0.1, 0.5))
 SOFT = jv.Wall(1.0, stiffness=20.0, damping=0.3)

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches.describe import Spot
 from jaxvibro.branches.follow import placed
+from jaxvibro.problem.describe import Spot
 from jaxvibro.problem.diagnostics import looked
 from tests import branch_proof
 from tests.reference import closed

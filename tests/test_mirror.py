@@ -7,8 +7,9 @@ import jaxvibro as jv
 from continuation import locate
 from jaxvibro.branches.branch import row_of, spot_of
 from jaxvibro.branches.follow import placed
-from jaxvibro.branches.mirror import mirrored, stays_symmetric
+from jaxvibro.branches.mirror import mirrored
 from jaxvibro.problem.equations import problem
+from jaxvibro.scene.symmetry import stays_symmetric
 
 
 @pytest.fixture(scope="module")

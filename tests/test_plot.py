@@ -13,8 +13,8 @@ import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.attractors.find import Attractor
 from jaxvibro.branches.branch import Branch, Segment, row_of, special_of
-from jaxvibro.branches.end import End
 from jaxvibro.plot import path, style
+from jaxvibro.problem.end import End
 
 SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.3, 0.5, 2))))
 

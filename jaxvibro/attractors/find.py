@@ -8,11 +8,11 @@ import numpy as np
 from ..maps.initial_conditions import box, random_starts
 from ..orbits.by_impacts import from_phase_0
 from ..orbits.find import find_orbit
-from ..orbits.impact_points import is_symmetric
 from ..orbits.orbit import Orbit, OrbitError
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.state import State
+from ..scene.symmetry import is_symmetric
 from . import without_starts
 from .classify import chaotic, periodic
 from .shares import share_bounds

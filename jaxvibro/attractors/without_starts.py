@@ -4,9 +4,10 @@ import numpy as np
 
 from ..maps.phase_shift import carried
 from ..orbits.free_response import free_orbit
-from ..orbits.impact_points import is_same_orbit, is_same_set, is_symmetric, mirrored
+from ..orbits.impact_points import is_same_orbit, is_same_set, mirrored
 from ..scene.codes import Status
 from ..scene.state import State
+from ..scene.symmetry import is_symmetric
 from .classify import Seen, read_orbit, read_set, roam, watched
 
 IMAGE = "mirror image of one that starts settled on; none settled on it"

@@ -13,11 +13,11 @@ from ..maps import itinerary as words
 from ..output.atomic_write import whole
 from ..output.checksums import netcdf
 from ..output.columns import columns, pair
+from ..problem.describe import Spot, itinerary, told
+from ..problem.end import End
 from ..scene.check import SceneError
 from ..scene.scene import Scene
 from ..scene.scene_table import table_of
-from .describe import Spot, itinerary, told
-from .end import End
 
 NUMBERS = ("first_step", "largest_step", "tolerance")  # of the settings
 

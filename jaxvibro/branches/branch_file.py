@@ -6,11 +6,11 @@ import msgspec
 import numpy as np
 
 from ..output.checksums import dataset_of, opened
+from ..problem.describe import Spot
+from ..problem.end import End, read
 from ..scene import check
 from ..scene.scene_table import SceneTable
 from .branch import NUMBERS, Branch, Segment, row_of, special_of
-from .describe import Spot
-from .end import End, read
 
 AT_POINTS = ("stable", "least_speed", "least_clearance", "residual", "value_slope", "segment")
 COLUMNS = {

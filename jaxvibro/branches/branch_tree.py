@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 
 from ..orbits.impact_points import is_same_orbit
+from ..problem.describe import impacts
 from ..problem.same_orbit import is_repeated
+from ..scene.symmetry import stays_symmetric
 from .branch import frequency_at
-from .describe import impacts
 from .follow import follow, placed
-from .mirror import mirrored, stays_symmetric
+from .mirror import mirrored
 from .switch import FIRST, left, starts
 
 MOST = 64  # branches

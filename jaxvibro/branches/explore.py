@@ -11,16 +11,16 @@ import numpy as np
 
 from ..orbits.impact_points import is_same_orbit
 from ..problem import same_orbit
+from ..problem.describe import impacts
 from ..problem.equations import there
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scene import Scene
+from ..scene.symmetry import stays_symmetric
 from .branch import row_of, spot_of
 from .branch_tree import Tree
-from .describe import impacts
 from .diagram import Diagram
 from .follow import brought, placed, settled, through
-from .mirror import stays_symmetric
 from .probes import probes
 from .switch import FIRST
 

@@ -8,14 +8,14 @@ from continuation.follow import pinned, tangent
 
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import Orbit, OrbitError
+from ..problem.describe import Spot
+from ..problem.end import End
 from ..problem.equations import Along, problem
 from ..problem.touches import free_start, padded, scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, marked
 from ..scene.scale import scene_length
 from .assemble import assembled
-from .describe import Spot
-from .end import End
 from .segment import Asked
 from .through_grazings import walked
 

@@ -9,18 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..maps import itinerary as words
-from ..orbits.impact_points import is_symmetric
+from ..problem.describe import itinerary
 from ..problem.diagnostics import looked
-from ..scene.scene import changed
 from .branch import frequency_at, row_of, special_of, spot_of
-from .describe import itinerary
 from .follow import placed
-
-
-def stays_symmetric(scene, *names):
-    """Whether a scene is symmetric, and stays so whatever the parameters of these names are."""
-    other = {name: float(scene.parameter(name)) * 0.99 + 0.001 for name in names}
-    return is_symmetric(scene) and is_symmetric(changed(scene, other))
 
 
 def mirrored(branch):

@@ -12,12 +12,12 @@ from ..flight import flow, soft_contact
 from ..flight.coefficients import frame
 from ..orbits import flight_clearance, impact_equations
 from ..orbits.orbit import Orbit
+from ..problem.describe import Spot
 from ..problem.diagnostics import each_of, flight
 from ..problem.equations import cycle_at, there
 from ..scene import check
 from ..scene.codes import Contact
 from .branch import Branch, row_of, spot_of
-from .describe import Spot
 from .follow import placed
 
 ROUNDS = 6  # of false position: x at a turning point is right to the square of its time's error

@@ -8,9 +8,9 @@ import numpy as np
 from ..attractors.recurrence import returns
 from ..maps.initial_conditions import random_starts
 from ..maps.iterate import trail
+from ..problem.describe import Spot
 from ..scene.codes import Contact, Status
 from ..scene.parameters import domain
-from .describe import Spot
 
 STARTS = 256  # at as many values
 SETTLE = 600  # drive periods

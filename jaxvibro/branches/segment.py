@@ -10,12 +10,12 @@ from continuation.locate import Located
 
 from ..problem import soft_grazing
 from ..problem.diagnostics import Look, looked
+from ..problem.end import End
 from ..problem.equations import Along, problem
 from ..problem.missed_touches import with_dips
 from ..problem.points import at, between, joined, put, upto
 from ..problem.same_orbit import images, is_repeated
 from ..problem.touches import TOUCH, Touch, admissible, is_pressed, stilled, touched
-from .end import End
 from .user_monitors import crossings
 
 MOST = 20_000  # points of a piece

@@ -8,6 +8,7 @@ from continuation import branch_switching as crossing
 from continuation import locate
 from continuation.follow import tangent
 
+from ..problem.end import End, Reason
 from ..problem.equations import problem
 from ..problem.soft_grazing import exits
 from ..problem.touches import padded, scales
@@ -16,7 +17,6 @@ from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
 from .assemble import START, assembled, merged
 from .branch import Branch, Special, row_of, spot_of
-from .end import End, Reason
 from .follow import asking, placed, point, settled
 from .through_grazings import walked
 

@@ -5,9 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ..orbits.impact_points import is_same_orbit
+from ..problem.end import End, Reason
 from ..problem.same_orbit import impacts, is_repeated
 from ..problem.touches import scales
-from .end import End, Reason
 from .segment import Piece, piece
 
 MOST = 200  # pieces of a branch

@@ -8,8 +8,8 @@ each counts on one side: the boundary has a corner there, and its derivatives ar
 import jax.numpy as jnp
 import numpy as np
 
-from ..branches.describe import Spot
-from ..branches.end import End
+from ..problem.describe import Spot
+from ..problem.end import End
 from ..problem.equations import there as at
 from ..problem.touches import FLAT, opening, stays, touches, wall_sides
 from ..scene import check

@@ -2,12 +2,12 @@
 
 import numpy as np
 
-from ..branches.describe import Spot
-from ..branches.end import End
-from ..branches.mirror import stays_symmetric
 from ..branches.segment import to_value
+from ..problem.describe import Spot
+from ..problem.end import End
 from ..scene import check
 from ..scene.parameters import values_of
+from ..scene.symmetry import stays_symmetric
 from .corner import outsets, traced
 from .first_point import Begun, begun, impacts_of, named
 from .locus import locus_of

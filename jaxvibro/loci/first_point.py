@@ -10,11 +10,10 @@ from continuation.follow import tangent
 
 from ..branches.assemble import is_own_image
 from ..branches.branch import Special
-from ..branches.describe import Spot
 from ..branches.follow import SMALLEST, placed, point, settled
-from ..branches.mirror import stays_symmetric
 from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
+from ..problem.describe import Spot
 from ..problem.equations import problem
 from ..problem.points import between
 from ..problem.touches import TOUCH, padded, scales, touches
@@ -22,6 +21,7 @@ from ..scene import check
 from ..scene.parameters import bounds_of, domain, flat, marked, tied
 from ..scene.scale import scene_length
 from ..scene.scene import Scene
+from ..scene.symmetry import stays_symmetric
 from .extended_system import Grazing, Singular
 from .track import Bounded, Way
 

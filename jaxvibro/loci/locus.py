@@ -11,12 +11,12 @@ import xarray as xr
 from continuation.arclength import Point
 
 from ..branches.branch import row_of
-from ..branches.describe import Spot, itinerary, told
-from ..branches.end import End
 from ..maps import itinerary as words
 from ..orbits.orbit import roots
 from ..output.columns import columns
+from ..problem.describe import Spot, itinerary, told
 from ..problem.diagnostics import Look
+from ..problem.end import End
 from ..problem.points import joined, turned
 from ..scene import check
 from ..scene.scene import Scene, changed

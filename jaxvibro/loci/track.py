@@ -7,9 +7,9 @@ import numpy as np
 from continuation import follow, locate
 from continuation.arclength import ON, Control, Place, Point
 
-from ..branches.end import End
 from ..branches.segment import ENDS, MOST, Mark, cut_at, inserted, listed, to_touch, to_value
 from ..problem.diagnostics import Look, looked
+from ..problem.end import End
 from ..problem.equations import problem
 from ..problem.missed_touches import with_dips
 from ..problem.points import joined

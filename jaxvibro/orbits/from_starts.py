@@ -16,10 +16,11 @@ from ..maps.iterate import KEEP, trail
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.state import State
+from ..scene.symmetry import is_symmetric
 from .by_impacts import by_impacts, padded, solutions
 from .by_shooting import by_state
 from .free_response import free_response
-from .impact_points import is_same_orbit, is_symmetric, meetings, mirrored
+from .impact_points import is_same_orbit, meetings, mirrored
 from .orbit import OrbitError
 
 SETTLE = 300  # drive periods after which a second look at the trajectories is taken

@@ -10,10 +10,10 @@ from ..orbits.by_impacts import by_section
 from ..orbits.impact_equations import Cycle
 from ..orbits.impact_points import meetings
 from ..orbits.orbit import described, multipliers
-from ..problem.diagnostics import looked
-from ..problem.equations import Along
 from ..scene.codes import Status
 from ..scene.state import Impacts, State
+from .diagnostics import looked
+from .equations import Along
 
 
 class Spot(NamedTuple):
