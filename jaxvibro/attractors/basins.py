@@ -37,8 +37,8 @@ def basins(scene, x, v, phase=0.0, attractors=None, patience=PATIENCE, progress=
 
     Raises SceneError for a batch of scenes and for numbers that cannot be.
     """
-    check.is_single(scene)
-    check.is_rigid(scene, "basins")
+    check.require_single(scene)
+    check.require_rigid(scene, "basins")
     x, v = _axis("x", x), _axis("v", v)
     phase = check.number("phase", phase, np.float64)
     if phase.shape:

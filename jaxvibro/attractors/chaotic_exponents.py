@@ -17,7 +17,7 @@ from ..scene.state import State
 from .batch_means import standard_error
 from .orbit_exponents import Rates, lost, shrinkage
 from .recurrence import returns, settled_periods
-from .tangent import LAPS, Lanes, begin, run, worse
+from .tangent import LAPS, TangentLanes, begin, run, worse
 
 BLOCK = 16  # periods whose growth is summed
 FIRST = 16  # times LAPS periods before the error is first looked at
@@ -31,7 +31,7 @@ class Settled(NamedTuple):
     visits: states on the way, LAPS periods apart, leaves (visits, lanes); scale: of x and v, the largest.
     """
 
-    lanes: Lanes
+    lanes: TangentLanes
     status: np.ndarray
     periods: np.ndarray
     rate: np.ndarray
@@ -109,7 +109,7 @@ def _some(lanes, index):
 
 
 def _copies(start, scale):
-    """The `Lanes` of WIDTH copies of a motion."""
+    """The `TangentLanes` of WIDTH copies of a motion."""
     count = len(start.visits.x) if start.rate[0] > SLOWEST else 1
     places = -1 - np.arange(WIDTH) % count
     state = jax.tree.map(lambda leaf: leaf[places, 0], start.visits)

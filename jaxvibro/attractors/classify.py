@@ -23,7 +23,7 @@ SAMPLES = 8  # times KEEP periods of chaos that are looked at
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
+class Evidence:
     """An attractor before its share and its mirror image are known.
 
     lanes: those that are on it; hits: its impacts as points (`impact_points`); numbers: the fields of `Attractor`.
@@ -35,7 +35,7 @@ class Seen:
 
 
 def periodic(scene, found, periods, settle, scale):
-    """(periodic attractors, why other lanes that recur are on none): a list of `Seen`, and {lane: reason}.
+    """(periodic attractors, why other lanes that recur are on none): a list of `Evidence`, and {lane: reason}.
 
     found: a `Trail`; periods: those after which its lanes recur, 0 for none; scale: of x and v, the largest.
     """
@@ -94,7 +94,7 @@ def read_orbit(scene, last, lanes, n, scale, told):
         "points": np.roll(points, -turn, axis=0),
         "least_speed": _least_speed(*impacts[1:]),
     }
-    return Seen(lanes, meetings(float(scene.frequency), *impacts, scale), numbers | told)
+    return Evidence(lanes, meetings(float(scene.frequency), *impacts, scale), numbers | told)
 
 
 def _state(one, period):
@@ -198,4 +198,4 @@ def read_set(scene, one, scale, told):
         "points": one.points[:, 0],
         "least_speed": _least_speed(one.side, one.speed),
     }
-    return Seen([], meetings(float(scene.frequency), one.time, one.side, one.speed, scale), numbers | told)
+    return Evidence([], meetings(float(scene.frequency), one.time, one.side, one.speed, scale), numbers | told)

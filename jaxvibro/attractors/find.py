@@ -67,7 +67,7 @@ def find_attractors(scene, starts=200, seed=0, settle=300):
 
     Raises SceneError for a batch of scenes and for counts that cannot be.
     """
-    check.is_single(scene)
+    check.require_single(scene)
     starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
     given = random_starts(scene, starts, check.whole("seed", seed, 0))
     left, right, _ = box(scene)

@@ -5,7 +5,7 @@ import xarray as xr
 
 from ..flight.wall_positions import places
 from ..maps.initial_conditions import box
-from ..maps.inverse import is_reversible
+from ..maps.inverse import require_reversible
 from ..maps.monodromy import monodromy
 from ..maps.phase_shift import carried
 from ..orbits.orbit import Orbit
@@ -43,12 +43,12 @@ def manifold(orbit, kind, length=20.0, phase=None, spacing=0.01, angle=0.05, fas
         raise check.SceneError("orbit", "must be an Orbit", orbit)
     if kind not in KINDS:
         raise check.SceneError("kind", f"must be one of {', '.join(KINDS)}", kind)
-    check.is_rigid(orbit.scene, "manifold")
+    check.require_rigid(orbit.scene, "manifold")
     scene, back = orbit.scene, kind == "stable"
     size, rules = _rules(scene, length, spacing, angle, fastest, check.whole("most", most, 100))
     rate, turn = _rate(orbit, kind), orbit.periods
     if back:
-        is_reversible(scene)
+        require_reversible(scene)
     phase = float(orbit.state.phase if phase is None else check.number("phase", phase, np.float64))
     strands = []
     for origin, (saddle, heading) in enumerate(_saddles(orbit, phase, back)):

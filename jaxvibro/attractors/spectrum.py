@@ -45,8 +45,8 @@ def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, pro
 
     Raises SceneError as `sweep` does, for an error that is not positive, and for counts that cannot be.
     """
-    check.is_single(scene)
-    check.is_rigid(scene, "spectrum")
+    check.require_single(scene)
+    check.require_rigid(scene, "spectrum")
     settle, most = check.whole("settle", settle, 0), check.whole("most", most, 1)
     goal = check.number("error", error, np.float64)
     check.require("error", "must be greater than 0", goal, goal > 0)
@@ -62,7 +62,7 @@ def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, pro
 
 def _checked(scene, name, values, state):
     """(values, state), arrays of the scene's type, once they break no rule."""
-    check.is_known(name, scene.names, name)
+    check.require_known(name, scene.names, name)
     values = check.number(name, values, scene.dtype)
     if values.ndim != 1 or len(values) == 0:
         raise check.SceneError(name, "must be a sequence of values, at least one", values)

@@ -55,7 +55,7 @@ def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progres
 
 def _checked(scene, name, values, state):
     """(values, state), arrays of the scene's type, once they break no rule."""
-    check.is_known(name, scene.names, name)
+    check.require_known(name, scene.names, name)
     values = check.number(name, values, scene.dtype)
     if values.ndim == 0 or values.shape[0] == 0:
         raise check.SceneError(name, "must be a sequence of values to sweep through, at least one", values)

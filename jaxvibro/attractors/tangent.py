@@ -24,7 +24,7 @@ from ..scene.state import State
 LAPS = 64  # periods recorded, of however many are run
 
 
-class Lanes(NamedTuple):
+class TangentLanes(NamedTuple):
     """Where lanes are: a `State` with leaves (lanes,), unit tangent vectors along x and v (lanes,)."""
 
     state: State
@@ -56,9 +56,9 @@ class Laps(NamedTuple):
 
 
 def begin(state):
-    """`Lanes` at a state, their tangents along no direction that is special."""
+    """`TangentLanes` at a state, their tangents along no direction that is special."""
     one = np.ones_like(state.x)
-    return Lanes(state, 0.6 * one, 0.8 * one)
+    return TangentLanes(state, 0.6 * one, 0.8 * one)
 
 
 def worse(old, new):
@@ -67,7 +67,7 @@ def worse(old, new):
 
 
 def run(scene, lanes, periods):
-    """(Lanes, Laps) so many periods later.
+    """(TangentLanes, Laps) so many periods later.
 
     scene: a single one or a lane of a batch each, which is compiled on its own; lanes: any number, run in blocks of
     WIDTH; periods: whole number >= 1, no compilation of its own. The status of a lane is `Impacts.status`; FULL where a
@@ -98,7 +98,7 @@ def _run(scene, lanes, periods):
     def one(k, carry):
         lanes, ring, worst = carry
         x, v, contact, along_x, along_v, status, *rest = one_kernel(_period, scene, lanes)
-        lanes = Lanes(State(x, v, lanes.state.phase, contact), along_x, along_v)
+        lanes = TangentLanes(State(x, v, lanes.state.phase, contact), along_x, along_v)
         row = jnp.stack([x, v, *rest])  # a ring for each number costs as much as all else
         return lanes, lax.dynamic_update_index_in_dim(ring, row, k % LAPS, 0), worse(worst, status)
 

@@ -8,13 +8,13 @@ from ..orbits.impact_points import is_same_orbit, is_same_set, mirrored
 from ..scene.codes import Status
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
-from .classify import Seen, read_orbit, read_set, roam, watched
+from .classify import Evidence, read_orbit, read_set, roam, watched
 
 IMAGE = "mirror image of one that starts settled on; none settled on it"
 
 
 def free(scene, seen):
-    """[the free response as `Seen`] where it attracts, keeps off the walls and is not among those seen; else []."""
+    """[the free response as `Evidence`] where it attracts, keeps off the walls and is not among those seen; else []."""
     if any(one.numbers["periods"] == 1 and not one.hits.size and not one.numbers["state"].contact for one in seen):
         return []
     orbit = free_orbit(scene)
@@ -33,11 +33,12 @@ def free(scene, seen):
         "exponent": rate,
         "note": told,
     }
-    return [Seen([], np.empty((0, 4), scene.dtype), numbers)]
+    return [Evidence([], np.empty((0, 4), scene.dtype), numbers)]
 
 
 def images(scene, seen, scale):
-    """The mirror images, as `Seen`, of those attractors seen whose image is not among them, in a symmetric scene."""
+    """The mirror images, as `Evidence`, of those attractors seen whose image is not among them, in a symmetric
+    scene."""
     if not is_symmetric(scene):
         return []
     found = [_image(scene, one, seen, scale) for one in seen if image_place(one, seen) is None]

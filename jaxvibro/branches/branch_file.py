@@ -50,7 +50,7 @@ def _branch(data):
     name, bounds = str(attrs["parameter"]), tuple(float(each) for each in attrs["bounds"])
     _fits("bounds", len(bounds) == 2 and np.isfinite(bounds).all() and bounds[0] < bounds[1])
     scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
-    check.is_known(name, scene.names, name)
+    check.require_known(name, scene.names, name)
     _check_columns(data, name)
     last = data.sizes["point"] - 1
     segments = tuple(Segment(*one) for one in _field(attrs, "segments", list[tuple[int, int, str, Itinerary]]))

@@ -16,8 +16,8 @@ def diagrams(scene, name, bounds, third, values, max_period=8, seed=0, budget=No
 
     Raises SceneError for arguments that cannot be.
     """
-    check.is_single(scene)
-    check.is_known(name, scene.names, name)
+    check.require_single(scene)
+    check.require_known(name, scene.names, name)
     values = values_of(scene, third, values)
     if third == name:
         raise check.SceneError("third", "must be another parameter than name", third)

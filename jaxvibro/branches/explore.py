@@ -56,7 +56,7 @@ def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None,
     return explored(task, some, progress, *before)
 
 
-class Task(NamedTuple):
+class Search(NamedTuple):
     """What is to be explored. scene: at a value within the bounds; most: branches; steps, settings: by name."""
 
     scene: Scene
@@ -68,22 +68,22 @@ class Task(NamedTuple):
 
 
 def asked(scene, name, bounds, max_period, seed, budget, largest_step):
-    """The `Task` of these arguments. Raises SceneError."""
-    check.is_single(scene)
+    """The `Search` of these arguments. Raises SceneError."""
+    check.require_single(scene)
     max_period, seed = check.whole("max_period", max_period, 1), check.whole("seed", seed, 0)
     if max_period > PERIODS:
         raise check.SceneError("max_period", f"must be at most {PERIODS}", max_period)
     most = MOST if budget is None else check.whole("budget", budget, 1)
-    check.is_known(name, scene.names, name)
+    check.require_known(name, scene.names, name)
     scene = scene.replace(**{name: _inside(scene, name, bounds)})
     bounds = bounds_of(scene, name, bounds)
     steps = settled(FIRST, largest_step, 1e-10, (), ())
     settings = {"max_period": max_period, "seed": seed, "largest_step": largest_step}
-    return Task(scene, name, bounds, most, steps, settings)
+    return Search(scene, name, bounds, most, steps, settings)
 
 
 def settled_on(tasks):
-    """What the starts of `Task`s that differ in their scenes settle on, the `Probe`s of each."""
+    """What the starts of `Search`s that differ in their scenes settle on, the `Probe`s of each."""
     one = tasks[0]
     return probes(
         [each.scene for each in tasks], one.name, one.bounds, one.settings["max_period"], one.settings["seed"]

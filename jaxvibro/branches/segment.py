@@ -26,8 +26,8 @@ ENDS = {ON: None, OUT: End.BOUND, arclength.UNDERFLOW: End.STEP, arclength.NONFI
 
 class Asked(NamedTuple):
     """What a branch is asked for. control: of steps; first: the first; domain: (low, high), the parameter's by its
-    meaning; monitors: {label: function of a `Seen`}; stop: labels; length: the scene's; marks: (`Cycle`, parameter) of
-    orbits that end the branch when it meets them."""
+    meaning; monitors: {label: function of a `MonitoredPoint`}; stop: labels; length: the scene's; marks: (`Cycle`,
+    parameter) of orbits that end the branch when it meets them."""
 
     control: Control
     first: float

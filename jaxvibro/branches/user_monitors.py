@@ -10,7 +10,7 @@ from ..problem.points import at, between
 from ..scene.check import SceneError
 
 
-class Seen(NamedTuple):
+class MonitoredPoint(NamedTuple):
     """A point of a branch, as a user's monitor sees it. value: the parameter's; times, speeds, sides: of the impacts;
     x, v: at the section, one for each period; multipliers: the larger first; clearance: the least, inf if none."""
 
@@ -25,9 +25,9 @@ class Seen(NamedTuple):
 
 
 def seen(along, z, look):
-    """The `Seen` of one point."""
+    """The `MonitoredPoint` of one point."""
     rows, count = len(along.cycle.sides), int(np.sum(along.cycle.sides != 0))
-    return Seen(
+    return MonitoredPoint(
         float(z[-1]),
         z[:count],
         z[rows : rows + count],
@@ -57,7 +57,7 @@ def crossings(along, points, look, kind, function, control):
 
 
 def _value(kind, function, point):
-    """What a monitor says of a `Seen`. Raises SceneError where it fails."""
+    """What a monitor says of a `MonitoredPoint`. Raises SceneError where it fails."""
     try:
         return float(function(point))
     except (ValueError, TypeError, IndexError, ArithmeticError) as error:

@@ -9,7 +9,7 @@ from ..compiled.kernels import choose, positive
 from ..scene.codes import Contact, Status
 from . import event, impact
 from .coefficients import is_valid
-from .path import Motion, Path, motion
+from .path import Path, SlowMotion, motion
 from .soft_contact import is_inside
 from .wall import course, extent, less
 
@@ -34,7 +34,7 @@ def enter(frame, state, rules=is_valid):
     x, v = (choose(abs(each) > small, each, 0.0) for each in (state.x, state.v))
     state, none = replace(state, x=x, v=v), jnp.zeros_like(state.x)
     cosine, sine = cosine + none, sine + none
-    start = Motion(none, none, none, none, cosine, sine)
+    start = SlowMotion(none, none, none, none, cosine, sine)
     path = Path(state.x + none, none, state.v + none, start, none, none, none)
     kind = abs(state.contact) + none
     valid &= (kind == 0) | (kind == Contact.LANDED) | (kind == Contact.STUCK) | (kind == Contact.WITHIN)

@@ -1,9 +1,9 @@
 """The next event of a flight, certified: a step that cannot pass a wall, or the time at which it is met.
 
 Time is counted in the longest step here. The progress towards a wall, G = minus the clearance, is its Taylor polynomial
-g0 + g1 t + ... + g6 t^6 and a rest that is at most `rest` t^6 for 0 <= t <= 1. A cubic above G gives a step with no
-contact; where G provably rises up to the root of the polynomial, the root is the first contact. After an impact G has
-the root t = 0: it is divided out. A mass that rests on a wall waits for the press on it to end: then G is minus the
+g0 + g1 t + ... + g6 t^6 and a remainder of at most `remainder` t^6 for 0 <= t <= 1. A cubic above G gives a step with
+no contact; where G provably rises up to the root of the polynomial, the root is the first contact. After an impact G
+has the root t = 0: it is divided out. A mass that rests on a wall waits for the press on it to end: then G is minus the
 press.
 """
 
@@ -23,10 +23,10 @@ MARGIN = 1.05  # the root must be the only one, and the other wall out of reach,
 
 
 class Progress(NamedTuple):
-    """The polynomial of G, from the constant on, and its rest."""
+    """The polynomial of G, from the constant on, and its remainder."""
 
     terms: tuple[jax.Array, ...]
-    rest: jax.Array
+    remainder: jax.Array
 
 
 class Bound(NamedTuple):
@@ -53,16 +53,16 @@ def rounding(dtype):
     return float(jnp.finfo(dtype).eps) / 2
 
 
-def progress(terms, rest, on):
+def progress(terms, remainder, on):
     """The `Progress` from minus the clearance's Taylor terms; on: the lane leaves this wall, so G / t counts."""
     g = [choose(on, after, before) for before, after in zip(terms, [*terms[1:], 0.0], strict=True)]
-    return Progress((negative(g[0]), *g[1:]), rest)
+    return Progress((negative(g[0]), *g[1:]), remainder)
 
 
 def cubic(progress):
     """K >= 0 with G <= g0 + g1 t + g2 t^2 + K t^3."""
     g = progress.terms
-    return positive(g[3] + positive(g[4] + positive(g[5] + positive(g[6] + progress.rest))))
+    return positive(g[3] + positive(g[4] + positive(g[5] + positive(g[6] + progress.remainder))))
 
 
 def bound(progress, cubic):
@@ -136,13 +136,13 @@ def slack(progress, guess, root):
     Certain: G rises at a fifth of its slope at least up to MARGIN times the root, so that there is no other before, and
     the true one is as near as what is left of the polynomial there says, but for rounding.
     """
-    g, rest = progress.terms, progress.rest
+    g, remainder = progress.terms, progress.remainder
     far = root * MARGIN
-    rise = negative(6.0 * g[6]) - 7.0 * rest
+    rise = negative(6.0 * g[6]) - 7.0 * remainder
     for k in (5, 4, 3, 2):
         rise = rise * far + negative(float(k) * g[k])
     rise = rise * far + g[1]
     cube, (left, _) = root * root * root, horner(g, root)
-    noise = NOISE * rounding(rest.dtype) * (g[1] * root - g[0])
-    error = (rest * (cube * cube) + positive(lax.abs(left) - noise)) / lax.abs(rise)
+    noise = NOISE * rounding(remainder.dtype) * (g[1] * root - g[0])
+    error = (remainder * (cube * cube) + positive(lax.abs(left) - noise)) / lax.abs(rise)
     return choose((guess >= 0) & (g[1] > 0) & (far <= 1.0) & (rise > 0.2 * g[1]) & (root >= 0), error, -1.0)

@@ -8,7 +8,7 @@ from jax import lax
 from ..compiled.kernels import choose, least, positive, two_sum
 from ..scene.codes import Contact
 from . import event, flow
-from .path import CAPPED, Motion, Path, accelerations, motion
+from .path import CAPPED, Path, SlowMotion, accelerations, motion
 from .soft_contact import biases, bounce, gives, is_inside
 from .wall import chosen, course, less, picked, press
 
@@ -63,7 +63,7 @@ def strike(frame, path, side, late):
     again = bounce(frame, side)
     leaving = again * closing
     state = settle(frame, leaving, side * push, side * change)
-    ends = chatters(frame, leaving, side * push, again, chosen(side, frame.walls, frame.rushes), path.rest)
+    ends = chatters(frame, leaving, side * push, again, chosen(side, frame.walls, frame.rushes), path.to_go)
     state = choose(stuck, Contact.RELEASED, choose(ends, Contact.STUCK, state))
     if frame.soft:
         state = choose(inside, Contact.LANDED, choose(gives(frame, side), Contact.ENTERED, state))
@@ -96,15 +96,16 @@ def part(frame, path, side, late, strike, time):
     after = speed - side * choose(keeps, leaving, 0.0)
     x, v = choose(on, where, path.x), choose(on, after, path.v)
     moved = motion(frame, where, after, cosine, sine)
-    moved = Motion(*(choose(on, new, old) for new, old in zip(moved[:4], path.motion[:4], strict=True)), cosine, sine)
-    rest, rest_low = two_sum(path.rest, path.rest_low - late)
+    slow = (choose(on, new, old) for new, old in zip(moved[:4], path.motion[:4], strict=True))
+    moved = SlowMotion(*slow, cosine, sine)
+    to_go, to_go_low = two_sum(path.to_go, path.to_go_low - late)
     idle = (time > 0) & ~on
     contact = choose(idle, 0.0, strike.contact)
     if frame.soft:
         inside = (side == 0) & is_inside(path.contact)
         contact = choose(inside & (time > 0), lax.sign(path.contact) * Contact.WITHIN, contact)
-    rest = choose(path.rest == CAPPED, CAPPED, positive(rest))
-    return Path(x, choose(on, 0.0, path.x_low), v, moved, rest, rest_low, contact)
+    to_go = choose(path.to_go == CAPPED, CAPPED, positive(to_go))
+    return Path(x, choose(on, 0.0, path.x_low), v, moved, to_go, to_go_low, contact)
 
 
 def _turned(frame, path, late):

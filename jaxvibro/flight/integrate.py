@@ -65,16 +65,16 @@ def run(frame, journey, cap, again=None):
 
     def turn(journey):
         step = micro(frame, journey.path)
-        book = impact_log.write(journey.log, step.side, journey.path.contact, step.strike, step.path.rest)
+        book = impact_log.write(journey.log, step.side, journey.path.contact, step.strike, step.path.to_go)
         calls = turning_points.note(frame, journey.path, step, journey.calls) if watched else None
         wait = stage(_waited, journey.wait, step.path.contact) if frame.soft else None
         journey = journey._replace(path=step.path, log=book, calls=calls, wait=wait)
         journey = again(journey) if again else journey
         path = journey.path
-        over = ((journey.log.count >= cap.impacts) | (journey.log.steps > cap.steps)) & (path.rest > 0)
+        over = ((journey.log.count >= cap.impacts) | (journey.log.steps > cap.steps)) & (path.to_go > 0)
         # with a low part left, the next step would round CAPPED to a time that has been used up
-        rest, low = choose(over, CAPPED, path.rest), choose(over, 0.0, path.rest_low)
-        return journey._replace(path=path._replace(rest=rest, rest_low=low))
+        to_go, low = choose(over, CAPPED, path.to_go), choose(over, 0.0, path.to_go_low)
+        return journey._replace(path=path._replace(to_go=to_go, to_go_low=low))
 
     def leg(journey):
         slots, journey = journey.slots, journey._replace(slots=None)
@@ -95,10 +95,10 @@ def run(frame, journey, cap, again=None):
         return journey._replace(log=book, slots=slots, calls=calls)
 
     def pending(journey):
-        return jnp.any((journey.path.rest > 0) | (journey.calls.noted.mark != 0))
+        return jnp.any((journey.path.to_go > 0) | (journey.calls.noted.mark != 0))
 
     def going(journey):
-        return jnp.any(journey.path.rest > 0)
+        return jnp.any(journey.path.to_go > 0)
 
     return lax.while_loop(pending if watched else going, leg if walls else turn, journey)
 
@@ -109,7 +109,7 @@ def _waited(wait, contact):
 
 def _need(journey):
     """What some lane needs: a sum of GOING, FULL and CROWDED."""
-    need = choose(journey.path.rest > 0, jnp.int8(GOING), jnp.int8(0))
+    need = choose(journey.path.to_go > 0, jnp.int8(GOING), jnp.int8(0))
     need |= choose(impact_log.is_full(journey.log), jnp.int8(FULL), jnp.int8(0))
     if journey.calls is not None:
         need |= choose(turning_points.is_crowded(journey.calls), jnp.int8(CROWDED), jnp.int8(0))

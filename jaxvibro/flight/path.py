@@ -17,7 +17,7 @@ from .wall import course
 CAPPED = -1.0
 
 
-class Motion(NamedTuple):
+class SlowMotion(NamedTuple):
     """What the flow carries: x and v less the swift part, with the low parts of their sums; the drive's angle."""
 
     slow_x: jax.Array
@@ -40,9 +40,9 @@ class Path(NamedTuple):
     x: jax.Array
     x_low: jax.Array
     v: jax.Array
-    motion: Motion
-    rest: jax.Array
-    rest_low: jax.Array
+    motion: SlowMotion
+    to_go: jax.Array
+    to_go_low: jax.Array
     contact: jax.Array
 
     @property
@@ -55,9 +55,9 @@ class Path(NamedTuple):
 
 
 def motion(frame, x, v, cosine, sine):
-    """The `Motion` of a position and a velocity."""
+    """The `SlowMotion` of a position and a velocity."""
     slow_x, slow_v = -(frame.swift * cosine), frame.swift * frame.frequency * sine
-    return Motion(*two_sum(x, slow_x), *two_sum(v, slow_v), cosine, sine)
+    return SlowMotion(*two_sum(x, slow_x), *two_sum(v, slow_v), cosine, sine)
 
 
 def place(frame, motion):
@@ -68,7 +68,7 @@ def place(frame, motion):
 
 
 def moved(frame, motion, time, touch=None):
-    """The `Motion` a time later. touch: the lanes' contact, where they may be within a soft wall."""
+    """The `SlowMotion` a time later. touch: the lanes' contact, where they may be within a soft wall."""
     if touch is None:
         gains, more = stage(flow.gains, frame.series, frame.frequency, time), None
     else:
@@ -76,7 +76,7 @@ def moved(frame, motion, time, touch=None):
         waves = stage(soft_contact.waves, frame, touch, time) if soft_contact.moves(frame) else None
         more = stage(soft_contact.pushed, frame, touch, motion, gains, waves)
     slow = stage(_carry, frame, motion, gains, touch, more)
-    return Motion(*slow, *stage(flow.turn, *motion[4:], gains.versed, gains.sined))
+    return SlowMotion(*slow, *stage(flow.turn, *motion[4:], gains.versed, gains.sined))
 
 
 def _carry(frame, motion, gains, touch, more):
@@ -99,10 +99,10 @@ def _carry(frame, motion, gains, touch, more):
     return *two_sum(motion.slow_x, dx + motion.slow_x_low), *two_sum(motion.slow_v, dv + motion.slow_v_low)
 
 
-def left(path, time):
+def remaining(path, time):
     """The time to go, and its low part, a time later."""
-    rest, low = two_sum(path.rest, -time)
-    return two_sum(rest, low + path.rest_low)
+    to_go, low = two_sum(path.to_go, -time)
+    return two_sum(to_go, low + path.to_go_low)
 
 
 def absolute(frame, path):

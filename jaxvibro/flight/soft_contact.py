@@ -232,7 +232,7 @@ def _swing(wall, frequency, cosine, sine):
     return bend * place + drag * quarter, bend * quarter - drag * place, rate + 0.0 * cosine
 
 
-class Response(NamedTuple):
+class StayResponse(NamedTuple):
     """What a stay of a given time does: `flow.doubled`'s matrix; motions forced by the drive, and by the wall's motion
     where a soft wall moves."""
 
@@ -242,18 +242,19 @@ class Response(NamedTuple):
 
 
 def response(frame, contact, time):
-    """The `Response` of each lane over any time; frame: as the lanes feel it (`felt`)."""
+    """The `StayResponse` of each lane over any time; frame: as the lanes feel it (`felt`)."""
     given = frame.damping, time, frame.stiffness
     free, forced, _ = flow.doubled(_series(frame, contact), frame.frequency, *given)
     if not moves(frame):
-        return Response(free, forced, None)
+        return StayResponse(free, forced, None)
     *_, rate = wave(frame, contact, 0.0 * time, 0.0 * time)
     span = choose(_is_moved(frame, contact), time, 0.0)
-    return Response(free, forced, flow.doubled(_waves(frame, contact), rate, frame.damping, span, frame.stiffness)[1])
+    waves = flow.doubled(_waves(frame, contact), rate, frame.damping, span, frame.stiffness)[1]
+    return StayResponse(free, forced, waves)
 
 
 def flown(frame, contact, response, start, cosine, sine):
-    """(y, y') after a stay of this `Response` from (y, y')."""
+    """(y, y') after a stay of this `StayResponse` from (y, y')."""
     free, forced, waves = response
     force = frame.force * cosine, frame.force * sine
     y, v = flow.flown((free, forced), *force, *start, frame.stiffness)

@@ -13,7 +13,7 @@ from jax import lax
 from ..compiled.kernels import choose, least, mask, merge, stage
 from ..scene.codes import Contact
 from . import event, flow, soft_contact
-from .path import Motion, left
+from .path import SlowMotion, remaining
 from .soft_first_step import is_sure
 
 PATIENCE = 8.0  # short steps before a long one is tried
@@ -68,13 +68,13 @@ def plunged(frame, path):
     going = stage(_plunges, frame, path)
     angle = stage(_turned, frame, path)
     x, v = stage(_plunged, frame, path)
-    rest = stage(_left, frame, path)
-    new = x, v, x, v, *angle, *rest, lax.sign(path.contact) * Contact.WITHIN
+    left = stage(_left, frame, path)
+    new = x, v, x, v, *angle, *left, lax.sign(path.contact) * Contact.WITHIN
     old = path.x, path.v, path.motion.slow_x, path.motion.slow_v, path.cosine, path.sine
-    old = *old, path.rest, path.rest_low, path.contact
-    x, v, slow_x, slow_v, cosine, sine, rest, low, touch = (merge(going, *each) for each in zip(new, old, strict=True))
+    old = *old, path.to_go, path.to_go_low, path.contact
+    x, v, slow_x, slow_v, cosine, sine, to_go, low, touch = (merge(going, *each) for each in zip(new, old, strict=True))
     motion = path.motion._replace(slow_x=slow_x, slow_v=slow_v, cosine=cosine, sine=sine)
-    return path._replace(x=x, v=v, motion=motion, rest=rest, rest_low=low, contact=touch)
+    return path._replace(x=x, v=v, motion=motion, to_go=to_go, to_go_low=low, contact=touch)
 
 
 def _plunges(frame, path):
@@ -82,7 +82,7 @@ def _plunges(frame, path):
     push = frame.force * path.cosine
     (bias,) = soft_contact.biases(frame, path.contact, path.cosine, path.sine, 0)
     sure = is_sure(first, side * path.v, side * (push if bias is None else push + bias))
-    return mask((lax.abs(path.contact) == Contact.ENTERED) & sure & (path.rest > first.time), path.x)
+    return mask((lax.abs(path.contact) == Contact.ENTERED) & sure & (path.to_go > first.time), path.x)
 
 
 def _turned(frame, path):
@@ -91,41 +91,41 @@ def _turned(frame, path):
 
 def _plunged(frame, path):
     first = soft_contact.plunges(frame, path.contact)
-    response = soft_contact.Response(first.free, first.forced, first.waves)
+    response = soft_contact.StayResponse(first.free, first.forced, first.waves)
     return soft_contact.flown(frame, path.contact, response, (path.x, path.v), path.cosine, path.sine)
 
 
 def _left(frame, path):
-    return left(path, soft_contact.plunges(frame, path.contact).time)
+    return remaining(path, soft_contact.plunges(frame, path.contact).time)
 
 
 def is_due(path, wait):
     """The lanes that have waited long enough for a long step to be tried."""
-    return (wait >= PATIENCE) & (path.rest > 0)
+    return (wait >= PATIENCE) & (path.to_go > 0)
 
 
 def leap(frame, path, wait):
     """(path, wait): lanes that wait for a long step have taken it where there is one, and begin to wait anew."""
     here = soft_contact.feeling(frame, path.contact)
     due = is_due(path, wait)
-    time = choose(due, least(stage(_safe, here, path), path.rest), 0.0)
+    time = choose(due, least(stage(_safe, here, path), path.to_go), 0.0)
     taken = time > WORTH * here.reach
     time = choose(taken, time, 0.0)
     angle = frame.frequency * time
     turned = stage(flow.turn, path.cosine, path.sine, flow.versine(angle), flow.sinus(angle))
     x, v = stage(_flown, here, path, time)
     none = lax.full_like(x, 0.0)
-    moved = Motion(x, none, v, none, *turned)
-    moved = Motion(*(choose(taken, new, old) for new, old in zip(moved, path.motion, strict=True)))
-    rest, low = left(path, time)
+    moved = SlowMotion(x, none, v, none, *turned)
+    moved = SlowMotion(*(choose(taken, new, old) for new, old in zip(moved, path.motion, strict=True)))
+    to_go, low = remaining(path, time)
     sign = lax.sign(path.contact)
     after = path._replace(
         x=choose(taken, x, path.x),
         x_low=choose(taken, 0.0, path.x_low),
         v=choose(taken, v, path.v),
         motion=moved,
-        rest=choose(taken, rest, path.rest),
-        rest_low=choose(taken, low, path.rest_low),
+        to_go=choose(taken, to_go, path.to_go),
+        to_go_low=choose(taken, low, path.to_go_low),
         contact=choose(taken, sign * Contact.WITHIN, path.contact),
     )
     return after, choose(due, 0.0, wait)
@@ -153,8 +153,8 @@ def _safe(frame, path):
     slow = [sum(each) for each in zip(*(part.values(event.TERMS) for part in parts), strict=True)]
     terms = [-(side * each) * weight for each, weight in zip(slow, weights, strict=False)]
     terms[0] = terms[0] + bound
-    rest = sum(part.size * part.rate**event.TERMS for part in parts) * weights[event.TERMS]
-    ahead = event.Progress(tuple(terms), rest)
+    remainder = sum(part.size * part.rate**event.TERMS for part in parts) * weights[event.TERMS]
+    ahead = event.Progress(tuple(terms), remainder)
     limit = event.bound(ahead, event.cubic(ahead))
     near = event.free_step(limit)
     step = event.sure_step(limit, event.horizon(limit, event.quadratic(*limit[:3])), near)

@@ -11,7 +11,7 @@ from jax import lax
 from ..compiled.kernels import choose, least, most, positive, stage
 from ..scene.codes import Contact
 from . import event, flow, impact, soft_long_step
-from .path import Path, jet, left, moved, place
+from .path import Path, jet, moved, place, remaining
 from .soft_contact import biases, felt, is_inside
 from .wall import chosen, course, less, picked, press
 
@@ -31,7 +31,7 @@ class Step(NamedTuple):
 def micro(frame, path):
     """One certified step of every lane that has time to go; a lane that has none stays as it is."""
     if not frame.walls:
-        time = positive(least(frame.reach, path.rest))
+        time = positive(least(frame.reach, path.to_go))
         flown = _advance(frame, path, time)
         none = lax.full_like(path.x, 0.0)
         return Step(time, flown, flown, none, impact.Strike(none, none, none))
@@ -113,8 +113,8 @@ def _progress(frame, path, derivatives, side):
     terms[1:3] = (choose(released, 0.0, term) for term in terms[1:3])
     sixth, seventh = flow.pulled(frame.root, lax.abs(derivatives[6])), lax.abs(derivatives[7])
     bound = frame.reach * (frame.curb + frame.slope * (sixth + seventh)) + seventh
-    rest = (choose(stuck, tail, bound) + swing) * weights[event.TERMS]
-    return event.progress(terms, rest, on)
+    remainder = (choose(stuck, tail, bound) + swing) * weights[event.TERMS]
+    return event.progress(terms, remainder, on)
 
 
 def _behind(frame, path, derivatives, side):
@@ -134,21 +134,21 @@ def _other(path, bound, soft):
 def _lands(frame, path, progress, root, slack, other, side):
     """The side of the wall that is met at the root, 0 where the root is not near enough or not the next event."""
     g = progress.terms
-    rest = path.rest * frame.pace
-    tiny = 4.0 * event.rounding(rest.dtype) * frame.period * frame.pace
-    close = slack * (lax.abs(g[2]) + g[1]) < event.landing(rest.dtype) * g[1]
-    inside = (root + slack <= rest) | ((slack <= tiny) & (root <= rest + tiny))
-    hits = (slack >= 0) & close & inside & (root <= other) & (rest > 0)
+    to_go = path.to_go * frame.pace
+    tiny = 4.0 * event.rounding(to_go.dtype) * frame.period * frame.pace
+    close = slack * (lax.abs(g[2]) + g[1]) < event.landing(to_go.dtype) * g[1]
+    inside = (root + slack <= to_go) | ((slack <= tiny) & (root <= to_go + tiny))
+    hits = (slack >= 0) & close & inside & (root <= other) & (to_go > 0)
     return choose(hits, side, 0.0)
 
 
 def _time(frame, path, hit, root, slack, step, other):
     """How long the step is."""
     short = least(most(step, choose(slack >= 0, root - slack, 0.0)), other)
-    return positive(least(choose(hit != 0, root, short) * frame.reach, path.rest))
+    return positive(least(choose(hit != 0, root, short) * frame.reach, path.to_go))
 
 
 def _advance(frame, path, time, touch=None):
     """The path a free flight later."""
     motion = moved(frame, path.motion, time, touch)
-    return Path(*stage(place, frame, motion), motion, *stage(left, path, time), path.contact)
+    return Path(*stage(place, frame, motion), motion, *stage(remaining, path, time), path.contact)

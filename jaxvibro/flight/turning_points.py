@@ -14,7 +14,7 @@ from jax import lax
 from ..compiled.kernels import choose, least, mask, merge, most, stage
 from ..scene.codes import Contact
 from . import event
-from .path import Motion, accelerations, jet, moved, place
+from .path import SlowMotion, accelerations, jet, moved, place
 from .soft_contact import is_inside
 from .wall import course, less, picked
 
@@ -34,7 +34,7 @@ class Turn(NamedTuple):
     steps more where the motion turns back from the other wall too within the step.
     """
 
-    motion: Motion
+    motion: SlowMotion
     span: jax.Array
     mark: jax.Array
 
@@ -50,7 +50,7 @@ class Calls(NamedTuple):
 def nothing(lanes):
     """No turning point, for lanes like these."""
     none = jnp.zeros_like(lanes)
-    turn = Turn(Motion(*[none] * 6), none, none)
+    turn = Turn(SlowMotion(*[none] * 6), none, none)
     return Calls(jnp.full_like(lanes, jnp.inf), turn, turn)
 
 

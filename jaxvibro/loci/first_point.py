@@ -87,10 +87,10 @@ def named(scene, names):
     """Two parameters of a scene by name. Raises SceneError."""
     pair = tuple(names) if isinstance(names, tuple | list) else ()
     for name in pair:
-        check.is_known(name, scene.names, name)
+        check.require_known(name, scene.names, name)
     if len(pair) != 2 or pair[0] == pair[1]:
         raise check.SceneError("names", "must be two different parameters of the scene", names)
-    check.are_apart(*pair)
+    check.require_apart(*pair)
     return pair
 
 

@@ -67,10 +67,10 @@ def held(special, names, wall=None):
     names = check.sequence("names", names)
     each = flat(names)
     for name in each:
-        check.is_known(name, start.scene.names, name)
+        check.require_known(name, start.scene.names, name)
     if not all(map(len, names)) or not names or special.name in each or len(set(each)) < len(each):
         raise check.SceneError("names", f"must be different, one at least, and none {special.name}", names)
-    check.are_apart(special.name, *each)
+    check.require_apart(special.name, *each)
     if wall not in (None, "left", "right"):
         raise check.SceneError("wall", 'must be "left", "right" or None', wall)
     return _only([_held(*sheet, special.name, names) for sheet in equations(start, (special.name, *names))], wall)

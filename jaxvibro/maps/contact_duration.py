@@ -12,7 +12,7 @@ from jax import lax
 
 from ..compiled.kernels import choose, stage
 from ..flight import flow, soft_contact, soft_long_step, taylor
-from ..flight.path import Motion, Path, accelerations
+from ..flight.path import Path, SlowMotion, accelerations
 from ..flight.soft_contact import is_inside
 from ..flight.step import micro
 from ..flight.taylor import Now
@@ -39,9 +39,9 @@ def duration(frame, touch, y, v, cosine, sine, longest):
     It has its own digits, however short it is beside the longest: a stiff wall forgets a start in a thousandth of it.
     """
     none = lax.full_like(y, 0.0)
-    motion = Motion(y, none, v, none, cosine, sine)
-    rest = choose(is_inside(touch), longest, 0.0)
-    path = Path(y, none, v, motion, rest, none, touch)
+    motion = SlowMotion(y, none, v, none, cosine, sine)
+    to_go = choose(is_inside(touch), longest, 0.0)
+    path = Path(y, none, v, motion, to_go, none, touch)
 
     def turn(carry):
         path, wait, left, left_low = carry
@@ -51,17 +51,18 @@ def duration(frame, touch, y, v, cosine, sine, longest):
             due, lambda path, wait: soft_long_step.leap(frame, path, wait), lambda *same: same, path, wait
         )
         after = micro(frame, path).path
-        out = (path.rest > 0) & ~is_inside(after.contact)
-        left, left_low = choose(out, after.rest, left), choose(out, after.rest_low, left_low)
-        rest, low = (choose(out, 0.0, each) for each in (after.rest, after.rest_low))
-        return after._replace(rest=rest, rest_low=low), wait, left, left_low
+        out = (path.to_go > 0) & ~is_inside(after.contact)
+        left, left_low = choose(out, after.to_go, left), choose(out, after.to_go_low, left_low)
+        to_go, low = (choose(out, 0.0, each) for each in (after.to_go, after.to_go_low))
+        return after._replace(to_go=to_go, to_go_low=low), wait, left, left_low
 
-    *_, left, low = lax.while_loop(lambda carry: jnp.any(carry[0].rest > 0), turn, (path, none, none, none))
+    *_, left, low = lax.while_loop(lambda carry: jnp.any(carry[0].to_go > 0), turn, (path, none, none, none))
     return (longest - left) - low
 
 
 def carried(frame, touch, time, response, enters, leaves, whole=None):
-    """(matrix by rows, its determinant) of a stay of this `soft_contact.Response`: how its end changes with its start.
+    """(matrix by rows, its determinant) of a stay of this `soft_contact.StayResponse`: how its end changes with its
+    start.
 
     Where the damping jumps from gamma to gamma2 and back, S = ((1, 0), (+-2 (gamma - gamma2) v / u, 1)), v the
     velocity, u that against the wall; enters, leaves: v / u there, 0 where there is no jump. whole: (lanes whose stay

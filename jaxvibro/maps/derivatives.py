@@ -24,7 +24,7 @@ from .one_period import SLOTS
 from .replay import Known, replay
 
 
-class Task(NamedTuple):
+class Request(NamedTuple):
     """What is asked for, static. tree: of (scene, state); of_state: derivatives of x and v at the end, else of the
     impacts' times and speeds; order; chosen: the places of the numbers that they are by."""
 
@@ -39,7 +39,7 @@ class Task(NamedTuple):
 def strobe(scene, state, periods, slots):
     """The strobe of numbers that are traced: (State, Impacts)."""
     leaves, tree = jax.tree.flatten((scene, state))
-    end, impacts = _strobe(Task(tree, periods, slots))(*leaves)
+    end, impacts = _strobe(Request(tree, periods, slots))(*leaves)
     whole = {name: getattr(impacts, name).astype(jnp.int32) for name in ("count", "status")}
     return end, replaced(impacts, side=impacts.side.astype(jnp.int8), **whole)
 

@@ -22,7 +22,7 @@ from ..scene.state import State
 from .one_period import blank, finish
 
 
-def is_reversible(scene):
+def require_reversible(scene):
     """Refuse a single scene with a wall that takes all speed, as it has no way back, and one that is too damped."""
     for side in scene.walls:
         bounce = scene.bounce(side)
@@ -35,8 +35,8 @@ def is_reversible(scene):
 def backward(scene, state, least):
     """(State, Impacts) a drive period before a state, in blocks of so many lanes at least; inside jit.
 
-    scene: one that `is_reversible`; state: leaves that broadcast, at their phase, which comes back. `strobe` leads from
-    the result to the state. Impacts: of the reversed motion, in its order, none recorded but counted.
+    scene: one that `require_reversible`; state: leaves that broadcast, at their phase, which comes back. `strobe` leads
+    from the result to the state. Impacts: of the reversed motion, in its order, none recorded but counted.
     """
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     turned = State(jnp.broadcast_to(state.x, shape), -state.v, -state.phase, jnp.zeros_like(state.x))
@@ -49,7 +49,7 @@ def backward(scene, state, least):
 def _through(scene, state):
     built = reversed_frame(scene)
     path, fault = stage(enter, built, state, rules=_rules)
-    path = path._replace(rest=choose(fault == Status.OK, built.period, 0.0))
+    path = path._replace(to_go=choose(fault == Status.OK, built.period, 0.0))
     told = integrate.begin(built, path, 0, built.period)
     return finish(built, integrate.run(built, told, integrate.cap(built, 1)), state, fault)
 

@@ -55,7 +55,7 @@ def through(scene, state, periods, slots, watched=True):
     built = frame(scene)
     path, fault = stage(enter, built, state)
     start = path.motion
-    path = path._replace(rest=choose(fault == Status.OK, built.period, 0.0))
+    path = path._replace(to_go=choose(fault == Status.OK, built.period, 0.0))
     end = built.period if periods == 1 else built.period + lax.full_like(path.x, 0.0)
     limit = integrate.cap(built, periods)
     again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
@@ -66,13 +66,13 @@ def through(scene, state, periods, slots, watched=True):
 def _again(frame, start, last, told):
     """A path that has ended a period begins the next, its drive turned back by what rounding left of the last one."""
     path, book = told.path, told.log
-    over = (path.rest == 0) & (book.end < last)
-    low = path.rest_low + frame.period_low
+    over = (path.to_go == 0) & (book.end < last)
+    low = path.to_go_low + frame.period_low
     angle = -frame.frequency * low
     cosine, sine = start.cosine - angle * start.sine, start.sine + angle * start.cosine
     turned = path.motion._replace(cosine=choose(over, cosine, path.cosine), sine=choose(over, sine, path.sine))
-    rest, low = choose(over, frame.period, path.rest), choose(over, low, path.rest_low)
-    path = path._replace(motion=turned, rest=rest, rest_low=low)
+    to_go, low = choose(over, frame.period, path.to_go), choose(over, low, path.to_go_low)
+    path = path._replace(motion=turned, to_go=to_go, to_go_low=low)
     end = choose(over, book.end + frame.period, book.end)
     return told._replace(path=path, log=book._replace(end=end))
 
@@ -83,7 +83,7 @@ def finish(frame, told, state, fault):
     x, v = absolute(frame, path)
     full = (book.count > slots.times.shape[-1]) | (book.least_speed < 0)
     status = choose(full, lax.full_like(book.count, Status.FULL), Status.OK)
-    status = choose(path.rest == CAPPED, Status.CAP, status)
+    status = choose(path.to_go == CAPPED, Status.CAP, status)
     finite = jnp.isfinite(x) & jnp.isfinite(v) & jnp.isfinite(path.cosine)
     status = choose(finite, status, Status.NONFINITE)
     status = choose(fault == Status.OK, status, fault)

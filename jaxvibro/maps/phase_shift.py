@@ -31,6 +31,6 @@ def _carried(scene, state, angle):
     built = frame(scene)
     path, fault = enter(built, state)
     span = choose(fault == Status.OK, angle / built.frequency, 0.0)
-    told = integrate.begin(built, path._replace(rest=span), 0, span)
+    told = integrate.begin(built, path._replace(to_go=span), 0, span)
     end, impacts = finish(built, integrate.run(built, told, integrate.cap(built, 1)), state, fault)
     return end, jnp.asarray(impacts.status)

@@ -98,7 +98,7 @@ def _watched(scene, state, since):
     """(`Since` a period later; of the rests that begin in it: side, 0 none, whether by hops, growth, time before)."""
     built = frame(scene)
     path, fault = enter(built, state)
-    path = path._replace(rest=jnp.where(fault == Status.OK, built.period, 0.0))
+    path = path._replace(to_go=jnp.where(fault == Status.OK, built.period, 0.0))
     limit, none = integrate.cap(built, 1).steps, jnp.zeros_like(path.x)
 
     def turn(carry):
@@ -113,7 +113,7 @@ def _watched(scene, state, since):
 
     rows = tuple(jnp.zeros(MOST, scene.dtype) for _ in range(4))
     start = path, Since(*(each + none for each in since)), jnp.int32(0), none, rows
-    _, since, _, _, rows = lax.while_loop(lambda carry: (carry[0].rest > 0) & (carry[3] < limit), turn, start)
+    _, since, _, _, rows = lax.while_loop(lambda carry: (carry[0].to_go > 0) & (carry[3] < limit), turn, start)
     return _scaled(since), rows
 
 

@@ -27,8 +27,8 @@ def sections(scene, state, phase=0.0, periods=1000, settle=300):
 
     Raises SceneError for a batch, numbers that cannot be, and a motion that ends with a bad status.
     """
-    check.is_single(scene)
-    check.is_rigid(scene, "sections")
+    check.require_single(scene)
+    check.require_rigid(scene, "sections")
     settle, periods = check.whole("settle", settle, 0), check.whole("periods", periods, 1)
     state = real_state(scene, state)
     if np.shape(state.x + state.v + state.phase + state.contact):

@@ -54,7 +54,7 @@ def _sampled(scene, state, periods, samples):
     def sample(told, step):
         angle, end = step
         turned = told.path.motion._replace(cosine=jnp.cos(angle), sine=jnp.sin(angle))
-        path = told.path._replace(motion=turned, rest=choose(told.path.rest == CAPPED, CAPPED, span))
+        path = told.path._replace(motion=turned, to_go=choose(told.path.to_go == CAPPED, CAPPED, span))
         return integrate.run(built, told._replace(path=path, log=told.log._replace(end=end)), limit), absolute(
             built, path
         )

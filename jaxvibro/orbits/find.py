@@ -30,7 +30,7 @@ def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
     Raises OrbitError, with status, residual and advice, where there is no such orbit: no return, no convergence, a
     singular Jacobian (a bifurcation), a flight through a wall; SceneError for arguments that cannot be.
     """
-    check.is_single(scene)
+    check.require_single(scene)
     state, settle = _lane(real_state(scene, state)), check.whole("settle", settle, 0)
     check_start(scene, state)
     if itinerary is not None:

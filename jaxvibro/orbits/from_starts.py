@@ -42,7 +42,7 @@ def find_orbits(scene, max_period=4, starts=200, seed=0):
 
     Raises SceneError for a batch of scenes and for counts that cannot be.
     """
-    check.is_single(scene)
+    check.require_single(scene)
     longest = check.whole("max_period", max_period, 1)
     if longest > KEEP // 2:
         raise check.SceneError("max_period", f"must be at most {KEEP // 2}", max_period)

@@ -45,7 +45,7 @@ CAPTION = (
 )
 
 
-class Response(NamedTuple):
+class FrequencyResponse(NamedTuple):
     """Branches along the frequency; fold: the SN at which P111 ends above; grazing: the GR of P100 there; None where
     there are none."""
 
@@ -71,7 +71,7 @@ def drawn(file, progress):
 
 
 def response(scene, asked):
-    """The `Response` of a scene as a scene file's [branch] asks, each branch up to its grazings.
+    """The `FrequencyResponse` of a scene as a scene file's [branch] asks, each branch up to its grazings.
 
     P100 is followed from both ends of the range, P111 from the scene's own frequency."""
     low, high = asked.bounds
@@ -82,7 +82,7 @@ def response(scene, asked):
     folds = [point for one in hit for point in one.points("SN")]
     touches = [point for one in branches if one not in hit for point in one.points("GR")]
     highest = [max(each, key=lambda point: point.value, default=None) for each in (folds, touches)]
-    return Response(branches, *highest)
+    return FrequencyResponse(branches, *highest)
 
 
 def _still(scene, frequency, asked):

@@ -21,7 +21,7 @@ class Drive(NamedTuple):
     restitution: float
 
 
-class Lanes(NamedTuple):
+class SteppedLanes(NamedTuple):
     """Lanes still on their way; move is the next step, beyond tells that the last one ended past a wall."""
 
     row: np.ndarray
@@ -58,7 +58,8 @@ def _block(drive, rows, states, found, steps, bracket):
     length = period / steps
     x, v, amplitude = states[rows].T.copy()
     zero, no = np.zeros(len(rows)), np.zeros(len(rows), dtype=bool)
-    lanes = Lanes(rows, x, v, amplitude, zero, np.full(len(rows), length), no, no, np.zeros(len(rows), dtype=int))
+    none = np.zeros(len(rows), dtype=int)
+    lanes = SteppedLanes(rows, x, v, amplitude, zero, np.full(len(rows), length), no, no, none)
     while lanes.row.size:
         lanes, hit = _turn(drive, lanes, length, period, bracket)
         if hit.size:
@@ -67,7 +68,7 @@ def _block(drive, rows, states, found, steps, bracket):
         done = (lanes.count == room) | (~lanes.searching & (period - lanes.time < 1e-9 * length))
         if done.any():
             found.ends[lanes.row[done]] = np.stack([lanes.x[done], lanes.v[done]], axis=1)
-            lanes = Lanes(*(part[~done] for part in lanes))
+            lanes = SteppedLanes(*(part[~done] for part in lanes))
 
 
 def _turn(drive, lanes, length, period, bracket):

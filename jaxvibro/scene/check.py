@@ -86,7 +86,7 @@ def host(instead):
     return decorated
 
 
-def is_known(name, names, value):
+def require_known(name, names, value):
     """Refuse a name that is none of these parameters."""
     if not isinstance(name, str):
         raise SceneError("name", f"must be a parameter of this scene ({', '.join(names)})", name)
@@ -104,13 +104,13 @@ def sequence(key, names):
         raise SceneError(key, "must be a name or a sequence of names", names) from None
 
 
-def are_apart(*names):
+def require_apart(*names):
     """Refuse parameters of which one, the hardness, changes another."""
     if "hardness" in names and any(name.endswith((".stiffness", ".damping")) for name in names):
         raise SceneError("names", "must not name what the hardness changes beside it", names)
 
 
-def is_of_one_kind(side, wall):
+def require_one_kind(side, wall):
     """Refuse a wall that is neither rigid nor soft."""
     if wall.stiffness is not None and wall.restitution is not None:
         raise SceneError(f"{side}.restitution", "a wall with stiffness has none", wall.restitution)
@@ -118,14 +118,14 @@ def is_of_one_kind(side, wall):
         raise SceneError(f"{side}.damping", "a wall without stiffness has none", wall.damping)
 
 
-def is_rigid(scene, what):
+def require_rigid(scene, what):
     """Refuse a soft wall where only rigid ones are known."""
     for side, wall in scene.walls.items():
         if wall.soft:
             raise SceneError(f"{side}.stiffness", f"{what} is for rigid walls only", wall.stiffness)
 
 
-def is_single(scene):
+def require_single(scene):
     """Refuse a batch of scenes."""
     if scene.shape:
         raise SceneError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")

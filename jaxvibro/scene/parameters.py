@@ -30,7 +30,7 @@ def domain(scene, name):
 
 def bounds_of(scene, name, bounds):
     """(low, high) as plain numbers, checked: two finite numbers, the first smaller, with the scene's value between."""
-    check.is_known(name, scene.names, name)
+    check.require_known(name, scene.names, name)
     given = np.asarray(bounds, float) if np.shape(bounds) == (2,) else np.array([np.nan, np.nan])
     if not (np.isfinite(given).all() and given[0] < given[1]):
         raise check.SceneError("bounds", "must be (low, high), two finite numbers, the first smaller", bounds)
@@ -42,7 +42,7 @@ def bounds_of(scene, name, bounds):
 
 def values_of(scene, name, values):
     """Values of a parameter as an array, checked: a row of one at least, with each of which the scene is one."""
-    check.is_known(name, scene.names, values)
+    check.require_known(name, scene.names, values)
     found = check.real("values", values, np.float64)
     if found.ndim != 1 or not len(found):
         raise check.SceneError("values", f"must be a row of values of {name}, one at least", values)

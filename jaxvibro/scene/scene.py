@@ -113,7 +113,7 @@ class Scene:
 
         Raises SceneError where the scene has no parameter of this name.
         """
-        check.is_known(name, self.names, name)
+        check.require_known(name, self.names, name)
         if name == "hardness":
             stiffness = getattr(self, self.soft_sides[0]).stiffness
             return (jnp if check.is_traced(stiffness) else np).log10(stiffness)
@@ -166,7 +166,7 @@ def _wall(side, given):
 def changed(scene, changes):
     """The scene with other values put in by name, not yet checked beyond the names."""
     for name, value in sorted(changes.items(), key=lambda change: change[0] != "hardness"):
-        check.is_known(name, scene.names, value)
+        check.require_known(name, scene.names, value)
         scene = _of_hardness(scene, value) if name == "hardness" else _put(scene, name.split("."), value)
     return scene
 
@@ -216,7 +216,7 @@ def _numbers(scene, dtype):
     def standing(side, wall):
         if wall is None:
             return None
-        check.is_of_one_kind(side, wall)
+        check.require_one_kind(side, wall)
         own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
         own = {name: number(f"{side}.{name}", value) for name, value in own.items() if value is not None}
         return Wall(number(f"{side}.position", wall.position), **own, motion=moving(side, wall.motion))
