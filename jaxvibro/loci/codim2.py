@@ -18,6 +18,7 @@ from continuation import locate
 from continuation.follow import Event, fetched
 from continuation.linear import solve
 from continuation.persistent_jit import persistent_jit
+from continuation.points import between
 
 from ..compiled.kernels import one_kernel
 from ..flight import flow
@@ -25,7 +26,6 @@ from ..flight.coefficients import frame
 from ..orbits import cyclic_system, impact_equations
 from ..problem.diagnostics import looked
 from ..problem.equations import cycle_at, problem, there
-from ..problem.points import between
 from .extended_system import Grazing
 
 APART = 0.03  # between the nearest of the points of a difference, times the fastest rate
@@ -57,13 +57,13 @@ SAME = 1e-7  # of z: two points as near are one
 LANES = 132  # points of a compiled call
 
 
-def events(curve, points, look, control):
-    """The `Event`s between points in a row, of which the `Look` is known."""
-    found = []
+def events(task, points, look):
+    """The `Event`s between points in a row, of which the `Look` is known; task: the `driver.Task` of the locus."""
+    curve, found = task.args, []
     for kind, values in _watched(curve, points, look).items():
         for after in np.flatnonzero(values[:-1] * values[1:] < 0):
-            one = _located(curve, kind, points, int(after), values, control)
-            if one is not None and np.linalg.norm(control.scale * (one.z - points.z[0])) > SAME:
+            one = _located(task, kind, points, int(after), values)
+            if one is not None and np.linalg.norm(task.control.scale * (one.z - points.z[0])) > SAME:
                 found.append(one)
     return _told_apart(sorted(found, key=lambda one: (one.after, one.length)))
 
@@ -93,16 +93,16 @@ def _doubling(curve, whole, half):
     return half if float(curve.cycle.turn) < 0 else whole
 
 
-def _located(curve, kind, points, after, values, control):
+def _located(task, kind, points, after, values):
     here, length = points.z[after], float(points.step[after + 1])
     share = values[after] / (values[after] - values[after + 1])
     for guess in (share, 0.5):
-        near = between(curve, points, after, guess * length, control)
+        near = between(task, points, after, guess * length)
         z = here + guess * length * points.tangent[after] if near is None else near.z
-        found = _polished(curve, kind, z)
+        found = _polished(task.args, kind, z)
         if found.z is None:
             continue
-        along = float(np.sum(control.scale**2 * points.tangent[after] * (found.z - here)))
+        along = float(np.sum(task.control.scale**2 * points.tangent[after] * (found.z - here)))
         if -0.05 * length <= along <= 1.05 * length:
             return Event(kind, after, min(max(along, 0.0), length), found.z, found.residual)
     return None

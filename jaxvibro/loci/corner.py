@@ -44,7 +44,7 @@ def traced(start, way, steps, one=None):
     known. start: the `Begun` of the locus; steps: as of `outsets`."""
     found = []
     while way is not None and len(found) < MOST:
-        found.append((way, one or tracked(*way)))
+        found.append((way, one or tracked(way)))
         way, one = _beyond(start, *found[-1], steps), None
     return found
 

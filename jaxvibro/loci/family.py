@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from ..branches.segment import to_value
+from continuation.points import to_value
+
 from ..problem.describe import Spot
 from ..problem.end import End
 from ..scene import check
@@ -76,7 +77,7 @@ def _crossed(start, sides, pair, value):
                 ahead.append((late[after] + share * points.step[after + 1], int(after), points, way))
             past = late[-1]
     for _, after, points, way in sorted(ahead, key=lambda one: one[0]):
-        cut, there = to_value(way.curve, points, after + 1, -1, value, way.asked)
+        cut, there = to_value(way.task, points, after + 1, -1, value)
         if there:
             return _begun(start, way.curve, pair, cut.z[-1], float(cut.residual[-1]))
     return None

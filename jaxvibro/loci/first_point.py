@@ -2,11 +2,10 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 
 from continuation.arclength import Control
-from continuation.follow import tangent
+from continuation.follow import step, tangent
 
 from ..branches.assemble import is_own_image
 from ..branches.branch import Special
@@ -15,7 +14,6 @@ from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
 from ..problem.describe import Spot
 from ..problem.equations import problem
-from ..problem.points import between
 from ..problem.touches import TOUCH, padded, scales, touches
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, flat, marked, tied
@@ -183,6 +181,5 @@ def _frequencies(curve, zs):
 
 def _settled_at(curve, z, ahead, control):
     """z after Newton's method."""
-    at = jax.tree.map(lambda leaf: np.asarray(leaf)[None], point(z, ahead))
-    found = between(curve, at, 0, 0.0, control)
-    return z if found is None else found.z
+    found = step(problem(curve), point(z, ahead), 0.0, control, curve)
+    return found.z if found.met else z

@@ -9,6 +9,7 @@ import numpy as np
 import xarray as xr
 
 from continuation.arclength import Point
+from continuation.points import joined, turned
 
 from ..branches.branch import row_of
 from ..maps import itinerary as words
@@ -17,7 +18,6 @@ from ..output.columns import columns
 from ..problem.describe import Spot, itinerary, told
 from ..problem.diagnostics import Look
 from ..problem.end import End
-from ..problem.points import joined, turned
 from ..scene import check
 from ..scene.scene import Scene, changed
 from .corner import outsets, traced

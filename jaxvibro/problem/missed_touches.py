@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from continuation.points import between, put
+
 from .diagnostics import looked
-from .points import between, put
 from .touches import admissible
 
 DIP = 0.5  # of a value at the least of three points: a parabola's least below that is looked at
@@ -11,8 +12,12 @@ CUTS = 8  # parts of an interval that is looked at for a least value
 ZOOMS = 6  # times that the parts are made smaller around it
 
 
-def with_dips(along, points, look, control):
-    """The points, with one more where a clearance or speed may have dipped below zero between them."""
+def with_dips(task, points, look):
+    """(the points, with one more where a clearance or speed may have dipped below zero between them; their `Look`).
+
+    task: the `driver.Task` of the branch or locus, its args the equations.
+    """
+    along = task.args
     values = _values(along, points.z, look)
     with np.errstate(invalid="ignore"):
         free = values > along.slack
@@ -24,19 +29,19 @@ def with_dips(along, points, look, control):
     for middle in np.unique(np.nonzero(low)[0]) + 1:
         for after in (middle - 1, middle):
             columns = np.flatnonzero(low[middle - 1])
-            found = _dip(along, points, int(after + offset), columns, control)
+            found = _dip(task, points, int(after + offset), columns)
             if found is not None:
                 points = put(points, after + offset + 1, found)
                 offset += 1
     return points, looked(along, points.z) if offset else look
 
 
-def _dip(along, points, after, columns, control):
+def _dip(task, points, after, columns):
     """A `Point` between two that keeps to its walls no more, None where there is none."""
-    low, high = 0.0, float(points.step[after + 1])
+    along, low, high = task.args, 0.0, float(points.step[after + 1])
     for _ in range(ZOOMS):
         lengths = np.linspace(low, high, CUTS + 1)[1:-1]
-        some = [between(along, points, after, length, control) for length in lengths]
+        some = [between(task, points, after, length) for length in lengths]
         if any(one is None for one in some):
             return None
         zs = np.stack([one.z for one in some])

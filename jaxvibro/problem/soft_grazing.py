@@ -31,9 +31,9 @@ def is_smooth(scene, side):
     return wall is not None and wall.soft and (wall.motion is None or wall.damping is None)
 
 
-def is_singular(along, mark):
-    """Whether at a `segment.Mark` a contact with a soft wall has no speed: the equations are singular there."""
-    return any(touch.own and is_smooth(along.scene, touch.side) for touch in mark.touches)
+def is_singular(along, touches):
+    """Whether at some `Touch`es a contact with a soft wall has no speed: the equations are singular there."""
+    return any(touch.own and is_smooth(along.scene, touch.side) for touch in touches)
 
 
 def slow(along, z, length):
