@@ -30,7 +30,7 @@ THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
 
-.PHONY: help run paper test test-slow bench notebooks format lock clean
+.PHONY: help run paper test test-slow test-long bench notebooks format lock clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -45,10 +45,13 @@ paper: $(VENV)/.run ## recompute the paper's figures and judge its claims, into 
 test: $(VENV)/.dev ## lint and the tests that take seconds
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(PYTEST) -m "not slow"
+	$(PYTEST) -m "not slow and not long"
 
 test-slow: $(VENV)/.dev ## the tests that take minutes
 	$(PYTEST) -m slow
+
+test-long: $(VENV)/.dev ## what compiles for minutes a test
+	$(PYTEST) -m long
 
 bench: $(VENV)/.dev ## error against cost, ours and others, into docs/benchmarks.md
 	$(BIN)/python -m benchmarks.run $(if $(LIMIT),--limit "$(LIMIT)")

@@ -331,8 +331,10 @@ SCENES = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", SCENES)
+LENGTHS = {"restitution per wall": pytest.mark.long}
+
+
+@pytest.mark.parametrize("name", [pytest.param(name, marks=LENGTHS.get(name, pytest.mark.slow)) for name in SCENES])
 def test_loci_of_other_scenes(name):
     walls, numbers = SCENES[name]
     numbers = {"frequency": OMEGA, "damping": GAMMA, "restitution": R} | numbers

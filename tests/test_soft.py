@@ -50,8 +50,10 @@ def test_strobes_of_other_kinds_against_ball_arithmetic():
     assert max(row.state for row in rows) < 0.01 and max(row.sharp for row in rows) < 0.2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", [STANDING, MIXED], ids=["standing", "mixed"])
+KINDS = pytest.param(STANDING, marks=pytest.mark.slow), pytest.param(MIXED, marks=pytest.mark.long)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=["standing", "mixed"])
 def test_slopes_against_ball_arithmetic(kind):
     (members,), _ = soft_proof.groups(120, kinds={kind})
     for rows in soft_proof.slope_errors(members).values():
@@ -155,7 +157,7 @@ def test_a_period_doubling_just_before_a_grazing_is_found_and_no_fold_is_made_up
     assert min(abs(point.multipliers + 1.0)) < 1e-7 and point.spot.speeds.min() < 2e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_touch_after_a_long_stay_is_where_the_branch_goes_on():
     # each stay takes a sixth of the period: a touch is counted from the end of the stay before it
     wall = jv.Wall(0.0144, stiffness=7.0, damping=0.05, motion=jv.Motion(0.2, 4.65))

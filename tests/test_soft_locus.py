@@ -101,7 +101,7 @@ def test_one_wall_rigid_and_one_soft(kind, names, high, aside):
         assert by_branch(locus, place, aside) < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_soft_wall_from_stiffness_44_to_ten_thousand():
     scene = jv.make_scene(1.0, 2.0, GAMMA, 0.7, (None, soft(0.5, 50.0, 0.5)))
     fold = special(scene, "SN", "frequency", (0.8, 4.0), (0.0, 0.0))
