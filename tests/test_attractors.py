@@ -8,12 +8,12 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.attractors.largest_exponent import exponents
-from jaxvibro.attractors.recurrence import LONGEST, returns, settled_periods
+from jaxvibro.attractors.recurrence import returns, settled_periods
 from jaxvibro.maps import itinerary
 from jaxvibro.maps.initial_conditions import box, forced_amplitude, random_starts
 from jaxvibro.maps.iterate import KEEP, trail
 from jaxvibro.orbits.impact_points import is_same_orbit, is_same_set, meetings, mirrored
-from jaxvibro.scene.check import SceneError
+from jaxvibro.scene.check import MOST_PERIODS, SceneError
 from jaxvibro.scene.symmetry import is_symmetric
 
 PERIOD = 2 * np.pi / 2.1
@@ -272,7 +272,7 @@ def test_recurrence_of_longer_periods_and_of_none():
     golden = np.stack([np.cos(2 * np.pi * 0.6180339887 * np.arange(150)), np.zeros(150)], -1)[:, None]
     both = np.concatenate([three, golden], axis=1)
     apart = returns(both)
-    assert apart.shape == (LONGEST, 2) and apart[2, 0] == 0.0 and apart[0, 0] == 0.9
+    assert apart.shape == (MOST_PERIODS, 2) and apart[2, 0] == 0.0 and apart[0, 0] == 0.9
     assert settled_periods(apart, apart, 64, 1.0, np.float64).tolist() == [3, 0]
 
 

@@ -4,13 +4,13 @@ import numpy as np
 import xarray as xr
 
 from ..maps.initial_conditions import box
+from ..output.units import LENGTH, SPEED
 from ..scene import check
 from .assign import OUTSIDE, captured, homes
 from .find import find_attractors
 from .fractal import BOX, dimension, entropies
 
 PATIENCE = 2000  # drive periods after which a start is given up
-LENGTH, SPEED = {"units": "length of the walls"}, {"units": "length per t"}
 
 
 @check.host("use strobe")
@@ -75,13 +75,13 @@ def _dataset(scene, x, v, phase, attractors, homes, label, periods):
             "periods": (("v", "x"), periods, {"long_name": "drive periods after which it was seen"}),
             "fraction": ("attractor", fraction, {"long_name": "share of the starts between the walls"}),
             "fraction_error": ("attractor", error),
-            "point_x": (("attractor", "point"), points[..., 0], LENGTH),
-            "point_v": (("attractor", "point"), points[..., 1], SPEED),
+            "point_x": (("attractor", "point"), points[..., 0], {"units": LENGTH}),
+            "point_v": (("attractor", "point"), points[..., 1], {"units": SPEED}),
             "mixed": ("side", size.mixed, {"long_name": "share of boxes with more than one label"}),
         },
         coords={
-            "x": ("x", x, {"long_name": "displacement", **LENGTH}),
-            "v": ("v", v, {"long_name": "velocity", **SPEED}),
+            "x": ("x", x, {"long_name": "displacement", "units": LENGTH}),
+            "v": ("v", v, {"long_name": "velocity", "units": SPEED}),
             "name": ("attractor", [one.label for one in attractors]),
             "kind": ("attractor", [one.kind for one in attractors]),
             "mirror_of": ("attractor", np.array(mirrors, int)),

@@ -9,6 +9,7 @@ from ..maps.inverse import require_reversible
 from ..maps.monodromy import monodromy
 from ..maps.phase_shift import carried
 from ..orbits.orbit import Orbit
+from ..output.units import LENGTH, SPEED
 from ..scene import check
 from ..scene.state import State
 from .global_manifold import Rules, gaps, levels
@@ -154,7 +155,7 @@ def _cornered(level, why):
 
 def _dataset(scene, strands, attrs):
     """The strands behind each other, their pieces numbered through."""
-    length, speed = {"units": "length of the walls"}, {"units": "length per t"}
+    length, speed = {"units": LENGTH}, {"units": SPEED}
     first = np.cumsum([0, *(len(one["began"]) for one in strands)])
     sizes = [len(one["z"]) for one in strands]
     z, image, arc = (np.concatenate([one[key] for one in strands]) for key in ("z", "image", "arc"))

@@ -2,25 +2,25 @@
 
 import numpy as np
 
-LONGEST = 32  # periods of an orbit that is looked for
+from ..scene.check import MOST_PERIODS
 
 
 def returns(points):
-    """How far apart states are that lie n = 1 ... LONGEST periods apart, the largest over the last LONGEST periods.
+    """How far apart states are that lie n = 1 ... MOST_PERIODS periods apart, the largest over the last MOST_PERIODS periods.
 
-    points: x and v on Sigma, shape (periods, lanes, 2), 2 LONGEST periods at least. Result: (LONGEST, lanes).
+    points: x and v on Sigma, shape (periods, lanes, 2), 2 MOST_PERIODS periods at least. Result: (MOST_PERIODS, lanes).
     """
-    last = points[-LONGEST:]
-    return np.stack([abs(last - points[-LONGEST - n : -n]).max(axis=(0, 2)) for n in range(1, LONGEST + 1)])
+    last = points[-MOST_PERIODS:]
+    return np.stack([abs(last - points[-MOST_PERIODS - n : -n]).max(axis=(0, 2)) for n in range(1, MOST_PERIODS + 1)])
 
 
 def remaining(now, before, passed):
     """How far lanes may still be from what they converge to, from the returns now and some periods before.
 
     Returns that shrink by a factor q a period sum up to now / (1 - q^n). Those that have stopped shrinking tell
-    nothing: infinite, but for returns of exactly 0. now, before: (LONGEST, lanes), passed: periods between them.
+    nothing: infinite, but for returns of exactly 0. now, before: (MOST_PERIODS, lanes), passed: periods between them.
     """
-    n = np.arange(1, LONGEST + 1)[:, None]
+    n = np.arange(1, MOST_PERIODS + 1)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
         shrink = np.where(now < before, now / before, 1.0) ** (n / passed)
         left = now / (1.0 - shrink)

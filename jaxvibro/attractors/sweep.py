@@ -13,6 +13,7 @@ from continuation.persistent_jit import persistent_jit
 from ..compiled.kernels import OPTIONS
 from ..flight.wall_positions import fit
 from ..maps.strobe import strobe
+from ..output.units import LENGTH, SPEED
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.state import State, check_start
@@ -155,8 +156,8 @@ def _dataset(scene, name, values, state, parts):
         else:
             attrs[key] = float(value)
     variables = {
-        "x": ([step, *lanes, "period"], x, {"long_name": "position on Sigma", "units": "length"}),
-        "v": ([step, *lanes, "period"], v, {"long_name": "velocity on Sigma", "units": "length w0"}),
+        "x": ([step, *lanes, "period"], x, {"long_name": "position on Sigma", "units": LENGTH}),
+        "v": ([step, *lanes, "period"], v, {"long_name": "velocity on Sigma", "units": SPEED}),
         "status": ([step, *lanes], status, {"long_name": "worst status at this value", **MEANING}),
     }
     return xr.Dataset(variables, coords, attrs)

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from ..scene.check import MOST_PERIODS
 from ..scene.codes import Status
 from .chaotic_exponents import of_motion, settled
-from .recurrence import LONGEST
 from .tangent import begin
 
 ROUNDS = 8  # looks at whether the lane recurs after all
@@ -31,7 +31,7 @@ def weigh(scene, state):
     if end is not None:
         return -np.inf, LATE
     if np.isneginf(rate):
-        return -np.inf, f"rests on a wall, and so recurs, but after more than {LONGEST} periods"
+        return -np.inf, f"rests on a wall, and so recurs, but after more than {MOST_PERIODS} periods"
     if rates.status >= Status.CAP or not np.isfinite(rate):
         return np.nan, f"does not recur, and has no exponent (status {Status(rates.status).word})"
     if rate > max(SURE * error, SHEAR):

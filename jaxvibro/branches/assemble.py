@@ -10,6 +10,7 @@ from continuation.points import joined, turned
 from ..maps import itinerary as words
 from ..orbits.impact_points import is_same_orbit, mirrored
 from ..orbits.orbit import MARGIN, roots
+from ..output.units import LENGTH, SPEED, TIME
 from ..problem.describe import Spot, impacts, itinerary
 from ..problem.end import End
 from ..scene.symmetry import is_symmetric
@@ -148,17 +149,17 @@ def _about(name):
 
     return {
         name: (("point",), {"long_name": "the parameter"}),
-        "time": told("since phase 0", "1/w0", "impact"),
-        "speed": told("abs(y- - v_b)", "length w0", "impact"),
+        "time": told("since phase 0", TIME, "impact"),
+        "speed": told("abs(y- - v_b)", SPEED, "impact"),
         "side": told("-1 left, 1 right, 0 none", "1", "impact"),
-        "x": told("position at phase 0 of each period", "length", "period"),
-        "v": told("velocity at phase 0 of each period", "length w0", "period"),
+        "x": told("position at phase 0 of each period", LENGTH, "period"),
+        "v": told("velocity at phase 0 of each period", SPEED, "period"),
         "multiplier_real": told("Floquet's, the larger first", "1", "multiplier"),
         "multiplier_imag": told("Floquet's, the larger first", "1", "multiplier"),
         "stable": told("1: both are smaller than 1", "1"),
-        "least_speed": told("of the impacts, inf: none", "length w0"),
-        "least_clearance": told("at turning points, inf: none", "length"),
-        "residual": told("largest error left in the equations", "length"),
+        "least_speed": told("of the impacts, inf: none", SPEED),
+        "least_clearance": told("at turning points, inf: none", LENGTH),
+        "residual": told("largest error left in the equations", LENGTH),
         "time_slope": told("of the unit tangent", "1", "impact"),
         "speed_slope": told("of the unit tangent", "1", "impact"),
         "value_slope": told("of the unit tangent", "1"),

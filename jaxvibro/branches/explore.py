@@ -28,7 +28,6 @@ MOST = 400  # branches, where no budget is given
 NEAR = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
 SAME = 1e-12  # of a soft wall's numbers: as near is rounding
 ON = 1e-5  # of the largest speed: an orbit with impacts as near is on the branch
-PERIODS = 32  # the longest orbits
 DONE = "all that was found has been followed"
 SPENT = "the budget of {} branches is spent"
 
@@ -71,8 +70,8 @@ def asked(scene, name, bounds, max_period, seed, budget, largest_step):
     """The `Search` of these arguments. Raises SceneError."""
     check.require_single(scene)
     max_period, seed = check.whole("max_period", max_period, 1), check.whole("seed", seed, 0)
-    if max_period > PERIODS:
-        raise check.SceneError("max_period", f"must be at most {PERIODS}", max_period)
+    if max_period > check.MOST_PERIODS:
+        raise check.SceneError("max_period", f"must be at most {check.MOST_PERIODS}", max_period)
     most = MOST if budget is None else check.whole("budget", budget, 1)
     check.require_known(name, scene.names, name)
     scene = scene.replace(**{name: _inside(scene, name, bounds)})

@@ -15,6 +15,7 @@ from ..branches.branch import row_of
 from ..maps import itinerary as words
 from ..orbits.orbit import roots
 from ..output.columns import columns
+from ..output.units import LENGTH, SPEED, TIME
 from ..problem.describe import Spot, itinerary, told
 from ..problem.diagnostics import Look
 from ..problem.end import End
@@ -208,11 +209,11 @@ def _data(curve, names, one):
             found = found * found
     own = np.arange(times.shape[1]) % int(np.sum(curve.cycle.sides != 0))
     speed = np.where(np.isin(own, curve.hits), speeds, np.inf).min(axis=1)
-    per_impact = {"time": (times, "since phase 0", "1/w0"), "speed": (speeds, "abs(y- - v_b)", "length w0")}
+    per_impact = {"time": (times, "since phase 0", TIME), "speed": (speeds, "abs(y- - v_b)", SPEED)}
     plain = {
-        "least_speed": (speed, "of the impacts but for that which grazes", "length w0"),
-        "least_clearance": (look.clear.min(axis=(1, 2)), "at turning points, inf: none", "length"),
-        "residual": (one.points.residual, "largest error left in the equations", "length"),
+        "least_speed": (speed, "of the impacts but for that which grazes", SPEED),
+        "least_clearance": (look.clear.min(axis=(1, 2)), "at turning points, inf: none", LENGTH),
+        "residual": (one.points.residual, "largest error left in the equations", LENGTH),
     }
     columns = {name: ("point", z[:, 2 * rows + k], {"long_name": "a parameter"}) for k, name in enumerate(names)}
     columns |= {key: (("point", "impact"), each[0], _attrs(*each[1:])) for key, each in per_impact.items()}

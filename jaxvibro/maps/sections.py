@@ -4,14 +4,13 @@ import numpy as np
 import xarray as xr
 
 from ..flight.wall_positions import SIGNS, places
+from ..output.units import ANGLE, LENGTH, SPEED
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import SIDES
 from ..scene.state import State, check_start, real_state
 from .iterate import KEEP, ends, trail
 from .phase_shift import carried
-
-LENGTH, SPEED = {"units": "length"}, {"units": "length w0"}
 
 
 @check.host("use return_map or strobe")
@@ -60,7 +59,7 @@ def _dataset(scene, phase, parts):
     x, v, time, side, speed = (
         np.concatenate([getattr(run, key)[:, 0] for run in parts]) for key in ("x", "v", "time", "side", "speed")
     )
-    columns = {"x": ("period", x, LENGTH), "v": ("period", v, SPEED)}
+    columns = {"x": ("period", x, {"units": LENGTH}), "v": ("period", v, {"units": SPEED})}
     for name, sign, k in zip(SIDES, SIGNS, (0, 1), strict=True):
         hit = side == sign
         angle = phase + float(scene.frequency) * time[hit]
@@ -68,6 +67,6 @@ def _dataset(scene, phase, parts):
         if getattr(scene, name) is not None:
             pace = np.asarray(places(scene, angle)[k][1])
             after = pace - float(scene.bounce(name)) * sign * speed[hit]
-        columns[f"{name}_phase"] = f"{name}_impact", np.mod(angle, 2.0 * np.pi), {"units": "rad"}
-        columns[f"{name}_velocity"] = f"{name}_impact", after, SPEED
+        columns[f"{name}_phase"] = f"{name}_impact", np.mod(angle, 2.0 * np.pi), {"units": ANGLE}
+        columns[f"{name}_velocity"] = f"{name}_impact", after, {"units": SPEED}
     return xr.Dataset(columns, attrs=scene.numbers | {"phase": phase})

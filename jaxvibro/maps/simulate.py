@@ -13,6 +13,7 @@ from ..flight import integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
 from ..flight.path import CAPPED, absolute
+from ..output.units import ANGLE, LENGTH, SPEED, TIME
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.state import check_start, real_state
@@ -71,8 +72,8 @@ _trace = persistent_jit(_sampled, static_argnums=(2, 3))
 def _dataset(scene, x, v, angle, impacts):
     time = (angle - angle[0]) / float(scene.frequency)
     hit = impacts.side != 0
-    length, speed = {"units": "length of the walls"}, {"units": "length per t"}
-    at = {"impact_time": ("impact", impacts.time[hit], {"units": "t"})}
+    length, speed = {"units": LENGTH}, {"units": SPEED}
+    at = {"impact_time": ("impact", impacts.time[hit], {"units": TIME})}
     place = _places(scene, impacts.time[hit], impacts.side[hit], angle[0])
     return xr.Dataset(
         {
@@ -82,7 +83,7 @@ def _dataset(scene, x, v, angle, impacts):
             "speed": ("impact", impacts.speed[hit], {"long_name": "relative speed before the impact", **speed}),
             "position": ("impact", place, {"long_name": "displacement at the impact", **length}),
         },
-        coords={"time": ("time", time, {"units": "t"}), "phase": ("time", angle, {"units": "rad"}), **at},
+        coords={"time": ("time", time, {"units": TIME}), "phase": ("time", angle, {"units": ANGLE}), **at},
         attrs=scene.numbers,
     )
 

@@ -13,7 +13,6 @@ from .by_impacts import by_impacts, guessed
 from .by_shooting import by_state
 from .orbit import OrbitError
 
-LONGEST = 32  # periods of an orbit whose period is not given
 SETTLED = 1e-3  # of the largest x and v: a return as near as this
 
 
@@ -70,12 +69,14 @@ def _followed(found):
 
 def _returns(scene, state, settle):
     """The least number of periods after which the state comes back: to within SETTLED where it has settled."""
-    points = _followed(trail(scene, state, LONGEST)).points[:, 0]
+    points = _followed(trail(scene, state, check.MOST_PERIODS)).points[:, 0]
     first = np.array([state.x[0], state.v[0]])
     apart, scale = abs(points - first).max(axis=1), abs(points).max()
     if settle and apart.min() > SETTLED * scale:
         advice = "settle longer; or give periods and settle=0 for an unstable orbit, or ask find_orbits"
-        raise OrbitError(f"the state does not come back within {LONGEST} periods", float(apart.min()), advice)
+        raise OrbitError(
+            f"the state does not come back within {check.MOST_PERIODS} periods", float(apart.min()), advice
+        )
     return int(np.argmax(apart <= max(2.0 * apart.min(), 1e-6 * scale))) + 1
 
 

@@ -12,6 +12,7 @@ from .wall_gap import least_gap
 
 HIGHEST_HARMONIC = 1000
 LONGEST = 300  # characters of a message
+MOST_PERIODS = 32  # of an orbit that is looked for; `iterate` keeps twice as many
 
 
 class SceneError(ValueError):

@@ -7,9 +7,9 @@ import xarray as xr
 from .. import __version__
 from ..branches.branch import labels
 from ..maps.initial_conditions import box
+from ..output.units import ANGLE, LENGTH, ONE, SPEED
 
 NONE = -1  # in `attractor_mirror` and `orbit_mirror`, where no mirror image was found
-LENGTH, SPEED = {"units": "length"}, {"units": "length w0"}
 
 
 def dataset(found):
@@ -42,8 +42,8 @@ def _attractors(found):
             "attractor_share_low": column("lowest share that the starts speak for, at 95 %", bounds[:, 0], units="1"),
             "attractor_share_high": column("highest share that the starts speak for, at 95 %", bounds[:, 1], units="1"),
             "attractor_periods": column("least number of drive periods, 0: none", [one.periods for one in attractors]),
-            "attractor_x": column("position of a state on it, at phase 0", [one.x for one in states], **LENGTH),
-            "attractor_v": column("velocity of that state", [one.v for one in states], **SPEED),
+            "attractor_x": column("position of a state on it, at phase 0", [one.x for one in states], units=LENGTH),
+            "attractor_v": column("velocity of that state", [one.v for one in states], units=SPEED),
             "attractor_contact": column("contact of that state", [one.contact for one in states]),
             "attractor_rests": column("1: the mass rests on a wall", [int(one.rests) for one in attractors], units="1"),
             "attractor_exponent": column("largest Lyapunov exponent per period", [one.exponent for one in attractors]),
@@ -57,9 +57,17 @@ def _box(found):
     left, right, fast = box(found.there(found.file.attractors))
     return xr.Dataset(
         {
-            "start_x": ("start_bound", [left, right], {"long_name": "of random starts, phase 0: x from, to", **LENGTH}),
-            "start_v": ("start_bound", [-fast, fast], {"long_name": "of random starts, phase 0: v from, to", **SPEED}),
-            "start_count": ((), found.file.attractors.starts, {"long_name": "random starts", "units": "1"}),
+            "start_x": (
+                "start_bound",
+                [left, right],
+                {"long_name": "of random starts, phase 0: x from, to", "units": LENGTH},
+            ),
+            "start_v": (
+                "start_bound",
+                [-fast, fast],
+                {"long_name": "of random starts, phase 0: v from, to", "units": SPEED},
+            ),
+            "start_count": ((), found.file.attractors.starts, {"long_name": "random starts", "units": ONE}),
         }
     )
 
@@ -75,19 +83,19 @@ def _orbits(orbits):
             "orbit_label": column("P n p q: periods, impacts left, right", [one.label for one in orbits]),
             "orbit_periods": column("least number of drive periods", [one.periods for one in orbits], units="1"),
             "orbit_itinerary": column("walls hit, a word a period", [" ".join(one.itinerary) for one in orbits]),
-            "orbit_x": column("position of a state on it", [one.x for one in states], **LENGTH),
-            "orbit_v": column("velocity of that state", [one.v for one in states], **SPEED),
-            "orbit_phase": column("phase of the drive of that state", [one.phase for one in states], units="rad"),
+            "orbit_x": column("position of a state on it", [one.x for one in states], units=LENGTH),
+            "orbit_v": column("velocity of that state", [one.v for one in states], units=SPEED),
+            "orbit_phase": column("phase of the drive of that state", [one.phase for one in states], units=ANGLE),
             "orbit_contact": column("contact of that state", [one.contact for one in states]),
             "orbit_stable": column("1: both multipliers are smaller than 1", [int(one.stable) for one in orbits]),
             "orbit_rests": column("1: the mass rests on a wall", [int(one.rests) for one in orbits], units="1"),
-            "orbit_multiplier_real": (larger[0], roots.real, {**larger[1], "units": "1"}),
-            "orbit_multiplier_imag": (larger[0], roots.imag, {**larger[1], "units": "1"}),
-            "orbit_least_speed": column("least speed of its impacts", [one.least_speed for one in orbits], **SPEED),
+            "orbit_multiplier_real": (larger[0], roots.real, {**larger[1], "units": ONE}),
+            "orbit_multiplier_imag": (larger[0], roots.imag, {**larger[1], "units": ONE}),
+            "orbit_least_speed": column("least speed of its impacts", [one.least_speed for one in orbits], units=SPEED),
             "orbit_least_clearance": column(
                 "least distance to a wall at a turning point towards it",
                 [one.least_clearance for one in orbits],
-                **LENGTH,
+                units=LENGTH,
             ),
             "orbit_residual": column("largest error left in its equations", [one.residual for one in orbits]),
             "orbit_mirror": column(f"place of its mirror image, {NONE}: none", _images(orbits)),
@@ -128,7 +136,7 @@ def _special(branches):
     def column(meaning, values, **attrs):
         return "special", np.array(values), {"long_name": meaning, **attrs}
 
-    larger = ("special", "multiplier"), {"long_name": "Floquet multipliers, the larger first", "units": "1"}
+    larger = ("special", "multiplier"), {"long_name": "Floquet multipliers, the larger first", "units": ONE}
     return xr.Dataset(
         {
             "special_kind": column("SN, SB, BP, PD, GR, EP", [one.kind for _, one in found]),

@@ -5,6 +5,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta, field
 
+from ..scene.check import MOST_PERIODS
 from ..scene.scene_table import SceneTable, Table
 
 MOST = 1_000_000
@@ -12,7 +13,7 @@ MOST_LEGS = 1000
 MOST_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
 Count = Annotated[int, Meta(ge=1, le=MOST)]
 Settle = Annotated[int, Meta(ge=0, le=MOST)]
-Periods = Annotated[int, Meta(ge=1, le=32)]  # half of what `trail` keeps
+Periods = Annotated[int, Meta(ge=1, le=MOST_PERIODS)]
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
 Name = Annotated[str, Meta(min_length=1)]
 KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci

@@ -5,7 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 
-LONGEST = 32  # drive periods looked for, where as many as twice that are kept
+from ..scene.check import MOST_PERIODS
+
 NEAR = 1e-6  # of the largest x and v of the diagram: a return as near as this counts
 
 
@@ -36,8 +37,8 @@ def stretches(swept):
 
 
 def longest(swept):
-    """The largest number of periods looked for: half of those kept, LONGEST at most."""
-    return min(LONGEST, swept.sizes["period"] // 2)
+    """The largest number of periods looked for: half of those kept, MOST_PERIODS at most."""
+    return min(MOST_PERIODS, swept.sizes["period"] // 2)
 
 
 def _periods(number):
