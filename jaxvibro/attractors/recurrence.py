@@ -6,7 +6,7 @@ from ..scene.check import MOST_PERIODS
 
 
 def returns(points):
-    """How far apart states are that lie n = 1 ... MOST_PERIODS periods apart, the largest over the last MOST_PERIODS periods.
+    """How far apart states are that lie n = 1 ... MOST_PERIODS periods apart, the largest over the last so many periods.
 
     points: x and v on Sigma, shape (periods, lanes, 2), 2 MOST_PERIODS periods at least. Result: (MOST_PERIODS, lanes).
     """
