@@ -6,7 +6,7 @@ from ..scene.check import MOST_PERIODS
 
 
 def returns(points):
-    """How far apart states are that lie n = 1 ... MOST_PERIODS periods apart, the largest over the last so many periods.
+    """How far apart states are that lie n = 1 ... MOST_PERIODS periods apart, the largest over as many of the last.
 
     points: x and v on Sigma, shape (periods, lanes, 2), 2 MOST_PERIODS periods at least. Result: (MOST_PERIODS, lanes).
     """
