@@ -12,6 +12,7 @@ _HOMES = {
     "Motion": "scene.scene",
     "make_scene": "scene.scene",
     "SceneError": "scene.check",
+    "ArgumentError": "scene.check",
     "scene_from_physical": "scene.physical",
     "soften": "scene.soft_walls",
     "effective_restitution": "scene.soft_walls",

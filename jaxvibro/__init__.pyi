@@ -33,6 +33,7 @@ from .orbits.orbit import Orbit as Orbit
 from .orbits.orbit import OrbitError as OrbitError
 from .output.checksums import load_data as load_data
 from .reproduction.run import paper as paper
+from .scene.check import ArgumentError as ArgumentError
 from .scene.check import SceneError as SceneError
 from .scene.physical import scene_from_physical as scene_from_physical
 from .scene.scene import Motion as Motion

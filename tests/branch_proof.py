@@ -60,7 +60,7 @@ def branches(rng, count, **settings):
             value = float(scene.parameter(name))
             low, high = (0.0, 1.0) if "rest" in name else (0.5 * value - 0.2, 1.8 * value + 0.3)
             branch = jv.follow(orbit, name, (low, high), **settings)
-        except (jv.OrbitError, jv.SceneError) as error:
+        except (jv.OrbitError, jv.ArgumentError) as error:
             print("  skipped:", str(error)[:100])
             continue
         found += 1

@@ -123,7 +123,7 @@ def _outcome(read, path):
         warnings.simplefilter("error")
         try:
             return "made anew" if read(path) is None else "read"
-        except jv.SceneError as error:
+        except jv.ArgumentError as error:
             return "refused" if _is_one_line(str(error)) else "a long line"
         except Exception as error:
             return type(error).__name__
@@ -156,7 +156,7 @@ def mutations(times, seed):
             try:
                 scene_file.read(path, changes)
                 what = "read"
-            except jv.SceneError as error:
+            except jv.ArgumentError as error:
                 what = "refused" if _is_one_line(str(error)) else "a long line"
             except Exception as error:
                 what = type(error).__name__

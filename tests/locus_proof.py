@@ -108,7 +108,7 @@ def main(count, seed):
         told, began = [], time.perf_counter()
         try:
             locus = jv.locus(point, names, bounds)
-        except jv.SceneError as why:
+        except jv.ArgumentError as why:
             refused += why.key in ("special", "names")
             raised += why.key not in ("special", "names")
             print(done, point.kind, point.label, names, "refused:", why, flush=True)

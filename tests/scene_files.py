@@ -2,7 +2,7 @@
 
 import pytest
 
-from jaxvibro import SceneError
+from jaxvibro import ArgumentError
 from jaxvibro.studies import scene_file
 
 SCENE = """
@@ -26,7 +26,7 @@ def each_of(bad):
 
 def check_refusal(path, change, key, said):
     """A file with a change is refused in one clear line."""
-    with pytest.raises(SceneError) as caught:
+    with pytest.raises(ArgumentError) as caught:
         scene_file.read(path, [change])
     line = str(caught.value)
     assert caught.value.key == key

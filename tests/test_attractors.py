@@ -13,7 +13,7 @@ from jaxvibro.maps import itinerary
 from jaxvibro.maps.initial_conditions import box, forced_amplitude, random_starts
 from jaxvibro.maps.iterate import KEEP, trail
 from jaxvibro.orbits.impact_points import is_same_orbit, is_same_set, meetings, mirrored
-from jaxvibro.scene.check import MOST_PERIODS, SceneError
+from jaxvibro.scene.check import MOST_PERIODS, ArgumentError
 from jaxvibro.scene.symmetry import is_symmetric
 
 PERIOD = 2 * np.pi / 2.1
@@ -306,10 +306,10 @@ def test_exponent_of_a_free_oscillator_and_what_a_trail_keeps():
     [({"starts": 0}, "starts"), ({"starts": 2.5}, "starts"), ({"seed": -1}, "seed"), ({"settle": -1}, "settle")],
 )
 def test_counts_that_cannot_be(more, key):
-    with pytest.raises(SceneError, match=f"^{key}: must be a whole number"):
+    with pytest.raises(ArgumentError, match=f"^{key}: must be a whole number"):
         jv.find_attractors(scene(), **more)
 
 
 def test_a_batch_is_refused():
-    with pytest.raises(SceneError, match=r"^scene: must be a single scene, not a batch; got .*\(2,\)"):
+    with pytest.raises(ArgumentError, match=r"^scene: must be a single scene, not a batch; got .*\(2,\)"):
         jv.find_attractors(scene(amplitude=np.array([1.0, 2.0])))

@@ -142,7 +142,7 @@ def test_single_precision_has_basins():
 )
 def test_what_cannot_be_is_refused(key, given):
     scene, attractors = known("figure 5")
-    with pytest.raises(jv.SceneError) as caught:
+    with pytest.raises(jv.ArgumentError) as caught:
         jv.basins(**{"scene": scene, "x": [0.0, 1.0], "v": [0.0, 1.0], "attractors": attractors} | given)
     assert caught.value.key == key
 

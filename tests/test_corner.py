@@ -69,7 +69,7 @@ def test_along_one_walls_place_the_nearer_one_counts(seed):
         side, still = name.split(".")[0], "left" if sign > 0 else "right"
         assert jv.sensitivity(touch, name, wall=side) == pytest.approx([sign * size], rel=1e-10)
         assert jv.sensitivity(touch, name, wall=still) == pytest.approx([0.0], abs=1e-10)
-        with pytest.raises(jv.SceneError, match=r"^wall: must be .* got {'left': \[.*\], 'right': \[.*\]}$"):
+        with pytest.raises(jv.ArgumentError, match=r"^wall: must be .* got {'left': \[.*\], 'right': \[.*\]}$"):
             jv.sensitivity(touch, ("damping", name))
         ends = sorted(sign * each for each in (0.3 * far, 2.0 * far))
         bounds = {"amplitude": (0.01, 40.0), name: tuple(ends)}
@@ -110,5 +110,5 @@ def test_a_wall_that_cannot_be_is_one_clear_line():
     touch = grazing((-1.3, jv.Wall(1.0, 0.55)))
     assert jv.sensitivity(touch, "damping", wall="right") == jv.sensitivity(touch, "damping")
     for wall in ("left", "middle", 1):
-        with pytest.raises(jv.SceneError, match=r"^wall: must be "):
+        with pytest.raises(jv.ArgumentError, match=r"^wall: must be "):
             jv.sensitivity(touch, "damping", wall=wall)

@@ -71,6 +71,6 @@ def test_bad_arguments(key, given, scene):
     given = {"scene": scene, "name": "amplitude", "bounds": BOUNDS, "third": "damping", "values": [0.1]} | given
     if given["scene"] == "batch":
         given["scene"] = scene.replace(amplitude=np.array([1.0, 2.0]))
-    with pytest.raises(jv.SceneError) as error:
+    with pytest.raises(jv.ArgumentError) as error:
         jv.diagrams(**given)
     assert error.value.key == key

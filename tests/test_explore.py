@@ -108,14 +108,14 @@ def test_bad_arguments(key, given, scene, diagram):
     given = {"name": "amplitude", "bounds": BOUNDS, "max_period": 2} | given
     if given.get("resume") == "diagram":
         given["resume"] = diagram
-    with pytest.raises(jv.SceneError) as error:
+    with pytest.raises(jv.ArgumentError) as error:
         jv.explore(scene, **given)
     assert error.value.key == key
 
 
 def test_a_folder_without_a_diagram(tmp_path):
     (tmp_path / "diagram.json").write_text("{}")
-    with pytest.raises(jv.SceneError, match="folder"):
+    with pytest.raises(jv.ArgumentError, match="folder"):
         jv.load_diagram(tmp_path)
     with pytest.raises(FileNotFoundError):
         jv.load_diagram(tmp_path / "none")

@@ -116,11 +116,11 @@ def test_bad_arguments(key, given, branch, touch):
     given = {"special": touch, "names": PAIR, "bounds": BOUNDS, "third": "damping", "values": [0.1]} | given
     if given["special"] == "SB":
         (given["special"],) = branch.points("SB")
-    with pytest.raises(jv.SceneError) as error:
+    with pytest.raises(jv.ArgumentError) as error:
         jv.family(**given)
     assert error.value.key == key
 
 
 def test_an_end_is_refused(branch):
-    with pytest.raises(jv.SceneError, match=r"^special: must be a special point of kind SN, PD, SB, GR; got 'EP'"):
+    with pytest.raises(jv.ArgumentError, match=r"^special: must be a special point of kind SN, PD, SB, GR; got 'EP'"):
         jv.family(branch.special[0], PAIR, BOUNDS, "damping", [0.1])

@@ -138,7 +138,7 @@ def test_a_branch_is_saved_loaded_and_extended(branch, orbit, tmp_path):
     assert [one.last for one in whole.segments][-1] == len(whole) - 1
     assert np.array_equal(np.flatnonzero(np.diff(whole.data["segment"])), [whole.segments[0].last])
     (tmp_path / "bad.nc").write_bytes(b"CDF nothing")
-    with pytest.raises(jv.SceneError, match=r"^path: must be a NetCDF file"):
+    with pytest.raises(jv.ArgumentError, match=r"^path: must be a NetCDF file"):
         jv.load_branch(tmp_path / "bad.nc")
 
 
@@ -150,26 +150,26 @@ def test_steps_and_tolerance_do_not_matter(branch, orbit):
 
 
 def test_what_cannot_be_followed_is_refused(orbit, branch):
-    with pytest.raises(jv.SceneError, match=r"^stiffness: is not a parameter of this scene"):
+    with pytest.raises(jv.ArgumentError, match=r"^stiffness: is not a parameter of this scene"):
         jv.follow(orbit, "stiffness", (0.0, 1.0))
     for bounds in ((3.0, 6.0), (6.0, 0.0), (0.0, np.nan), 3.0):
-        with pytest.raises(jv.SceneError, match=r"^bounds: must "):
+        with pytest.raises(jv.ArgumentError, match=r"^bounds: must "):
             jv.follow(orbit, "amplitude", bounds)
-    with pytest.raises(jv.SceneError, match=r"^direction: must be one of both, forward, backward"):
+    with pytest.raises(jv.ArgumentError, match=r"^direction: must be one of both, forward, backward"):
         jv.follow(orbit, "amplitude", (0.0, 6.0), direction="up")
-    with pytest.raises(jv.SceneError, match=r"^largest_step: must be a positive number"):
+    with pytest.raises(jv.ArgumentError, match=r"^largest_step: must be a positive number"):
         jv.follow(orbit, "amplitude", (0.0, 6.0), largest_step=0.0)
-    with pytest.raises(jv.SceneError, match=r"^orbit: must be an Orbit"):
+    with pytest.raises(jv.ArgumentError, match=r"^orbit: must be an Orbit"):
         jv.follow(orbit.state, "amplitude", (0.0, 6.0))
     other = jv.Branch.orbit(branch, -1)
     object.__setattr__(other, "scene", orbit.scene)
     with pytest.raises(jv.OrbitError, match=r"the start is no orbit \(residual [0-9.e+-]+\)"):
         jv.follow(other, "amplitude", (0.0, 6.0))
-    with pytest.raises(jv.SceneError, match=r"^monitors.fast: must give a number at every point"):
+    with pytest.raises(jv.ArgumentError, match=r"^monitors.fast: must give a number at every point"):
         jv.follow(orbit, "amplitude", (0.0, 6.0), "backward", monitors={"fast": lambda point: point.speeds.max() - 9.0})
-    with pytest.raises(jv.SceneError, match=r"^special: must be of kind SB, BP, PD, GR"):
+    with pytest.raises(jv.ArgumentError, match=r"^special: must be of kind SB, BP, PD, GR"):
         jv.switch(branch.points("SN")[0])
-    with pytest.raises(jv.SceneError, match=r"^bounds: must hold the branch's own"):
+    with pytest.raises(jv.ArgumentError, match=r"^bounds: must hold the branch's own"):
         jv.extend(branch, (1.0, 6.0))
 
 

@@ -42,7 +42,7 @@ def test_what_is_traced_can_be(name):
 
 
 def line_of(call):
-    with pytest.raises(jv.SceneError) as error:
+    with pytest.raises(jv.ArgumentError) as error:
         call()
     line = str(error.value)
     assert "\n" not in line and len(line) <= 300

@@ -18,7 +18,7 @@ from tests.scene_files import SCENE
 
 def line_of(call, *given):
     """The one line, not too long, with which a call is refused."""
-    with pytest.raises(jv.SceneError) as error:
+    with pytest.raises(jv.ArgumentError) as error:
         call(*given)
     line = str(error.value)
     assert "\n" not in line and len(line) <= LONGEST

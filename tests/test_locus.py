@@ -296,26 +296,26 @@ def test_damping_past_one_and_its_domain(points):
 def test_what_cannot_be_followed_is_refused(points, branch):
     one, breaking = points["SN of P112"], points["SB of P111"]
     for given in (branch.special[0], branch.orbit(0), None):
-        with pytest.raises(jv.SceneError, match=r"^special: must be a special point of kind SN, PD, SB, GR"):
+        with pytest.raises(jv.ArgumentError, match=r"^special: must be a special point of kind SN, PD, SB, GR"):
             jv.locus(given, PAIR, BOUNDS)
     for names in (("amplitude", "amplitude"), ("amplitude",), "amplitude", ("amplitude", "frequency", "damping"), None):
-        with pytest.raises(jv.SceneError, match=r"^names: must be two different parameters"):
+        with pytest.raises(jv.ArgumentError, match=r"^names: must be two different parameters"):
             jv.locus(one, names, BOUNDS)
-    with pytest.raises(jv.SceneError, match=r"^stiffness: "):
+    with pytest.raises(jv.ArgumentError, match=r"^stiffness: "):
         jv.locus(one, ("amplitude", "stiffness"), {"amplitude": (0, 1), "stiffness": (0, 1)})
     for bounds in ({"amplitude": (0.0, 12.0)}, BOUNDS | {"damping": (0.0, 1.0)}, (0.0, 12.0), None):
-        with pytest.raises(jv.SceneError, match=r"^bounds: must give \(low, high\) for amplitude and for frequency"):
+        with pytest.raises(jv.ArgumentError, match=r"^bounds: must give \(low, high\) for amplitude and for frequency"):
             jv.locus(one, PAIR, bounds)
     for wrong in ((5.0, 12.0), (12.0, 0.0), (0.0, np.nan), 3.0):
-        with pytest.raises(jv.SceneError, match=r"^bounds.*: must "):
+        with pytest.raises(jv.ArgumentError, match=r"^bounds.*: must "):
             jv.locus(one, PAIR, BOUNDS | {"amplitude": wrong})
-    with pytest.raises(jv.SceneError, match=r"^bounds.*: must "):
+    with pytest.raises(jv.ArgumentError, match=r"^bounds.*: must "):
         jv.locus(one, PAIR, BOUNDS | {"frequency": (2.2, 3.0)})
-    with pytest.raises(jv.SceneError, match=r"^names: must keep the scene symmetric"):
+    with pytest.raises(jv.ArgumentError, match=r"^names: must keep the scene symmetric"):
         jv.locus(breaking, ("amplitude", "right.position"), {"amplitude": (0.0, 12.0), "right.position": (0.5, 2.0)})
-    with pytest.raises(jv.SceneError, match=r"^largest_step: must be a positive number"):
+    with pytest.raises(jv.ArgumentError, match=r"^largest_step: must be a positive number"):
         jv.locus(one, PAIR, BOUNDS, largest_step=0.0)
-    with pytest.raises(jv.SceneError, match=r"^place: must be a point of the locus, from 0 to "):
+    with pytest.raises(jv.ArgumentError, match=r"^place: must be a point of the locus, from 0 to "):
         jv.locus(one, PAIR, BOUNDS).orbit(10**6)
 
 

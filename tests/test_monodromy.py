@@ -74,5 +74,5 @@ def test_it_is_not_to_be_differentiated(scene):
 
 
 def test_periods_are_refused_by_name(scene):
-    with pytest.raises(jv.SceneError, match=r"^periods: must be a whole number"):
+    with pytest.raises(jv.ArgumentError, match=r"^periods: must be a whole number"):
         jv.monodromy(scene, jv.State(0.0, 0.0), periods=0)

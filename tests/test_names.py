@@ -56,7 +56,7 @@ def test_what_is_no_name_is_one_clear_line(scene, branch, name):
         lambda: scene.parameter(name),
     )
     for call in calls:
-        with pytest.raises(jv.SceneError) as told:
+        with pytest.raises(jv.ArgumentError) as told:
             call()
         assert "\n" not in str(told.value)
 
@@ -71,14 +71,14 @@ def test_what_are_no_names_is_one_clear_line(branch, names):
         lambda: jv.follow(branch.orbit(0), "amplitude", (0.2, 3.0), monitors="ab"),
     )
     for call in calls:
-        with pytest.raises(jv.SceneError) as told:
+        with pytest.raises(jv.ArgumentError) as told:
             call()
         assert "\n" not in str(told.value)
 
 
 def test_a_text_is_one_name_and_not_its_letters(branch):
     assert jv.sensitivity(fold(branch), "damping") == jv.sensitivity(fold(branch), ["damping"])
-    with pytest.raises(jv.SceneError, match=r"^figure: must be one of .*; got 'fig99'$"):
+    with pytest.raises(jv.ArgumentError, match=r"^figure: must be one of .*; got 'fig99'$"):
         jv.paper("fig99")
 
 
@@ -96,7 +96,7 @@ def test_parameters_in_a_tuple_have_one_value_and_move_a_point_as_all_of_them_do
     scene = scene.replace(**{"right.restitution": other})
     point = fold(folded(scene))
     for names in (pair, pair[::-1]):
-        with pytest.raises(jv.SceneError, match=r"^names: in one tuple must have one value; .* the sum"):
+        with pytest.raises(jv.ArgumentError, match=r"^names: in one tuple must have one value; .* the sum"):
             jv.sensitivity(point, ["damping", names])
     step = 1e-4
     ends = [fold(folded(scene.replace(**{pair[0]: one + way, pair[1]: other + way}))).value for way in (step, -step)]

@@ -185,11 +185,11 @@ def test_what_is_no_orbit_says_why(scene):
         jv.find_orbit(scene.replace(amplitude=5.24), jv.State(0.1, 0.3))
     with pytest.raises(jv.OrbitError, match=r"no orbit: singular .*the Jacobian is singular: a bifurcation"):
         jv.find_orbit(scene.replace(amplitude=3.543892249375), jv.State(0.9, -1.1))  # symmetry breaks there
-    with pytest.raises(jv.SceneError, match=r"^periods: must be the number of words, 1, or None"):
+    with pytest.raises(jv.ArgumentError, match=r"^periods: must be the number of words, 1, or None"):
         jv.find_orbit(scene, jv.State(0.0, 0.0), periods=2, itinerary=("LR",))
-    with pytest.raises(jv.SceneError, match=r"^itinerary: must be words"):
+    with pytest.raises(jv.ArgumentError, match=r"^itinerary: must be words"):
         jv.find_orbit(scene, jv.State(0.0, 0.0), itinerary="LR")
-    with pytest.raises(jv.SceneError, match=r"^scene: must be a single scene"):
+    with pytest.raises(jv.ArgumentError, match=r"^scene: must be a single scene"):
         jv.find_orbit(scene.replace(amplitude=np.ones(3)), jv.State(0.0, 0.0))
 
 

@@ -239,7 +239,7 @@ def test_panels_have_the_values_of_their_columns():
     ],
 )
 def test_bad_tables_are_one_clear_error(tables, key):
-    with pytest.raises(jv.SceneError) as error:
+    with pytest.raises(jv.ArgumentError) as error:
         understood({"scene": SCENE} | tables)
     assert error.value.key == key
 

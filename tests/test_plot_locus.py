@@ -100,10 +100,10 @@ def test_axes_hold_one_plane():
     for names in (PAIR[::-1], ("amplitude", "damping")):
         other = Curve("GR", "P111", [(0, 1), (1, 2)], names=names)
         with pytest.raises(
-            jv.SceneError, match=r"^one\.names: must be .* \(amplitude, frequency, in this order\); got"
+            jv.ArgumentError, match=r"^one\.names: must be .* \(amplitude, frequency, in this order\); got"
         ):
             plot.locus(other, ax)
-        with pytest.raises(jv.SceneError, match="in this order"):
+        with pytest.raises(jv.ArgumentError, match="in this order"):
             plot.region(other, other, "both", ax)
     assert len(ax.lines) == 1 and ax.get_xlabel() == style.label("amplitude")
     plot.locus(
@@ -148,9 +148,9 @@ def test_a_region_of_loci_that_fold_or_cross():
     (crossed,) = corners(plot.region(straight, slanted, "beside a crossing", Figure().subplots()))
     assert crossed[:, 0].min() == -1.0 and crossed[:, 0].max() == 1.0
     beyond = Curve("GR", "P111", [(0.0, 5.0), (0.0, 6.0)])
-    with pytest.raises(jv.SceneError, match=r"^second: must share values of frequency with the first"):
+    with pytest.raises(jv.ArgumentError, match=r"^second: must share values of frequency with the first"):
         plot.region(straight, beyond, "none", Figure().subplots())
-    with pytest.raises(jv.SceneError, match=r"^second: must be a locus in amplitude and frequency"):
+    with pytest.raises(jv.ArgumentError, match=r"^second: must be a locus in amplitude and frequency"):
         plot.region(straight, Curve("GR", "P111", [(0, 1), (1, 2)], names=PAIR[::-1]), "none", Figure().subplots())
 
 

@@ -77,7 +77,7 @@ def test_branches_are_told_and_drawn_as_those_of_a_branch(explored, branch):
 
 def test_what_explore_refuses_is_told_with_the_files_key(tmp_path, monkeypatch, capsys):
     def explore(*given, **settings):
-        raise jv.SceneError("bounds", "must hold some value", [0.0, 4.0])
+        raise jv.ArgumentError("bounds", "must hold some value", [0.0, 4.0])
 
     monkeypatch.setattr(compute, "explore", explore)
     (tmp_path / "all.toml").write_text(SCENE + EXPLORE)
@@ -109,7 +109,7 @@ def test_a_locus_may_follow_what_was_explored(file):
     asked = scene_file.read(file, changes)
     assert asked.locus.bounds["damping"] == (0.01, 0.2) and asked.branch is None
     with pytest.raises(
-        jv.SceneError, match=r"^locus\.bounds\.damping: must hold the damping of \[explore\], 0\.06; got"
+        jv.ArgumentError, match=r"^locus\.bounds\.damping: must hold the damping of \[explore\], 0\.06; got"
     ):
         scene_file.read(file, [*changes, "locus.bounds.damping=[0.01, 0.055]"])
 

@@ -265,7 +265,9 @@ def test_a_bad_locus_is_one_clear_line(change, key, said):
 def test_loci_need_branches(tmp_path):
     text = LOCI.read_text()
     (tmp_path / "lone.toml").write_text(text[: text.index("[branch]")] + text[text.index("[locus]") :])
-    with pytest.raises(jv.SceneError, match=r"^locus: must come with \[branch\] or \[explore\], whose special points"):
+    with pytest.raises(
+        jv.ArgumentError, match=r"^locus: must come with \[branch\] or \[explore\], whose special points"
+    ):
         scene_file.read(tmp_path / "lone.toml")
 
 
@@ -277,7 +279,7 @@ def test_a_locus_survives_writing(tmp_path):
     scene_file.dump(file, tmp_path / "copy.toml")
     assert scene_file.read(tmp_path / "copy.toml") == file
     assert file.locus.bounds == {"damping": (0.0, 1.0), "right.position": (0.9, 2.0)}
-    with pytest.raises(jv.SceneError) as caught:
+    with pytest.raises(jv.ArgumentError) as caught:
         scene_file.read(tmp_path / "other.toml", ["locus.bounds.'right.position'=[1, 'far']"])
     assert caught.value.key == "locus.bounds.right.position[1]"
 

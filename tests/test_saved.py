@@ -49,7 +49,7 @@ def refused(path, read, content):
     before = path.read_bytes()
     path.write_bytes(content)
     try:
-        with warnings.catch_warnings(), pytest.raises(jv.SceneError) as error:
+        with warnings.catch_warnings(), pytest.raises(jv.ArgumentError) as error:
             warnings.simplefilter("error")
             read(path)
     finally:
@@ -130,7 +130,7 @@ def test_damage_to_a_file_of_before_is_no_crash(files, tmp_path):
             warnings.simplefilter("ignore")
             try:
                 jv.load_branch(path)
-            except jv.SceneError as error:
+            except jv.ArgumentError as error:
                 assert "\n" not in str(error) and len(str(error)) <= 300
 
 
@@ -236,5 +236,5 @@ def test_a_branch_of_another_diagram_is_refused(diagram, branch, tmp_path):
     diagram.save(tmp_path)
     place = next(tmp_path.glob("branch_000*.nc"))
     replace(branch, reasons=("one", "two")).save(place, force=True)
-    with pytest.raises(jv.SceneError, match="must be the file that the diagram was saved with"):
+    with pytest.raises(jv.ArgumentError, match="must be the file that the diagram was saved with"):
         jv.load_diagram(tmp_path)

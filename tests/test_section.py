@@ -38,5 +38,5 @@ def test_no_return_is_told(scene):
 
 
 def test_a_wall_that_is_not_there_is_refused():
-    with pytest.raises(jv.SceneError, match=r"^side: must be a wall of the scene"):
+    with pytest.raises(jv.ArgumentError, match=r"^side: must be a wall of the scene"):
         jv.return_map(jv.make_scene(1.0, 2.0, 0.1, 0.5, (None, 1.0)), "left", 0.0, 1.0)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 import jaxvibro as jv
 from jaxvibro.attractors.batch_means import standard_error
 from jaxvibro.attractors.chaotic_exponents import of_motion
-from jaxvibro.scene.check import SceneError
+from jaxvibro.scene.check import ArgumentError
 from jaxvibro.scene.codes import Status
 from tests.reference import closed
 from tests.spectrum_proof import other
@@ -227,7 +227,7 @@ def test_refused_before_any_work(more, key, rule):
     given = {"scene": scene(), "name": "amplitude", "values": [1.0, 2.0], "state": START} | more
     if "scene" in more:
         given["scene"] = scene(amplitude=np.array([1.0, 2.0]))
-    with pytest.raises(SceneError) as told:
+    with pytest.raises(ArgumentError) as told:
         jv.spectrum(**given, progress=pytest.fail)
     assert told.value.key == key and rule in str(told.value)
 

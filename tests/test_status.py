@@ -58,7 +58,7 @@ def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
         assert np.isfinite(x[-1][found < Status.CAP]).all()
     lost = np.flatnonzero(status == Status.CAP)[0]
     one = jax.tree.map(lambda leaf: leaf[lost] if np.ndim(leaf) else leaf, (scene, free))
-    with pytest.raises(jv.SceneError, match="must have a trajectory"):
+    with pytest.raises(jv.ArgumentError, match="must have a trajectory"):
         jv.simulate(*one, samples=4)
 
 

@@ -285,7 +285,7 @@ def test_bad_numbers_inside_jit_are_a_status(scene):
 
 @pytest.mark.parametrize(("key", "value"), [("periods", 0), ("periods", 1.5), ("slots", -1), ("slots", True)])
 def test_arguments_are_refused_by_name(scene, key, value):
-    with pytest.raises(jv.SceneError, match=f"^{key}: must be a whole number"):
+    with pytest.raises(jv.ArgumentError, match=f"^{key}: must be a whole number"):
         jv.strobe(scene, jv.State(0.0, 0.0), **{key: value})
 
 
@@ -315,14 +315,14 @@ def test_every_kind_of_scene_runs_inside_a_loop(walls):
 
 @pytest.mark.parametrize("value", [None, "a", 1j, [[1.0], [2.0, 3.0]]])
 def test_a_state_that_is_no_number_is_refused_by_name(scene, value):
-    with pytest.raises(jv.SceneError, match=r"^state\.v: must be a real number"):
+    with pytest.raises(jv.ArgumentError, match=r"^state\.v: must be a real number"):
         jv.strobe(scene, jv.State(0.0, value))
-    with pytest.raises(jv.SceneError, match=r"^state: must be a State"):
+    with pytest.raises(jv.ArgumentError, match=r"^state: must be a State"):
         jv.strobe(scene, (0.0, value))
 
 
 def test_batches_that_do_not_fit_are_refused(scene):
-    with pytest.raises(jv.SceneError, match=r"state\.x"):
+    with pytest.raises(jv.ArgumentError, match=r"state\.x"):
         jv.strobe(scene.replace(amplitude=np.ones(3)), jv.State(np.zeros(4), 0.0))
 
 

@@ -6,7 +6,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight.wall_positions import fit, places
-from jaxvibro.scene.check import SceneError
+from jaxvibro.scene.check import ArgumentError
 from jaxvibro.scene.codes import Status
 
 
@@ -138,7 +138,7 @@ def test_fit_at_moving_walls():
 )
 def test_refused_before_any_work(name, values, key, rule):
     state = jv.State(x=np.array([0.5, 0.2]), v=0.0)
-    with pytest.raises(SceneError) as told:
+    with pytest.raises(ArgumentError) as told:
         jv.sweep(scene(), name, values, state, progress=pytest.fail)
     assert told.value.key == key and rule in str(told.value)
 
@@ -148,10 +148,10 @@ def test_refused_before_any_work(name, values, key, rule):
     [({"settle": -1}, "settle"), ({"keep": 0}, "keep"), ({"chunk": 1.5}, "chunk"), ({"settle": True}, "settle")],
 )
 def test_counts_that_cannot_be(more, key):
-    with pytest.raises(SceneError, match=f"^{key}: must be a whole number"):
+    with pytest.raises(ArgumentError, match=f"^{key}: must be a whole number"):
         jv.sweep(scene(), "amplitude", [1.0], jv.State(0.0, 0.0), **more)
 
 
 def test_a_start_that_is_no_number():
-    with pytest.raises(SceneError, match=r"^state\.v: must be finite; got nan"):
+    with pytest.raises(ArgumentError, match=r"^state\.v: must be finite; got nan"):
         jv.sweep(scene(), "amplitude", [1.0], jv.State(0.0, np.nan))

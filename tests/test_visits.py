@@ -50,7 +50,7 @@ def test_pictures():
         ax = jv.plot.section(found, which)
         assert ax.lines[0].get_xdata() == pytest.approx(line.values)
         assert ax.get_xlabel() and ax.get_ylabel()
-    with pytest.raises(jv.SceneError, match="which"):
+    with pytest.raises(jv.ArgumentError, match="which"):
         jv.plot.section(found, "top")
     plt.close("all")
 
@@ -59,6 +59,6 @@ def test_pictures():
     ("key", "given"), [("periods", {"periods": 0}), ("settle", {"settle": -1}), ("phase", {"phase": np.nan})]
 )
 def test_bad_arguments_are_refused(key, given):
-    with pytest.raises(jv.SceneError) as error:
+    with pytest.raises(jv.ArgumentError) as error:
         jv.sections(jv.make_scene(**SCENE), jv.State(0.9, -1.1), **given)
     assert error.value.key == key

@@ -35,14 +35,14 @@ def basins(scene, x, v, phase=0.0, attractors=None, patience=PATIENCE, progress=
     states (`trap`); on a chaotic one when it was near a sample of it at eight looks in a row, eight periods apart. An
     attractor with an impact just at the section's phase has no such ellipse: take another phase.
 
-    Raises SceneError for a batch of scenes and for numbers that cannot be.
+    Raises ArgumentError for a batch of scenes and for numbers that cannot be.
     """
     check.require_single(scene)
     check.require_rigid(scene, "basins")
     x, v = _axis("x", x), _axis("v", v)
     phase = check.number("phase", phase, np.float64)
     if phase.shape:
-        raise check.SceneError("phase", "must be a number", phase)
+        raise check.ArgumentError("phase", "must be a number", phase)
     patience = check.whole("patience", patience, 1)
     attractors = find_attractors(scene) if attractors is None else tuple(attractors)
     left, right, fast = box(scene)
@@ -56,7 +56,7 @@ def basins(scene, x, v, phase=0.0, attractors=None, patience=PATIENCE, progress=
 def _axis(key, values):
     values = check.number(key, values, np.float64)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
-        raise check.SceneError(key, "must be at least two numbers in rising order", values)
+        raise check.ArgumentError(key, "must be at least two numbers in rising order", values)
     return values
 
 

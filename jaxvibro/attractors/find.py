@@ -65,7 +65,7 @@ def find_attractors(scene, starts=200, seed=0, settle=300):
     a scene that loses energy; starts that fill the same set there are one attractor. All else is unresolved. Whatever
     the starts say, the free response is there if it attracts and keeps off the walls, and so are mirror images.
 
-    Raises SceneError for a batch of scenes and for counts that cannot be.
+    Raises ArgumentError for a batch of scenes and for counts that cannot be.
     """
     check.require_single(scene)
     starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)

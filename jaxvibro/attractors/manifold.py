@@ -38,12 +38,12 @@ def manifold(orbit, kind, length=20.0, phase=None, spacing=0.01, angle=0.05, fas
     Attributes: the scene's numbers, phase, kind, label and multiplier.
 
     The stable manifold is grown by the certified map with time reversed (`backward`). A wall without restitution has no
-    way back. Raises SceneError for what is no saddle and for arguments that cannot be.
+    way back. Raises ArgumentError for what is no saddle and for arguments that cannot be.
     """
     if not isinstance(orbit, Orbit):
-        raise check.SceneError("orbit", "must be an Orbit", orbit)
+        raise check.ArgumentError("orbit", "must be an Orbit", orbit)
     if kind not in KINDS:
-        raise check.SceneError("kind", f"must be one of {', '.join(KINDS)}", kind)
+        raise check.ArgumentError("kind", f"must be one of {', '.join(KINDS)}", kind)
     check.require_rigid(orbit.scene, "manifold")
     scene, back = orbit.scene, kind == "stable"
     size, rules = _rules(scene, length, spacing, angle, fastest, check.whole("most", most, 100))
@@ -68,7 +68,7 @@ def _rules(scene, length, spacing, angle, fastest, most):
     numbers = {key: float(check.number(key, value, np.float64)) for key, value in given.items()}
     for key, value in numbers.items():
         if not value > 0:
-            raise check.SceneError(key, "must be greater than 0", value)
+            raise check.ArgumentError(key, "must be greater than 0", value)
     size = max(abs(float(left)), abs(float(right)))
     return size, Rules(least=1e-3 * numbers["spacing"], usual=float(fast), most=most, **numbers)
 
@@ -76,7 +76,9 @@ def _rules(scene, length, spacing, angle, fastest, most):
 def _multiplier(orbit, kind):
     larger, smaller = sorted(orbit.multipliers, key=abs, reverse=True)
     if larger.imag or not abs(larger) > 1 > abs(smaller):
-        raise check.SceneError("orbit", "must be a saddle: one multiplier inside the unit circle, one outside", orbit)
+        raise check.ArgumentError(
+            "orbit", "must be a saddle: one multiplier inside the unit circle, one outside", orbit
+        )
     return (smaller if kind == "stable" else larger).real
 
 
@@ -84,7 +86,7 @@ def _rate(orbit, kind):
     """How much a piece is stretched on the orbit's way round, or on the way back; negative where it changes sides."""
     one = _multiplier(orbit, kind)
     if one == 0:
-        raise check.SceneError("orbit", "must have no multiplier 0 to have a stable manifold of curves", orbit)
+        raise check.ArgumentError("orbit", "must have no multiplier 0 to have a stable manifold of curves", orbit)
     return one if kind == "unstable" else 1.0 / one
 
 
@@ -97,7 +99,7 @@ def _saddles(orbit, phase, back):
     for _ in range(orbit.periods):
         matrix = np.asarray(monodromy(scene, State(*point[0], phase), orbit.periods), float)
         if not np.isfinite(matrix).all():
-            raise check.SceneError("phase", "must not be that of an impact or a rest", phase)
+            raise check.ArgumentError("phase", "must not be that of an impact or a rest", phase)
         values, vectors = np.linalg.eig(matrix)
         chosen = np.argmin(abs(values)) if back else np.argmax(abs(values))
         heading = vectors[:, chosen].real

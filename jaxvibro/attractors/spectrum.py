@@ -43,7 +43,7 @@ def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, pro
     Sources: Benettin et al., Meccanica 15 (1980) 9-20; at impacts Mueller, Chaos, Solitons and Fractals 5 (1995)
     1671-1681; paper, (38). Errors by batch means (`batch_means.standard_error`).
 
-    Raises SceneError as `sweep` does, for an error that is not positive, and for counts that cannot be.
+    Raises ArgumentError as `sweep` does, for an error that is not positive, and for counts that cannot be.
     """
     check.require_single(scene)
     check.require_rigid(scene, "spectrum")
@@ -51,7 +51,7 @@ def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, pro
     goal = check.number("error", error, np.float64)
     check.require("error", "must be greater than 0", goal, goal > 0)
     if goal.shape:
-        raise check.SceneError("error", "must be a single number", error)
+        raise check.ArgumentError("error", "must be a single number", error)
     values, state = _checked(scene, name, values, state)
     scenes = scene.replace(**{name: values})
     starts = jax.tree.map(lambda leaf: np.broadcast_to(leaf, values.shape), state)
@@ -65,7 +65,7 @@ def _checked(scene, name, values, state):
     check.require_known(name, scene.names, name)
     values = check.number(name, values, scene.dtype)
     if values.ndim != 1 or len(values) == 0:
-        raise check.SceneError(name, "must be a sequence of values, at least one", values)
+        raise check.ArgumentError(name, "must be a sequence of values, at least one", values)
     scenes = scene.replace(**{name: values})
     state = started(real_state(scene, state), scene.dtype, [(name, values)])
     check_start(scenes, state, "at each value")

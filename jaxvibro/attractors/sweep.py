@@ -42,7 +42,7 @@ def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progres
     A wall that moves over the mass, from one value to the next, carries it along (`wall_positions.fit`). A lane whose
     status is CAP or worse (`Impacts`) has nan for that value, and starts the next one anew from the given state.
 
-    Raises SceneError for an unknown name, values that are not finite or break a rule of the scene, a start beyond a
+    Raises ArgumentError for an unknown name, values that are not finite or break a rule of the scene, a start beyond a
     wall, and counts that cannot be, all before any work.
     """
     settle, keep = check.whole("settle", settle, 0), check.whole("keep", keep, 1)
@@ -59,7 +59,7 @@ def _checked(scene, name, values, state):
     check.require_known(name, scene.names, name)
     values = check.number(name, values, scene.dtype)
     if values.ndim == 0 or values.shape[0] == 0:
-        raise check.SceneError(name, "must be a sequence of values to sweep through, at least one", values)
+        raise check.ArgumentError(name, "must be a sequence of values to sweep through, at least one", values)
     spare = max(0, len(scene.shape) - (values.ndim - 1))
     aligned = values.reshape(values.shape[0], *[1] * spare, *values.shape[1:])
     scene.replace(**{name: aligned})

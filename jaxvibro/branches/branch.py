@@ -15,7 +15,7 @@ from ..output.checksums import netcdf
 from ..output.columns import columns, pair
 from ..problem.describe import Spot, itinerary, told
 from ..problem.end import End
-from ..scene.check import SceneError
+from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..scene.scene_table import table_of
 
@@ -140,7 +140,7 @@ class Branch:
         """The `Orbit` at one of the points, by its place along the branch."""
         count = len(self)
         if not -count <= place < count:
-            raise SceneError("place", f"must be a point of the branch, from 0 to {count - 1}", place)
+            raise ArgumentError("place", f"must be a point of the branch, from 0 to {count - 1}", place)
         spot = spot_of(row_of(self.data, place), self.name)
         return told(self.scene.replace(**{self.name: spot.value}), spot)
 

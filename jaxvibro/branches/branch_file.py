@@ -28,20 +28,20 @@ Point = tuple[str, int, float, list[Join], list[bool]]  # a special point: kind,
 def load_branch(path):
     """The `Branch` of a file that `Branch.save` wrote. Monitors and stops are not kept.
 
-    A file of before, without a checksum, is read with a warning. Raises SceneError where the file is damaged or no
+    A file of before, without a checksum, is read with a warning. Raises ArgumentError where the file is damaged or no
     branch, OSError where it cannot be read.
     """
     return opened(path, branch_of)
 
 
 def branch_of(content, path):
-    """The `Branch` of a file's bytes. Raises SceneError."""
+    """The `Branch` of a file's bytes. Raises ArgumentError."""
     data = dataset_of(content, path)
     try:
         return _branch(data)
     except (LookupError, ValueError, TypeError, ArithmeticError, RecursionError) as error:
         reason = f"{type(error).__name__}: {error}"
-        raise check.SceneError("path", f"must be a file of Branch.save ({check.short(reason)})", str(path)) from None
+        raise check.ArgumentError("path", f"must be a file of Branch.save ({check.short(reason)})", str(path)) from None
 
 
 def _branch(data):

@@ -30,7 +30,7 @@ def followed(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1)
     branch that has been walked from its other end is left out. In a symmetric scene a branch is followed by its mirror
     image, unless it is its own. There are at most 64.
 
-    Raises SceneError and OrbitError as `follow` does.
+    Raises ArgumentError and OrbitError as `follow` does.
     """
     steps = {"largest_step": largest_step, "tolerance": 1e-10, "monitors": {}, "stop": ()}
     tree = Tree(bounds, max_period, MOST, steps, [], [], stays_symmetric(orbit.scene, name), progress)

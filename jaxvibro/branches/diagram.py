@@ -11,7 +11,7 @@ import msgspec
 from ..output.atomic_write import whole
 from ..output.checksums import MARKS, digest, is_format, opened, sealed
 from ..output.columns import columns
-from ..scene.check import SceneError, host, short
+from ..scene.check import ArgumentError, host, short
 from ..scene.scene import Scene
 from ..scene.scene_table import SceneTable, table_of
 from .branch import Branch
@@ -115,7 +115,7 @@ class Index(msgspec.Struct):
 def load_diagram(folder):
     """The `Diagram` of a folder that `Diagram.save` wrote.
 
-    A folder of before, without checksums, is read with a warning. Raises SceneError where the folder holds none or a
+    A folder of before, without checksums, is read with a warning. Raises ArgumentError where the folder holds none or a
     file is damaged, OSError where one cannot be read.
     """
     path = Path(folder) / INDEX
@@ -145,19 +145,19 @@ def _index(content, path):
 
 
 def _refused(error, path):
-    return SceneError("folder", f"must be a folder of Diagram.save ({short(error)})", str(path.parent))
+    return ArgumentError("folder", f"must be a folder of Diagram.save ({short(error)})", str(path.parent))
 
 
 def _named(index):
     """The files of branches that an index names, none where there is none that can be read."""
     try:
         return set(_index(index.read_bytes(), index).branches)
-    except (OSError, SceneError):
+    except (OSError, ArgumentError):
         return set()
 
 
 def _branch(path, known):
     content = path.read_bytes()
     if known is not None and digest(content) != known:
-        raise SceneError("path", "must be the file that the diagram was saved with", str(path))
+        raise ArgumentError("path", "must be the file that the diagram was saved with", str(path))
     return branch_of(content, path)

@@ -14,13 +14,13 @@ def diagrams(scene, name, bounds, third, values, max_period=8, seed=0, budget=No
     progress is called with the number of branches of the one at hand. The random starts of all values are settled
     together, then one is explored after the other.
 
-    Raises SceneError for arguments that cannot be.
+    Raises ArgumentError for arguments that cannot be.
     """
     check.require_single(scene)
     check.require_known(name, scene.names, name)
     values = values_of(scene, third, values)
     if third == name:
-        raise check.SceneError("third", "must be another parameter than name", third)
+        raise check.ArgumentError("third", "must be another parameter than name", third)
     scenes = [scene.replace(**{third: value}) for value in values]
     tasks = [asked(each, name, bounds, max_period, seed, budget, largest_step) for each in scenes]
     return tuple(explored(*each, progress) for each in zip(tasks, settled_on(tasks), strict=True))

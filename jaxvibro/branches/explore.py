@@ -47,7 +47,7 @@ def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None,
     `Special.meets` has all, and `switch` follows them. In a symmetric scene a branch comes with its mirror image. The
     same arguments give the same diagram.
 
-    Raises SceneError for arguments that cannot be.
+    Raises ArgumentError for arguments that cannot be.
     """
     task = asked(scene, name, bounds, max_period, seed, budget, largest_step)
     before = _resumed(resume, task)
@@ -67,11 +67,11 @@ class Search(NamedTuple):
 
 
 def asked(scene, name, bounds, max_period, seed, budget, largest_step):
-    """The `Search` of these arguments. Raises SceneError."""
+    """The `Search` of these arguments. Raises ArgumentError."""
     check.require_single(scene)
     max_period, seed = check.whole("max_period", max_period, 1), check.whole("seed", seed, 0)
     if max_period > check.MOST_PERIODS:
-        raise check.SceneError("max_period", f"must be at most {check.MOST_PERIODS}", max_period)
+        raise check.ArgumentError("max_period", f"must be at most {check.MOST_PERIODS}", max_period)
     most = MOST if budget is None else check.whole("budget", budget, 1)
     check.require_known(name, scene.names, name)
     scene = scene.replace(**{name: _inside(scene, name, bounds)})
@@ -127,10 +127,10 @@ def _resumed(resume, task):
     if resume is None:
         return (), ()
     if not isinstance(resume, Diagram):
-        raise check.SceneError("resume", "must be a Diagram", resume)
+        raise check.ArgumentError("resume", "must be a Diagram", resume)
     same = (resume.name, resume.bounds, resume.settings) == (task.name, task.bounds, task.settings)
     if not same or not _is_alike(task.scene, resume.scene, task.name):
-        raise check.SceneError("resume", "must be of the same scene, parameter, bounds and settings", resume)
+        raise check.ArgumentError("resume", "must be of the same scene, parameter, bounds and settings", resume)
     return resume.branches, resume.left
 
 

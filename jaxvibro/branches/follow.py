@@ -46,13 +46,13 @@ def follow(
     The branch's `data` has a row a point: the parameter, time, speed and side of each impact, x and v at phase 0 of
     each period, multiplier_real and multiplier_imag, stable, least_speed, least_clearance, residual, segment.
 
-    Raises SceneError for arguments that cannot be, OrbitError where the start is no orbit, rests on a wall or is
+    Raises ArgumentError for arguments that cannot be, OrbitError where the start is no orbit, rests on a wall or is
     singular. What ends a branch is told by its `reason`.
     """
     if not isinstance(orbit, Orbit):
-        raise check.SceneError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
+        raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
     if direction not in DIRECTIONS:
-        raise check.SceneError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
+        raise check.ArgumentError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     bounds = bounds_of(orbit.scene, name, bounds)
     given = settled(first_step, largest_step, tolerance, monitors, stop)
     return through(orbit.scene, name, bounds, started(orbit, name), direction, given)
@@ -122,16 +122,18 @@ def placed(scene, name, spot):
 
 
 def settled(first_step, largest_step, tolerance, monitors, stop):
-    """The settings of a branch by name, checked. Raises SceneError."""
+    """The settings of a branch by name, checked. Raises ArgumentError."""
     settings = {"first_step": first_step, "largest_step": largest_step, "tolerance": tolerance}
     for key, value in settings.items():
         if not (np.ndim(value) == 0 and np.isfinite(value) and value > 0):
-            raise check.SceneError(key, "must be a positive number", value)
+            raise check.ArgumentError(key, "must be a positive number", value)
     try:
         monitors = dict(monitors)
     except (TypeError, ValueError):
-        raise check.SceneError("monitors", "must be functions by their labels, {label: function}", monitors) from None
+        raise check.ArgumentError(
+            "monitors", "must be functions by their labels, {label: function}", monitors
+        ) from None
     for label, function in monitors.items():
         if not callable(function):
-            raise check.SceneError(f"monitors.{label}", "must be a function of a point", function)
+            raise check.ArgumentError(f"monitors.{label}", "must be a function of a point", function)
     return settings | {"monitors": monitors, "stop": check.sequence("stop", stop or ())}

@@ -27,7 +27,7 @@ ROUNDS = 6  # of false position: x at a turning point is right to the square of 
 def peaks(branch):
     """The largest abs x on the orbit of each point of a `Branch`, (points,), in the scene's lengths."""
     if not isinstance(branch, Branch):
-        raise check.SceneError("branch", "must be a Branch, as follow gives it", branch)
+        raise check.ArgumentError("branch", "must be a Branch, as follow gives it", branch)
     found = np.zeros(len(branch))
     for one in branch.segments:
         rows = branch.data.isel(point=slice(one.first, one.last + 1))
@@ -41,10 +41,10 @@ def peaks(branch):
 def peak(orbit):
     """The largest abs x on an `Orbit` of separate impacts, a number in the scene's lengths.
 
-    Raises SceneError for an orbit that rests on a wall.
+    Raises ArgumentError for an orbit that rests on a wall.
     """
     if not isinstance(orbit, Orbit) or (orbit.unknowns == "state" and orbit.impacts.count):
-        raise check.SceneError("orbit", "must be an Orbit of separate impacts, as find_orbit gives it", orbit)
+        raise check.ArgumentError("orbit", "must be an Orbit of separate impacts, as find_orbit gives it", orbit)
     scene, state, impacts = orbit.scene, orbit.state, orbit.impacts
     late = float(state.phase) / float(scene.frequency)
     rows = impacts.time + late, impacts.speed, impacts.side.astype(float)

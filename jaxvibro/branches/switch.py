@@ -34,12 +34,14 @@ def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1
     GR those of the itineraries that the branch did not go on with. bounds and the rest as in `follow`; bounds None
     takes the point's.
 
-    Raises SceneError for a point of another kind, and arguments that cannot be.
+    Raises ArgumentError for a point of another kind, and arguments that cannot be.
     """
     if not isinstance(special, Special):
-        raise check.SceneError("special", "must be a special point of a branch", special)
+        raise check.ArgumentError("special", "must be a special point of a branch", special)
     if special.kind not in KINDS:
-        raise check.SceneError("special", f"must be of kind {', '.join(KINDS)}: no branch leaves others", special.kind)
+        raise check.ArgumentError(
+            "special", f"must be of kind {', '.join(KINDS)}: no branch leaves others", special.kind
+        )
     bounds = bounds_of(special.scene, special.name, special.bounds if bounds is None else bounds)
     settings = settled(first_step, largest_step, tolerance, monitors, stop)
     return tuple(left(special, start, bounds, **settings) for start in starts(special))
@@ -66,13 +68,13 @@ def left(special, start, bounds, **settings):
 def extend(branch, bounds):
     """The branch with wider bounds, followed on from each end that had come to its bound: a `Branch`.
 
-    Raises SceneError where the new bounds do not hold the old ones.
+    Raises ArgumentError where the new bounds do not hold the old ones.
     """
     if not isinstance(branch, Branch):
-        raise check.SceneError("branch", "must be a Branch", branch)
+        raise check.ArgumentError("branch", "must be a Branch", branch)
     wide = bounds_of(branch.scene, branch.name, bounds)
     if not (wide[0] <= branch.bounds[0] and branch.bounds[1] <= wide[1]):
-        raise check.SceneError("bounds", f"must hold the branch's own, {branch.bounds}", bounds)
+        raise check.ArgumentError("bounds", f"must hold the branch's own, {branch.bounds}", bounds)
     for end in (0, -1):
         value = branch.values[end]
         if branch.ends[end] is not End.BOUND or value in wide:
@@ -157,7 +159,7 @@ def _grazing(special, along, z):
     """Each branch that leaves a grazing and is not one that the point was found on."""
     _, ways, _ = exits(along, z, scene_length(special.scene))
     if len(ways) != len(special.aside):
-        raise check.SceneError(
+        raise check.ArgumentError(
             "special", "must be a grazing that this version finds alike: follow its branch anew", special
         )
     return [(way.along, way.point) for way, aside in zip(ways, special.aside, strict=True) if aside]

@@ -10,7 +10,7 @@ from continuation.roots import sign_change
 
 from ..orbits.orbit import multipliers
 from ..problem.diagnostics import looked
-from ..scene.check import SceneError
+from ..scene.check import ArgumentError
 
 
 class MonitoredPoint(NamedTuple):
@@ -51,7 +51,9 @@ def crossings(task, points, look, kind, function):
         def value(length, after=after):
             one = between(task, points, after, length)
             if one is None:
-                raise SceneError(f"monitors.{kind}", "must be followed between two points", float(points.z[after, -1]))
+                raise ArgumentError(
+                    f"monitors.{kind}", "must be followed between two points", float(points.z[after, -1])
+                )
             return _value(kind, function, seen(along, one.z, at(looked(along, one.z[None]), 0)))
 
         length = sign_change(value, float(points.step[after + 1]))
@@ -60,9 +62,9 @@ def crossings(task, points, look, kind, function):
 
 
 def _value(kind, function, point):
-    """What a monitor says of a `MonitoredPoint`. Raises SceneError where it fails."""
+    """What a monitor says of a `MonitoredPoint`. Raises ArgumentError where it fails."""
     try:
         return float(function(point))
     except (ValueError, TypeError, IndexError, ArithmeticError) as error:
         told = f"must give a number at every point of the branch ({type(error).__name__}: {error})"
-        raise SceneError(f"monitors.{kind}", told, point.value) from None
+        raise ArgumentError(f"monitors.{kind}", told, point.value) from None

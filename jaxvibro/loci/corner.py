@@ -24,7 +24,7 @@ SAME = 1e-6  # of a period: touches as near are one
 
 
 def outsets(start, names, bounds, *steps):
-    """The `track.Way`s of a locus from a `Begun`, on and back. Raises SceneError for arguments that cannot be."""
+    """The `track.Way`s of a locus from a `Begun`, on and back. Raises ArgumentError for arguments that cannot be."""
     found = ways(start, names, bounds, *steps)
     if len(found) == 1:
         return found[0], backward(found[0])
@@ -35,7 +35,7 @@ def outsets(start, names, bounds, *steps):
     single = sorted((pair[0] for pair in senses if pair), key=lambda way: way.start.tangent[-1])
     if len(single) < 2:
         rule = "must be a grazing whose touches go on alone; here touch walls at once"
-        raise check.SceneError("special", rule, len(found))
+        raise check.ArgumentError("special", rule, len(found))
     return single[-1], single[0]
 
 

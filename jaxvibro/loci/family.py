@@ -27,14 +27,14 @@ def family(special, names, bounds, third, values, first_step=0.02, largest_step=
     it does not come to the value: it ends before, at a bound, a grazing or where the point exists no more. The loci
     of all values are then tracked as lanes of one compiled call; each is that which `locus` gives from its point.
 
-    Raises SceneError for points of other kinds and arguments that cannot be.
+    Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
     start, steps = begun(special), (first_step, largest_step, tolerance)
     names, values = named(start.scene, names), values_of(start.scene, third, values)
     if third in names:
-        raise check.SceneError("third", "must be none of names", third)
+        raise check.ArgumentError("third", "must be none of names", third)
     if start.kind == "SB" and not stays_symmetric(start.scene, third):
-        raise check.SceneError("third", "must keep the scene symmetric: an SB is no point of another", third)
+        raise check.ArgumentError("third", "must keep the scene symmetric: an SB is no point of another", third)
     outsets(start, names, bounds, *steps)  # refuses what cannot be
     found = carried(start, names, bounds, third, values, *steps)
     starts = [one for one in found if one is not None]

@@ -37,19 +37,19 @@ class Begun(NamedTuple):
 
 
 def begun(special):
-    """The `Begun` of a `Special`. Raises SceneError for points of other kinds."""
+    """The `Begun` of a `Special`. Raises ArgumentError for points of other kinds."""
     if not isinstance(special, Special) or special.kind not in KINDS:
         given = special.kind if isinstance(special, Special) else special
-        raise check.SceneError("special", f"must be a special point of kind {', '.join(KINDS)}", given)
+        raise check.ArgumentError("special", f"must be a special point of kind {', '.join(KINDS)}", given)
     return Begun(special.kind, special.name, special.scene, special.spot)
 
 
 def ways(start, names, bounds, first_step, largest_step, tolerance):
-    """The `track.Way`s from a `Begun`, in two parameters: one, or at a GR one for each touch. Raises SceneError for
+    """The `track.Way`s from a `Begun`, in two parameters: one, or at a GR one for each touch. Raises ArgumentError for
     arguments that cannot be."""
     names = named(start.scene, names)
     if not isinstance(bounds, dict) or set(bounds) != set(names):
-        raise check.SceneError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
+        raise check.ArgumentError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
     bounds = {name: bounds_of(start.scene, name, bounds[name]) for name in names}
     given = settled(first_step, largest_step, tolerance, (), ())
     length = scene_length(start.scene)
@@ -82,26 +82,27 @@ def backward(way):
 
 
 def named(scene, names):
-    """Two parameters of a scene by name. Raises SceneError."""
+    """Two parameters of a scene by name. Raises ArgumentError."""
     pair = tuple(names) if isinstance(names, tuple | list) else ()
     for name in pair:
         check.require_known(name, scene.names, name)
     if len(pair) != 2 or pair[0] == pair[1]:
-        raise check.SceneError("names", "must be two different parameters of the scene", names)
+        raise check.ArgumentError("names", "must be two different parameters of the scene", names)
     check.require_apart(*pair)
     return pair
 
 
 def equations(start, names):
     """(`Grazing` or `Singular`, z) at a `Begun`, along any number of parameters, a list of one; at a GR of one for each
-    touch, which leaves the others out. A tuple of names is one, of several that have one value. Raises SceneError."""
+    touch, which leaves the others out. A tuple of names is one, of several that have one value. Raises
+    ArgumentError."""
     scene, spot = start.scene, start.spot
     impacts = _impacts(start)
     values = [tied(scene, name) for name in names]
     numbered, which = marked(scene, *names)
     half = _is_half(start, impacts, names)
     if start.kind == "SB" and not half:
-        raise check.SceneError("names", "must keep the scene symmetric: an SB is no point of another", names)
+        raise check.ArgumentError("names", "must keep the scene symmetric: an SB is no point of another", names)
     turn, periods = (-1.0, 0.5 * spot.periods) if half else (1.0, float(spot.periods))
     if half:
         impacts = impacts[: len(impacts) // 2]
@@ -114,7 +115,7 @@ def equations(start, names):
     slack = TOUCH * scene_length(scene)
     still = [k for k, (_, speed, _) in enumerate(impacts) if speed <= slack]
     if not still:
-        raise check.SceneError("special", "must touch a wall: a GR at which none is", start.spot.value)
+        raise check.ArgumentError("special", "must touch a wall: a GR at which none is", start.spot.value)
     alone = ([one for k, one in enumerate(impacts) if k == touch or k not in still] for touch in still)
     return [_grazing(seed, each, values, slack) for each in alone]
 

@@ -5,7 +5,7 @@ import numpy as np
 from ..branches.branch import labels
 from ..maps.itinerary import LETTERS, label, mirrored, same
 from ..problem.touches import TOUCH
-from ..scene.check import SceneError, sequence
+from ..scene.check import ArgumentError, sequence
 from .first_point import KINDS
 from .locus import locus
 
@@ -26,7 +26,7 @@ def loci(branches, names, bounds, kinds=KINDS, largest_step=0.1, progress=None):
         if not any(leads_through(other, one) for other in found):
             try:
                 found.append(locus(one, names, bounds, largest_step=largest_step))
-            except SceneError as error:
+            except ArgumentError as error:
                 refused.append((one, error.rule))
         if progress is not None:
             progress(count)

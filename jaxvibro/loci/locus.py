@@ -113,7 +113,7 @@ class Locus:
         """The `Orbit` at one of the points, by its place along the locus."""
         count = len(self)
         if not -count <= place < count:
-            raise check.SceneError("place", f"must be a point of the locus, from 0 to {count - 1}", place)
+            raise check.ArgumentError("place", f"must be a point of the locus, from 0 to {count - 1}", place)
         spot, values = _spot_of(self.data, place, self.names)
         return told(self.scene.replace(**values), spot)
 
@@ -144,7 +144,7 @@ def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1
     The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
     multiplier_imag, least_speed, least_clearance, residual.
 
-    Raises SceneError for points of other kinds and arguments that cannot be.
+    Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
     start, steps = begun(special), (first_step, largest_step, tolerance)
     on, back = outsets(start, names, bounds, *steps)

@@ -53,8 +53,8 @@ def sensitivity(special, names, wall=None):
     "right", for a GR that touches both at once: along what moves one of them it has a corner, and what is given is how
     the value at which this wall is touched changes. It counts on the side where this wall is touched first.
 
-    Raises SceneError for points of other kinds, names that cannot be, and a corner where no wall is given; its value is
-    then what each wall gives.
+    Raises ArgumentError for points of other kinds, names that cannot be, and a corner where no wall is given; its value
+    is then what each wall gives.
     """
     return slopes(held(special, names, wall))
 
@@ -63,16 +63,16 @@ def held(special, names, wall=None):
     """The `Held` of a `Special`, such names and a wall."""
     start = begun(special)
     if start.kind not in KINDS:
-        raise check.SceneError("special", f"must be a special point of kind {', '.join(KINDS)}", start.kind)
+        raise check.ArgumentError("special", f"must be a special point of kind {', '.join(KINDS)}", start.kind)
     names = check.sequence("names", names)
     each = flat(names)
     for name in each:
         check.require_known(name, start.scene.names, name)
     if not all(map(len, names)) or not names or special.name in each or len(set(each)) < len(each):
-        raise check.SceneError("names", f"must be different, one at least, and none {special.name}", names)
+        raise check.ArgumentError("names", f"must be different, one at least, and none {special.name}", names)
     check.require_apart(special.name, *each)
     if wall not in (None, "left", "right"):
-        raise check.SceneError("wall", 'must be "left", "right" or None', wall)
+        raise check.ArgumentError("wall", 'must be "left", "right" or None', wall)
     return _only([_held(*sheet, special.name, names) for sheet in equations(start, (special.name, *names))], wall)
 
 
@@ -88,12 +88,14 @@ def _only(found, wall):
             known.setdefault(side, []).append((one, by))
     every = [each for some in known.values() for each in some]
     if not every:
-        raise check.SceneError("wall", "must be one that is touched, and that the point's value changes", wall)
+        raise check.ArgumentError("wall", "must be one that is touched, and that the point's value changes", wall)
     first, by = every[0]
     if all(np.allclose(by, other, rtol=ALIKE, atol=ALIKE) for _, other in every):
         return first
     told = {side: [float(f"{each:.6g}") for each in known[side][0][1]] for side in sorted(known)}
-    raise check.SceneError("wall", 'must be "left" or "right" at a corner: each counts where it is touched first', told)
+    raise check.ArgumentError(
+        "wall", 'must be "left" or "right" at a corner: each counts where it is touched first', told
+    )
 
 
 def _side(one):

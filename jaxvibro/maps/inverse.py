@@ -27,9 +27,11 @@ def require_reversible(scene):
     for side in scene.walls:
         bounce = scene.bounce(side)
         if bounce == 0:
-            raise check.SceneError(f"{side}.restitution", "must be greater than 0, else the map has no inverse", bounce)
+            raise check.ArgumentError(
+                f"{side}.restitution", "must be greater than 0, else the map has no inverse", bounce
+            )
     if not scene.damping < 1:
-        raise check.SceneError("damping", "must be less than 1 on the way back", scene.damping)
+        raise check.ArgumentError("damping", "must be less than 1 on the way back", scene.damping)
 
 
 def backward(scene, state, least):

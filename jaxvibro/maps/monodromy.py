@@ -39,7 +39,7 @@ def monodromy(scene, state, periods=1, slots=SLOTS):
     no end (status from CAP on) or has more impacts than that and does not end at rest; zero where the mass rests on a
     wall. On an impact without speed the derivative does not exist: inf or nan.
 
-    Raises SceneError as `strobe` does, and TypeError where it is itself to be differentiated.
+    Raises ArgumentError as `strobe` does, and TypeError where it is itself to be differentiated.
     """
     periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 1)
     leaves, tree = jax.tree.flatten((scene, real_state(scene, state)))

@@ -35,12 +35,12 @@ def return_map(scene, side, phase, velocity, periods=2, slots=32):
     the scene's. periods: drive periods in which the next impact is looked for; slots: impacts recorded in them. Has the
     derivatives of `strobe`: in (phase, velocity) their eigenvalues at an orbit are its multipliers.
 
-    Raises SceneError for a wall that is not there, and as `strobe` does.
+    Raises ArgumentError for a wall that is not there, and as `strobe` does.
     """
     if side not in SIDES or getattr(scene, side) is None:
-        raise check.SceneError("side", "must be a wall of the scene, left or right", side)
+        raise check.ArgumentError("side", "must be a wall of the scene, left or right", side)
     if getattr(scene, side).soft:
-        raise check.SceneError("side", "must be a rigid wall: a soft one is left later than it is met", side)
+        raise check.ArgumentError("side", "must be a rigid wall: a soft one is left later than it is met", side)
     k = SIDES.index(side)
     sign, phase = SIGNS[k], jnp.asarray(check.real("phase", phase, scene.dtype))
     start = State(places(scene, phase)[k][0], velocity, phase, Contact.LANDED * sign)

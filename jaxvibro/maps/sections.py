@@ -24,18 +24,18 @@ def sections(scene, state, phase=0.0, periods=1000, settle=300):
     left_velocity, right_phase and right_velocity: of the drive at each impact on a wall and of the mass after it, in
     order: P2 and P3 lead from each to the next (`return_map`). At most 16 impacts a period are seen.
 
-    Raises SceneError for a batch, numbers that cannot be, and a motion that ends with a bad status.
+    Raises ArgumentError for a batch, numbers that cannot be, and a motion that ends with a bad status.
     """
     check.require_single(scene)
     check.require_rigid(scene, "sections")
     settle, periods = check.whole("settle", settle, 0), check.whole("periods", periods, 1)
     state = real_state(scene, state)
     if np.shape(state.x + state.v + state.phase + state.contact):
-        raise check.SceneError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
+        raise check.ArgumentError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
     check_start(scene, state)
     phase = check.number("phase", phase, np.float64)
     if phase.shape:
-        raise check.SceneError("phase", "must be a number", phase)
+        raise check.ArgumentError("phase", "must be a number", phase)
     phase = float(phase)
     state = State(*(np.reshape(np.asarray(each), 1) for each in (state.x, state.v, state.phase, state.contact)))
     if settle:
@@ -51,7 +51,7 @@ def sections(scene, state, phase=0.0, periods=1000, settle=300):
 
 def _good(state, status):
     if status[0] >= Status.CAP:
-        raise check.SceneError("state", "must start a motion that goes on", Status(status[0]).word)
+        raise check.ArgumentError("state", "must start a motion that goes on", Status(status[0]).word)
     return state
 
 

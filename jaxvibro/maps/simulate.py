@@ -30,18 +30,19 @@ def simulate(scene, state, periods=1, samples=200):
     one at the end. Dataset: x(time), v(time), phase(time) in radians, counted on from the start's; and of the impacts,
     in order, side, speed and position over the coordinate impact_time. Times in t since the start.
 
-    Raises SceneError for a batch, for a start beyond a wall or not finite, and where an impact cap ends the trajectory.
+    Raises ArgumentError for a batch, for a start beyond a wall or not finite, and where an impact cap ends the
+    trajectory.
     """
     periods, samples = check.whole("periods", periods, 1), check.whole("samples", samples, 1)
     state = real_state(scene, state)
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     if shape:
-        raise check.SceneError("state", "must be one state in one scene, no batch", f"shape {shape}")
+        raise check.ArgumentError("state", "must be one state in one scene, no batch", f"shape {shape}")
     check_start(scene, state)
     x, v, angle, impacts = jax.device_get(_trace(scene, state, periods, samples))
     if impacts.status >= Status.CAP or impacts.count > SLOTS:
         told = Status(int(impacts.status)).word if impacts.status else f"more than {SLOTS} impacts"
-        raise check.SceneError("state", f"must have a trajectory ({told})", f"x {float(x[0])}, v {float(v[0])}")
+        raise check.ArgumentError("state", f"must have a trajectory ({told})", f"x {float(x[0])}, v {float(v[0])}")
     return _dataset(scene, x, v, angle, impacts)
 
 

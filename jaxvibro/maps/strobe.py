@@ -32,7 +32,7 @@ def strobe(scene, state, periods=1, slots=32):
     A derivative is nan where there is no end, and with more than 32 impacts a period in flight: the status says so. At
     an impact without speed there is none: what comes is that of the flight past it. A mass at rest forgets its start.
 
-    Raises SceneError for periods, slots or a state that cannot be; all else is a status of each lane (`Impacts`).
+    Raises ArgumentError for periods, slots or a state that cannot be; all else is a status of each lane (`Impacts`).
     """
     periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 0)
     state = real_state(scene, state)

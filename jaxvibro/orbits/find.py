@@ -27,7 +27,7 @@ def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
     it: of those that random guesses lead to the nearest is taken. settle: drive periods before Newton's method.
 
     Raises OrbitError, with status, residual and advice, where there is no such orbit: no return, no convergence, a
-    singular Jacobian (a bifurcation), a flight through a wall; SceneError for arguments that cannot be.
+    singular Jacobian (a bifurcation), a flight through a wall; ArgumentError for arguments that cannot be.
     """
     check.require_single(scene)
     state, settle = _lane(real_state(scene, state)), check.whole("settle", settle, 0)
@@ -36,7 +36,7 @@ def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
         itinerary = _checked(itinerary, periods)
         periods = len(itinerary)
     if periods is not None and check.whole("periods", periods, 1) > KEEP:
-        raise check.SceneError("periods", f"must be at most {KEEP}", periods)
+        raise check.ArgumentError("periods", f"must be at most {KEEP}", periods)
     if settle:
         state = _followed(trail(scene, state, settle)).state
     periods = periods or _returns(scene, state, settle)
@@ -45,18 +45,18 @@ def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
 
 def _lane(state):
     if np.shape(state.x + state.v + state.phase + state.contact):
-        raise check.SceneError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
+        raise check.ArgumentError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
     return State(*(np.reshape(np.asarray(each), 1) for each in (state.x, state.v, state.phase, state.contact)))
 
 
 def _checked(itinerary, periods):
     told = 'must be words of "L" and "R", one a drive period, as ("LR",)'
     if not isinstance(itinerary, tuple | list) or not itinerary:
-        raise check.SceneError("itinerary", told, itinerary)
+        raise check.ArgumentError("itinerary", told, itinerary)
     if not all(isinstance(word, str) and set(word) <= {"L", "R"} for word in itinerary):
-        raise check.SceneError("itinerary", told, itinerary)
+        raise check.ArgumentError("itinerary", told, itinerary)
     if periods not in (None, len(itinerary)):
-        raise check.SceneError("periods", f"must be the number of words, {len(itinerary)}, or None", periods)
+        raise check.ArgumentError("periods", f"must be the number of words, {len(itinerary)}, or None", periods)
     return tuple(itinerary)
 
 

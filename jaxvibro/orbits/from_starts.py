@@ -40,12 +40,12 @@ def find_orbits(scene, max_period=4, starts=200, seed=0):
     at the start; more starts find more. Each is there once, the least period first; of mirror images both, and they say
     so.
 
-    Raises SceneError for a batch of scenes and for counts that cannot be.
+    Raises ArgumentError for a batch of scenes and for counts that cannot be.
     """
     check.require_single(scene)
     longest = check.whole("max_period", max_period, 1)
     if longest > KEEP // 2:
-        raise check.SceneError("max_period", f"must be at most {KEEP // 2}", max_period)
+        raise check.ArgumentError("max_period", f"must be at most {KEEP // 2}", max_period)
     starts, seed = check.whole("starts", starts, 1), check.whole("seed", seed, 0)
     begun = trail(scene, random_starts(scene, starts, seed), KEEP)
     looks = [begun, trail(scene, begun.state, SETTLE)]

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from ..scene.check import SceneError, host, shown
+from ..scene.check import ArgumentError, host, shown
 
 FORMAT = 2  # of the files; those of format 1 had neither number nor checksum
 BLANK = "sha256:" + 64 * "0"
@@ -36,13 +36,13 @@ def netcdf(data):
 def is_sealed(content, path):
     """Whether a file has a checksum, which is then right; False for a file of format 1.
 
-    Raises SceneError where the checksum is wrong.
+    Raises ArgumentError where the checksum is wrong.
     """
     found = _SEAL.search(content)
     if found is None and not any(trace in content for trace in _TRACES):
         return False
     if found is None or found[0] != b"sha256:" + digest(content.replace(found[0], BLANK.encode(), 1)).encode():
-        raise SceneError("path", "must be as it was written, which its checksum says it is not", str(path))
+        raise ArgumentError("path", "must be as it was written, which its checksum says it is not", str(path))
     return True
 
 
@@ -62,25 +62,25 @@ def opened(path, read):
 def is_format(number, path):
     """Refuse a format that is none, or of a later version; None is that of before."""
     if number is not None and (np.ndim(number) or isinstance(number, bool) or number not in range(1, FORMAT + 1)):
-        raise SceneError("path", f"must be of format {FORMAT} or before", f"format {shown(number)} in {path}")
+        raise ArgumentError("path", f"must be of format {FORMAT} or before", f"format {shown(number)} in {path}")
 
 
 @host("use what was loaded before")
 def load_data(path):
     """The xarray.Dataset of a NetCDF file that `run` or `paper` wrote, once its checksum is right.
 
-    A file of before, without a checksum, is read with a warning. Raises SceneError where the file is damaged or none of
-    NetCDF, OSError where it cannot be read.
+    A file of before, without a checksum, is read with a warning. Raises ArgumentError where the file is damaged or none
+    of NetCDF, OSError where it cannot be read.
     """
     return opened(path, dataset_of)
 
 
 def dataset_of(content, path):
-    """The Dataset of a NetCDF file's bytes. Raises SceneError."""
+    """The Dataset of a NetCDF file's bytes. Raises ArgumentError."""
     try:
         data = xr.load_dataset(content, engine="scipy")
     except Exception as error:  # the readers fall over damage of many kinds, each with an error of its own
-        raise SceneError("path", f"must be a NetCDF file ({type(error).__name__})", str(path)) from None
+        raise ArgumentError("path", f"must be a NetCDF file ({type(error).__name__})", str(path)) from None
     is_format(data.attrs.get("format"), path)
     return data
 

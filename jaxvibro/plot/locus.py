@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..loci.locus import MEANINGS, Locus
-from ..scene.check import SceneError
+from ..scene.check import ArgumentError
 from .style import COLOURS, axes, is_of, label, plain
 
 # Of each kind: a colour, and a style that tells it without colour.
@@ -30,7 +30,7 @@ def locus(one, ax=None, colour=None):
     in the same Axes the second is thinner, and further ones thinner still. Each kind of codimension-two point has a
     marker, ends have none.
 
-    Raises SceneError where the Axes hold loci of other parameters, or of these the other way round.
+    Raises ArgumentError where the Axes hold loci of other parameters, or of these the other way round.
     """
     is_of("locus", Locus, one)
     ax = _plane(axes(ax), one.names)
@@ -71,16 +71,16 @@ def region(first, second, text, ax=None, colour=None):
     the one locus on one side and the other locus on the other. colour: of the shade; None takes grey, with another
     hatching for each region in these Axes, told by the text in the legend too.
 
-    Raises SceneError where the two are not over the same parameters in the same order, where no such line meets both,
-    and as `locus` does.
+    Raises ArgumentError where the two are not over the same parameters in the same order, where no such line meets
+    both, and as `locus` does.
     """
     is_of("region", Locus, first, second)
     if first.names != second.names:
-        raise SceneError("second", f"must be a locus in {' and '.join(first.names)}, as the first", second.names)
+        raise ArgumentError("second", f"must be a locus in {' and '.join(first.names)}, as the first", second.names)
     ax = _plane(axes(ax), first.names)
     outlines = _outlines(first.values, second.values)
     if not outlines:
-        raise SceneError("second", f"must share values of {first.names[1]} with the first", repr(second))
+        raise ArgumentError("second", f"must share values of {first.names[1]} with the first", repr(second))
     earlier = len({patch.get_label() for patch in _with_gid(ax.patches, REGION)} - {"_"})
     look = {"facecolor": colour or "0.5", "edgecolor": colour or "0.35", "hatch": HATCHES[earlier % len(HATCHES)]}
     for place, outline in enumerate(outlines):
@@ -138,12 +138,12 @@ def _widest(outlines):
 
 
 def _plane(ax, names):
-    """The Axes, their labels those of the two parameters. Raises SceneError where they hold others."""
+    """The Axes, their labels those of the two parameters. Raises ArgumentError where they hold others."""
     held = {each.get_gid() for each in (*_with_gid(ax.lines, LOCUS), *_with_gid(ax.patches, REGION))}
     there = {gid.removeprefix(LOCUS).removeprefix(REGION).strip() for gid in held}
     if there - {", ".join(names)}:
         rule = f"must be in the plane of what these Axes hold already ({', '.join(sorted(there))}, in this order)"
-        raise SceneError("one.names", rule, tuple(names))
+        raise ArgumentError("one.names", rule, tuple(names))
     ax.set(xlabel=label(names[0]), ylabel=label(names[1]))
     return ax
 

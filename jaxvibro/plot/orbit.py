@@ -17,7 +17,7 @@ def orbit(one, ax=None):
     The title says whether it is stable, and the larger multiplier. An orbit that repels is followed from its state for
     its own number of periods, in which an error of 1e-16 grows by the multiplier.
 
-    Raises SceneError as `simulate` does.
+    Raises ArgumentError as `simulate` does.
     """
     is_of("orbit", Orbit, one)
     ax = portrait(simulate(one.scene, one.state, one.periods, SAMPLES), one.scene, axes(ax), one.stable)

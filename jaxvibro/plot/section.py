@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..scene.check import SceneError
+from ..scene.check import ArgumentError
 from .style import COLOURS, COORDINATES, axes, is_from
 
 WALLS = ("left", "right")
@@ -22,7 +22,7 @@ def section(dataset, which="sigma", ax=None, colour=None):
         ax.set(xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
         return ax
     if which not in WALLS:
-        raise SceneError("which", 'must be "sigma", "left" or "right"', which)
+        raise ArgumentError("which", 'must be "sigma", "left" or "right"', which)
     ax.plot(dataset[f"{which}_phase"].values / np.pi, dataset[f"{which}_velocity"].values, **look)
     ax.set(xlabel=r"phase of the drive at the impact $\,/\,\pi$", xlim=(0.0, 2.0))
     ax.set_ylabel(COORDINATES["v"].replace("velocity", "velocity after it"))

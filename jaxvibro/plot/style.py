@@ -4,7 +4,7 @@ import matplotlib.pyplot as plt
 import xarray as xr
 from matplotlib.colors import to_rgb
 
-from ..scene.check import SceneError
+from ..scene.check import ArgumentError
 
 # Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
@@ -54,17 +54,17 @@ def is_of(picture, kind, *values):
     for value in values:
         if not isinstance(value, kind):
             article = "an" if kind.__name__[0] in "AEIOU" else "a"
-            raise SceneError(f"plot.{picture}", f"must be given {article} {kind.__name__}", value)
+            raise ArgumentError(f"plot.{picture}", f"must be given {article} {kind.__name__}", value)
 
 
 def are_of(picture, kind, values):
     """Refuse what is no tuple or list of such records."""
     if not isinstance(values, tuple | list):
-        raise SceneError(f"plot.{picture}", f"must be given a tuple of {kind.__name__}s", values)
+        raise ArgumentError(f"plot.{picture}", f"must be given a tuple of {kind.__name__}s", values)
     is_of(picture, kind, *values)
 
 
 def is_from(picture, source, names, value):
     """Refuse what is no Dataset of a function's, which has variables, or attributes, of these names."""
     if not isinstance(value, xr.Dataset) or not all(name in value.variables or name in value.attrs for name in names):
-        raise SceneError(f"plot.{picture}", f"must be given a Dataset of {source}", type(value).__name__)
+        raise ArgumentError(f"plot.{picture}", f"must be given a Dataset of {source}", type(value).__name__)

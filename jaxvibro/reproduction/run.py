@@ -10,7 +10,7 @@ from pathlib import Path
 from .. import __version__
 from ..output.atomic_write import refuse_folder, whole
 from ..output.checksums import MARKS, digest, is_sealed, netcdf, sealed
-from ..scene.check import SceneError, among, sequence
+from ..scene.check import ArgumentError, among, sequence
 from ..studies import scene_file
 from .claim import Claim
 from .figures import JOBS
@@ -40,14 +40,14 @@ def paper(names=(), out="out/paper", scenes=None, force=False, progress=False):
     files and program, is kept unless force is given: so an interrupted run goes on where it stopped. progress: show
     bars on stderr.
 
-    Raises SceneError for a name that is none and for scene files that break a rule, OSError where a file cannot be read
-    or written.
+    Raises ArgumentError for a name that is none and for scene files that break a rule, OSError where a file cannot be
+    read or written.
     """
     out, folder = Path(out), _scenes() if scenes is None else Path(scenes)
     names = sequence("names", names) or tuple(JOBS)
     for name in names:
         if name not in JOBS:
-            raise SceneError("figure", f"must be one of those known{among(name, JOBS)}", name)
+            raise ArgumentError("figure", f"must be one of those known{among(name, JOBS)}", name)
     files = {name: [scene_file.read(folder / f"{one}.toml") for one in JOBS[name].files] for name in names}
     keys = {name: _key(folder, JOBS[name].files) for name in JOBS if _exist(folder, JOBS[name].files)}
     refuse_folder(out)

@@ -15,9 +15,9 @@ LONGEST = 300  # characters of a message
 MOST_PERIODS = 32  # of an orbit that is looked for; `iterate` keeps twice as many
 
 
-class SceneError(ValueError):
-    """A scene breaks a rule. key: the parameter, dotted; rule: what it must be; value: what was given; index: the
-    first place in a batch where it is broken, None without a batch."""
+class ArgumentError(ValueError):
+    """An argument breaks a rule. key: the argument, or the parameter, dotted; rule: what it must be; value: what was
+    given; index: the first place in a batch where it is broken, None without a batch."""
 
     def __init__(self, key, rule, value, index=None):
         super().__init__(key, rule, value, index)
@@ -27,6 +27,25 @@ class SceneError(ValueError):
         place = "" if self.index is None else f" at index {self.index}"
         end = f"; got {shown(self.value)}{place}"
         return short(f"{short(self.key)}: {self.rule}", LONGEST - len(end)) + end
+
+
+class SceneError(ArgumentError):
+    """A scene breaks a rule."""
+
+
+def of_scene(function):
+    """Decorates what makes a scene: an argument that breaks a rule is then the scene's."""
+
+    @wraps(function)
+    def made(*args, **named):
+        try:
+            return function(*args, **named)
+        except ArgumentError as error:
+            if isinstance(error, SceneError):
+                raise
+            raise SceneError(*error.args) from None
+
+    return made
 
 
 def short(text, most=80):
@@ -70,7 +89,7 @@ def is_transformed():
 def host(instead):
     """Decorates a function that runs on the host: under a transformation it says so at once, and what does it there.
 
-    Raises SceneError where an argument is traced, and within jit, vmap and grad where none is.
+    Raises ArgumentError where an argument is traced, and within jit, vmap and grad where none is.
     """
 
     def decorated(function):
@@ -79,7 +98,7 @@ def host(instead):
             traced = [each for each in jax.tree.leaves((args, named)) if is_traced(each)]
             if traced or is_transformed():
                 rule = "runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, " + instead
-                raise SceneError(function.__name__, rule, traced[0] if traced else "a call within one")
+                raise ArgumentError(function.__name__, rule, traced[0] if traced else "a call within one")
             return function(*args, **named)
 
         return called
@@ -90,9 +109,9 @@ def host(instead):
 def require_known(name, names, value):
     """Refuse a name that is none of these parameters."""
     if not isinstance(name, str):
-        raise SceneError("name", f"must be a parameter of this scene ({', '.join(names)})", name)
+        raise ArgumentError("name", f"must be a parameter of this scene ({', '.join(names)})", name)
     if name not in names:
-        raise SceneError(name, f"is not a parameter of this scene{among(name, names)}", value)
+        raise ArgumentError(name, f"is not a parameter of this scene{among(name, names)}", value)
 
 
 def sequence(key, names):
@@ -102,41 +121,41 @@ def sequence(key, names):
     try:
         return tuple(names)
     except TypeError:
-        raise SceneError(key, "must be a name or a sequence of names", names) from None
+        raise ArgumentError(key, "must be a name or a sequence of names", names) from None
 
 
 def require_apart(*names):
     """Refuse parameters of which one, the hardness, changes another."""
     if "hardness" in names and any(name.endswith((".stiffness", ".damping")) for name in names):
-        raise SceneError("names", "must not name what the hardness changes beside it", names)
+        raise ArgumentError("names", "must not name what the hardness changes beside it", names)
 
 
 def require_one_kind(side, wall):
     """Refuse a wall that is neither rigid nor soft."""
     if wall.stiffness is not None and wall.restitution is not None:
-        raise SceneError(f"{side}.restitution", "a wall with stiffness has none", wall.restitution)
+        raise ArgumentError(f"{side}.restitution", "a wall with stiffness has none", wall.restitution)
     if wall.stiffness is None and wall.damping is not None:
-        raise SceneError(f"{side}.damping", "a wall without stiffness has none", wall.damping)
+        raise ArgumentError(f"{side}.damping", "a wall without stiffness has none", wall.damping)
 
 
 def require_rigid(scene, what):
     """Refuse a soft wall where only rigid ones are known."""
     for side, wall in scene.walls.items():
         if wall.soft:
-            raise SceneError(f"{side}.stiffness", f"{what} is for rigid walls only", wall.stiffness)
+            raise ArgumentError(f"{side}.stiffness", f"{what} is for rigid walls only", wall.stiffness)
 
 
 def require_single(scene):
     """Refuse a batch of scenes."""
     if scene.shape:
-        raise SceneError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")
+        raise ArgumentError("scene", "must be a single scene, not a batch", f"shape {scene.shape}")
 
 
 def pair(walls):
     """The walls as a tuple of two entries, left and right: of a tuple, a list or an array of two positions."""
     array = hasattr(walls, "dtype") and np.shape(walls) == (2,)
     if not array and (not isinstance(walls, tuple | list) or len(walls) != 2):
-        raise SceneError("walls", "must be a pair (left, right), each a position, None or a Wall", walls)
+        raise ArgumentError("walls", "must be a pair (left, right), each a position, None or a Wall", walls)
     return tuple(walls)
 
 
@@ -147,10 +166,10 @@ def float_type(dtype):
     except TypeError:
         kind = None
     if kind not in (np.float32, np.float64):
-        raise SceneError("dtype", "must be None, float32 or float64", dtype)
+        raise ArgumentError("dtype", "must be None, float32 or float64", dtype)
     if kind == np.float64 and not jax.config.jax_enable_x64:
         advice = "call jax.config.update('jax_enable_x64', True) first, or ask for dtype=jnp.float32"
-        raise SceneError("dtype", f"double precision is off in jax: {advice}", kind.name)
+        raise ArgumentError("dtype", f"double precision is off in jax: {advice}", kind.name)
     return kind
 
 
@@ -158,11 +177,11 @@ def real(key, value, dtype):
     """The value as an array of real numbers: NumPy's, or a tracer's, of which only the type is checked."""
     if is_traced(value):
         if value.dtype.kind not in "fiu":
-            raise SceneError(key, "must be a real number", f"type {value.dtype}")
+            raise ArgumentError(key, "must be a real number", f"type {value.dtype}")
         return jnp.asarray(value, dtype)
     array = _plain(value)
     if array is None or array.dtype.kind not in "fiu":
-        raise SceneError(key, "must be a real number", value)
+        raise ArgumentError(key, "must be a real number", value)
     with np.errstate(over="ignore"):
         return array.astype(dtype)
 
@@ -179,7 +198,7 @@ def quantity(key, value, dtype):
     """Like `number`, for what a scene is made of: there a list is taken neither for a batch nor for the two walls'."""
     if isinstance(value, list | tuple):
         told = "what each wall has of its own is written walls=(Wall(...), Wall(...)), a batch np.array([...])"
-        raise SceneError(key, f"must be a number or an array, not a {type(value).__name__}: {told}", value)
+        raise ArgumentError(key, f"must be a number or an array, not a {type(value).__name__}: {told}", value)
     return number(key, value, dtype)
 
 
@@ -196,7 +215,7 @@ def harmonic(key, value):
     """The harmonic as an int: a whole number from 1 on (a truth value is none)."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole or not 1 <= value <= HIGHEST_HARMONIC:
-        raise SceneError(key, f"must be a whole number from 1 to {HIGHEST_HARMONIC}", value)
+        raise ArgumentError(key, f"must be a whole number from 1 to {HIGHEST_HARMONIC}", value)
     return int(value)
 
 
@@ -205,7 +224,7 @@ def require(key, rule, value, holds):
     value, holds = np.broadcast_arrays(value, holds)
     if not holds.all():
         place = tuple(int(i) for i in np.argwhere(~holds)[0])
-        raise SceneError(key, rule, value[place], place or None)
+        raise ArgumentError(key, rule, value[place], place or None)
 
 
 def check_scene(scene):
@@ -257,7 +276,7 @@ def shapes_agree(leaves):
         try:
             shape = np.broadcast_shapes(shape, leaf.shape)
         except ValueError:
-            raise SceneError(key, f"must broadcast with the shape {shape} of the others", leaf) from None
+            raise ArgumentError(key, f"must broadcast with the shape {shape} of the others", leaf) from None
 
 
 def walls_apart(left, right):
@@ -279,5 +298,5 @@ def walls_apart(left, right):
 def whole(key, value, least):
     """The value as an int: a whole number from `least` on (a truth value is none)."""
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-        raise SceneError(key, f"must be a whole number from {least} on", value)
+        raise ArgumentError(key, f"must be a whole number from {least} on", value)
     return int(value)

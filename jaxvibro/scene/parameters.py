@@ -33,10 +33,10 @@ def bounds_of(scene, name, bounds):
     check.require_known(name, scene.names, name)
     given = np.asarray(bounds, float) if np.shape(bounds) == (2,) else np.array([np.nan, np.nan])
     if not (np.isfinite(given).all() and given[0] < given[1]):
-        raise check.SceneError("bounds", "must be (low, high), two finite numbers, the first smaller", bounds)
+        raise check.ArgumentError("bounds", "must be (low, high), two finite numbers, the first smaller", bounds)
     value = float(scene.parameter(name))
     if not given[0] <= value <= given[1]:
-        raise check.SceneError("bounds", f"must hold the start's {name}, {value:.12g}", bounds)
+        raise check.ArgumentError("bounds", f"must hold the start's {name}, {value:.12g}", bounds)
     return float(given[0]), float(given[1])
 
 
@@ -45,7 +45,7 @@ def values_of(scene, name, values):
     check.require_known(name, scene.names, values)
     found = check.real("values", values, np.float64)
     if found.ndim != 1 or not len(found):
-        raise check.SceneError("values", f"must be a row of values of {name}, one at least", values)
+        raise check.ArgumentError("values", f"must be a row of values of {name}, one at least", values)
     scene.replace(**{name: found})
     return found
 
@@ -76,11 +76,11 @@ def flat(names):
 def tied(scene, name):
     """The value of a parameter, or of several that are one, a tuple of names.
 
-    Raises SceneError where their values differ: no number is then that of all.
+    Raises ArgumentError where their values differ: no number is then that of all.
     """
     values = {one: float(scene.parameter(one)) for one in check.sequence("names", name)}
     low, high = min(values.values()), max(values.values())
     if high - low > ROUNDING * max(abs(low), abs(high)):
         rule = "in one tuple must have one value; for a common shift take the sum of what each gives alone"
-        raise check.SceneError("names", rule, values)
+        raise check.ArgumentError("names", rule, values)
     return low

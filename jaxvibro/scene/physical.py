@@ -9,6 +9,7 @@ from . import check
 from .scene import SIDES, Motion, Wall, make_scene
 
 
+@check.of_scene
 def scene_from_physical(mass, damping, stiffness, force, frequency, restitution, walls, length=None, dtype=None):
     """The nondimensional scene of a mass on a spring, in any consistent set of units.
 

@@ -111,7 +111,7 @@ class Scene:
     def parameter(self, name):
         """The value of a parameter, an array; a wall without a restitution, or damping, of its own gives the scene's.
 
-        Raises SceneError where the scene has no parameter of this name.
+        Raises ArgumentError where the scene has no parameter of this name.
         """
         check.require_known(name, self.names, name)
         if name == "hardness":
@@ -130,6 +130,7 @@ class Scene:
         wall = getattr(self, side)
         return -jnp.ones_like(wall.position) if wall.soft else self.parameter(f"{side}.restitution")
 
+    @check.of_scene
     def replace(self, **changes):
         """The same scene with other values: `scene.replace(**{"amplitude": 3.0, "right.restitution": 0.5})`.
 
@@ -139,6 +140,7 @@ class Scene:
         return _checked(changed(self, changes), self.dtype)
 
 
+@check.of_scene
 def make_scene(amplitude, frequency, damping, restitution, walls, dtype=None):
     """A checked scene.
 

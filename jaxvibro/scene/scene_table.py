@@ -44,15 +44,15 @@ class SceneTable(Table):
     right: WallTable | None = None
 
     def make(self, dtype=None):
-        """The scene described, made by `make_scene`: SceneError where it breaks a rule."""
+        """The scene described, made by `make_scene`: ArgumentError where it breaks a rule."""
         walls = tuple(table and table.wall() for table in (self.left, self.right))
         return make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype)
 
 
 def table_of(scene):
-    """The `SceneTable` that describes one scene. Raises SceneError for a batch."""
+    """The `SceneTable` that describes one scene. Raises ArgumentError for a batch."""
     if scene.shape:
-        raise check.SceneError("scene", "only a single scene can be written, not a batch", f"shape {scene.shape}")
+        raise check.ArgumentError("scene", "only a single scene can be written, not a batch", f"shape {scene.shape}")
 
     def table(wall):
         if wall is None:

@@ -17,7 +17,7 @@ def effective_restitution(stiffness, damping):
     """R_eff of a soft wall: the speed at which a mass leaves it over that at which it came, where nothing else pulls.
 
     stiffness k2 > 0, damping gamma2 >= 0, as of a `Wall`: numbers or arrays that broadcast. From critical damping on
-    (z >= 1) the mass never comes back by itself: 0. Raises SceneError for a number that breaks its rule.
+    (z >= 1) the mass never comes back by itself: 0. Raises ArgumentError for a number that breaks its rule.
     """
     xp, stiffness, damping = _numbers(stiffness=stiffness, damping=damping)
     spare = 1.0 + stiffness - damping * damping
@@ -32,7 +32,7 @@ def contact_damping(stiffness, restitution):
         gamma2 = z sqrt(1 + k2),  z = abs(ln R) / sqrt(pi^2 + ln(R)^2)
 
     stiffness k2 > 0, 0 <= restitution R <= 1: numbers or arrays that broadcast. R = 0 takes critical damping, z = 1,
-    the least that has it. Raises SceneError for a number that breaks its rule.
+    the least that has it. Raises ArgumentError for a number that breaks its rule.
     """
     xp, stiffness, restitution = _numbers(stiffness=stiffness, restitution=restitution)
     bounces = restitution > 0
@@ -40,6 +40,7 @@ def contact_damping(stiffness, restitution):
     return xp.where(bounces, loss / xp.hypot(np.pi, loss), 1.0) * xp.sqrt(1.0 + stiffness)
 
 
+@check.of_scene
 def soften(scene, stiffness):
     """The scene with each rigid wall replaced by a soft one that gives back the same part of the speed.
 

@@ -52,7 +52,7 @@ class Impacts:
 def real_state(scene, state):
     """The state with every number an array of the scene's type; refused where it is none, or fits no batch."""
     if not isinstance(state, State):
-        raise check.SceneError("state", "must be a State", state)
+        raise check.ArgumentError("state", "must be a State", state)
     keys = ("x", "v", "phase", "contact")
     found = [jnp.asarray(check.real(f"state.{key}", getattr(state, key), scene.dtype)) for key in keys]
     leaves = [
@@ -66,7 +66,7 @@ def real_state(scene, state):
 def check_start(scene, state, when="at its phase"):
     """Refuse a known start that is not finite, or is free and beyond a rigid wall, before anything is compiled.
 
-    One in contact with a wall is that wall's. Raises SceneError.
+    One in contact with a wall is that wall's. Raises ArgumentError.
     """
     for key in ("x", "v", "phase", "contact"):
         value = np.asarray(getattr(state, key))

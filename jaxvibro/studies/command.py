@@ -48,7 +48,7 @@ def main(arguments=None):
         return _told("there is not enough memory for this", BAD)
     except OSError as error:
         return _told(_complaint(error), BAD)
-    except jv.SceneError as error:  # last: looking it up loads jax
+    except jv.ArgumentError as error:  # last: looking it up loads jax
         return _told(error, BAD)
     return 0
 

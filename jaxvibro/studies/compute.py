@@ -18,7 +18,7 @@ from ..loci.loci import count, loci
 from ..orbits.find import find_orbit
 from ..orbits.from_starts import find_orbits
 from ..orbits.orbit import OrbitError
-from ..scene.check import SceneError
+from ..scene.check import ArgumentError, SceneError
 from ..scene.scene import Scene, changed
 from ..scene.state import State
 from .schema import SceneFile
@@ -169,7 +169,7 @@ def _explored(scene, table, progress):
             return explore(
                 scene, table.parameter, table.bounds, **settings, progress=lambda number: bar.update(number - bar.n)
             )
-        except SceneError as error:
+        except ArgumentError as error:
             raise SceneError(f"explore.{error.key}", error.rule, error.value, error.index) from None
 
 

@@ -17,7 +17,7 @@ from ..maps.simulate import simulate
 from ..plot import style
 from ..plot.locus import name as of_locus
 from ..plot.orbit import title
-from ..scene.check import SceneError
+from ..scene.check import ArgumentError
 from ..scene.state import State
 from .sweep_periods import recurrence
 
@@ -118,7 +118,7 @@ def _portraits(found):
         ax = figure.add_subplot(rows, columns, place)
         try:
             draw(ax)
-        except SceneError as error:  # too many impacts to draw
+        except ArgumentError as error:  # too many impacts to draw
             ax.text(0.5, 0.5, style.plain(str(error)), wrap=True, ha="center", va="center")
         ax.set_title(name, fontsize="medium")
     if len(motions) != len(drawn) or not motions:

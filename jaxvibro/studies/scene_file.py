@@ -7,7 +7,7 @@ import msgspec
 
 from ..output.atomic_write import whole
 from ..scene import scene_table
-from ..scene.check import SceneError, among, host
+from ..scene.check import ArgumentError, SceneError, among, host
 from ..scene.scene_table import table_of
 from . import schema
 from .schema import SceneFile
@@ -63,7 +63,7 @@ def read(path, changes=()):
     path = Path(path)
     try:
         found = parsed(path.name, content(path).decode("utf-8-sig"))
-    except SceneError:
+    except ArgumentError:
         raise
     except (ValueError, RecursionError) as error:
         raise SceneError(path.name, "must be a TOML file", str(error)) from None
@@ -90,7 +90,7 @@ def apply(found, change):
         raise SceneError(key, f"must be at most {LARGEST:,} characters long", "more")
     try:
         new = parsed(key, change)
-    except SceneError:
+    except ArgumentError:
         raise
     except (ValueError, RecursionError):
         new = {}

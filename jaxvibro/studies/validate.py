@@ -9,6 +9,7 @@ from ..scene.scene import Scene, between, changed, known
 from .schema import KINDS, MOST_STATES
 
 
+@check.of_scene
 def checked(file):
     """A `SceneFile`, once scene and studies break no rule. Raises SceneError naming the key, dotted from the top."""
     scene = _plain(file.scene)
@@ -45,7 +46,7 @@ def _under(prefix):
     """Names the keys of a scene's errors as the file does."""
     try:
         yield
-    except check.SceneError as error:
+    except check.ArgumentError as error:
         raise check.SceneError(prefix + error.key, error.rule, error.value, error.index) from None
 
 
