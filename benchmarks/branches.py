@@ -10,7 +10,7 @@ import jaxvibro
 from benchmarks import harness, ours, page, scipy_arclength
 from continuation import arclength
 from jaxvibro.branches.follow import started
-from jaxvibro.compiled.kernels import OPTIONS
+from jaxvibro.compiled.compiler_hints import OPTIONS
 from jaxvibro.problem import diagnostics
 from jaxvibro.problem.equations import IMPACTS
 from jaxvibro.problem.touches import scales

@@ -6,7 +6,7 @@ import numpy as np
 
 import jaxvibro
 from benchmarks import harness, ours, page
-from jaxvibro.compiled.kernels import one_kernel
+from jaxvibro.compiled.compiler_hints import one_kernel
 from jaxvibro.orbits import impact_equations
 from jaxvibro.orbits.by_impacts import padded
 

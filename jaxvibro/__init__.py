@@ -44,7 +44,7 @@ _HOMES = {
     "Locus": "loci.locus",
     "family": "loci.family",
     "explore": "branches.explore",
-    "diagrams": "branches.diagrams",
+    "diagrams": "branches.diagram_family",
     "Diagram": "branches.diagram",
     "load_diagram": "branches.diagram",
     "sweep": "attractors.sweep",

@@ -10,7 +10,7 @@ from .branches.branch import Branch as Branch
 from .branches.branch_file import load_branch as load_branch
 from .branches.diagram import Diagram as Diagram
 from .branches.diagram import load_diagram as load_diagram
-from .branches.diagrams import diagrams as diagrams
+from .branches.diagram_family import diagrams as diagrams
 from .branches.explore import explore as explore
 from .branches.follow import follow as follow
 from .branches.peaks import peak as peak

@@ -20,7 +20,7 @@ from jaxvibro.attractors.classify import chaotic, periodic
 from jaxvibro.attractors.shares import share_bounds
 from jaxvibro.attractors.transients import settle_lanes
 from jaxvibro.maps.initial_conditions import box, random_starts
-from jaxvibro.orbits.impact_points import is_same_set
+from jaxvibro.orbits.orbit_comparison import is_same_set
 from jaxvibro.output.atomic_write import whole
 from jaxvibro.scene.codes import Status
 from tests.test_tried import clearance

@@ -12,12 +12,12 @@ import numpy as np
 
 import jaxvibro as jv
 from continuation.arclength import Control
-from continuation.follow import pinned
+from continuation.steps import pinned
 from jaxvibro.branches.branch import row_of, spot_of
 from jaxvibro.branches.follow import placed
 from jaxvibro.problem import touches as graze
-from jaxvibro.problem.describe import told
 from jaxvibro.problem.equations import problem
+from jaxvibro.problem.orbit_on_branch import told
 from jaxvibro.problem.touches import scales
 from jaxvibro.scene.scale import scene_length
 from tests.reference import special as reference

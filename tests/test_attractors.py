@@ -12,7 +12,7 @@ from jaxvibro.attractors.recurrence import returns, settled_periods
 from jaxvibro.maps import itinerary
 from jaxvibro.maps.initial_conditions import box, forced_amplitude, random_starts
 from jaxvibro.maps.iterate import KEEP, trail
-from jaxvibro.orbits.impact_points import is_same_orbit, is_same_set, meetings, mirrored
+from jaxvibro.orbits.orbit_comparison import is_same_orbit, is_same_set, meetings, mirrored
 from jaxvibro.scene.check import MOST_PERIODS, ArgumentError
 from jaxvibro.scene.symmetry import is_symmetric
 

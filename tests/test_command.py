@@ -17,7 +17,7 @@ import xarray as xr
 
 import jaxvibro as jv
 from jaxvibro.output import atomic_write
-from jaxvibro.studies import cache, command, scene_file, scene_template, schema
+from jaxvibro.studies import command, jax_settings, scene_file, scene_template, schema
 from jaxvibro.studies.run import ENDINGS
 
 ROOT = Path(__file__).parents[1]
@@ -258,13 +258,13 @@ def test_the_command_itself_turns_double_precision_on_and_keeps_compiled_code(tm
 def test_a_cache_that_cannot_be_made_is_done_without(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert cache.folder() is None
+    assert jax_settings.folder() is None
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert cache.folder() == tmp_path / ".cache" / "jaxvibro" / cache.processor()
-    assert cache.folder().stat().st_mode & 0o777 == 0o700
+    assert jax_settings.folder() == tmp_path / ".cache" / "jaxvibro" / jax_settings.processor()
+    assert jax_settings.folder().stat().st_mode & 0o777 == 0o700
     monkeypatch.setenv("HOME", str(tmp_path / "nobody"))
-    assert cache.folder() is None and not (tmp_path / "nobody").exists()
+    assert jax_settings.folder() is None and not (tmp_path / "nobody").exists()
 
 
 def test_the_readme_s_lines_run_as_printed():

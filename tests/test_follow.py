@@ -6,8 +6,8 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.branches.follow import placed
-from jaxvibro.problem.describe import Spot
 from jaxvibro.problem.diagnostics import looked
+from jaxvibro.problem.orbit_on_branch import Spot
 from tests import branch_proof
 from tests.reference import closed
 

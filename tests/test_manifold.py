@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.attractors.local_manifold import germ, mapped
-from jaxvibro.compiled.kernels import OPTIONS
+from jaxvibro.compiled.compiler_hints import OPTIONS
 from jaxvibro.maps.inverse import backward
 
 from .basins_proof import SCENE, bisected, distance

@@ -8,10 +8,10 @@ import jaxvibro as jv
 from jaxvibro.branches.branch_tree import is_same
 from jaxvibro.maps import itinerary
 from jaxvibro.orbits.by_impacts import by_section
-from jaxvibro.orbits.impact_points import is_same_orbit, meetings, mirrored, times_round
-from jaxvibro.problem.describe import Spot
-from jaxvibro.problem.describe import itinerary as walls
+from jaxvibro.orbits.orbit_comparison import is_same_orbit, meetings, mirrored, times_round
 from jaxvibro.problem.end import End
+from jaxvibro.problem.orbit_on_branch import Spot
+from jaxvibro.problem.orbit_on_branch import itinerary as walls
 from tests.test_extend import drawn
 
 NEAR = 1e-6

@@ -13,7 +13,7 @@ import pytest
 import jaxvibro as jv
 from continuation import locate, persistent_jit
 from continuation.problem import Given, equilibria, problem_of
-from jaxvibro.compiled.kernels import OPTIONS
+from jaxvibro.compiled.compiler_hints import OPTIONS
 from jaxvibro.maps.strobe import _at_once
 
 ROOT = Path(__file__).parents[1]

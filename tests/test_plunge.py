@@ -9,7 +9,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight.coefficients import frame
-from jaxvibro.flight.soft_first_step import MARGIN, SHARE, is_sure
+from jaxvibro.flight.soft_half_swing import MARGIN, SHARE, is_sure
 
 OMEGA = 2.1
 WALLS = [(10.0, 0.0), (1e2, 0.1), (1e4, 11.3), (1e7, 2000.0), (1e10, 0.1)]

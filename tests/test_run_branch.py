@@ -13,7 +13,7 @@ import xarray as xr
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.branches import branch_tree
-from jaxvibro.problem.describe import Spot
+from jaxvibro.problem.orbit_on_branch import Spot
 from jaxvibro.studies import command, compute, figures, scene_file
 from tests.scene_files import SCENE, check_refusal, each_of
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.attractors import without_starts
+from jaxvibro.attractors import free_and_mirrored
 from jaxvibro.attractors.shares import share_bounds, share_text
 from jaxvibro.maps import itinerary
 from jaxvibro.scene.scene import changed
@@ -58,7 +58,7 @@ def drawn(kind, seed):
 def test_a_free_response_that_keeps_off_the_walls_is_known(kind):
     for seed in range(8):
         scene, keeps = drawn(kind, seed)
-        found = without_starts.free(scene, [])
+        found = free_and_mirrored.free(scene, [])
         assert len(found) == keeps
         for one in found:
             numbers, (w, c) = one.numbers, (float(scene.frequency), float(scene.damping))
@@ -67,13 +67,13 @@ def test_a_free_response_that_keeps_off_the_walls_is_known(kind):
             assert abs(numbers["state"].v - slope[0]) < 1e-3 * (1 + abs(slope).max())
             slowest = c - np.sqrt(max(0.0, c * c - 1.0))
             assert abs(numbers["exponent"] + slowest * 2 * np.pi / w) < 1e-6
-            assert without_starts.free(scene, found) == []
+            assert free_and_mirrored.free(scene, found) == []
 
 
 @pytest.mark.parametrize("frequency", [2.1, 1.0, 0.5])
 def test_without_damping_it_does_not_attract(frequency):
     scene = jv.make_scene(1.0, frequency, 0.0, 0.7, (-1e4, 1e4))
-    assert without_starts.free(scene, []) == []
+    assert free_and_mirrored.free(scene, []) == []
 
 
 def test_stable_p100_is_listed_whatever_the_starts_say():

@@ -12,7 +12,7 @@ from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.kernels import OPTIONS, WIDTH
+from ..compiled.compiler_hints import OPTIONS, WIDTH
 from ..maps import one_period
 from ..maps.iterate import trail
 from ..maps.phase_shift import carried

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from ..compiled.kernels import WIDTH
+from ..compiled.compiler_hints import WIDTH
 from ..maps.initial_conditions import box
 from ..scene.codes import Status
 from ..scene.state import State

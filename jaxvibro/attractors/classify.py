@@ -8,7 +8,7 @@ import numpy as np
 from ..maps import itinerary
 from ..maps.iterate import KEEP, Trail, trail
 from ..maps.rests import NO_RESTS, may_rest, rests
-from ..orbits.impact_points import is_same_set, meetings
+from ..orbits.orbit_comparison import is_same_set, meetings
 from ..scene.codes import Status
 from ..scene.state import State
 from .largest_exponent import exponents
@@ -26,7 +26,7 @@ SAMPLES = 8  # times KEEP periods of chaos that are looked at
 class Evidence:
     """An attractor before its share and its mirror image are known.
 
-    lanes: those that are on it; hits: its impacts as points (`impact_points`); numbers: the fields of `Attractor`.
+    lanes: those that are on it; hits: its impacts as points (`orbit_comparison`); numbers: the fields of `Attractor`.
     """
 
     lanes: list[int]

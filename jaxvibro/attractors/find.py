@@ -13,7 +13,7 @@ from ..scene import check
 from ..scene.codes import Status
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
-from . import without_starts
+from . import free_and_mirrored
 from .classify import chaotic, periodic
 from .shares import share_bounds
 from .transients import settle_lanes
@@ -77,8 +77,8 @@ def find_attractors(scene, starts=200, seed=0, settle=300):
     lost = np.flatnonzero(found.status >= Status.CAP)
     bad = {int(lane): f"status {Status(found.status[lane]).word}" for lane in lost}
     seen = orbits + sets
-    seen += without_starts.free(scene, seen)
-    seen += without_starts.images(scene, seen, scale)
+    seen += free_and_mirrored.free(scene, seen)
+    seen += free_and_mirrored.images(scene, seen, scale)
     seen.sort(key=lambda one: (-len(one.lanes), one.numbers["label"], *one.numbers["points"][0]))
     return _paired(scene, seen, starts) + _unresolved(given, adrift | restless | bad, starts)
 
@@ -90,7 +90,7 @@ def _paired(scene, seen, starts):
         Attractor(
             **one.numbers,
             **_share(len(one.lanes), starts),
-            mirror_of=without_starts.image_place(one, seen) if symmetric else None,
+            mirror_of=free_and_mirrored.image_place(one, seen) if symmetric else None,
             orbit=_orbit(scene, one.numbers),
         )
         for one in seen

@@ -16,7 +16,7 @@ from numpy.polynomial import chebyshev
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.kernels import OPTIONS, WIDTH
+from ..compiled.compiler_hints import OPTIONS, WIDTH
 from ..maps import one_period
 from ..maps.inverse import backward
 from ..scene.codes import Status

@@ -7,7 +7,7 @@ import jax
 import numpy as np
 import xarray as xr
 
-from ..compiled.kernels import WIDTH
+from ..compiled.compiler_hints import WIDTH
 from ..maps.rests import NO_RESTS, rests
 from ..scene import check
 from ..scene.state import check_start, real_state

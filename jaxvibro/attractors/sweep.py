@@ -10,7 +10,7 @@ from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.kernels import OPTIONS
+from ..compiled.compiler_hints import OPTIONS
 from ..flight.wall_positions import fit
 from ..maps.strobe import strobe
 from ..output.units import LENGTH, SPEED

@@ -14,7 +14,7 @@ from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.kernels import OPTIONS, WIDTH, choose, one_kernel
+from ..compiled.compiler_hints import OPTIONS, WIDTH, choose, one_kernel
 from ..maps.iterate import padded
 from ..maps.monodromy import passage
 from ..maps.one_period import SLOTS

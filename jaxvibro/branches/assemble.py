@@ -8,11 +8,11 @@ import xarray as xr
 from continuation.points import joined, turned
 
 from ..maps import itinerary as words
-from ..orbits.impact_points import is_same_orbit, mirrored
 from ..orbits.orbit import MARGIN, roots
+from ..orbits.orbit_comparison import is_same_orbit, mirrored
 from ..output.units import LENGTH, SPEED, TIME
-from ..problem.describe import Spot, impacts, itinerary
 from ..problem.end import End
+from ..problem.orbit_on_branch import Spot, impacts, itinerary
 from ..scene.symmetry import is_symmetric
 from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
 from .segment import Piece

@@ -12,9 +12,9 @@ from .. import __version__
 from ..maps import itinerary as words
 from ..output.atomic_write import whole
 from ..output.checksums import netcdf
-from ..output.columns import columns, pair
-from ..problem.describe import Spot, itinerary, told
+from ..output.table_text import columns, pair
 from ..problem.end import End
+from ..problem.orbit_on_branch import Spot, itinerary, told
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..scene.scene_table import table_of

@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 
 from ..output.checksums import dataset_of, opened
-from ..problem.describe import Spot
 from ..problem.end import End, read
+from ..problem.orbit_on_branch import Spot
 from ..scene import check
 from ..scene.scene_table import SceneTable
 from .branch import NUMBERS, Branch, Segment, row_of, special_of

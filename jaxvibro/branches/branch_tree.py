@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..orbits.impact_points import is_same_orbit
-from ..problem.describe import impacts
+from ..orbits.orbit_comparison import is_same_orbit
+from ..problem.orbit_on_branch import impacts
 from ..problem.same_orbit import is_repeated
 from ..scene.symmetry import stays_symmetric
 from .branch import frequency_at

@@ -10,7 +10,7 @@ import msgspec
 
 from ..output.atomic_write import whole
 from ..output.checksums import MARKS, digest, is_format, opened, sealed
-from ..output.columns import columns
+from ..output.table_text import columns
 from ..scene.check import ArgumentError, host, short
 from ..scene.scene import Scene
 from ..scene.scene_table import SceneTable, table_of

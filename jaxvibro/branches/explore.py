@@ -9,10 +9,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..orbits.impact_points import is_same_orbit
+from ..orbits.orbit_comparison import is_same_orbit
 from ..problem import same_orbit
-from ..problem.describe import impacts
 from ..problem.equations import there
+from ..problem.orbit_on_branch import impacts
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scene import Scene
@@ -21,7 +21,7 @@ from .branch import row_of, spot_of
 from .branch_tree import Tree
 from .diagram import Diagram
 from .follow import brought, placed, settled, through
-from .probes import probes
+from .seed_orbits import probes
 from .switch import FIRST
 
 MOST = 400  # branches, where no budget is given

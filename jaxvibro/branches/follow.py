@@ -4,13 +4,13 @@ import numpy as np
 
 from continuation import locate
 from continuation.arclength import Control, Point
-from continuation.follow import pinned, tangent
+from continuation.steps import pinned, tangent
 
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import Orbit, OrbitError
-from ..problem.describe import Spot
 from ..problem.end import End
 from ..problem.equations import Along, problem
+from ..problem.orbit_on_branch import Spot
 from ..problem.touches import free_start, padded, scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, marked
@@ -111,7 +111,7 @@ def brought(along, z, value):
 
 
 def placed(scene, name, spot):
-    """(`Along`, z) of a `describe.Spot` of a scene."""
+    """(`Along`, z) of a `orbit_on_branch.Spot` of a scene."""
     blank = np.zeros(0)
     cycle = Cycle(blank, blank, blank, np.asarray(0.0), np.asarray(float(spot.periods)))
     along = Along(*marked(scene, name), cycle)

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..maps import itinerary as words
-from ..problem.describe import itinerary
 from ..problem.diagnostics import looked
+from ..problem.orbit_on_branch import itinerary
 from .branch import frequency_at, row_of, special_of, spot_of
 from .follow import placed
 

@@ -12,9 +12,9 @@ from ..flight import flow, soft_contact
 from ..flight.coefficients import frame
 from ..orbits import flight_clearance, impact_equations
 from ..orbits.orbit import Orbit
-from ..problem.describe import Spot
 from ..problem.diagnostics import each_of, flight
 from ..problem.equations import cycle_at, there
+from ..problem.orbit_on_branch import Spot
 from ..scene import check
 from ..scene.codes import Contact
 from .branch import Branch, row_of, spot_of

@@ -6,7 +6,7 @@ import numpy as np
 
 from continuation import branch_switching as crossing
 from continuation import locate
-from continuation.follow import tangent
+from continuation.steps import tangent
 
 from ..problem.end import End, Reason
 from ..problem.equations import problem

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..orbits.impact_points import is_same_orbit
+from ..orbits.orbit_comparison import is_same_orbit
 from ..problem.end import End, Reason
 from ..problem.same_orbit import impacts, is_repeated
 from ..problem.touches import scales

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
 
-from .kernels import WIDTH
+from .compiler_hints import WIDTH
 
 LEAST = 16  # lanes of a block: fewer are compiled in another way, and differ by a rounding
 

@@ -5,11 +5,11 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.kernels import choose, positive
+from ..compiled.compiler_hints import choose, positive
 from ..scene.codes import Contact, Status
 from . import event, impact
 from .coefficients import is_valid
-from .path import Path, SlowMotion, motion
+from .flight_state import Path, SlowMotion, motion
 from .soft_contact import is_inside
 from .wall import course, extent, less
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.kernels import choose, least, most, negative, positive
+from ..compiled.compiler_hints import choose, least, most, negative, positive
 
 TERMS = 7  # of the polynomial
 SHORTER = 0.99  # a horizon at which a quadratic still bends away in spite of rounding

@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.kernels import choose
+from ..compiled.compiler_hints import choose
 
 STEP = 1.0  # longest step, in units of 1 / rate
 ORDER = 18  # STEP^19 / 19! < 1e-17

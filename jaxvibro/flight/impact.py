@@ -5,10 +5,10 @@ from typing import NamedTuple
 import jax
 from jax import lax
 
-from ..compiled.kernels import choose, least, positive, two_sum
+from ..compiled.compiler_hints import choose, least, positive, two_sum
 from ..scene.codes import Contact
 from . import event, flow
-from .path import CAPPED, Path, SlowMotion, accelerations, motion
+from .flight_state import CAPPED, Path, SlowMotion, accelerations, motion
 from .soft_contact import biases, bounce, gives, is_inside
 from .wall import chosen, course, less, picked, press
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.kernels import choose, least, mask, merge, stage
+from ..compiled.compiler_hints import choose, least, mask, merge, stage
 from ..scene.codes import Contact
 from .soft_contact import is_inside
 

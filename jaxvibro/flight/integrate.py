@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.kernels import choose, stage
+from ..compiled.compiler_hints import choose, stage
 from . import impact_log, soft_long_step, turning_points
-from .path import CAPPED, Path
+from .flight_state import CAPPED, Path
 from .soft_contact import is_inside
 from .step import micro
 

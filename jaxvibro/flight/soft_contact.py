@@ -12,10 +12,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.kernels import choose
+from ..compiled.compiler_hints import choose
 from ..scene.codes import Contact
 from . import flow
-from .soft_first_step import Plunge, plunge
+from .soft_half_swing import Plunge, plunge
 from .wall import chosen, course, less
 
 

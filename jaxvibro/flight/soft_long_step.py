@@ -1,4 +1,4 @@
-"""Long steps within a soft wall: over most of a contact (`soft_first_step`), or many of the wall's own swings.
+"""Long steps within a soft wall: over most of a contact (`soft_half_swing`), or many of the wall's own swings.
 
 Within a wall y = slow + fast: the forced motion and, where the wall is overdamped, what creeps back; and the rest w,
 whose energy falls, so that it never exceeds B = sqrt(w^2 + w'^2 / (1 + k2)). While slow stays above B there is no way
@@ -10,11 +10,11 @@ from typing import NamedTuple
 import jax
 from jax import lax
 
-from ..compiled.kernels import choose, least, mask, merge, stage
+from ..compiled.compiler_hints import choose, least, mask, merge, stage
 from ..scene.codes import Contact
 from . import event, flow, soft_contact
-from .path import SlowMotion, remaining
-from .soft_first_step import is_sure
+from .flight_state import SlowMotion, remaining
+from .soft_half_swing import is_sure
 
 PATIENCE = 8.0  # short steps before a long one is tried
 WORTH = 4.0  # short steps that a long one must be

@@ -1,6 +1,6 @@
 """One step of a path: it flies to the next event or as far as is certain, lands, rebounds, rests or is released.
 
-Each step is a handful of stages on lanes; a stage's results are stored, see `kernels.stage`.
+Each step is a handful of stages on lanes; a stage's results are stored, see `compiler_hints.stage`.
 """
 
 from typing import NamedTuple
@@ -8,10 +8,10 @@ from typing import NamedTuple
 import jax
 from jax import lax
 
-from ..compiled.kernels import choose, least, most, positive, stage
+from ..compiled.compiler_hints import choose, least, most, positive, stage
 from ..scene.codes import Contact
 from . import event, flow, impact, soft_long_step
-from .path import Path, jet, moved, place, remaining
+from .flight_state import Path, jet, moved, place, remaining
 from .soft_contact import biases, felt, is_inside
 from .wall import chosen, course, less, picked, press
 

@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.kernels import choose, least, mask, merge, most, stage
+from ..compiled.compiler_hints import choose, least, mask, merge, most, stage
 from ..scene.codes import Contact
 from . import event
-from .path import SlowMotion, accelerations, jet, moved, place
+from .flight_state import SlowMotion, accelerations, jet, moved, place
 from .soft_contact import is_inside
 from .wall import course, less, picked
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import jax
 import jax.numpy as jnp
 
-from ..compiled.kernels import choose
+from ..compiled.compiler_hints import choose
 from ..scene.soft_walls import hardened
 
 

@@ -15,12 +15,12 @@ import numpy as np
 from jax import lax
 
 from continuation import locate
-from continuation.follow import Event, fetched
 from continuation.linear import solve
 from continuation.persistent_jit import persistent_jit
 from continuation.points import between
+from continuation.steps import Event, fetched
 
-from ..compiled.kernels import one_kernel
+from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
 from ..flight.coefficients import frame
 from ..orbits import cyclic_system, impact_equations

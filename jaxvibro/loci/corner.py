@@ -8,9 +8,9 @@ each counts on one side: the boundary has a corner there, and its derivatives ar
 import jax.numpy as jnp
 import numpy as np
 
-from ..problem.describe import Spot
 from ..problem.end import End
 from ..problem.equations import there as at
+from ..problem.orbit_on_branch import Spot
 from ..problem.touches import FLAT, opening, stays, touches, wall_sides
 from ..scene import check
 from ..scene.scale import scene_length

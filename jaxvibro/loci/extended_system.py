@@ -20,7 +20,7 @@ from jax import lax
 
 from continuation.problem import Problem
 
-from ..compiled.kernels import one_kernel
+from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle

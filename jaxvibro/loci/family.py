@@ -4,8 +4,8 @@ import numpy as np
 
 from continuation.points import to_value
 
-from ..problem.describe import Spot
 from ..problem.end import End
+from ..problem.orbit_on_branch import Spot
 from ..scene import check
 from ..scene.parameters import values_of
 from ..scene.symmetry import stays_symmetric

@@ -5,15 +5,15 @@ from typing import NamedTuple
 import numpy as np
 
 from continuation.arclength import Control
-from continuation.follow import step, tangent
+from continuation.steps import step, tangent
 
 from ..branches.assemble import is_own_image
 from ..branches.branch import Special
 from ..branches.follow import SMALLEST, placed, point, settled
 from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
-from ..problem.describe import Spot
 from ..problem.equations import problem
+from ..problem.orbit_on_branch import Spot
 from ..problem.touches import TOUCH, padded, scales, touches
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, flat, marked, tied

@@ -14,11 +14,11 @@ from continuation.points import joined, turned
 from ..branches.branch import row_of
 from ..maps import itinerary as words
 from ..orbits.orbit import roots
-from ..output.columns import columns
+from ..output.table_text import columns
 from ..output.units import LENGTH, SPEED, TIME
-from ..problem.describe import Spot, itinerary, told
 from ..problem.diagnostics import Look
 from ..problem.end import End
+from ..problem.orbit_on_branch import Spot, itinerary, told
 from ..scene import check
 from ..scene.scene import Scene, changed
 from .corner import outsets, traced

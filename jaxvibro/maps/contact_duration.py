@@ -10,9 +10,9 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.kernels import choose, stage
+from ..compiled.compiler_hints import choose, stage
 from ..flight import flow, soft_contact, soft_long_step, taylor
-from ..flight.path import Path, SlowMotion, accelerations
+from ..flight.flight_state import Path, SlowMotion, accelerations
 from ..flight.soft_contact import is_inside
 from ..flight.step import micro
 from ..flight.taylor import Now

@@ -3,7 +3,7 @@ end is moved by Taylor polynomials."""
 
 from jax import lax
 
-from ..compiled.kernels import choose
+from ..compiled.compiler_hints import choose
 from ..flight import flow, soft_contact, taylor
 from ..flight.soft_contact import is_inside
 from ..flight.taylor import Now

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jax.custom_derivatives import SymbolicZero
 
 from ..compiled.blocks import batched, in_blocks
-from ..compiled.kernels import one_kernel
+from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
 from ..scene.codes import Contact, Status
 from ..scene.state import State

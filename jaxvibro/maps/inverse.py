@@ -11,7 +11,7 @@ import jax
 import jax.numpy as jnp
 
 from ..compiled.blocks import in_blocks
-from ..compiled.kernels import choose, one_kernel, stage
+from ..compiled.compiler_hints import choose, one_kernel, stage
 from ..flight import flow, integrate
 from ..flight.coefficients import frame, is_valid
 from ..flight.entry import enter

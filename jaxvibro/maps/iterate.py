@@ -9,7 +9,7 @@ from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.kernels import OPTIONS, WIDTH
+from ..compiled.compiler_hints import OPTIONS, WIDTH
 from ..scene.codes import Status
 from ..scene.state import State
 from .strobe import strobe

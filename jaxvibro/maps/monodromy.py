@@ -16,10 +16,10 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..compiled.blocks import LEAST, batched, in_blocks
-from ..compiled.kernels import OPTIONS, choose, one_kernel, stage
+from ..compiled.compiler_hints import OPTIONS, choose, one_kernel, stage
 from ..flight import flow
 from ..flight.coefficients import frame
-from ..flight.path import accelerations
+from ..flight.flight_state import accelerations
 from ..flight.soft_contact import bounce as restitution
 from ..flight.soft_contact import feeling, flown, gives, is_inside, response
 from ..flight.taylor import Now

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..compiled.blocks import in_blocks
-from ..compiled.kernels import choose, one_kernel, positive, stage
+from ..compiled.compiler_hints import choose, one_kernel, positive, stage
 from ..flight import integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
-from ..flight.path import CAPPED, absolute
+from ..flight.flight_state import CAPPED, absolute
 from ..flight.soft_contact import is_inside
 from ..scene.codes import Contact, Status
 from ..scene.state import Impacts, State

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..compiled.kernels import choose
+from ..compiled.compiler_hints import choose
 from ..flight import integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.kernels import choose, stage
+from ..compiled.compiler_hints import choose, stage
 from ..flight import flow, taylor
 from ..flight.soft_contact import bounce, is_inside
 from ..flight.taylor import Now

@@ -19,12 +19,12 @@ from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.kernels import OPTIONS
+from ..compiled.compiler_hints import OPTIONS
 from ..flight import flow, integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
+from ..flight.flight_state import accelerations
 from ..flight.impact import surface
-from ..flight.path import accelerations
 from ..flight.soft_contact import bounce
 from ..flight.step import micro
 from ..scene.codes import Contact, Status

@@ -8,11 +8,11 @@ from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.kernels import choose
+from ..compiled.compiler_hints import choose
 from ..flight import integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
-from ..flight.path import CAPPED, absolute
+from ..flight.flight_state import CAPPED, absolute
 from ..output.units import ANGLE, LENGTH, SPEED, TIME
 from ..scene import check
 from ..scene.codes import Status

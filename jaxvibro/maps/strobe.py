@@ -5,7 +5,7 @@ import jax
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.blocks import LEAST
-from ..compiled.kernels import OPTIONS
+from ..compiled.compiler_hints import OPTIONS
 from ..scene import check
 from ..scene.state import real_state
 from . import derivatives, one_period

@@ -14,7 +14,7 @@ import numpy as np
 from continuation import newton
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.kernels import one_kernel
+from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
 from ..maps import itinerary as words
 from ..maps.iterate import KEEP, trail
@@ -22,8 +22,8 @@ from ..scene.codes import Status
 from ..scene.state import Impacts, State
 from . import flight_clearance, impact_equations
 from .impact_equations import Cycle
-from .impact_points import meetings, times_round
 from .orbit import OrbitError, described, multipliers
+from .orbit_comparison import meetings, times_round
 
 NEAR = 1e-3  # of a drive period: so near an impact the section is moved
 ENDED = "start nearer to another orbit: this one may be on a branch that has ended by grazing"

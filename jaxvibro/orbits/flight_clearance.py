@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from jax import lax
 
 from ..flight import flow
-from ..flight.path import accelerations
+from ..flight.flight_state import accelerations
 from ..flight.wall import course, less
 
 TURN = 0.1  # between samples, of the fastest angle: the drive's, a wall's, the free oscillation's, in radians

@@ -20,8 +20,8 @@ from ..scene.symmetry import is_symmetric
 from .by_impacts import by_impacts, padded, solutions
 from .by_shooting import by_state
 from .free_response import free_response
-from .impact_points import is_same_orbit, meetings, mirrored
 from .orbit import OrbitError
+from .orbit_comparison import is_same_orbit, meetings, mirrored
 
 SETTLE = 300  # drive periods after which a second look at the trajectories is taken
 NEAREST, RANDOM = 2048, 1024  # stretches of each length that are tried

@@ -16,7 +16,7 @@ from continuation.newton import newton
 
 from ..flight import flow
 from ..flight.coefficients import frame
-from ..flight.path import accelerations
+from ..flight.flight_state import accelerations
 from ..maps.contact_duration import product
 from .saltation import Meeting, jump, meeting, stayed
 

@@ -10,9 +10,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..compiled.kernels import choose
+from ..compiled.compiler_hints import choose
 from ..flight import flow, soft_contact
-from ..flight.path import accelerations
+from ..flight.flight_state import accelerations
 from ..flight.wall import course, picked
 from ..maps.contact_duration import carried, guess, leave, share
 from ..scene.codes import Contact

@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from continuation.follow import fetched
 from continuation.persistent_jit import persistent_jit
+from continuation.steps import fetched
 
-from ..compiled.kernels import one_kernel
+from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
 from ..flight.coefficients import frame
 from ..orbits import cyclic_system, flight_clearance, impact_equations

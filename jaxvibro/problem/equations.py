@@ -14,7 +14,7 @@ import numpy as np
 from continuation.arclength import bordered
 from continuation.problem import Problem, Test
 
-from ..compiled.kernels import one_kernel
+from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
 from ..flight.coefficients import frame
 from ..orbits import cyclic_system, impact_equations

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from continuation import follow
+from continuation import steps
 from continuation.driver import Watch
 from continuation.locate import Located
 from continuation.points import at, between, pointed, put, upto
@@ -91,5 +91,5 @@ def _stopped(task, z, row, length):
     rows = len(along.cycle.sides)
     if len(z) > 2 * rows + 1 and soft_grazing.is_smooth(along.scene, along.cycle.sides[row]):  # singular, for a locus
         return soft_grazing.located(along, z, [row], length)
-    one = follow.pinned(task.problem, z, rows + row, 0.0, task.control, along)
+    one = steps.pinned(task.problem, z, rows + row, 0.0, task.control, along)
     return Located(one.z if one.met else None, float(one.residual))

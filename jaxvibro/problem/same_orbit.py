@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..orbits.impact_points import meetings, times_round
+from ..orbits.orbit_comparison import meetings, times_round
 from .equations import there
 
 REPEATED = 1e-6  # times and speeds as near are one
@@ -48,7 +48,7 @@ def turns(along, z, times, sides):
 
 
 def impacts(along, z, pace=None):
-    """The impacts of an orbit in order as points (`impact_points`), speeds over a pace, or over the largest."""
+    """The impacts of an orbit in order as points (`orbit_comparison`), speeds over a pace, or over the largest."""
     rows = len(along.cycle.sides)
     times, speeds = z[:rows], z[rows : 2 * rows]
     pace = pace or speeds.max(initial=0.0) or 1.0

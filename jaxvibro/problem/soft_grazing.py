@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation import follow
+from continuation import steps
 from continuation.locate import Located
 
 from . import touches
@@ -92,7 +92,7 @@ def _ways(along, z, met, length):
         return
     none = (False,) * len(met)
     bare, start, out = with_touches(along, z, met, none)
-    tangent = follow.tangent(problem(bare), start, scales(bare, length), bare)
+    tangent = steps.tangent(problem(bare), start, scales(bare, length), bare)
     order = sorted(range(len(met)), key=lambda k: (met[k].row, 0.0 if met[k].own else met[k].late))
     opening, pull = np.zeros(len(met)), np.zeros(len(met))
     for k, one in zip(order, out, strict=True):
@@ -127,7 +127,7 @@ def _entering(along, z, met, falls, ahead, length):
         guess, tangent = _aside(new, start, list(falls.values()), ahead, aside * length)
         way, _ = touches.stepped(new, guess, tangent, length, included, LOOSE, (0.0,))
         if way:
-            tangent = follow.tangent(problem(new), way.near, scales(new, length), new, tangent)
+            tangent = steps.tangent(problem(new), way.near, scales(new, length), new, tangent)
             return way._replace(point=way.point._replace(z=way.near, tangent=tangent)), True
     return None, False
 

@@ -12,11 +12,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from continuation import follow, locate
+from continuation import locate, steps
 from continuation.arclength import Control, Point
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.kernels import one_kernel
+from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
 from ..orbits import flight_clearance, impact_equations
 from .diagnostics import Look, flight, looked
@@ -309,7 +309,7 @@ def opening(along, z, direction, row, wall, late):
 def leave(along, z, out, sign, length, included):
     """(the `Exit` in one direction of a branch, None where it is none; whether that is sure). out: the touches left
     out."""
-    tangent = sign * follow.tangent(problem(along), z, scales(along, length), along)
+    tangent = sign * steps.tangent(problem(along), z, scales(along, length), along)
     rows = len(along.cycle.sides)
     rates = [tangent[rows + k] for k in along.hits if z[rows + k] == 0.0]
     rates += [opening(along, z, tangent, *each) for each in out]
@@ -327,7 +327,7 @@ def stepped(along, z, tangent, length, included, tolerance, asides):
     numbers = (np.float64(each) for each in (0.0, 1.0, tolerance, -np.inf, np.inf))
     control, met = Control(scales(along, length), *numbers), False
     for aside in asides:
-        near = follow.step(problem(along), point, aside, control, along)
+        near = steps.step(problem(along), point, aside, control, along)
         met |= bool(near.met)
         look = looked(along, near.z[None])
         if near.met and admissible(along, near.z, look)[0]:

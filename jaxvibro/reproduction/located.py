@@ -7,7 +7,7 @@ import numpy as np
 from ..branches.diagram import Diagram
 from ..branches.explore import explore
 from ..maps.itinerary import label, mirrored
-from ..problem.describe import itinerary
+from ..problem.orbit_on_branch import itinerary
 
 STEPS = 0.07  # the largest of the second diagram; 0.1 of the first
 ROUNDING = 8.0 * np.finfo(float).eps

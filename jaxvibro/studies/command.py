@@ -9,7 +9,7 @@ import jaxvibro as jv
 
 from .. import __version__
 from ..output.atomic_write import whole
-from . import cache, scene_template
+from . import jax_settings, scene_template
 
 BAD, INTERRUPTED = 2, 130
 LONGEST = 300  # characters of a complaint
@@ -88,7 +88,7 @@ def _init(given):
 
 
 def _run(given):
-    cache.prepare()
+    jax_settings.prepare()
     done = _loaded("run")(given.scene, given.out, given.changes, given.force, progress=True)
     if given.json:
         print(json.dumps(done.summary, indent=2, allow_nan=False))
@@ -99,7 +99,7 @@ def _run(given):
 
 
 def _paper(given):
-    cache.prepare()
+    jax_settings.prepare()
     done = _loaded("paper")(given.names, given.out, given.scenes, given.force, progress=True)
     print(done.told)
     for kind, path in (("page", done.page), ("text", done.text)):

@@ -9,7 +9,7 @@ from ..attractors.shares import share_text
 from ..branches.branch import MEANINGS, labels
 from ..loci.locus import MEANINGS as ON_LOCI
 from ..maps.initial_conditions import box, box_text
-from ..output.columns import columns, pair
+from ..output.table_text import columns, pair
 from .compute import KEEP, SETTLE
 from .sweep_periods import longest, stretches
 

@@ -12,8 +12,8 @@ from ..scene.check import SceneError, host
 from ..scene.scene_table import SceneTable
 from . import report, scene_file
 from .compute import study
-from .dataset import dataset
 from .figures import loci, picture
+from .run_dataset import dataset
 from .schema import SceneFile
 
 ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import jax
 
-from ..compiled.kernels import choose, stage, two_sum
+from ..compiled.compiler_hints import choose, stage, two_sum
 from . import flow, soft_contact
 from .wall import course
 

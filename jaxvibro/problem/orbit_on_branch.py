@@ -8,8 +8,8 @@ import numpy as np
 from ..maps import itinerary as words
 from ..orbits.by_impacts import by_section
 from ..orbits.impact_equations import Cycle
-from ..orbits.impact_points import meetings
 from ..orbits.orbit import described, multipliers
+from ..orbits.orbit_comparison import meetings
 from ..scene.codes import Status
 from ..scene.state import Impacts, State
 from .diagnostics import looked
@@ -36,7 +36,8 @@ def itinerary(spot, frequency):
 
 
 def impacts(spot, frequency, pace=None):
-    """The impacts of a `Spot`'s orbit in order as points (`impact_points`), speeds over a pace, or over the largest."""
+    """The impacts of a `Spot`'s orbit in order as points (`orbit_comparison`), speeds over a pace, or over the
+    largest."""
     return meetings(frequency, spot.times, spot.sides, spot.speeds, pace or spot.speeds.max(initial=0.0) or 1.0)
 
 

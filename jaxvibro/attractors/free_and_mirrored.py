@@ -4,7 +4,7 @@ import numpy as np
 
 from ..maps.phase_shift import carried
 from ..orbits.free_response import free_orbit
-from ..orbits.impact_points import is_same_orbit, is_same_set, mirrored
+from ..orbits.orbit_comparison import is_same_orbit, is_same_set, mirrored
 from ..scene.codes import Status
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..compiled.kernels import choose
+from ..compiled.compiler_hints import choose
 from . import flow
 from .wall import tail
 

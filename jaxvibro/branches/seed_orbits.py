@@ -8,7 +8,7 @@ import numpy as np
 from ..attractors.recurrence import returns
 from ..maps.initial_conditions import random_starts
 from ..maps.iterate import trail
-from ..problem.describe import Spot
+from ..problem.orbit_on_branch import Spot
 from ..scene.codes import Contact, Status
 from ..scene.parameters import domain
 
