@@ -9,7 +9,7 @@ import numpy as np
 import jaxvibro
 from benchmarks import harness, ours, page, scipy_arclength
 from continuation import arclength
-from jaxvibro.branches.follow import started
+from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.compiled.compiler_hints import OPTIONS
 from jaxvibro.problem import diagnostics
 from jaxvibro.problem.equations import IMPACTS
@@ -73,7 +73,7 @@ def followed(orbit, step):
 
 def many(orbit, rounds):
     """The line for branches that start at as many amplitudes, under vmap: tracked, then every point looked at."""
-    along, z = started(orbit, "amplitude")
+    along, z = polish_orbit(orbit, "amplitude")
     scale = scales(along, 1.0)
     numbers = (jnp.asarray(each) for each in (1e-8, 0.1, 1e-10, 0.0, 1e3))
     control = arclength.Control(jnp.asarray(scale), *numbers)

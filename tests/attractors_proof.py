@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.attractors.assign import captured, homes
+from jaxvibro.attractors.assign import assign_labels, homes
 from jaxvibro.attractors.classify import chaotic, periodic
 from jaxvibro.attractors.shares import share_bounds
 from jaxvibro.attractors.transients import settle_lanes
@@ -71,7 +71,7 @@ def counted(scene, known, seed):
     """
     given, (left, right, fast) = random_starts(scene, MANY, seed), (float(edge) for edge in box(scene))
     scale = max(abs(left), abs(right), fast)
-    label, _ = captured(scene, given.x, given.v, 0.0, homes(scene, known, 0.0, scale), QUICK)
+    label, _ = assign_labels(scene, given.x, given.v, 0.0, homes(scene, known, 0.0, scale), QUICK)
     counts, others = [int((label == k).sum()) for k in range(len(known))], []
     rest = np.flatnonzero(label < 0)
     if not rest.size:

@@ -14,10 +14,10 @@ import jaxvibro as jv
 from continuation.arclength import Control
 from continuation.steps import pinned
 from jaxvibro.branches.branch import row_of, spot_of
-from jaxvibro.branches.follow import placed
+from jaxvibro.branches.follow import place_orbit
 from jaxvibro.problem import touches as graze
 from jaxvibro.problem.equations import problem
-from jaxvibro.problem.orbit_on_branch import told
+from jaxvibro.problem.orbit_on_branch import described_orbit
 from jaxvibro.problem.touches import scales
 from jaxvibro.scene.scale import scene_length
 from tests.reference import special as reference
@@ -94,7 +94,7 @@ def error(point):
     spot = point.spot
     touch = None
     if point.kind == "GR":
-        along, z = placed(point.scene, point.name, spot)
+        along, z = place_orbit(point.scene, point.name, spot)
         touches = graze.touches(along, z, scene_length(point.scene))
         if not any(one.own for one in touches):
             one = touches[0]
@@ -161,7 +161,7 @@ def grazings(count, seed):
 
 def is_simulated(point, spot):
     """Whether the strobe sees the impacts of a `Spot`, and comes back to it."""
-    one = told(point.scene.replace(**{point.name: spot.value}), spot)
+    one = described_orbit(point.scene.replace(**{point.name: spot.value}), spot)
     end, impacts = jv.strobe(one.scene, one.state, one.periods, 64)
     sides = np.asarray(impacts.side)[np.asarray(impacts.side) != 0]
     back = max(abs(float(end.x) - one.state.x), abs(float(end.v) - one.state.v))
@@ -174,14 +174,14 @@ def is_orbit(point, spot):
     exact = reference.orbit(*given)
     apart = max(abs(float(time - mine)) for (time, _), mine in zip(exact, spot.times, strict=True))
     fast = min(speed for _, speed in exact) > 0
-    clear = told(point.scene.replace(**{point.name: spot.value}), spot).least_clearance
+    clear = described_orbit(point.scene.replace(**{point.name: spot.value}), spot).least_clearance
     return fast and apart < 1e-9 and clear > 0
 
 
 def near(point, spot):
     """The `Spot` of an orbit that joins a GR, 1e-6 of the parameter from there; where that is far along its branch, or
     Newton's method does not come there, the one that is told."""
-    along, z = placed(point.scene, point.name, spot)
+    along, z = place_orbit(point.scene, point.name, spot)
     value = point.value + np.copysign(1e-6, spot.value - point.value)
     numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
     found = pinned(problem(along), z, -1, value, Control(scales(along, 1.0), *numbers), along)
@@ -257,7 +257,7 @@ def nearest(branch, other, place):
         if not np.isfinite(apart[k]):
             break
         spot = spot_of(row_of(other.data, k), other.name)
-        along, z = placed(other.scene.replace(**{other.name: spot.value}), other.name, spot)
+        along, z = place_orbit(other.scene.replace(**{other.name: spot.value}), other.name, spot)
         index, goal = len(z) - 1, value
         if hit.any() and abs(slopes).max() > abs(float(row["value_slope"])):
             most = int(np.argmax(abs(slopes)))

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.branches.follow import placed
+from jaxvibro.branches.follow import place_orbit
 from jaxvibro.problem.touches import touches
 from jaxvibro.scene.scale import scene_length
 from tests.branch_proof import branches, plain
@@ -50,7 +50,7 @@ def codim_error(point, kind, closing, half=False):
     rows = [each.tolist() for each in (spot.times, spot.speeds)]
     sides, touch = [int(side) for side in spot.sides], None
     if kind == "GR" and min(rows[1]) > 1e-9:
-        along, z = placed(point.scene, next(iter(point.values)), spot)
+        along, z = place_orbit(point.scene, next(iter(point.values)), spot)
         one = touches(along, z, scene_length(point.scene))[0]
         touch = one.row, spot.times[one.row] + one.late, one.side, "SN" if closing == "SN" else "PD"
     values = list(point.values.values())

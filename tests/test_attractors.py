@@ -11,7 +11,7 @@ from jaxvibro.attractors.largest_exponent import exponents
 from jaxvibro.attractors.recurrence import returns, settled_periods
 from jaxvibro.maps import itinerary
 from jaxvibro.maps.initial_conditions import box, forced_amplitude, random_starts
-from jaxvibro.maps.iterate import KEEP, trail
+from jaxvibro.maps.iterate import KEEP, iterate
 from jaxvibro.orbits.orbit_comparison import is_same_orbit, is_same_set, meetings, mirrored
 from jaxvibro.scene.check import MOST_PERIODS, ArgumentError
 from jaxvibro.scene.symmetry import is_symmetric
@@ -295,9 +295,9 @@ def test_exponent_of_a_free_oscillator_and_what_a_trail_keeps():
     start = random_starts(free, 3, 0)
     rates, errors = exponents(free, start, 2.0)
     assert abs(rates + 0.02 * 2 * np.pi).max() < 1e-3 and errors.max() < 1e-3
-    long, short = trail(free, start, KEEP + 7), trail(free, start, 3)
+    long, short = iterate(free, start, KEEP + 7), iterate(free, start, 3)
     assert long.x.shape == (KEEP, 3) and short.x.shape == (3, 3)
-    again = trail(free, trail(free, start, 7).state, KEEP)
+    again = iterate(free, iterate(free, start, 7).state, KEEP)
     assert (again.x == long.x).all() and (long.state.x == long.x[-1]).all()
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches.explore import asked, settled_on
+from jaxvibro.branches.explore import check_arguments, settled_on
 from tests.reference import closed
 
 OMEGA, R = 2.1, 0.7
@@ -42,7 +42,7 @@ def test_as_explore_gives_them(scene):
 @pytest.mark.slow
 def test_what_the_starts_of_all_values_settle_on(scene):
     scenes = [scene.replace(damping=gamma) for gamma in (0.3, 0.05)]
-    tasks = [asked(each, "amplitude", BOUNDS, 1, 0, None, 0.1) for each in scenes]
+    tasks = [check_arguments(each, "amplitude", BOUNDS, 1, 0, None, 0.1) for each in scenes]
     for mine, theirs in zip(settled_on(tasks), map(settled_on, ([one] for one in tasks)), strict=True):
         assert [one.spot.value for one in mine] == [one.spot.value for one in theirs[0]] and len(mine) > 100
         assert [one.spot.periods for one in mine] == [one.spot.periods for one in theirs[0]]

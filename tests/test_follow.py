@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches.follow import placed
-from jaxvibro.problem.diagnostics import looked
-from jaxvibro.problem.orbit_on_branch import Spot
+from jaxvibro.branches.follow import place_orbit
+from jaxvibro.problem.diagnostics import diagnose
+from jaxvibro.problem.orbit_on_branch import OrbitPoint
 from tests import branch_proof
 from tests.reference import closed
 
@@ -182,14 +182,14 @@ def test_clearances_see_a_short_hop():
     """A flight that leaves slowly, falls back, passes the wall and turns, all within one of the samples' cells."""
     for speed in (1e-3, 1e-2, 0.05, 0.2):
         scene = jv.make_scene(1.0, 1.0, 0.02, 0.1, (None, 0.0))
-        spot = Spot(1.0, np.array([0.3]), np.array([speed]), np.array([1.0]), 1, 0.0, 0.0, 0.0)
-        seen = looked(*(each for each in _single(scene, spot)))
+        spot = OrbitPoint(1.0, np.array([0.3]), np.array([speed]), np.array([1.0]), 1, 0.0, 0.0, 0.0)
+        seen = diagnose(*(each for each in _single(scene, spot)))
         _, impacts = jv.strobe(scene, jv.State(0.0, -0.1 * speed, 0.3, 1.0), 1, 8)
         assert (impacts.time[0] < 6.0) == (seen.clear.min() < 0)
 
 
 def _single(scene, spot):
-    along, z = placed(scene, "amplitude", spot)
+    along, z = place_orbit(scene, "amplitude", spot)
     return along, z[None]
 
 

@@ -10,7 +10,7 @@ from jaxvibro.maps import itinerary
 from jaxvibro.orbits.by_impacts import by_section
 from jaxvibro.orbits.orbit_comparison import is_same_orbit, meetings, mirrored, times_round
 from jaxvibro.problem.end import End
-from jaxvibro.problem.orbit_on_branch import Spot
+from jaxvibro.problem.orbit_on_branch import OrbitPoint
 from jaxvibro.problem.orbit_on_branch import itinerary as walls
 from tests.test_extend import drawn
 
@@ -90,7 +90,7 @@ def test_an_itinerary_is_written_in_one_way(seed):
         times, speeds, sides = turned(impacts, periods, frequency, by)
         for shift in (0, 1, -3):  # impacts are counted from any, of any time round
             late = np.roll(times, shift) + shift * periods * 2.0 * np.pi / frequency
-            spot = Spot(0.0, late, np.roll(speeds, shift), np.roll(sides, shift), periods, 0.0, 0.0, 0.0)
+            spot = OrbitPoint(0.0, late, np.roll(speeds, shift), np.roll(sides, shift), periods, 0.0, 0.0, 0.0)
             written.add(walls(spot, frequency))
     (one,) = written
     assert one == itinerary.canonical(one)
@@ -101,7 +101,7 @@ def test_an_impact_at_phase_0_belongs_to_the_period_that_ends():
     for turn, written in enumerate([("", "L", "LR"), ("L", "L", "R"), ("", "LR", "L"), ("", "L", "LR")]):
         for rounding in (-1e-14, 0.0, 1e-14):
             times = np.array([0.2, 1.0 + turn, 2.5]) * length + rounding
-            spot = Spot(0.0, times, np.ones(3), np.array([-1.0, 1.0, -1.0]), 3, 0.0, 0.0, 0.0)
+            spot = OrbitPoint(0.0, times, np.ones(3), np.array([-1.0, 1.0, -1.0]), 3, 0.0, 0.0, 0.0)
             assert walls(spot, 1.7) == written
 
 

@@ -6,7 +6,7 @@ import pytest
 import jaxvibro as jv
 from continuation import locate
 from jaxvibro.branches.branch import row_of, spot_of
-from jaxvibro.branches.follow import placed
+from jaxvibro.branches.follow import place_orbit
 from jaxvibro.branches.mirror import mirrored
 from jaxvibro.problem.equations import problem
 from jaxvibro.scene.symmetry import stays_symmetric
@@ -54,7 +54,7 @@ def test_an_image_along_the_frequency(scene):
         period = 2.0 * np.pi / image.values[place]
         times = np.sort(np.mod(spot.times, period))
         assert np.allclose(np.asarray(impacts.time)[:2], times, rtol=0, atol=1e-9)
-        along, z = placed(there, "frequency", spot)
+        along, z = place_orbit(there, "frequency", spot)
         row = row_of(image.data, place)
         ahead = np.concatenate([row["time_slope"], row["speed_slope"], [row["value_slope"]]])
         assert abs(np.asarray(locate.evaluated(problem(along), z, along)[1]) @ ahead).max() < 1e-9

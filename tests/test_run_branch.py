@@ -13,7 +13,7 @@ import xarray as xr
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.branches import branch_tree
-from jaxvibro.problem.orbit_on_branch import Spot
+from jaxvibro.problem.orbit_on_branch import OrbitPoint
 from jaxvibro.studies import command, compute, figures, scene_file
 from tests.scene_files import SCENE, check_refusal, each_of
 
@@ -195,7 +195,7 @@ class Point:
 
     kind: str
     value: float
-    spot: Spot
+    spot: OrbitPoint
     place: int
     scene: jv.Scene = PLAIN
     name: str = "amplitude"
@@ -205,7 +205,7 @@ def point(kind, value, right, left=(), periods=1):
     """The `Point` whose orbit has impacts of these speeds, on the right wall at phase 0, on the left half a turn on."""
     sides = np.array([1.0] * len(right) + [-1.0] * len(left))
     times = np.where(sides < 0, HALF, 0.0)
-    spot = Spot(value, times, np.array([*right, *left], float), sides, periods, 0.0, 0.0, 0.0)
+    spot = OrbitPoint(value, times, np.array([*right, *left], float), sides, periods, 0.0, 0.0, 0.0)
     return Point(kind, value, spot, int(kind != "EP"))
 
 

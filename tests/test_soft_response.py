@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.loci.sensitivity import held, moved
+from jaxvibro.loci.sensitivity import hold, move
 from jaxvibro.reproduction import fitting
 from jaxvibro.scene.soft_walls import hardened
 from tests.reference import compliant
@@ -95,7 +95,7 @@ def test_a_fold_moves_with_the_hardness_as_differences_of_the_reference_say(bran
     slope, by_amplitude = jv.sensitivity(point, ("hardness", "amplitude"))
     assert slope == pytest.approx((by_hardness(step) - by_hardness(-step)) / (2 * step), rel=1e-7)
     assert by_amplitude == pytest.approx(jv.sensitivity(point, NAMES)[0], rel=1e-11)
-    harder, share = moved(held(point, ("hardness",)), [1.05])
+    harder, share = move(hold(point, ("hardness",)), [1.05])
     assert share == 1.0 and harder.value == pytest.approx(by_hardness(0.05), abs=1e-12)
     with pytest.raises(jv.ArgumentError, match=r"^names: must not name what the hardness changes"):
         jv.sensitivity(point, ("hardness", "left.stiffness"))
@@ -117,18 +117,18 @@ def test_a_grazing_moves_as_the_closed_form(free):
     by_damping = compliant.grazing(A, GAMMA + step) - compliant.grazing(A, GAMMA - step)
     expected = [float(one) / (2 * step) for one in (by_amplitude, by_damping)] + [0.0]
     assert jv.sensitivity(graze, NAMES) == pytest.approx(expected, abs=1e-8)
-    point, share = moved(held(graze, NAMES), [0.4, 0.05, 0.1])
+    point, share = move(hold(graze, NAMES), [0.4, 0.05, 0.1])
     assert share == 1.0 and point.value == pytest.approx(float(compliant.grazing(0.4, 0.05)), abs=1e-13)
 
 
 def test_figure_10_fitted_is_the_reference_to_ten_digits(branches, free):
     folds, (graze,) = [fold(one) for one in branches.values()], free.points("GR")
-    both = fitting.fitted([held(one, ("damping",)) for one in folds], [1.48, 1.74], [0.05], 0.0, 0.5)
+    both = fitting.fitted([hold(one, ("damping",)) for one in folds], [1.48, 1.74], [0.05], 0.0, 0.5)
     assert both.met and both.values[0] == pytest.approx(0.0761074934, abs=1e-9)
     assert abs(both.by.T @ both.misfits).max() < 1e-12
     for k2, one in zip(NEAR, both.points, strict=True):
         assert one.value == pytest.approx(exact_fold(k2, A, both.values[0], GAMMA2), abs=1e-10)
-    points = [held(one, NAMES) for one in (*folds, graze)]
+    points = [hold(one, NAMES) for one in (*folds, graze)]
     three = fitting.fitted(points, [1.48, 1.74, 1.18], (0.45, 0.1, 0.2), (0.05, 0.0, 0.0), (2.0, 0.5, 1.0))
     assert three.met and abs(three.misfits).max() < 1e-13
     amplitude, gamma, gamma2 = three.values

@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 import jaxvibro as jv
-from jaxvibro.branches.explore import _resumed, asked
+from jaxvibro.branches.explore import _resumed, check_arguments
 from jaxvibro.flight.coefficients import frame
 from jaxvibro.scene.parameters import marked
 
@@ -109,13 +109,13 @@ def test_hardness_moves_all_soft_walls_and_holds_what_they_give_back():
 def test_a_diagram_along_the_hardness_goes_on_from_any_of_its_values():
     soft = jv.soften(rigid(), 1e3)
     given = "hardness", (2.0, 4.0), 2, 0, None, 0.1
-    first = asked(soft, *given)
+    first = check_arguments(soft, *given)
     part = jv.Diagram("hardness", first.bounds, first.scene, (), (), False, "", first.settings)
-    assert _resumed(part, asked(soft.replace(hardness=3.7), *given)) == ((), ())
+    assert _resumed(part, check_arguments(soft.replace(hardness=3.7), *given)) == ((), ())
     changes = {"damping": 0.06}, {"left.damping": 1.0}, {"right.position": 1.1}
     for other in (*(soft.replace(**each) for each in changes), jv.soften(rigid(restitution=0.6), 1e3)):
         with pytest.raises(jv.ArgumentError, match=r"^resume: must be of the same scene"):
-            _resumed(part, asked(other, *given))
+            _resumed(part, check_arguments(other, *given))
 
 
 def test_a_branch_sees_the_walls_that_replace_gives():

@@ -10,7 +10,7 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.attractors import tangent
 from jaxvibro.flight.wall_positions import places
-from jaxvibro.maps.iterate import trail
+from jaxvibro.maps.iterate import iterate
 from jaxvibro.scene.codes import Status
 from tests.status_proof import draw, judged
 
@@ -49,7 +49,7 @@ def test_a_lane_that_is_given_up_has_no_state(kind, periods):
 def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
     scene, start, status = capped((FIXED, MOVING), 256, 1)
     free = jv.State(start.x, start.v, start.phase, np.zeros(256))
-    run = trail(scene, free, 2)
+    run = iterate(scene, free, 2)
     laps = tangent.run(scene, tangent.begin(free), 2)[1]
     swept = jv.sweep(scene, "damping", np.asarray(scene.damping)[None], free, settle=1, keep=1)
     for found, x in ((run.status, run.x), (laps.status, laps.x), (swept.status.values[0], swept.x.values[0].T)):

@@ -14,8 +14,8 @@ from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import OPTIONS, WIDTH
 from ..maps import one_period
-from ..maps.iterate import trail
-from ..maps.phase_shift import carried
+from ..maps.iterate import iterate
+from ..maps.phase_shift import shift_phase
 from ..scene.codes import Status
 from ..scene.state import State
 from .trapping_region import Cloud, cloud, trap
@@ -46,12 +46,12 @@ def _home(scene, one, phase, scale):
         found = cloud(scene, one.points, phase)
         return Home(np.asarray(found.tree.data[:: len(one.points)]), found)
     given = (one.state.x, one.state.v, 0.0, one.state.contact)
-    state, _ = carried(scene, State(*(np.full(1, each, scene.dtype) for each in given)), phase)
-    points = trail(scene, state, one.periods).points[:, 0]
+    state, _ = shift_phase(scene, State(*(np.full(1, each, scene.dtype) for each in given)), phase)
+    points = iterate(scene, state, one.periods).points[:, 0]
     return Home(points, trap(scene, points, phase, scale))
 
 
-def captured(scene, x, v, phase, homes, patience, progress=None):
+def assign_labels(scene, x, v, phase, homes, patience, progress=None):
     """(label, periods): where each start (lanes,) ends, and the drive periods after which that was seen.
 
     label: the place in `homes`; UNRESOLVED where no trap held the start within so many periods, and OUTSIDE beyond a

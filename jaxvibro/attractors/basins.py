@@ -6,7 +6,7 @@ import xarray as xr
 from ..maps.initial_conditions import box
 from ..output.units import LENGTH, SPEED
 from ..scene import check
-from .assign import OUTSIDE, captured, homes
+from .assign import OUTSIDE, assign_labels, homes
 from .find import find_attractors
 from .fractal import BOX, dimension, entropies
 
@@ -48,7 +48,7 @@ def basins(scene, x, v, phase=0.0, attractors=None, patience=PATIENCE, progress=
     left, right, fast = box(scene)
     found = homes(scene, attractors, float(phase), float(max(abs(left), abs(right), fast)))
     starts = [each.ravel() for each in np.meshgrid(x, v)]
-    label, periods = captured(scene, *starts, float(phase), found, patience, progress)
+    label, periods = assign_labels(scene, *starts, float(phase), found, patience, progress)
     shape = (len(v), len(x))
     return _dataset(scene, x, v, float(phase), attractors, found, label.reshape(shape), periods.reshape(shape))
 

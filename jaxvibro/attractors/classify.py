@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from ..maps import itinerary
-from ..maps.iterate import KEEP, Trail, trail
+from ..maps.iterate import KEEP, Trail, iterate
 from ..maps.rests import NO_RESTS, may_rest, rests
 from ..orbits.orbit_comparison import is_same_set, meetings
 from ..scene.codes import Status
@@ -16,7 +16,7 @@ from .transients import clusters, orbit_of
 from .weak_chaos import weigh
 
 POLISH = 4  # times `settle` periods that a periodic orbit is run on before it is read
-WIDE = 1000  # slots for an orbit with more impacts in a period than `trail` records: as many as the impact cap
+WIDE = 1000  # slots for an orbit with more impacts in a period than `iterate` records: as many as the impact cap
 LEAST_EXPONENT = 0.01  # per period, of chaos: mere shear passes for 0.002 over the periods that `exponents` averages
 WEIGHED = 4  # sets of motion at most that the spectrum's estimator is asked about
 SAMPLES = 8  # times KEEP periods of chaos that are looked at
@@ -46,7 +46,7 @@ def periodic(scene, found, periods, settle, scale):
         return seen, lost
     starts = _chosen(found.state, [one.lanes[0] for one in known])
     rates, _ = exponents(scene, starts, scale)
-    run = trail(scene, starts, POLISH * max(settle, KEEP))
+    run = iterate(scene, starts, POLISH * max(settle, KEEP))
     for k, (one, rate) in enumerate(zip(known, rates.tolist(), strict=True)):
         last, n = whole(scene, run.lanes([k])), len(one.points)
         apart = float(abs(last.points[-n:] - last.points[-2 * n : -n]).max())
@@ -65,14 +65,14 @@ def _told(rate, what):
     return {"exponent": rate, "note": f"{what}; exponent {rate:.3g} per period"}
 
 
-def watched(scene, state):
+def watch(scene, state):
     """The trail of the state of one lane over KEEP periods, with all of its impacts."""
-    return whole(scene, trail(scene, state, KEEP))
+    return whole(scene, iterate(scene, state, KEEP))
 
 
 def whole(scene, last):
     """The trail of one lane, or, where its slots are full, one that goes on from there with all impacts."""
-    return trail(scene, last.state, KEEP, WIDE) if last.status[0] == Status.FULL else last
+    return iterate(scene, last.state, KEEP, WIDE) if last.status[0] == Status.FULL else last
 
 
 def read_orbit(scene, last, lanes, n, scale, told):
@@ -181,7 +181,7 @@ def roam(scene, state):
     """A trail of SAMPLES times KEEP periods."""
     parts = []
     for _ in range(SAMPLES):
-        parts.append(trail(scene, state, KEEP))
+        parts.append(iterate(scene, state, KEEP))
         state = parts[-1].state
     worst = np.max([part.status for part in parts], axis=0)
     return Trail(state, worst, *map(np.concatenate, zip(*(part[2:] for part in parts), strict=True)))

@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from ..maps.phase_shift import carried
+from ..maps.phase_shift import shift_phase
 from ..orbits.free_response import free_orbit
 from ..orbits.orbit_comparison import is_same_orbit, is_same_set, mirrored
 from ..scene.codes import Status
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
-from .classify import Evidence, read_orbit, read_set, roam, watched
+from .classify import Evidence, read_orbit, read_set, roam, watch
 
 IMAGE = "mirror image of one that starts settled on; none settled on it"
 
@@ -58,12 +58,12 @@ def _image(scene, one, seen, scale):
     numbers, given = one.numbers, one.numbers["state"]
     turned = State(-given.x, -given.v, np.pi, -given.contact)
     turned = State(*(np.full(1, each, scene.dtype) for each in (turned.x, turned.v, turned.phase, turned.contact)))
-    state, status = carried(scene, turned, 0.0)
+    state, status = shift_phase(scene, turned, 0.0)
     if status[0] >= Status.CAP:
         return None
     told = {"exponent": numbers["exponent"], "note": f"{IMAGE}; exponent {numbers['exponent']:.3g} per period"}
     if numbers["periods"]:
-        return read_orbit(scene, watched(scene, state), [], numbers["periods"], scale, told)
+        return read_orbit(scene, watch(scene, state), [], numbers["periods"], scale, told)
     roams = roam(scene, state)
     found = read_set(scene, roams, scale, told)
     known = roams.status[0] >= Status.CAP or any(is_same_set(found.hits, other.hits) for other in seen)

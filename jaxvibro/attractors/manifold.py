@@ -7,7 +7,7 @@ from ..flight.wall_positions import places
 from ..maps.initial_conditions import box
 from ..maps.inverse import require_reversible
 from ..maps.monodromy import monodromy
-from ..maps.phase_shift import carried
+from ..maps.phase_shift import shift_phase
 from ..orbits.orbit import Orbit
 from ..output.units import LENGTH, SPEED
 from ..scene import check
@@ -94,7 +94,7 @@ def _saddles(orbit, phase, back):
     """(point, eigenvector) of each of the orbit's points on Sigma at a phase."""
     scene, state = orbit.scene, orbit.state
     lanes = State(*(np.full(1, float(each), scene.dtype) for each in (state.x, state.v, state.phase, state.contact)))
-    here, _ = carried(scene, lanes, phase)
+    here, _ = shift_phase(scene, lanes, phase)
     point = np.array([[here.x[0], here.v[0]]], float)
     for _ in range(orbit.periods):
         matrix = np.asarray(monodromy(scene, State(*point[0], phase), orbit.periods), float)

@@ -12,9 +12,9 @@ import numpy as np
 from scipy.linalg import cholesky, solve_discrete_lyapunov
 from scipy.spatial import cKDTree
 
-from ..maps.iterate import KEEP, ends, trail
+from ..maps.iterate import KEEP, ends, iterate
 from ..maps.monodromy import monodromy
-from ..maps.phase_shift import carried
+from ..maps.phase_shift import shift_phase
 from ..scene.codes import Status
 from ..scene.state import State
 
@@ -87,10 +87,10 @@ def _radius(scene, points, phase, length, rate, scale):
 
 def cloud(scene, points, phase):
     """The `Cloud` of a chaotic attractor with these points (lanes, 2) on Sigma at phase 0."""
-    state, _ = carried(scene, states(scene, points, 0.0), phase)
+    state, _ = shift_phase(scene, states(scene, points, 0.0), phase)
     sample = []
     for _ in range(1 + SAMPLE):
-        run = trail(scene, state, KEEP)
+        run = iterate(scene, state, KEEP)
         state = run.state
         sample.append(run.points)
     sample = np.concatenate(sample[1:])  # in the first round the lanes part from each other

@@ -12,16 +12,16 @@ from ..orbits.orbit import MARGIN, roots
 from ..orbits.orbit_comparison import is_same_orbit, mirrored
 from ..output.units import LENGTH, SPEED, TIME
 from ..problem.end import End
-from ..problem.orbit_on_branch import Spot, impacts, itinerary
+from ..problem.orbit_on_branch import OrbitPoint, impacts, itinerary
 from ..scene.symmetry import is_symmetric
 from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
-from .segment import Piece
+from .segment import BranchPiece
 
 START = End.START.reason()
 SAME = 1e-6  # of the largest speed: two impacts as near are one
 
 
-def assembled(scene, name, bounds, settings, back, on, start=START):
+def assemble(scene, name, bounds, settings, back, on, start=START):
     """The `Branch` of what was walked from a start backwards and onwards; either may be None. start: the `Reason` of
     that end."""
     pieces = [_turned(one) for one in reversed(back.pieces)] if back else []
@@ -35,7 +35,7 @@ def assembled(scene, name, bounds, settings, back, on, start=START):
     return Branch(name, bounds, scene, data, segments, special, reasons, settings, ends)
 
 
-def merged(one, other):
+def merge(one, other):
     """Two branches as one, the second, of two points at least, beginning where the first ends."""
     shift = len(one) - 1
     widest = max(one.data.sizes["impact"], other.data.sizes["impact"])
@@ -69,7 +69,7 @@ def _turned(one):
     last = len(one.points.z) - 1
     points = turned(one.points)
     marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
-    return Piece(one.along, points._replace(tangent=-points.tangent), turned(one.look), marks, one.why)
+    return BranchPiece(one.along, points._replace(tangent=-points.tangent), turned(one.look), marks, one.why)
 
 
 def _glued(one, other):
@@ -77,7 +77,7 @@ def _glued(one, other):
     last = len(one.points.z) - 1
     marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
     points, look = joined([one.points, other.points]), joined([one.look, other.look])
-    return Piece(one.along, points, look, marks, other.why)
+    return BranchPiece(one.along, points, look, marks, other.why)
 
 
 def _told(scene, name, bounds, pieces):
@@ -177,13 +177,13 @@ def _special(scene, name, bounds, mark, place, row):
 
 
 def _joined(way):
-    """The `Spot` of an `Exit`."""
+    """The `OrbitPoint` of an `Exit`."""
     along, z = way.along, way.near
     count, rows = int(np.sum(along.cycle.sides != 0)), len(along.cycle.sides)
     look = way.look
     sides = np.asarray(along.cycle.sides[:count])
     periods, start = int(along.cycle.periods), (float(look.x[0, 0]), float(look.v[0, 0]))
-    return Spot(
+    return OrbitPoint(
         float(z[-1]),
         z[:count] if rows else z[:0],
         z[rows : rows + count] if rows else z[:0],

@@ -14,7 +14,7 @@ from ..output.atomic_write import whole
 from ..output.checksums import netcdf
 from ..output.table_text import columns, pair
 from ..problem.end import End
-from ..problem.orbit_on_branch import Spot, itinerary, told
+from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..scene.scene_table import table_of
@@ -65,9 +65,9 @@ class Special:
     multipliers: np.ndarray
     residual: float
     place: int
-    spot: Spot = field(repr=False)
+    spot: OrbitPoint = field(repr=False)
     slopes: np.ndarray = field(repr=False)
-    joins: tuple[Spot, ...] = field(repr=False)
+    joins: tuple[OrbitPoint, ...] = field(repr=False)
     aside: tuple[bool, ...] = field(repr=False)
 
     @property
@@ -78,12 +78,12 @@ class Special:
     @cached_property
     def orbit(self):
         """The `Orbit` at the point. At a GR an impact may have no speed."""
-        return told(self.scene, self.spot)
+        return described_orbit(self.scene, self.spot)
 
     @cached_property
     def meets(self):
         """The `Orbit`s that meet at a GR, each a little on from it, one for every branch that leaves the point."""
-        return tuple(told(self.scene.replace(**{self.name: one.value}), one) for one in self.joins)
+        return tuple(described_orbit(self.scene.replace(**{self.name: one.value}), one) for one in self.joins)
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +142,7 @@ class Branch:
         if not -count <= place < count:
             raise ArgumentError("place", f"must be a point of the branch, from 0 to {count - 1}", place)
         spot = spot_of(row_of(self.data, place), self.name)
-        return told(self.scene.replace(**{self.name: spot.value}), spot)
+        return described_orbit(self.scene.replace(**{self.name: spot.value}), spot)
 
     def save(self, path, force=False):
         """Write the branch to a NetCDF file, from which `load_branch` reads the same numbers.
@@ -210,11 +210,11 @@ def row_of(data, place):
 
 
 def spot_of(row, name):
-    """The `Spot` of a `row_of` a branch's data."""
+    """The `OrbitPoint` of a `row_of` a branch's data."""
     hit = row["side"] != 0
     columns = (row[key][hit].astype(float) for key in ("time", "speed", "side"))
     plain = (float(row[key][0]) for key in ("x", "v"))
-    return Spot(float(row[name]), *columns, len(row["x"]), *plain, float(row["residual"]))
+    return OrbitPoint(float(row[name]), *columns, len(row["x"]), *plain, float(row["residual"]))
 
 
 def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=()):

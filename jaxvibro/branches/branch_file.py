@@ -7,7 +7,7 @@ import numpy as np
 
 from ..output.checksums import dataset_of, opened
 from ..problem.end import End, read
-from ..problem.orbit_on_branch import Spot
+from ..problem.orbit_on_branch import OrbitPoint
 from ..scene import check
 from ..scene.scene_table import SceneTable
 from .branch import NUMBERS, Branch, Segment, row_of, special_of
@@ -20,7 +20,7 @@ COLUMNS = {
 }
 FINITE = ("x", "v", "residual", "value_slope")
 Itinerary = tuple[str, ...]
-Join = tuple[float, list[float], list[float], list[float], int, float, float, float]  # a `Spot`
+Join = tuple[float, list[float], list[float], list[float], int, float, float, float]  # a `OrbitPoint`
 Point = tuple[str, int, float, list[Join], list[bool]]  # a special point: kind, place, residual, joins, aside
 
 
@@ -100,4 +100,4 @@ def _check_columns(data, name):
 def _spot(join):
     value, times, speeds, sides, periods, *rest = join
     _fits("joins", len(times) == len(speeds) == len(sides) and set(sides) <= {-1, 1} and periods > 0)
-    return Spot(value, *(np.array(each, float) for each in (times, speeds, sides)), periods, *rest)
+    return OrbitPoint(value, *(np.array(each, float) for each in (times, speeds, sides)), periods, *rest)

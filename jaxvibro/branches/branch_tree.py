@@ -9,9 +9,9 @@ from ..problem.orbit_on_branch import impacts
 from ..problem.same_orbit import is_repeated
 from ..scene.symmetry import stays_symmetric
 from .branch import frequency_at
-from .follow import follow, placed
+from .follow import follow, place_orbit
 from .mirror import mirrored
-from .switch import FIRST, left, starts
+from .switch import FIRST, branch_from, starts
 
 MOST = 64  # branches
 VALUE, NEAR = 1e-8, 1e-6  # two special points as near in the parameter and in their impacts are one
@@ -82,7 +82,7 @@ class Tree:
         if self.symmetric and point.kind == "SB":
             begun = begun[:1]  # the other half is the mirror image
         for start in begun:
-            branch = left(point, start, self.bounds, **{"first_step": FIRST} | self.steps)
+            branch = branch_from(point, start, self.bounds, **{"first_step": FIRST} | self.steps)
             if len(branch) > 1 and not any(_is_retraced(branch, other) for other in self.found):
                 self.add(branch)
 
@@ -101,7 +101,7 @@ def _is_left(point, max_period):
         return False
     if point.kind == "PD":
         return 2 * point.spot.periods <= max_period
-    return not is_repeated(*placed(point.scene, point.name, point.spot))
+    return not is_repeated(*place_orbit(point.scene, point.name, point.spot))
 
 
 def _starts(point):

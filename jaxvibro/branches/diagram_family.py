@@ -2,7 +2,7 @@
 
 from ..scene import check
 from ..scene.parameters import values_of
-from .explore import asked, explored, settled_on
+from .explore import check_arguments, explore_on, settled_on
 
 
 @check.host("use strobe or monodromy")
@@ -22,5 +22,5 @@ def diagrams(scene, name, bounds, third, values, max_period=8, seed=0, budget=No
     if third == name:
         raise check.ArgumentError("third", "must be another parameter than name", third)
     scenes = [scene.replace(**{third: value}) for value in values]
-    tasks = [asked(each, name, bounds, max_period, seed, budget, largest_step) for each in scenes]
-    return tuple(explored(*each, progress) for each in zip(tasks, settled_on(tasks), strict=True))
+    tasks = [check_arguments(each, name, bounds, max_period, seed, budget, largest_step) for each in scenes]
+    return tuple(explore_on(*each, progress) for each in zip(tasks, settled_on(tasks), strict=True))

@@ -20,7 +20,7 @@ from ..scene.symmetry import stays_symmetric
 from .branch import row_of, spot_of
 from .branch_tree import Tree
 from .diagram import Diagram
-from .follow import brought, placed, settled, through
+from .follow import bring_to, check_settings, place_orbit, through
 from .seed_orbits import probes
 from .switch import FIRST
 
@@ -49,10 +49,10 @@ def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None,
 
     Raises ArgumentError for arguments that cannot be.
     """
-    task = asked(scene, name, bounds, max_period, seed, budget, largest_step)
+    task = check_arguments(scene, name, bounds, max_period, seed, budget, largest_step)
     before = _resumed(resume, task)
     (some,) = settled_on([task])
-    return explored(task, some, progress, *before)
+    return explore_on(task, some, progress, *before)
 
 
 class Search(NamedTuple):
@@ -66,7 +66,7 @@ class Search(NamedTuple):
     settings: dict
 
 
-def asked(scene, name, bounds, max_period, seed, budget, largest_step):
+def check_arguments(scene, name, bounds, max_period, seed, budget, largest_step):
     """The `Search` of these arguments. Raises ArgumentError."""
     check.require_single(scene)
     max_period, seed = check.whole("max_period", max_period, 1), check.whole("seed", seed, 0)
@@ -76,7 +76,7 @@ def asked(scene, name, bounds, max_period, seed, budget, largest_step):
     check.require_known(name, scene.names, name)
     scene = scene.replace(**{name: _inside(scene, name, bounds)})
     bounds = bounds_of(scene, name, bounds)
-    steps = settled(FIRST, largest_step, 1e-10, (), ())
+    steps = check_settings(FIRST, largest_step, 1e-10, (), ())
     settings = {"max_period": max_period, "seed": seed, "largest_step": largest_step}
     return Search(scene, name, bounds, most, steps, settings)
 
@@ -89,7 +89,7 @@ def settled_on(tasks):
     )
 
 
-def explored(task, some, progress=None, found=(), done=()):
+def explore_on(task, some, progress=None, found=(), done=()):
     """The `Diagram` of a task and what its starts settle on; found, done: its branches so far, and points left."""
     scene, name, bounds, most, steps, settings = task
     symmetric = stays_symmetric(scene, name)
@@ -104,7 +104,7 @@ def explored(task, some, progress=None, found=(), done=()):
 
 def _begin(tree, probe, scene, name, bounds, steps):
     """Follows the orbit that a probe settled on, and all that leaves it."""
-    found = _settled_at(probe, *placed(scene, name, probe.spot))
+    found = _settled_at(probe, *place_orbit(scene, name, probe.spot))
     if found is None:  # it had not settled
         return
     branch = through(scene.replace(**{name: probe.spot.value}), name, bounds, found, "both", steps)
@@ -166,12 +166,12 @@ def _is_near(probe, points, size):
 def _is_there(probe, branch, place):
     """Whether Newton's method leads from one of a branch's two points to the very orbit."""
     spots = (spot_of(row_of(branch.data, k), branch.name) for k in (place, place + 1))
-    return any(_settled_at(probe, *placed(branch.scene, branch.name, spot)) is not None for spot in spots)
+    return any(_settled_at(probe, *place_orbit(branch.scene, branch.name, spot)) is not None for spot in spots)
 
 
 def _settled_at(probe, along, z):
     """(along, z) at a probe's value, None where Newton's method does not come to its orbit from z."""
-    found = brought(along, z, probe.spot.value)
+    found = bring_to(along, z, probe.spot.value)
     return (along, found.z) if found.met and _is_orbit(probe, along, found.z) else None
 
 

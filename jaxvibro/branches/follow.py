@@ -9,15 +9,15 @@ from continuation.steps import pinned, tangent
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import Orbit, OrbitError
 from ..problem.end import End
-from ..problem.equations import Along, problem
-from ..problem.orbit_on_branch import Spot
+from ..problem.equations import OrbitEquations, problem
+from ..problem.orbit_on_branch import OrbitPoint
 from ..problem.touches import free_start, padded, scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, marked
 from ..scene.scale import scene_length
-from .assemble import assembled
-from .segment import Asked
-from .through_grazings import walked
+from .assemble import assemble
+from .segment import BranchSettings
+from .through_grazings import go_on
 
 DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
@@ -54,19 +54,20 @@ def follow(
     if direction not in DIRECTIONS:
         raise check.ArgumentError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     bounds = bounds_of(orbit.scene, name, bounds)
-    given = settled(first_step, largest_step, tolerance, monitors, stop)
-    return through(orbit.scene, name, bounds, started(orbit, name), direction, given)
+    given = check_settings(first_step, largest_step, tolerance, monitors, stop)
+    return through(orbit.scene, name, bounds, polish_orbit(orbit, name), direction, given)
 
 
 def through(scene, name, bounds, start, direction, settings):
-    """The `Branch` through (`Along`, z) at the scene's value of the parameter; settings: those that are `settled`."""
+    """The `Branch` through (`OrbitEquations`, z) at the scene's value of the parameter; settings: those that are
+    `check_settings`."""
     (along, z), length = start, scene_length(scene)
     asked = asking(scene, name, bounds, length, start, **settings)
     ahead = tangent(problem(along), z, scales(along, length), along)
-    on = walked(along, point(z, ahead), asked) if direction != "backward" else None
+    on = go_on(along, point(z, ahead), asked) if direction != "backward" else None
     closed = on is not None and on.reason.end is End.CLOSED
-    back = walked(along, point(z, -ahead), asked) if direction != "forward" and not closed else None
-    return assembled(scene, name, bounds, settings, back, on)
+    back = go_on(along, point(z, -ahead), asked) if direction != "forward" and not closed else None
+    return assemble(scene, name, bounds, settings, back, on)
 
 
 def point(z, tangent):
@@ -76,7 +77,7 @@ def point(z, tangent):
 
 
 def asking(scene, name, bounds, length, start, first_step, largest_step, tolerance, monitors, stop):
-    """The `Asked` of these arguments; start: (along, z) that ends the branch where it comes back."""
+    """The `BranchSettings` of these arguments; start: (along, z) that ends the branch where it comes back."""
     own = domain(scene, name)
     low, high = max(bounds[0], own[0]), min(bounds[1], own[1])
     numbers = (np.float64(each) for each in (min(SMALLEST, first_step), largest_step, tolerance, low, high))
@@ -84,11 +85,13 @@ def asking(scene, name, bounds, length, start, first_step, largest_step, toleran
     rows = len(along.cycle.sides)
     marks = ((along.cycle._replace(times=z[:rows], speeds=z[rows : 2 * rows]), z[-1]),) if rows else ()
     only = tuple(each for each in own if not bounds[0] <= each <= bounds[1] or each not in bounds)
-    return Asked(Control(np.ones(1), *numbers), min(first_step, largest_step), only, monitors, stop, length, marks)
+    return BranchSettings(
+        Control(np.ones(1), *numbers), min(first_step, largest_step), only, monitors, stop, length, marks
+    )
 
 
-def started(orbit, name):
-    """(`Along`, z) of an orbit, polished at its value of the parameter. Raises OrbitError."""
+def polish_orbit(orbit, name):
+    """(`OrbitEquations`, z) of an orbit, polished at its value of the parameter. Raises OrbitError."""
     impacts, frequency = orbit.impacts, float(orbit.scene.frequency)
     if orbit.unknowns == "state" and impacts.count:
         raise OrbitError("the orbit rests on a wall, or chatters", orbit.residual, "follow takes separate impacts")
@@ -96,32 +99,32 @@ def started(orbit, name):
     order = np.argsort(late)
     value = float(orbit.scene.parameter(name))
     plain = late[order], impacts.speed[order], impacts.side[order].astype(float)
-    along, z = placed(orbit.scene, name, Spot(value, *plain, orbit.periods, 0.0, 0.0, 0.0))
+    along, z = place_orbit(orbit.scene, name, OrbitPoint(value, *plain, orbit.periods, 0.0, 0.0, 0.0))
     residual = float(abs(np.asarray(locate.evaluated(problem(along), z, along)[0])).max())
     if not residual < NO_ORBIT * scene_length(orbit.scene):
         raise OrbitError("the start is no orbit", residual, "give an Orbit of find_orbit, with its own scene")
-    found = brought(along, z, value)
+    found = bring_to(along, z, value)
     return along, found.z if found.met else z
 
 
-def brought(along, z, value):
+def bring_to(along, z, value):
     """The `Point` near z at a value of the parameter, to rounding: `met` says whether there is one."""
     numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
     return pinned(problem(along), z, -1, value, Control(scales(along, 1.0), *numbers), along)
 
 
-def placed(scene, name, spot):
-    """(`Along`, z) of a `orbit_on_branch.Spot` of a scene."""
+def place_orbit(scene, name, spot):
+    """(`OrbitEquations`, z) of a `orbit_on_branch.OrbitPoint` of a scene."""
     blank = np.zeros(0)
     cycle = Cycle(blank, blank, blank, np.asarray(0.0), np.asarray(float(spot.periods)))
-    along = Along(*marked(scene, name), cycle)
+    along = OrbitEquations(*marked(scene, name), cycle)
     if not len(spot.times):
         return along, free_start(along, spot.value)
     along = along._replace(cycle=padded(along, list(zip(spot.times, spot.speeds, spot.sides, strict=True))))
     return along, np.concatenate([along.cycle.times, along.cycle.speeds, [spot.value]])
 
 
-def settled(first_step, largest_step, tolerance, monitors, stop):
+def check_settings(first_step, largest_step, tolerance, monitors, stop):
     """The settings of a branch by name, checked. Raises ArgumentError."""
     settings = {"first_step": first_step, "largest_step": largest_step, "tolerance": tolerance}
     for key, value in settings.items():

@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from ..maps import itinerary as words
-from ..problem.diagnostics import looked
+from ..problem.diagnostics import diagnose
 from ..problem.orbit_on_branch import itinerary
 from .branch import frequency_at, row_of, special_of, spot_of
-from .follow import placed
+from .follow import place_orbit
 
 
 def mirrored(branch):
@@ -44,13 +44,13 @@ def _data(branch):
 
 def _look(branch, spot, rows):
     """The `Look` at rows of one itinerary, that of a `Spot`."""
-    along, z = placed(branch.scene, branch.name, spot)
+    along, z = place_orbit(branch.scene, branch.name, spot)
     count, wide = len(spot.times), len(along.cycle.sides)
     hit = rows["side"].values[0] != 0
     zs = np.zeros((rows.sizes["point"], len(z)))
     zs[:, :count], zs[:, wide : wide + count] = rows["time"].values[:, hit], rows["speed"].values[:, hit]
     zs[:, -1] = rows[branch.name].values
-    return looked(along, zs)
+    return diagnose(along, zs)
 
 
 def _special(branch, data, one):
@@ -66,8 +66,8 @@ def _reflected(scene, name, spot):
         return spot
     late = spot.times + np.pi / frequency_at(scene, name, spot.value)
     turned = spot._replace(times=late, sides=-spot.sides)
-    along, z = placed(scene, name, turned)
-    look = looked(along, z[None])
+    along, z = place_orbit(scene, name, turned)
+    look = diagnose(along, z[None])
     return turned._replace(x=float(look.x[0, 0]), v=float(look.v[0, 0]))
 
 

@@ -14,11 +14,11 @@ from ..orbits import flight_clearance, impact_equations
 from ..orbits.orbit import Orbit
 from ..problem.diagnostics import each_of, flight
 from ..problem.equations import cycle_at, there
-from ..problem.orbit_on_branch import Spot
+from ..problem.orbit_on_branch import OrbitPoint
 from ..scene import check
 from ..scene.codes import Contact
 from .branch import Branch, row_of, spot_of
-from .follow import placed
+from .follow import place_orbit
 
 ROUNDS = 6  # of false position: x at a turning point is right to the square of its time's error
 
@@ -32,7 +32,7 @@ def peaks(branch):
     for one in branch.segments:
         rows = branch.data.isel(point=slice(one.first, one.last + 1))
         spot = spot_of(row_of(rows, 0), branch.name)
-        along, z = placed(branch.scene, branch.name, spot)
+        along, z = place_orbit(branch.scene, branch.name, spot)
         found[one.first : one.last + 1] = _largest(along, _unknowns(rows, branch.name, along, z))
     return found
 
@@ -48,8 +48,8 @@ def peak(orbit):
     scene, state, impacts = orbit.scene, orbit.state, orbit.impacts
     late = float(state.phase) / float(scene.frequency)
     rows = impacts.time + late, impacts.speed, impacts.side.astype(float)
-    spot = Spot(float(scene.amplitude), *rows, orbit.periods, float(state.x), float(state.v), orbit.residual)
-    along, z = placed(scene, "amplitude", spot)
+    spot = OrbitPoint(float(scene.amplitude), *rows, orbit.periods, float(state.x), float(state.v), orbit.residual)
+    along, z = place_orbit(scene, "amplitude", spot)
     if not len(spot.times):
         z = np.array([spot.x, spot.v, spot.value])
         along = along._replace(cycle=along.cycle._replace(phase=np.asarray(float(state.phase))))

@@ -7,8 +7,8 @@ import numpy as np
 
 from ..attractors.recurrence import returns
 from ..maps.initial_conditions import random_starts
-from ..maps.iterate import trail
-from ..problem.orbit_on_branch import Spot
+from ..maps.iterate import iterate
+from ..problem.orbit_on_branch import OrbitPoint
 from ..scene.codes import Contact, Status
 from ..scene.parameters import domain
 
@@ -20,7 +20,7 @@ SETTLED = 1e-7  # of the largest x and v: a return as near as this
 class Probe(NamedTuple):
     """What a start settled on. spot: the orbit, about; points: x and v at the end of each period, (periods, 2)."""
 
-    spot: Spot
+    spot: OrbitPoint
     points: np.ndarray
 
 
@@ -31,7 +31,7 @@ def probes(scenes, name, bounds, max_period, seed):
     """
     starts = [_starts(scene, name, bounds, seed) for scene in scenes]
     values, state = jax.tree.map(lambda *each: np.concatenate(each), *starts)
-    found = trail(_lanes(scenes).replace(**{name: values}), state, SETTLE)
+    found = iterate(_lanes(scenes).replace(**{name: values}), state, SETTLE)
     rows = [slice(first, first + STARTS) for first in range(0, len(values), STARTS)]
     return [
         _listed(scene, name, values[some], found.lanes(some), max_period)
@@ -71,5 +71,5 @@ def _listed(scene, name, values, found, max_period):
             part[hit] for part in (late, found.speed[-periods:, lane], found.side[-periods:, lane].astype(float))
         )
         begin = points[-1, lane].tolist()
-        listed.append(Probe(Spot(float(values[lane]), *impacts, periods, *begin, 0.0), points[-periods:, lane]))
+        listed.append(Probe(OrbitPoint(float(values[lane]), *impacts, periods, *begin, 0.0), points[-periods:, lane]))
     return sorted(listed, key=lambda one: (one.spot.periods, one.spot.value))

@@ -10,16 +10,16 @@ from continuation.driver import Met, Task
 from continuation.points import at, put, upto
 
 from ..problem import soft_grazing
-from ..problem.diagnostics import Look
+from ..problem.diagnostics import Diagnostics
 from ..problem.end import End
-from ..problem.equations import Along, problem
+from ..problem.equations import OrbitEquations, problem
 from ..problem.first_touch import OrbitWatch, to_touch
 from ..problem.same_orbit import images, is_repeated
 from ..problem.touches import Touch, is_pressed
 from .user_monitors import crossings
 
 
-class Asked(NamedTuple):
+class BranchSettings(NamedTuple):
     """What a branch is asked for. control: of steps; first: the first; domain: (low, high), the parameter's by its
     meaning; monitors: {label: function of a `MonitoredPoint`}; stop: labels; length: the scene's; marks: (`Cycle`,
     parameter) of orbits that end the branch when it meets them."""
@@ -46,24 +46,24 @@ class Mark(NamedTuple):
     aside: tuple[bool, ...] = ()
 
 
-class Piece(NamedTuple):
+class BranchPiece(NamedTuple):
     """along: its orbits; points, look: a row a point; marks: in order; why: its `End`."""
 
-    along: Along
+    along: OrbitEquations
     points: Point
-    look: Look
+    look: Diagnostics
     marks: tuple[Mark, ...]
     why: End
 
 
-def piece(along, start, asked):
-    """The `Piece` that begins at a `Point`."""
+def follow_itinerary(along, start, asked):
+    """The `BranchPiece` that begins at a `Point`."""
     control = asked.control
     box, watch = ((float(control.low), float(control.high)),), BranchWatch(along, asked.length, asked.monitors)
     task = Task(problem(along), along, control, asked.first, box, (asked.domain,), watch, asked.stop, asked.marks)
     found = driver.run(task, start)
     marks = (Mark(one.place, one.kind, one.residual, *(one.more or ())) for one in found.marks)
-    return Piece(along, found.points, found.view, tuple(marks), End[found.end.name])
+    return BranchPiece(along, found.points, found.view, tuple(marks), End[found.end.name])
 
 
 class BranchWatch(OrbitWatch):

@@ -15,10 +15,10 @@ from ..problem.touches import padded, scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
-from .assemble import START, assembled, merged
+from .assemble import START, assemble, merge
 from .branch import Branch, Special, row_of, spot_of
-from .follow import asking, placed, point, settled
-from .through_grazings import walked
+from .follow import asking, check_settings, place_orbit, point
+from .through_grazings import go_on
 
 FIRST = 0.01  # step of a branch that leaves a point
 KINDS = ("SB", "BP", "PD", "GR")
@@ -43,8 +43,8 @@ def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1
             "special", f"must be of kind {', '.join(KINDS)}: no branch leaves others", special.kind
         )
     bounds = bounds_of(special.scene, special.name, special.bounds if bounds is None else bounds)
-    settings = settled(first_step, largest_step, tolerance, monitors, stop)
-    return tuple(left(special, start, bounds, **settings) for start in starts(special))
+    settings = check_settings(first_step, largest_step, tolerance, monitors, stop)
+    return tuple(branch_from(special, start, bounds, **settings) for start in starts(special))
 
 
 def starts(special):
@@ -53,15 +53,15 @@ def starts(special):
     Raises ValueError where the equations say that none cross there.
     """
     leaving = {"PD": _doubled, "GR": _grazing}.get(special.kind, _crossed)
-    return leaving(special, *placed(special.scene, special.name, special.spot))
+    return leaving(special, *place_orbit(special.scene, special.name, special.spot))
 
 
-def left(special, start, bounds, **settings):
+def branch_from(special, start, bounds, **settings):
     """The `Branch` that leaves a special point by one of its `starts`."""
     (along, begun), scene = start, special.scene
     asked = asking(scene, special.name, bounds, scene_length(scene), (along, begun.z), **settings)
     start = End.LEFT.reason(special.value, special.kind)
-    return assembled(scene, special.name, bounds, settings, None, walked(along, begun, asked), start)
+    return assemble(scene, special.name, bounds, settings, None, go_on(along, begun, asked), start)
 
 
 @check.host("use strobe or monodromy")
@@ -85,7 +85,7 @@ def extend(branch, bounds):
         more = _onwards(branch, end, wide)
         closes = more.ends[end] is End.CLOSED
         if len(more) > 1:
-            branch = merged(branch, more) if end else merged(more, branch)
+            branch = merge(branch, more) if end else merge(more, branch)
         branch = _ending(branch, end, Reason(more.ends[end], more.reasons[end]))
         if closes:  # it came to the other end
             return _within(_ending(branch, -1 - end, START), wide)
@@ -110,8 +110,8 @@ def _onwards(branch, end, bounds):
     row, sign = row_of(branch.data, end), 1.0 if end else -1.0
     spot = spot_of(row, branch.name)
     scene = branch.scene.replace(**{branch.name: spot.value})
-    along, z = placed(scene, branch.name, spot)
-    other = placed(scene, branch.name, spot_of(row_of(branch.data, -1 - end), branch.name))
+    along, z = place_orbit(scene, branch.name, spot)
+    other = place_orbit(scene, branch.name, spot_of(row_of(branch.data, -1 - end), branch.name))
     count, rows = len(spot.times), len(along.cycle.sides)
     ahead = np.zeros(len(z))
     hit = row["side"] != 0
@@ -120,9 +120,9 @@ def _onwards(branch, end, bounds):
     ahead[-1] = row["value_slope"]
     start = point(z, tangent(problem(along), z, scales(along, scene_length(scene)), along, sign * ahead))
     asked = asking(scene, branch.name, bounds, scene_length(scene), other, **branch.settings)
-    done = walked(along, start, asked)
+    done = go_on(along, start, asked)
     back, on = (done, None) if sign < 0 else (None, done)
-    return replace(assembled(scene, branch.name, bounds, branch.settings, back, on), scene=branch.scene)
+    return replace(assemble(scene, branch.name, bounds, branch.settings, back, on), scene=branch.scene)
 
 
 def _crossed(special, along, z):

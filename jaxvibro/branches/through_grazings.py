@@ -8,26 +8,26 @@ from ..orbits.orbit_comparison import is_same_orbit
 from ..problem.end import End, Reason
 from ..problem.same_orbit import impacts, is_repeated
 from ..problem.touches import scales
-from .segment import Piece, piece
+from .segment import BranchPiece, follow_itinerary
 
 MOST = 200  # pieces of a branch
 SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
 SLOW = 1e-4  # of the scene's length per t: below, the flights between impacts are lost in rounding
 
 
-class Walked(NamedTuple):
+class OneWay(NamedTuple):
     """The pieces of a branch in one direction, and why it ends."""
 
-    pieces: list[Piece]
+    pieces: list[BranchPiece]
     reason: Reason
 
 
-def walked(along, start, asked):
-    """The `Walked` from a `Point`, whose tangent leads away."""
+def go_on(along, start, asked):
+    """The `OneWay` from a `Point`, whose tangent leads away."""
     pieces, met = [], []
     while True:
         scale = scales(along, asked.length)
-        one = piece(along, start, asked._replace(control=asked.control._replace(scale=scale)))
+        one = follow_itinerary(along, start, asked._replace(control=asked.control._replace(scale=scale)))
         way = None
         if one.why is End.GRAZE:
             one, way = _onwards(one, scale)
@@ -43,7 +43,7 @@ def walked(along, start, asked):
             one, way = one._replace(why=End.POINTS), None
         pieces.append(one)
         if way is None:
-            return Walked(pieces, _reason(one))
+            return OneWay(pieces, _reason(one))
         along, start = way.along, way.point
 
 

@@ -9,7 +9,7 @@ from continuation.roots import sign_change
 from continuation.steps import Event
 
 from ..orbits.orbit import multipliers
-from ..problem.diagnostics import looked
+from ..problem.diagnostics import diagnose
 from ..scene.check import ArgumentError
 
 
@@ -27,7 +27,7 @@ class MonitoredPoint(NamedTuple):
     clearance: float
 
 
-def seen(along, z, look):
+def monitored_point(along, z, look):
     """The `MonitoredPoint` of one point."""
     rows, count = len(along.cycle.sides), int(np.sum(along.cycle.sides != 0))
     return MonitoredPoint(
@@ -45,7 +45,7 @@ def seen(along, z, look):
 def crossings(task, points, look, kind, function):
     """The `Event`s where a user's monitor changes its sign; task: the `driver.Task` of the branch."""
     along = task.args
-    values = np.array([_value(kind, function, seen(along, z, at(look, k))) for k, z in enumerate(points.z)])
+    values = np.array([_value(kind, function, monitored_point(along, z, at(look, k))) for k, z in enumerate(points.z)])
     for after in np.flatnonzero(values[:-1] * values[1:] < 0).tolist():
 
         def value(length, after=after):
@@ -54,7 +54,7 @@ def crossings(task, points, look, kind, function):
                 raise ArgumentError(
                     f"monitors.{kind}", "must be followed between two points", float(points.z[after, -1])
                 )
-            return _value(kind, function, seen(along, one.z, at(looked(along, one.z[None]), 0)))
+            return _value(kind, function, monitored_point(along, one.z, at(diagnose(along, one.z[None]), 0)))
 
         length = sign_change(value, float(points.step[after + 1]))
         one = between(task, points, after, length)

@@ -24,7 +24,7 @@ from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
 from ..flight.coefficients import frame
 from ..orbits import cyclic_system, impact_equations
-from ..problem.diagnostics import looked
+from ..problem.diagnostics import diagnose
 from ..problem.equations import cycle_at, problem, there
 from .extended_system import Grazing
 
@@ -130,7 +130,7 @@ def _measured(curve, kind, zs, reference=None):
     if kind in ORDERS:
         bend = _bent(curve, zs, ORDERS[kind], True, reference)
         return bend.value, (bend.v[0], bend.w[0])
-    fold, flip = _singled(curve, looked(curve, zs))
+    fold, flip = _singled(curve, diagnose(curve, zs))
     return fold if kind == "SN" else flip, None
 
 

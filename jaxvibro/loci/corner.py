@@ -10,21 +10,22 @@ import numpy as np
 
 from ..problem.end import End
 from ..problem.equations import there as at
-from ..problem.orbit_on_branch import Spot
+from ..problem.orbit_on_branch import OrbitPoint
 from ..problem.touches import FLAT, opening, stays, touches, wall_sides
 from ..scene import check
 from ..scene.scale import scene_length
 from ..scene.scene import changed
 from .extended_system import Grazing
-from .first_point import Begun, backward, ways
-from .track import tracked
+from .first_point import LocusStart, backward, ways
+from .track import track
 
 MOST = 64  # parts of a locus
 SAME = 1e-6  # of a period: touches as near are one
 
 
 def outsets(start, names, bounds, *steps):
-    """The `track.Way`s of a locus from a `Begun`, on and back. Raises ArgumentError for arguments that cannot be."""
+    """The `track.LocusWay`s of a locus from a `LocusStart`, on and back. Raises ArgumentError for arguments that cannot
+    be."""
     found = ways(start, names, bounds, *steps)
     if len(found) == 1:
         return found[0], backward(found[0])
@@ -39,12 +40,12 @@ def outsets(start, names, bounds, *steps):
     return single[-1], single[0]
 
 
-def traced(start, way, steps, one=None):
+def track_on(start, way, steps, one=None):
     """What is tracked along a `Way` and on from wall to wall, a list of (`Way`, `Tracked`); one: the first, if it is
-    known. start: the `Begun` of the locus; steps: as of `outsets`."""
+    known. start: the `LocusStart` of the locus; steps: as of `outsets`."""
     found = []
     while way is not None and len(found) < MOST:
-        found.append((way, one or tracked(way)))
+        found.append((way, one or track(way)))
         way, one = _beyond(start, *found[-1], steps), None
     return found
 
@@ -71,10 +72,10 @@ def _beyond(start, way, one, steps):
     z, none = one.points.z[-1], np.zeros(0)
     values = zip(names, z[-2:], strict=True)
     scene = changed(start.scene, {name: jnp.asarray(value, start.scene.dtype) for name, value in values})
-    spot = Spot(
+    spot = OrbitPoint(
         float(z[-2]), none, none, none, int(curve.cycle.periods), np.nan, np.nan, float(one.points.residual[-1])
     )
-    senses = _open(ways(Begun("GR", names[0], scene, spot), names, way.asked.bounds, *steps))
+    senses = _open(ways(LocusStart("GR", names[0], scene, spot), names, way.asked.bounds, *steps))
     others = (pair[0] for pair in senses if len(pair) == 1)
     return next((each for each in others if not _is_touch(each.curve, each.start.z, curve, z)), None)
 

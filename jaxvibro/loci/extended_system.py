@@ -25,15 +25,15 @@ from ..flight.coefficients import frame
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
 from ..problem import touches
-from ..problem.equations import Along, cycle_at, impacts, problem, there, varied
+from ..problem.equations import OrbitEquations, cycle_at, impacts, problem, there, varied
 from ..scene.scene import Scene
 
 APART = 1e-5  # of 1 + abs z: the points of a difference
 
 
 class Grazing(NamedTuple):
-    """What a locus of GR is of. scene, which, cycle: as of `Along`, the touch being an impact; pick: (rows,), 1 at the
-    impact without speed; slack: how deep behind a wall a flight may be, as the touch has a rounding."""
+    """What a locus of GR is of. scene, which, cycle: as of `OrbitEquations`, the touch being an impact; pick: (rows,),
+    1 at the impact without speed; slack: how deep behind a wall a flight may be, as the touch has a rounding."""
 
     scene: Scene
     which: Scene
@@ -48,16 +48,16 @@ class Grazing(NamedTuple):
 
 
 class Singular(NamedTuple):
-    """What a locus of SN, PD or SB is of. scene, which, cycle: as of `Along`; closing: 1 where a change of the orbit
-    comes back as itself, -1 where as its opposite."""
+    """What a locus of SN, PD or SB is of. scene, which, cycle: as of `OrbitEquations`; closing: 1 where a change of the
+    orbit comes back as itself, -1 where as its opposite."""
 
     scene: Scene
     which: Scene
     cycle: Cycle
     closing: np.ndarray
 
-    hits = Along.hits
-    slack = Along.slack
+    hits = OrbitEquations.hits
+    slack = OrbitEquations.slack
 
 
 def _grazing(z, curve):

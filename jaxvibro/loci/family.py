@@ -5,12 +5,12 @@ import numpy as np
 from continuation.points import to_value
 
 from ..problem.end import End
-from ..problem.orbit_on_branch import Spot
+from ..problem.orbit_on_branch import OrbitPoint
 from ..scene import check
 from ..scene.parameters import values_of
 from ..scene.symmetry import stays_symmetric
-from .corner import outsets, traced
-from .first_point import Begun, begun, impacts_of, named
+from .corner import outsets, track_on
+from .first_point import LocusStart, impacts_of, named, start_of
 from .locus import locus_of
 from .track import together
 
@@ -29,7 +29,7 @@ def family(special, names, bounds, third, values, first_step=0.02, largest_step=
 
     Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
-    start, steps = begun(special), (first_step, largest_step, tolerance)
+    start, steps = start_of(special), (first_step, largest_step, tolerance)
     names, values = named(start.scene, names), values_of(start.scene, third, values)
     if third in names:
         raise check.ArgumentError("third", "must be none of names", third)
@@ -48,11 +48,12 @@ def family(special, names, bounds, third, values, first_step=0.02, largest_step=
 def _locus(start, on, back, ahead, behind, steps):
     """The `Locus` of ways on and back and what was tracked along each first."""
     closes = ahead.why is End.CLOSED
-    return locus_of(start, traced(start, on, steps, ahead), () if closes else traced(start, back, steps, behind))
+    return locus_of(start, track_on(start, on, steps, ahead), () if closes else track_on(start, back, steps, behind))
 
 
 def carried(start, names, bounds, third, values, *steps):
-    """The `first_point.Begun` at each value of a third parameter, None where a point's locus does not come to it."""
+    """The `first_point.LocusStart` at each value of a third parameter, None where a point's locus does not come to
+    it."""
     free = start.name if start.name in names else names[0]
     own = float(start.scene.parameter(third))
     start = start._replace(scene=start.scene.replace(**{third: own}))  # a wall's restitution then is its own
@@ -60,12 +61,12 @@ def carried(start, names, bounds, third, values, *steps):
     if low == high:
         return [start] * len(values)
     pair = outsets(start, (free, third), {free: bounds[free], third: (low, high)}, *steps)
-    sides = [traced(start, way, steps) for way in pair]
+    sides = [track_on(start, way, steps) for way in pair]
     return [start if value == own else _crossed(start, sides, (free, third), value) for value in values]
 
 
 def _crossed(start, sides, pair, value):
-    """The `first_point.Begun` where a locus both ways first has a value of its second parameter, None where it has
+    """The `first_point.LocusStart` where a locus both ways first has a value of its second parameter, None where it has
     not."""
     ahead = []
     for side in sides:
@@ -84,8 +85,8 @@ def _crossed(start, sides, pair, value):
 
 
 def _begun(start, curve, pair, z, residual):
-    """The `first_point.Begun` at a point of a locus."""
+    """The `first_point.LocusStart` at a point of a locus."""
     times, speeds, sides, periods = impacts_of(curve, z[None])
     scene = start.scene.replace(**dict(zip(pair, z[-2:].tolist(), strict=True)))
-    spot = Spot(float(z[-2]), times[0], speeds[0], sides, periods, np.nan, np.nan, residual)
-    return Begun(start.kind, pair[0], scene, spot)
+    spot = OrbitPoint(float(z[-2]), times[0], speeds[0], sides, periods, np.nan, np.nan, residual)
+    return LocusStart(start.kind, pair[0], scene, spot)

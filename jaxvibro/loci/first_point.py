@@ -9,11 +9,11 @@ from continuation.steps import step, tangent
 
 from ..branches.assemble import is_own_image
 from ..branches.branch import Special
-from ..branches.follow import SMALLEST, placed, point, settled
+from ..branches.follow import SMALLEST, check_settings, place_orbit, point
 from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
 from ..problem.equations import problem
-from ..problem.orbit_on_branch import Spot
+from ..problem.orbit_on_branch import OrbitPoint
 from ..problem.touches import TOUCH, padded, scales, touches
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, flat, marked, tied
@@ -21,37 +21,37 @@ from ..scene.scale import scene_length
 from ..scene.scene import Scene
 from ..scene.symmetry import stays_symmetric
 from .extended_system import Grazing, Singular
-from .track import Bounded, Way
+from .track import LocusSettings, LocusWay
 
 KINDS = ("SN", "PD", "SB", "GR")
 
 
-class Begun(NamedTuple):
+class LocusStart(NamedTuple):
     """A special point in plain numbers. kind; name: of the parameter of `spot.value`; scene: at the point; spot: its
     orbit."""
 
     kind: str
     name: str
     scene: Scene
-    spot: Spot
+    spot: OrbitPoint
 
 
-def begun(special):
-    """The `Begun` of a `Special`. Raises ArgumentError for points of other kinds."""
+def start_of(special):
+    """The `LocusStart` of a `Special`. Raises ArgumentError for points of other kinds."""
     if not isinstance(special, Special) or special.kind not in KINDS:
         given = special.kind if isinstance(special, Special) else special
         raise check.ArgumentError("special", f"must be a special point of kind {', '.join(KINDS)}", given)
-    return Begun(special.kind, special.name, special.scene, special.spot)
+    return LocusStart(special.kind, special.name, special.scene, special.spot)
 
 
 def ways(start, names, bounds, first_step, largest_step, tolerance):
-    """The `track.Way`s from a `Begun`, in two parameters: one, or at a GR one for each touch. Raises ArgumentError for
-    arguments that cannot be."""
+    """The `track.LocusWay`s from a `LocusStart`, in two parameters: one, or at a GR one for each touch. Raises
+    ArgumentError for arguments that cannot be."""
     names = named(start.scene, names)
     if not isinstance(bounds, dict) or set(bounds) != set(names):
         raise check.ArgumentError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
     bounds = {name: bounds_of(start.scene, name, bounds[name]) for name in names}
-    given = settled(first_step, largest_step, tolerance, (), ())
+    given = check_settings(first_step, largest_step, tolerance, (), ())
     length = scene_length(start.scene)
     own = [domain(start.scene, name) for name in names]
     box = [(max(low, least), min(high, most)) for (low, high), (least, most) in zip(bounds.values(), own, strict=True)]
@@ -60,12 +60,12 @@ def ways(start, names, bounds, first_step, largest_step, tolerance):
     )
     numbers = [np.float64(each) for each in (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])]
     control = Control(np.ones(1), *numbers)
-    asked = Bounded(control, min(first_step, largest_step), names, bounds, tuple(box), only, length)
+    asked = LocusSettings(control, min(first_step, largest_step), names, bounds, tuple(box), only, length)
     return [_way(curve, z, asked) for curve, z in equations(start, names)]
 
 
 def _way(curve, z, asked):
-    """The `track.Way` from z, towards greater values of the second parameter."""
+    """The `track.LocusWay` from z, towards greater values of the second parameter."""
     weights = scales(curve, asked.length)
     for k, name in enumerate(asked.names, -2):
         if name.endswith(".stiffness"):  # it goes through orders of magnitude
@@ -73,11 +73,11 @@ def _way(curve, z, asked):
     control = asked.control._replace(scale=weights)
     ahead = tangent(problem(curve), z, control.scale, curve)
     start = point(_settled_at(curve, z, ahead, control), ahead)
-    return Way(curve, start, asked._replace(control=control))
+    return LocusWay(curve, start, asked._replace(control=control))
 
 
 def backward(way):
-    """The `track.Way` in the other direction."""
+    """The `track.LocusWay` in the other direction."""
     return way._replace(start=point(way.start.z, -way.start.tangent))
 
 
@@ -93,8 +93,8 @@ def named(scene, names):
 
 
 def equations(start, names):
-    """(`Grazing` or `Singular`, z) at a `Begun`, along any number of parameters, a list of one; at a GR of one for each
-    touch, which leaves the others out. A tuple of names is one, of several that have one value. Raises
+    """(`Grazing` or `Singular`, z) at a `LocusStart`, along any number of parameters, a list of one; at a GR of one for
+    each touch, which leaves the others out. A tuple of names is one, of several that have one value. Raises
     ArgumentError."""
     scene, spot = start.scene, start.spot
     impacts = _impacts(start)
@@ -141,7 +141,7 @@ def _impacts(start):
     spot = start.spot
     listed = [((k, 0.0), one) for k, one in enumerate(zip(spot.times, spot.speeds, spot.sides, strict=True))]
     if start.kind == "GR":
-        along, z = placed(start.scene, start.name, spot)
+        along, z = place_orbit(start.scene, start.name, spot)
         for one in touches(along, z, scene_length(start.scene)):
             if not one.own:
                 begin = z[one.row] if len(spot.times) else 0.0

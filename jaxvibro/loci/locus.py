@@ -16,14 +16,14 @@ from ..maps import itinerary as words
 from ..orbits.orbit import roots
 from ..output.table_text import columns
 from ..output.units import LENGTH, SPEED, TIME
-from ..problem.diagnostics import Look
+from ..problem.diagnostics import Diagnostics
 from ..problem.end import End
-from ..problem.orbit_on_branch import Spot, itinerary, told
+from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
 from ..scene import check
 from ..scene.scene import Scene, changed
-from .corner import outsets, traced
+from .corner import outsets, track_on
 from .extended_system import Grazing, Singular
-from .first_point import begun, impacts_of
+from .first_point import impacts_of, start_of
 
 MEANINGS = {
     "CP": "cusp",
@@ -53,7 +53,7 @@ class Codim2:
     residual: float
     itinerary: tuple[str, ...]
     scene: Scene = field(repr=False)
-    spot: Spot = field(repr=False)
+    spot: OrbitPoint = field(repr=False)
 
     @property
     def label(self):
@@ -63,7 +63,7 @@ class Codim2:
     @cached_property
     def orbit(self):
         """The `Orbit` at the point; an impact may have no speed."""
-        return told(self.scene, self.spot)
+        return described_orbit(self.scene, self.spot)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +115,7 @@ class Locus:
         if not -count <= place < count:
             raise check.ArgumentError("place", f"must be a point of the locus, from 0 to {count - 1}", place)
         spot, values = _spot_of(self.data, place, self.names)
-        return told(self.scene.replace(**values), spot)
+        return described_orbit(self.scene.replace(**values), spot)
 
     def table(self):
         """The special points as a text, a line each, and why the locus ends."""
@@ -146,14 +146,14 @@ def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1
 
     Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
-    start, steps = begun(special), (first_step, largest_step, tolerance)
+    start, steps = start_of(special), (first_step, largest_step, tolerance)
     on, back = outsets(start, names, bounds, *steps)
-    ahead = traced(start, on, steps)
-    return locus_of(special, ahead, () if ahead[0][1].why is End.CLOSED else traced(start, back, steps))
+    ahead = track_on(start, on, steps)
+    return locus_of(special, ahead, () if ahead[0][1].why is End.CLOSED else track_on(start, back, steps))
 
 
 def locus_of(special, on, back):
-    """The `Locus` of what was `corner.traced` from its start on and back, the latter empty where the first closes."""
+    """The `Locus` of what was `corner.track_on` from its start on and back, the latter empty where the first closes."""
     asked, parts = (
         on[0][0].asked,
         [_turned(*one) for one in reversed(back)] + [_Part(way.curve, *one[:3]) for way, one in on],
@@ -177,11 +177,11 @@ def locus_of(special, on, back):
 
 
 class _Part(NamedTuple):
-    """A stretch of a locus with one curve: its points, their `Look`, and marks."""
+    """A stretch of a locus with one curve: its points, their `Diagnostics`, and marks."""
 
     curve: Grazing | Singular
     points: Point
-    look: Look
+    look: Diagnostics
     marks: tuple
 
 
@@ -230,10 +230,10 @@ def _attrs(meaning, units):
 
 
 def _spot_of(data, place, names):
-    """(the `Spot` at a point of a locus, {name: value})."""
+    """(the `OrbitPoint` at a point of a locus, {name: value})."""
     row, values = row_of(data, place), {name: float(data[name].values[place]) for name in names}
     rows = (row[key].astype(float) for key in ("time", "speed", "side"))
-    return Spot(values[names[0]], *rows, data.attrs["periods"], np.nan, np.nan, float(row["residual"])), values
+    return OrbitPoint(values[names[0]], *rows, data.attrs["periods"], np.nan, np.nan, float(row["residual"])), values
 
 
 def _codim2(scene, names, data, place, kind, residual):

@@ -12,12 +12,12 @@ import numpy as np
 
 from continuation import locate
 
-from ..problem.equations import Along, problem
+from ..problem.equations import OrbitEquations, problem
 from ..scene import check
 from ..scene.parameters import flat, marked
 from ..scene.scene import SIDES, Scene
 from .extended_system import Grazing
-from .first_point import begun, equations
+from .first_point import equations, start_of
 
 KINDS = ("SN", "GR")
 ALIKE = 1e-6  # derivatives as near are one
@@ -25,12 +25,12 @@ SHORTEST = 1.0 / 256.0  # of the way to other numbers: a step as short that fail
 WARY = 0.3  # of 1 + the largest unknown: more must nothing change in a step
 
 
-class Held(NamedTuple):
+class HeldPoint(NamedTuple):
     """A fold or grazing, and the numbers of its scene that are kept. along: its orbit's equations; z: (times, speeds,
     value); still: places in z of speeds that are zero; kept: the numbers, (count,); marks: for each the scene's tree,
     1 where it stands; residual: the largest error left in the equations."""
 
-    along: Along
+    along: OrbitEquations
     z: np.ndarray
     still: np.ndarray
     kept: np.ndarray
@@ -56,12 +56,12 @@ def sensitivity(special, names, wall=None):
     Raises ArgumentError for points of other kinds, names that cannot be, and a corner where no wall is given; its value
     is then what each wall gives.
     """
-    return slopes(held(special, names, wall))
+    return slopes(hold(special, names, wall))
 
 
-def held(special, names, wall=None):
-    """The `Held` of a `Special`, such names and a wall."""
-    start = begun(special)
+def hold(special, names, wall=None):
+    """The `HeldPoint` of a `Special`, such names and a wall."""
+    start = start_of(special)
     if start.kind not in KINDS:
         raise check.ArgumentError("special", f"must be a special point of kind {', '.join(KINDS)}", start.kind)
     names = check.sequence("names", names)
@@ -77,7 +77,7 @@ def held(special, names, wall=None):
 
 
 def _only(found, wall):
-    """The one `Held` of some, each of a touch of a wall, or that of a wall: they have to give the same."""
+    """The one `HeldPoint` of some, each of a touch of a wall, or that of a wall: they have to give the same."""
     known = {}
     for one in found:
         try:
@@ -99,24 +99,26 @@ def _only(found, wall):
 
 
 def _side(one):
-    """Of the wall that a `Held` grazing touches."""
+    """Of the wall that a `HeldPoint` grazing touches."""
     rows = len(one.along.cycle.sides)
     return None if not len(one.still) else SIDES[int(one.along.cycle.sides[one.still[0] - rows] > 0)]
 
 
 def _held(curve, z, name, names):
-    """The `Held` of a curve's point along a parameter and others."""
+    """The `HeldPoint` of a curve's point along a parameter and others."""
     rows, own = len(curve.cycle.sides), z[: len(z) - len(names)]
     scene, which = marked(curve.scene, name)
     still = rows + np.flatnonzero(curve.pick) if isinstance(curve, Grazing) else np.zeros(0, int)
     marks = tuple(marked(scene, each)[1] for each in names)
-    one = Held(Along(scene, which, curve.cycle._replace(still=None)), own, still, z[len(own) :], marks, np.nan)
+    one = HeldPoint(
+        OrbitEquations(scene, which, curve.cycle._replace(still=None)), own, still, z[len(own) :], marks, np.nan
+    )
     one = _with(one, one.kept)  # `marked` has put the hardness to zero
     return _solved(one) or one
 
 
 def slopes(one):
-    """dp/dq at a `Held`, (count,)."""
+    """dp/dq at a `HeldPoint`, (count,)."""
     whole, by = _slopes(one.along, one.z), _by_kept(one)
     if len(one.still):
         return -np.linalg.solve(np.delete(whole, one.still, 1), by)[-1]
@@ -124,8 +126,8 @@ def slopes(one):
     return -(left @ by) / (left @ whole[:, -1])
 
 
-def moved(one, kept, steps=1):
-    """(the `Held` of the same point where its numbers are others, how much of the way there it is: 1 all of it).
+def move(one, kept, steps=1):
+    """(the `HeldPoint` of the same point where its numbers are others, how much of the way there it is: 1 all of it).
 
     kept: (count,); the way is cut into steps at first, and into shorter ones where Newton's method does not follow.
     """
@@ -147,7 +149,7 @@ def moved(one, kept, steps=1):
 
 
 def _with(one, kept):
-    """The `Held` with other numbers, its orbit not yet theirs."""
+    """The `HeldPoint` with other numbers, its orbit not yet theirs."""
     scene = one.along.scene
     for mark, value in zip(one.marks, kept, strict=True):
         scene = _put(scene, mark, value)
@@ -173,7 +175,7 @@ def _slopes(along, z):
 
 
 def _solved(one):
-    """The `Held` by Newton's method from this one, None where there is none whose impacts are into the walls."""
+    """The `HeldPoint` by Newton's method from this one, None where there is none whose impacts are into the walls."""
     try:
         with np.errstate(all="ignore"):
             found = _grazing(one) if len(one.still) else locate.fold(problem(one.along), one.z, one.along)

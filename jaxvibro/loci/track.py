@@ -8,7 +8,7 @@ from continuation import driver, locate
 from continuation.arclength import Control, Point
 from continuation.driver import Mark, Met, Task
 
-from ..problem.diagnostics import Look
+from ..problem.diagnostics import Diagnostics
 from ..problem.end import End
 from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
@@ -25,7 +25,7 @@ REASONS = {
 }
 
 
-class Bounded(NamedTuple):
+class LocusSettings(NamedTuple):
     """What a locus is asked for. control: of steps, with the second parameter's bounds; first: the first step; names;
     bounds: (low, high) of each parameter by name; box: the same within their domains; domain: the ends of these that
     no bound is; length: the scene's."""
@@ -39,12 +39,12 @@ class Bounded(NamedTuple):
     length: float
 
 
-class Way(NamedTuple):
+class LocusWay(NamedTuple):
     """A locus in one direction, to be tracked. curve: its equations; start: a `Point` whose tangent leads away."""
 
     curve: Grazing | Singular
     start: Point
-    asked: Bounded
+    asked: LocusSettings
 
     @property
     def task(self):
@@ -55,11 +55,11 @@ class Way(NamedTuple):
         return Task(problem(curve), curve, asked.control, asked.first, asked.box, asked.domain, watch, starts=starts)
 
 
-class Tracked(NamedTuple):
+class TrackedLocus(NamedTuple):
     """points, look: a row a point; marks: the special ones; reason: why it ends; why: the same, an `End`."""
 
     points: Point
-    look: Look
+    look: Diagnostics
     marks: tuple[Mark, ...]
     reason: str
     why: End
@@ -80,22 +80,22 @@ class LocusWatch(OrbitWatch):
         return codim2.events(task, points, view)
 
 
-def tracked(way):
-    """The `Tracked` along a `Way`."""
+def track(way):
+    """The `TrackedLocus` along a `LocusWay`."""
     return _tracked(way, driver.run(way.task, way.start))
 
 
 def together(ways):
-    """The `Tracked` of each of some `Way`s, those of one kind and size as the lanes of one compiled call."""
+    """The `TrackedLocus` of each of some `LocusWay`s, those of one kind and size as the lanes of one compiled call."""
     found = driver.run_together([way.task for way in ways], [way.start for way in ways])
     return [_tracked(*each) for each in zip(ways, found, strict=True)]
 
 
 def _tracked(way, found):
-    """The `Tracked` of a `driver.Stretch`."""
+    """The `TrackedLocus` of a `driver.Stretch`."""
     why = End[found.end.name]
     text = REASONS.get(why, REASONS[End.STEP]).format(name=way.asked.names[found.which], value=found.value)
-    return Tracked(found.points, found.view, found.marks, text, why)
+    return TrackedLocus(found.points, found.view, found.marks, text, why)
 
 
 def _left(task, points):

@@ -24,7 +24,7 @@ QUICK = 8.0  # longest steps: of a stay whose start its end has not forgotten
 ORDER = 3  # of the derivatives that the equations of the impacts need
 
 
-class Left(NamedTuple):
+class StayEnd(NamedTuple):
     """The end of a stay: its time; the velocity against the wall there; the drive's cosine and sine."""
 
     time: jax.Array
@@ -96,7 +96,7 @@ def product(left, right):
 
 
 def leave(frame, side, cosine, sine, speed, found, order=ORDER):
-    """The `Left` of lanes that meet a soft wall on a side with a speed; side 0: of none, any numbers.
+    """The `StayEnd` of lanes that meet a soft wall on a side with a speed; side 0: of none, any numbers.
 
     Smooth in all numbers, also where the speed goes through zero: the stay goes through zero with it, and from there on
     is a negative time. found: its time by `guess`; order: of the derivatives that are right.
@@ -110,7 +110,7 @@ def leave(frame, side, cosine, sine, speed, found, order=ORDER):
     v = choose(short, side + 0.0 * v, v)
     far = stage(_long, here, touch, v, cosine, sine, choose(short, 0.1 * reach, found), order=order)
     time, after = (choose(short, *each) for each in zip(near, far, strict=True))
-    return Left(time, after, *flow.rotated(cosine, sine, frame.frequency * time))
+    return StayEnd(time, after, *flow.rotated(cosine, sine, frame.frequency * time))
 
 
 def guess(frame, side, cosine, sine, speed):

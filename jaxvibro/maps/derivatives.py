@@ -21,7 +21,7 @@ from ..scene.codes import Contact, Status
 from ..scene.state import State
 from . import one_period
 from .one_period import SLOTS
-from .replay import Known, replay
+from .replay import KnownImpacts, replay
 
 
 class Request(NamedTuple):
@@ -69,7 +69,7 @@ def _recorded(task):
         rests = jnp.where(abs(end.contact) >= Contact.STUCK, end.contact, 0.0)
         lost = (impacts.status >= Status.CAP) | ((impacts.count > slots) & (abs(rests) != Contact.STUCK))
         count = jnp.where(lost, -1.0, impacts.count)
-        known = Known(impacts.time, impacts.side, count, freed, rests, _slowest(impacts))
+        known = KnownImpacts(impacts.time, impacts.side, count, freed, rests, _slowest(impacts))
         full = (impacts.status == Status.OK) & (impacts.count > task.slots)
         rows = {name: getattr(impacts, name)[..., : task.slots] for name in ("time", "side", "speed")}
         return (end, replaced(impacts, status=jnp.where(full, 1.0 * Status.FULL, impacts.status), **rows)), known
@@ -93,7 +93,7 @@ def _slowest(impacts):
 
 @cache
 def _tensors(task):
-    """Derivatives of all orders up to the task's, by the chosen numbers: of the numbers and what is `Known`.
+    """Derivatives of all orders up to the task's, by the chosen numbers: of the numbers and what is `KnownImpacts`.
 
     An order's are two arrays with an axis for each time a number was chosen, last.
     """
@@ -178,7 +178,7 @@ def _real(out):
 
 
 def _blocks(task, *given):
-    """What `_tensors` gives, computed block by block; given: the leaves, then the fields of `Known`."""
+    """What `_tensors` gives, computed block by block; given: the leaves, then the fields of `KnownImpacts`."""
     leaves, (count, freed, rests, times, sides) = given[: task.tree.num_leaves], given[task.tree.num_leaves :]
     choices, rows = len(task.chosen), [] if task.of_state else [times.shape[-1]]
 
@@ -188,7 +188,7 @@ def _blocks(task, *given):
 
     def run(tree, times, sides):
         leaves, (count, freed, rests) = tree
-        known = Known(jnp.moveaxis(times, -1, 0), jnp.moveaxis(sides, -1, 0), count, freed, rests)
+        known = KnownImpacts(jnp.moveaxis(times, -1, 0), jnp.moveaxis(sides, -1, 0), count, freed, rests)
         tensors = one_kernel(_replayed, leaves, known, task=task)
         if not task.of_state:
             tensors = jax.tree.map(lambda part: jnp.moveaxis(part, 0, count.ndim), tensors)

@@ -45,7 +45,7 @@ class Trail(NamedTuple):
         return Trail(ends, self.status[chosen], *(part[:, chosen] for part in self[2:]))
 
 
-def trail(scene, state, periods, slots=SLOTS):
+def iterate(scene, state, periods, slots=SLOTS):
     """Runs a state's lanes on: a `Trail` of the last periods, at most KEEP.
 
     scene: a single one, or a lane of a batch each; state: leaves of shape (lanes,); periods: whole number >= 1, no
@@ -63,7 +63,7 @@ def trail(scene, state, periods, slots=SLOTS):
 
 
 def ends(scene, state, periods):
-    """(state, status) of a state's lanes so many periods later; the same compiled run as `trail`'s."""
+    """(state, status) of a state's lanes so many periods later; the same compiled run as `iterate`'s."""
     size = len(state.x)
     blocks = [padded((scene, state), first, WIDTH) for first in range(0, size, WIDTH)]
     runs = [_run(*block, periods, _needed(scene, SLOTS))[:2] for block in blocks]

@@ -13,7 +13,7 @@ from ..scene.state import State
 from .one_period import finish
 
 
-def carried(scene, state, phase):
+def shift_phase(scene, state, phase):
     """The state where the drive next comes to a phase, from 0 to less than 2 pi later: (State, status).
 
     scene: a single one; state: leaves of shape (lanes,), all at one phase; phase: rad. An impact at the end belongs to

@@ -21,7 +21,7 @@ from ..scene.codes import Contact
 from . import contact_replay
 
 
-class Known(NamedTuple):
+class KnownImpacts(NamedTuple):
     """What happened: times and sides (-1, 0, +1) of the impacts, shape (slots, lanes), inf and 0 where there is none;
     count: how many, below 0 where a replay is not possible; freed: when the mass was last released from a wall, -1 if
     never; rests: the contact of a mass that rests on a wall at the end, or is within a soft one, else 0; slowest: the

@@ -68,7 +68,7 @@ def rests(scene, state, periods):
     state = State(*(np.asarray(each, dtype).reshape(()) for each in (state.x, state.v, state.phase, state.contact)))
     on, since, seen = (
         abs(state.contact) == Contact.STUCK,
-        Since(*np.array([1.0, 0.0, 0.0, 1.0, 0.0, np.nan], dtype)),
+        SinceRelease(*np.array([1.0, 0.0, 0.0, 1.0, 0.0, np.nan], dtype)),
         [],
     )
     for k in range(2 * periods):  # the first time round tells since when the mass is free
@@ -82,7 +82,7 @@ def rests(scene, state, periods):
     return Rests(bool(on or seen), len(seen), "".join(sorted(letters)), float(rate))
 
 
-class Since(NamedTuple):
+class SinceRelease(NamedTuple):
     """The derivative since the mass was last let go from a wall, by rows, over exp(size), and how long ago that was."""
 
     a: jax.Array
@@ -95,7 +95,8 @@ class Since(NamedTuple):
 
 @persistent_jit(compiler_options=OPTIONS)
 def _watched(scene, state, since):
-    """(`Since` a period later; of the rests that begin in it: side, 0 none, whether by hops, growth, time before)."""
+    """(`SinceRelease` a period later; of the rests that begin in it: side, 0 none, whether by hops, growth, time
+    before)."""
     built = frame(scene)
     path, fault = enter(built, state)
     path = path._replace(to_go=jnp.where(fault == Status.OK, built.period, 0.0))
@@ -112,13 +113,14 @@ def _watched(scene, state, since):
         return step.path, since, count + begins, steps + 1.0, rows
 
     rows = tuple(jnp.zeros(MOST, scene.dtype) for _ in range(4))
-    start = path, Since(*(each + none for each in since)), jnp.int32(0), none, rows
+    start = path, SinceRelease(*(each + none for each in since)), jnp.int32(0), none, rows
     _, since, _, _, rows = lax.while_loop(lambda carry: (carry[0].to_go > 0) & (carry[3] < limit), turn, start)
     return _scaled(since), rows
 
 
 def _advanced(frame, path, step, since, was, now):
-    """(`Since` after a step, what a rest that begins there is told by: side, whether by hops, growth, time before)."""
+    """(`SinceRelease` after a step, what a rest that begins there is told by: side, whether by hops, growth, time
+    before)."""
     side = step.side
     span = step.time
     (p00, p01, p11), _, _ = flow.doubled(frame.series, frame.frequency, frame.damping, span)
@@ -135,7 +137,9 @@ def _advanced(frame, path, step, since, was, now):
         matrix = tuple(jnp.where(hit, new, old) for new, old in zip(after, matrix, strict=True))
     free = was & ~now
     fresh = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
-    return Since(*(jnp.where(free, new, old) for new, old in zip(fresh, (*matrix, since.size, age), strict=True))), row
+    return SinceRelease(
+        *(jnp.where(free, new, old) for new, old in zip(fresh, (*matrix, since.size, age), strict=True))
+    ), row
 
 
 def _shift(frame, step, side, speed, again, matrix):
@@ -160,4 +164,4 @@ def _scaled(since):
     """The same with its largest entry 1."""
     largest = jnp.max(abs(jnp.stack(since[:4])))
     largest = jnp.where(largest > 0, largest, 1.0)
-    return Since(*(each / largest for each in since[:4]), since.size + jnp.log(largest), since.age)
+    return SinceRelease(*(each / largest for each in since[:4]), since.size + jnp.log(largest), since.age)

@@ -9,8 +9,8 @@ from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import SIDES
 from ..scene.state import State, check_start, real_state
-from .iterate import KEEP, ends, trail
-from .phase_shift import carried
+from .iterate import KEEP, ends, iterate
+from .phase_shift import shift_phase
 
 
 @check.host("use return_map or strobe")
@@ -40,10 +40,10 @@ def sections(scene, state, phase=0.0, periods=1000, settle=300):
     state = State(*(np.reshape(np.asarray(each), 1) for each in (state.x, state.v, state.phase, state.contact)))
     if settle:
         state = _good(*ends(scene, state, settle))
-    state = _good(*carried(scene, state, phase))
+    state = _good(*shift_phase(scene, state, phase))
     parts = []
     for first in range(0, periods, KEEP):
-        run = trail(scene, state, min(KEEP, periods - first))
+        run = iterate(scene, state, min(KEEP, periods - first))
         state = _good(run.state, run.status)
         parts.append(run)
     return _dataset(scene, phase, parts)

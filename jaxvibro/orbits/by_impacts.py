@@ -17,7 +17,7 @@ from continuation.persistent_jit import persistent_jit
 from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
 from ..maps import itinerary as words
-from ..maps.iterate import KEEP, trail
+from ..maps.iterate import KEEP, iterate
 from ..scene.codes import Status
 from ..scene.state import Impacts, State
 from . import flight_clearance, impact_equations
@@ -200,7 +200,7 @@ def _refuse_uncertain(scene, found, count, length):
         sides[:count],
     )
     spans = flights.time[:count]
-    kept = trail(scene, starts, max(1, int(np.ceil(spans.max() / length + TIMELY))))
+    kept = iterate(scene, starts, max(1, int(np.ceil(spans.max() / length + TIMELY))))
     after = kept.time + length * np.arange(len(kept.time))[:, None, None]
     after = np.where(kept.side != 0, after, np.inf).transpose(1, 0, 2).reshape(count, -1)
     first = after.argmin(axis=1)

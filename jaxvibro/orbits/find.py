@@ -4,7 +4,7 @@ import numpy as np
 
 from ..maps import itinerary as words
 from ..maps.initial_conditions import box
-from ..maps.iterate import KEEP, trail
+from ..maps.iterate import KEEP, iterate
 from ..maps.rests import may_rest
 from ..scene import check
 from ..scene.codes import Status
@@ -38,7 +38,7 @@ def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
     if periods is not None and check.whole("periods", periods, 1) > KEEP:
         raise check.ArgumentError("periods", f"must be at most {KEEP}", periods)
     if settle:
-        state = _followed(trail(scene, state, settle)).state
+        state = _followed(iterate(scene, state, settle)).state
     periods = periods or _returns(scene, state, settle)
     return _near(scene, state, periods, itinerary)
 
@@ -69,7 +69,7 @@ def _followed(found):
 
 def _returns(scene, state, settle):
     """The least number of periods after which the state comes back: to within SETTLED where it has settled."""
-    points = _followed(trail(scene, state, check.MOST_PERIODS)).points[:, 0]
+    points = _followed(iterate(scene, state, check.MOST_PERIODS)).points[:, 0]
     first = np.array([state.x[0], state.v[0]])
     apart, scale = abs(points - first).max(axis=1), abs(points).max()
     if settle and apart.min() > SETTLED * scale:
@@ -82,7 +82,7 @@ def _returns(scene, state, settle):
 
 def _near(scene, state, periods, itinerary):
     """The orbit near a state: by its impacts, or by the state where it rests on a wall or meets none."""
-    kept = _followed(trail(scene, state, periods))
+    kept = _followed(iterate(scene, state, periods))
     found = words.words(kept.side[:, 0])
     plain = State(*(float(each[0]) for each in (state.x, state.v, state.phase, state.contact)))
     if itinerary is not None and not words.same(found, itinerary):

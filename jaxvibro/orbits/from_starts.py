@@ -12,7 +12,7 @@ import numpy as np
 from continuation import newton
 
 from ..maps.initial_conditions import box, random_starts
-from ..maps.iterate import KEEP, trail
+from ..maps.iterate import KEEP, iterate
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.state import State
@@ -47,8 +47,8 @@ def find_orbits(scene, max_period=4, starts=200, seed=0):
     if longest > KEEP // 2:
         raise check.ArgumentError("max_period", f"must be at most {KEEP // 2}", max_period)
     starts, seed = check.whole("starts", starts, 1), check.whole("seed", seed, 0)
-    begun = trail(scene, random_starts(scene, starts, seed), KEEP)
-    looks = [begun, trail(scene, begun.state, SETTLE)]
+    begun = iterate(scene, random_starts(scene, starts, seed), KEEP)
+    looks = [begun, iterate(scene, begun.state, SETTLE)]
     fast = box(scene)[2]
     found = _Known(scene, fast)
     found.add(lambda: by_state(scene, free_response(scene), 1))

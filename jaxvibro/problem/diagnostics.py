@@ -20,7 +20,7 @@ LANES = 144  # points of a compiled call
 OVERLAP = 1.0625  # of its periods, that the flight of an orbit without impacts is looked at
 
 
-class Look(NamedTuple):
+class Diagnostics(NamedTuple):
     """clear, late: (points, flights, walls), the least distance at a turning point towards the wall, and its time since
     the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods), at the
     section's phase; fold, flip: (points,), determinants, zero where a branch folds and where the period doubles."""
@@ -35,11 +35,11 @@ class Look(NamedTuple):
     flip: np.ndarray
 
 
-def looked(along, zs):
-    """The `Look` at points, shape (points, n + 1)."""
+def diagnose(along, zs):
+    """The `Diagnostics` at points, shape (points, n + 1)."""
     periods = int(along.cycle.periods)
     wide = 1 << (periods - 1).bit_length()  # so that fewer sizes are compiled
-    look = Look(*each_of(hitting if len(along.cycle.sides) else _free, along, zs, wide))
+    look = Diagnostics(*each_of(hitting if len(along.cycle.sides) else _free, along, zs, wide))
     return look._replace(x=look.x[:, :periods], v=look.v[:, :periods])
 
 
@@ -71,13 +71,13 @@ def _each(along, zs, count, one, periods):
 
 
 def hitting(along, z, periods):
-    """The `Look` at one point of orbits with impacts."""
+    """The `Diagnostics` at one point of orbits with impacts."""
     built, given = frame(there(along, z)), cycle_at(along, z)
     found = impact_equations.flights(built, given)
     x, v = impact_equations.at(built, given, found, built.period * jnp.arange(periods))
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
     measures = cyclic_system.determinants(cyclic_system.of(impact_equations.equations(built, given, found)[1]))
-    return Look(*clear, *impact_equations.invariants(built, found, given.sides), x, v, *measures)
+    return Diagnostics(*clear, *impact_equations.invariants(built, found, given.sides), x, v, *measures)
 
 
 def _free(along, z, periods):
@@ -85,7 +85,7 @@ def _free(along, z, periods):
     (p00, p01, p11), _, _ = flow.doubled(built.series, built.frequency, built.damping, found.time / OVERLAP)
     x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
-    return Look(*clear, (p00 + p11)[0], (p00 * p11 + p01 * p01)[0], x, v, *[jnp.ones_like(z[0])] * 2)
+    return Diagnostics(*clear, (p00 + p11)[0], (p00 * p11 + p01 * p01)[0], x, v, *[jnp.ones_like(z[0])] * 2)
 
 
 def flight(along, z):

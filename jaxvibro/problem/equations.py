@@ -24,7 +24,7 @@ from ..scene.scene import Scene
 NONE = 1e-10  # of the drive's amplitude, per t: as small a speed is none
 
 
-class Along(NamedTuple):
+class OrbitEquations(NamedTuple):
     """What a branch is of. scene: its numbers but for the parameters; which: the scene's tree with 1 where the first
     parameter stands, 2 the second, else 0; cycle: sides, phase and periods; its times and speeds are not used."""
 
@@ -121,5 +121,5 @@ FREE = Problem(_free, bordered, _free, (), one_kernel)
 
 @singledispatch
 def problem(along):
-    """The `Problem` of what is followed: of the orbits of an `Along`."""
+    """The `Problem` of what is followed: of the orbits of an `OrbitEquations`."""
     return IMPACTS if len(along.cycle.sides) else FREE

@@ -8,7 +8,7 @@ from continuation.locate import Located
 from continuation.points import at, between, pointed, put, upto
 
 from . import soft_grazing
-from .diagnostics import looked
+from .diagnostics import diagnose
 from .missed_touches import with_dips
 from .touches import TOUCH, admissible, stilled, touched
 
@@ -26,7 +26,7 @@ class OrbitWatch(Watch):
         return with_dips(task, points, self.view(points.z))
 
     def view(self, zs):
-        return looked(self.equations, zs)
+        return diagnose(self.equations, zs)
 
     def good(self, zs, view):
         return admissible(self.equations, zs, view)
@@ -44,7 +44,7 @@ def to_touch(task, points, look, bad, length):
         middle = between(task, points, bad - 1, 0.5 * (low + high))
         if middle is None:
             break
-        view = looked(task.args, middle.z[None])
+        view = diagnose(task.args, middle.z[None])
         if admissible(task.args, middle.z, view)[0]:
             low = 0.5 * (low + high)
         else:
@@ -80,7 +80,7 @@ def _first_touch(task, good, there, seen, low, high, length):
     if best is None:
         return None
     z = stilled(along, best[1].z, length)
-    view, slack = looked(along, z[None]), -TOUCH * length
+    view, slack = diagnose(along, z[None]), -TOUCH * length
     earlier = view.clear.min(initial=0.0) < slack or z[rows : 2 * rows].min(initial=0.0) < slack
     return None if earlier else (z, best[1].residual)
 

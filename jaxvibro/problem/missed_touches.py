@@ -4,7 +4,7 @@ import numpy as np
 
 from continuation.points import between, put
 
-from .diagnostics import looked
+from .diagnostics import diagnose
 from .touches import admissible
 
 DIP = 0.5  # of a value at the least of three points: a parabola's least below that is looked at
@@ -33,7 +33,7 @@ def with_dips(task, points, look):
             if found is not None:
                 points = put(points, after + offset + 1, found)
                 offset += 1
-    return points, looked(along, points.z) if offset else look
+    return points, diagnose(along, points.z) if offset else look
 
 
 def _dip(task, points, after, columns):
@@ -45,7 +45,7 @@ def _dip(task, points, after, columns):
         if any(one is None for one in some):
             return None
         zs = np.stack([one.z for one in some])
-        look = looked(along, zs)
+        look = diagnose(along, zs)
         bad = ~admissible(along, zs, look)
         if bad.any():
             return some[int(np.argmax(bad))]

@@ -12,11 +12,11 @@ from ..orbits.orbit import described, multipliers
 from ..orbits.orbit_comparison import meetings
 from ..scene.codes import Status
 from ..scene.state import Impacts, State
-from .diagnostics import looked
-from .equations import Along
+from .diagnostics import diagnose
+from .equations import OrbitEquations
 
 
-class Spot(NamedTuple):
+class OrbitPoint(NamedTuple):
     """An orbit in plain numbers. value: of the branch's parameter; times, since phase 0, speeds, sides: of the impacts;
     periods; x, v: at phase 0; residual: the largest error left in its equations."""
 
@@ -31,25 +31,25 @@ class Spot(NamedTuple):
 
 
 def itinerary(spot, frequency):
-    """The walls that a `Spot`'s orbit hits, a word a period."""
+    """The walls that a `OrbitPoint`'s orbit hits, a word a period."""
     return words.around(spot.times, spot.sides, spot.periods, 2.0 * np.pi / frequency)
 
 
 def impacts(spot, frequency, pace=None):
-    """The impacts of a `Spot`'s orbit in order as points (`orbit_comparison`), speeds over a pace, or over the
+    """The impacts of a `OrbitPoint`'s orbit in order as points (`orbit_comparison`), speeds over a pace, or over the
     largest."""
     return meetings(frequency, spot.times, spot.sides, spot.speeds, pace or spot.speeds.max(initial=0.0) or 1.0)
 
 
-def told(scene, spot):
-    """The `Orbit` of a `Spot` of a scene."""
+def described_orbit(scene, spot):
+    """The `Orbit` of a `OrbitPoint` of a scene."""
     if len(spot.times):
         return by_section(scene, spot.times, spot.speeds, spot.sides, spot.periods, spot.residual)
     blank = np.zeros(0)
-    along = Along(
+    along = OrbitEquations(
         scene, jax.tree.map(lambda leaf: np.int32(0), scene), Cycle(*[blank] * 3, *_numbers(0.0, spot.periods))
     )
-    look = looked(along, np.array([[spot.x, spot.v, spot.value]]))
+    look = diagnose(along, np.array([[spot.x, spot.v, spot.value]]))
     clear = float(look.clear.min(initial=np.inf))
     impacts = Impacts(blank, blank.astype(np.int8), blank, 0, np.inf, clear, Status.OK)
     roots = multipliers(float(look.trace[0]), float(look.determinant[0]))

@@ -19,8 +19,8 @@ from continuation.persistent_jit import persistent_jit
 from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
 from ..orbits import flight_clearance, impact_equations
-from .diagnostics import Look, flight, looked
-from .equations import Along, cycle_at, problem, there
+from .diagnostics import Diagnostics, diagnose, flight
+from .equations import OrbitEquations, cycle_at, problem, there
 from .same_orbit import turns
 
 TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
@@ -42,14 +42,14 @@ class Touch(NamedTuple):
     own: bool
 
 
-class Exit(NamedTuple):
+class GrazingExit(NamedTuple):
     """A branch that leaves a grazing admissibly. along: its orbits; point: the grazing itself, its tangent leading
-    away; near, look: z a little on, and its `Look`; included: which of the touches are its impacts."""
+    away; near, look: z a little on, and its `Diagnostics`; included: which of the touches are its impacts."""
 
-    along: Along
+    along: OrbitEquations
     point: Point
     near: np.ndarray
-    look: Look
+    look: Diagnostics
     included: tuple[bool, ...]
 
 
@@ -117,7 +117,7 @@ def settled_near(along, z, row, wall, late):
 
 def touches(along, z, length):
     """The `Touch`es at a point."""
-    sides, look = along.cycle.sides, looked(along, z[None])
+    sides, look = along.cycle.sides, diagnose(along, z[None])
     rows = len(sides)
     hit = np.flatnonzero(sides != 0)
     still = [int(k) for k in hit if abs(z[rows + k]) < TOUCH * length]
@@ -192,15 +192,16 @@ def each_choice(along, z, met, length):
 
 
 def exits(along, z, length, ways=each_choice):
-    """(the `Touch`es at a grazing; the `Exit`s that leave it, of the branch that came there itself too; whether each
-    way that opens is one of them: Newton's method may not converge there). ways: as `each_choice`."""
+    """(the `Touch`es at a grazing; the `GrazingExit`s that leave it, of the branch that came there itself too; whether
+    each way that opens is one of them: Newton's method may not converge there). ways: as `each_choice`."""
     met = touches(along, z, length)
     found = list(ways(along, z, met, length))
     return met, [way for way, _ in found if way], all(sure for _, sure in found)
 
 
 def with_touches(along, z, met, included):
-    """The orbit with some of the touches as impacts: (its `Along`, its z, the others as `left_out` gives them)."""
+    """The orbit with some of the touches as impacts: (its `OrbitEquations`, its z, the others as `left_out` gives
+    them)."""
     every = listed(along, z, met, included)
     kept = [one for one in every if one.kept]
     new, start = with_impacts(along, z, kept)
@@ -208,7 +209,7 @@ def with_touches(along, z, met, included):
 
 
 def with_impacts(along, z, hits, rows=()):
-    """(the `Along` of orbits with these impacts, z of the one that is there); rows: that these were in."""
+    """(the `OrbitEquations` of orbits with these impacts, z of the one that is there); rows: that these were in."""
     new = recut(along, padded(along, [(one.time, one.speed, one.side) for one in hits]), rows)
     if not hits:
         return new, free_start(new, z[-1])
@@ -307,8 +308,8 @@ def opening(along, z, direction, row, wall, late):
 
 
 def leave(along, z, out, sign, length, included):
-    """(the `Exit` in one direction of a branch, None where it is none; whether that is sure). out: the touches left
-    out."""
+    """(the `GrazingExit` in one direction of a branch, None where it is none; whether that is sure). out: the touches
+    left out."""
     tangent = sign * steps.tangent(problem(along), z, scales(along, length), along)
     rows = len(along.cycle.sides)
     rates = [tangent[rows + k] for k in along.hits if z[rows + k] == 0.0]
@@ -320,8 +321,8 @@ def leave(along, z, out, sign, length, included):
 
 
 def stepped(along, z, tangent, length, included, tolerance, asides):
-    """(the `Exit` along a tangent, None where none of these steps aside comes to an admissible orbit; whether one of
-    them comes to an orbit)."""
+    """(the `GrazingExit` along a tangent, None where none of these steps aside comes to an admissible orbit; whether
+    one of them comes to an orbit)."""
     zero = np.zeros(())
     point = Point(z, tangent, zero, zero, zero, np.True_, np.True_)
     numbers = (np.float64(each) for each in (0.0, 1.0, tolerance, -np.inf, np.inf))
@@ -329,9 +330,9 @@ def stepped(along, z, tangent, length, included, tolerance, asides):
     for aside in asides:
         near = steps.step(problem(along), point, aside, control, along)
         met |= bool(near.met)
-        look = looked(along, near.z[None])
+        look = diagnose(along, near.z[None])
         if near.met and admissible(along, near.z, look)[0]:
-            return Exit(along, point, near.z, look, included), True
+            return GrazingExit(along, point, near.z, look, included), True
     return None, met
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from .. import plot
-from ..loci.sensitivity import held, moved
+from ..loci.sensitivity import hold, move
 from ..plot.style import COLOURS, SYMBOLS
 from .closed import grazing
 from .panels import Drawn, legend, panels, png, sheet, styled, trim
@@ -28,9 +28,9 @@ def drawn(file, progress):
 
 def edge(special, amplitudes):
     """(frequencies, amplitudes) at which a special point in frequency is, of those that it is followed to."""
-    point, found = held(special, ("amplitude",)), []
+    point, found = hold(special, ("amplitude",)), []
     for amplitude in amplitudes:
-        point, share = moved(point, [amplitude])
+        point, share = move(point, [amplitude])
         if share < 1.0:
             break
         found.append((point.value, amplitude))

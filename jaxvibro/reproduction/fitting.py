@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import optax
 
-from ..loci.sensitivity import moved, slopes
+from ..loci.sensitivity import move, slopes
 
 RATE, CLOSE, LONG = 0.02, 0.03, 80  # of Adam's steps; a misfit so small ends them; so many at most
 ROUNDS, LEAST = 20, 1e-13  # of Newton's steps; one as short is the last
@@ -14,7 +14,7 @@ WITHIN = 0.5  # of the way to where a point ends: nearer, its Newton's method ma
 
 class Fit(NamedTuple):
     """values: the numbers fitted; misfits: value less target of each point; by: d value / d number, (points, numbers);
-    met: whether the last step was rounding; points: the `sensitivity.Held` there."""
+    met: whether the last step was rounding; points: the `sensitivity.HeldPoint` there."""
 
     values: np.ndarray
     misfits: np.ndarray
@@ -31,8 +31,8 @@ class Fit(NamedTuple):
 def fitted(points, targets, start, low, high):
     """The `Fit` of the least squares, from a start, within (low, high) of each number.
 
-    points: `sensitivity.Held`, with the same numbers kept; targets: their values as they should be. Where a point does
-    not exist with the start's numbers, it starts on the way there, from the points' own.
+    points: `sensitivity.HeldPoint`, with the same numbers kept; targets: their values as they should be. Where a point
+    does not exist with the start's numbers, it starts on the way there, from the points' own.
     """
     points, values = there(points, start)
     rule = optax.adam(RATE)
@@ -49,11 +49,11 @@ def fitted(points, targets, start, low, high):
 def there(points, values):
     """(points, numbers): the points where their numbers are these, or as near on the way as all of them exist."""
     start, values = np.array(points[0].kept), np.asarray(values, float)
-    found = [moved(one, values) for one in points]
+    found = [move(one, values) for one in points]
     share = min(each for _, each in found)
     if share < 1.0:
         values = start + WITHIN * share * (values - start)
-        found = [moved(one, values) for one in points]
+        found = [move(one, values) for one in points]
     return tuple(one for one, _ in found), values
 
 

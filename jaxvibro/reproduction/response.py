@@ -11,7 +11,7 @@ from .. import plot
 from ..branches.branch import Branch, Special
 from ..branches.follow import follow
 from ..branches.peaks import peak, peaks
-from ..loci.sensitivity import held, slopes
+from ..loci.sensitivity import hold, slopes
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
 from ..plot.style import COLOURS
@@ -59,7 +59,7 @@ def drawn(file, progress):
     scenes, asked = [each.scene.make() for each in panels(file)], file.branch
     first = [response(scene, asked) for scene in scenes]
     printed = [float(one) for one in FOLDS]
-    ones = [held(one.fold, ("damping",)) for one in first]
+    ones = [hold(one.fold, ("damping",)) for one in first]
     both = fitting.fitted(ones, printed, [float(scenes[0].damping)], LOW[1], HIGH[1])
     gamma = float(both.values[0])
     found = [response(scene.replace(damping=gamma), asked) for scene in scenes]
@@ -152,7 +152,7 @@ def _apart(scene):
 
 def _three(found, printed):
     """A, gamma and gamma2 from the three numbers printed."""
-    points = [*(held(one.fold, NAMES) for one in found), held(found[0].grazing, NAMES)]
+    points = [*(hold(one.fold, NAMES) for one in found), hold(found[0].grazing, NAMES)]
     targets = [*printed, float(GRAZING)]
     fits = [fitting.fitted(points, targets, start, LOW, HIGH) for start in STARTS]
     best = min(fits, key=lambda fit: abs(fit.misfits).max())
