@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from . import arclength, steps
+from . import arclength, event_search
 from .arclength import ON, OUT, Control, Place, Point
 from .points import at, cut_at, joined, pointed, put, to_value, upto
 from .problem import Problem
@@ -76,9 +76,10 @@ class Watch:
         return None
 
     def events(self, task, points, view, known, end):
-        """The `steps.Event`s between points; known: branch points found already; end: `Met` at the last, or None."""
-        values = steps.watched(task.problem, points, task.args)
-        return steps.events(task.problem, points, values, task.control, task.args, known)
+        """The `event_search.Event`s between points; known: branch points found already; end: `Met` at the last, or
+        None."""
+        values = event_search.watched(task.problem, points, task.args)
+        return event_search.events(task.problem, points, values, task.control, task.args, known)
 
     def images(self, z, near):
         """The points near one that are the same solution as z."""
@@ -133,7 +134,7 @@ def run(task, start):
     """The `Stretch` from a `Point`, whose tangent leads away."""
     parts, place = [], _place(start, task.first)
     while place is not None:
-        for points, status in steps.stretches(task.problem, place, task.control, task.args):
+        for points, status in event_search.stretches(task.problem, place, task.control, task.args):
             parts.append(_part(task, points, status))
             if _is_over(parts) or parts[-1].again:
                 break
@@ -160,7 +161,7 @@ def _side_by_side(problem, tasks, starts):
         return None if _is_over(parts[lane]) else _again(parts[lane][-1]) or True
 
     places = [_place(start, task.first) for task, start in zip(tasks, starts, strict=True)]
-    steps.together(problem, places, [one.control for one in tasks], [one.args for one in tasks], goes_on)
+    event_search.together(problem, places, [one.control for one in tasks], [one.args for one in tasks], goes_on)
     return [_joined(each) for each in parts]
 
 
@@ -194,7 +195,7 @@ def _part(task, points, status):
     good = watch.good(points.z, view)
     good[0] = True
     size, bad = len(points.z), int(np.argmin(np.append(good, False)))
-    jump, known = steps.jump(task.problem, upto(points, bad + 1), task.control, task.args)
+    jump, known = event_search.jump(task.problem, upto(points, bad + 1), task.control, task.args)
     met = watch.before(task, upto(points, bad if jump is None else jump))
     if met is None and jump is not None:
         points, (end, again) = upto(points, jump), _retried(points.step[jump], task.control)
@@ -243,7 +244,7 @@ def _retried(step, control):
 def _met(task, points):
     """(place, length) where the branch comes back to one of the starts, None where it does not."""
     marks = [each for z in task.starts for each in task.watch.images(z, points.z[0])]
-    return steps.passes_mark(task.problem, points, marks, task.control, task.args) if marks else None
+    return event_search.passes_mark(task.problem, points, marks, task.control, task.args) if marks else None
 
 
 def _inserted(task, points, events):

@@ -7,16 +7,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import branch_switching as crossing
-from . import driver, locate, steps
+from . import driver, event_search, locate
 from .arclength import Control, Point
 from .branch import Branch, Special
 from .driver import End, Stretch, Task, Watch
 from .errors import ContinuationError
+from .event_search import Event
 from .newton import ADVICE, newton
 from .points import between, joined, turned
 from .problem import EQUILIBRIA, FIXED_POINTS, Given, System, problem_of, residual_at, slopes_at
 from .roots import sign_change
-from .steps import Event
 
 DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
@@ -32,7 +32,7 @@ class Monitored(Watch):
 
     def events(self, task, points, view, known, end):
         signs = _signs(self.system, self.names, points.z, task.args)
-        found = steps.events(task.problem, points, signs, task.control, task.args, known)
+        found = event_search.events(task.problem, points, signs, task.control, task.args, known)
         for kind in self.monitors:
             values = np.array([self.value(kind, z, task.args) for z in points.z])
             for after in np.flatnonzero(values[:-1] * values[1:] < 0):
@@ -86,7 +86,7 @@ def trace(
     z = np.append(u, float(at[along]))
     z[:-1] = _solved(system, (along,), z, given)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)
-    ahead = steps.tangent(task.problem, z, task.control.scale, given)
+    ahead = event_search.tangent(task.problem, z, task.control.scale, given)
     back, on = both_ways(task, z, ahead, direction)
     return branch_of(system, None, bounds, given, back, on)
 

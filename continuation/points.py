@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from . import steps
+from . import event_search
 
 
 def at(points, place):
@@ -36,7 +36,7 @@ def turned(points):
 
 def between(task, points, after, length):
     """The `Point` a length after one of them, None where Newton's method does not come there."""
-    one = steps.step(task.problem, at(points, after), length, task.control, task.args)
+    one = event_search.step(task.problem, at(points, after), length, task.control, task.args)
     return one if one.met else None
 
 
@@ -44,7 +44,7 @@ def pointed(task, points, after, z):
     """A `Point` with this z, its tangent and determinant taken on the branch there."""
     here = at(points, after)
     length = float(np.sum(task.control.scale**2 * here.tangent * (z - here.z)))
-    one = steps.step(task.problem, here, length, task.control, task.args)
+    one = event_search.step(task.problem, here, length, task.control, task.args)
     if not one.met or not np.isfinite(one.tangent).all():
         one = here
     return one._replace(z=z, step=np.float64(length), met=np.True_, kept=np.True_)
@@ -56,7 +56,7 @@ def to_value(task, points, last, index, value):
     share = (value - p) / (q - p)
     guess = between(task, points, last - 1, share * float(points.step[last]))
     guess = points.z[last - 1] + share * (points.z[last] - points.z[last - 1]) if guess is None else guess.z
-    found = steps.pinned(task.problem, guess, index, value, task.control, task.args)
+    found = event_search.pinned(task.problem, guess, index, value, task.control, task.args)
     cut = upto(points, last)
     if not found.met:
         return cut, False

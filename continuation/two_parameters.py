@@ -10,11 +10,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from . import locate, steps
+from . import event_search, locate
 from .arclength import bordered
 from .branch import Special
 from .driver import End, Watch
 from .errors import ContinuationError
+from .event_search import Event
 from .one_parameter import both_ways, branch_of, checked_bounds, task_of
 from .points import between
 from .problem import (
@@ -29,7 +30,6 @@ from .problem import (
     singular_matrix,
     slopes_at,
 )
-from .steps import Event
 
 KINDS = ("SN", "PD", "HB", "NS")
 NEAR = 1e-4  # eigenvalues as near, over 1 + the largest, are one: a double one is known to the root of a rounding
@@ -66,7 +66,7 @@ def curve(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1
     watch = OnCurve(special.system, special.kind, pair)
     task = task_of(special.system, z, bounds, given, first_step, largest_step, tolerance, stop=stop)
     task = task._replace(problem=special_problem(special.system, special.kind, pair), watch=watch)
-    ahead = steps.tangent(task.problem, z, task.control.scale, given)
+    ahead = event_search.tangent(task.problem, z, task.control.scale, given)
     back, on = both_ways(task, z, ahead)
     return branch_of(special.system, special.kind, bounds, given, back, on)
 
@@ -94,8 +94,8 @@ class OnCurve(Watch):
         self.system, self.kind, self.names = system, kind, names
 
     def events(self, task, points, view, known, end):
-        values = steps.watched(task.problem, points, task.args)
-        found = steps.events(task.problem, points, values, task.control, task.args, known)
+        values = event_search.watched(task.problem, points, task.args)
+        found = event_search.events(task.problem, points, values, task.control, task.args, known)
         met = [self.named(one, task.args) for one in found if one.kind in values]
         return [*(one for one in met if one), *self.bends(task, points)]
 

@@ -12,7 +12,7 @@ import numpy as np
 
 import jaxvibro as jv
 from continuation.arclength import Control
-from continuation.steps import pinned
+from continuation.event_search import pinned
 from jaxvibro.branches.branch import row_of, spot_of
 from jaxvibro.branches.follow import place_orbit
 from jaxvibro.problem import touches as graze
@@ -160,7 +160,7 @@ def grazings(count, seed):
 
 
 def is_simulated(point, spot):
-    """Whether the strobe sees the impacts of a `Spot`, and comes back to it."""
+    """Whether the strobe sees the impacts of a `OrbitPoint`, and comes back to it."""
     one = described_orbit(point.scene.replace(**{point.name: spot.value}), spot)
     end, impacts = jv.strobe(one.scene, one.state, one.periods, 64)
     sides = np.asarray(impacts.side)[np.asarray(impacts.side) != 0]
@@ -169,7 +169,8 @@ def is_simulated(point, spot):
 
 
 def is_orbit(point, spot):
-    """Whether the reference has the orbit of a `Spot`, its impacts having a speed; and no flight passes a wall."""
+    """Whether the reference has the orbit of a `OrbitPoint`, its impacts having a speed; and no flight passes a
+    wall."""
     given = plain(point.scene), called(point), spot.value, spot.times, spot.speeds, spot.sides, spot.periods
     exact = reference.orbit(*given)
     apart = max(abs(float(time - mine)) for (time, _), mine in zip(exact, spot.times, strict=True))
@@ -179,8 +180,8 @@ def is_orbit(point, spot):
 
 
 def near(point, spot):
-    """The `Spot` of an orbit that joins a GR, 1e-6 of the parameter from there; where that is far along its branch, or
-    Newton's method does not come there, the one that is told."""
+    """The `OrbitPoint` of an orbit that joins a GR, 1e-6 of the parameter from there; where that is far along its
+    branch, or Newton's method does not come there, the one that is told."""
     along, z = place_orbit(point.scene, point.name, spot)
     value = point.value + np.copysign(1e-6, spot.value - point.value)
     numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))

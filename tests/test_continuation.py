@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from continuation import arclength, branch_switching, driver, locate, newton, problem, steps
+from continuation import arclength, branch_switching, driver, event_search, locate, newton, problem
 from continuation.linear import solve
 from continuation.problem import Given, equilibria, fixed_points, problem_of
 from tests.test_trace import KNOTS as KNOTS_SYSTEM
@@ -102,21 +102,21 @@ def same_tangents(found, true, scale):
 
 def test_marks_on_a_branch():
     control = control_of(2)
-    points, _ = next(steps.stretches(CIRCLE, place_of([1.0, 0.0], [0.0, 1.0]), control, given(1.0)))
+    points, _ = next(event_search.stretches(CIRCLE, place_of([1.0, 0.0], [0.0, 1.0]), control, given(1.0)))
     on, off = np.array([0.28, 0.96]), np.array([0.28, 0.96 + 1e-4])
-    assert steps.passes_mark(CIRCLE, points, [off], control, given(1.0)) is None
-    after, length = steps.passes_mark(CIRCLE, points, [off, on], control, given(1.0))
+    assert event_search.passes_mark(CIRCLE, points, [off], control, given(1.0)) is None
+    after, length = event_search.passes_mark(CIRCLE, points, [off, on], control, given(1.0))
     here = jax.tree.map(lambda leaf: leaf[after], points)
-    assert close(steps.step(CIRCLE, here, length, control, given(1.0)).z, on, 1e-12)
-    assert {k for _, _, k in steps.meets(points, np.array([off, on, [0.0, 0.0]]), control)} == {0, 1}
+    assert close(event_search.step(CIRCLE, here, length, control, given(1.0)).z, on, 1e-12)
+    assert {k for _, _, k in event_search.meets(points, np.array([off, on, [0.0, 0.0]]), control)} == {0, 1}
 
 
 def test_tangents():
-    assert close(steps.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0)), [-0.8, 0.6], 1e-15)
-    assert close(steps.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0), [1, 0]), [0.8, -0.6], 1e-15)
-    weighted = steps.tangent(CIRCLE, np.array([0.6, 0.8]), np.array([2.0, 0.5]), given(1.0))
+    assert close(event_search.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0)), [-0.8, 0.6], 1e-15)
+    assert close(event_search.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0), [1, 0]), [0.8, -0.6], 1e-15)
+    weighted = event_search.tangent(CIRCLE, np.array([0.6, 0.8]), np.array([2.0, 0.5]), given(1.0))
     assert close(weighted, np.array([-0.8, 0.6]) / np.hypot(1.6, 0.3), 1e-15)
-    left_out = steps.oriented(np.array([[1.0, 7.0, -2.0]]), np.array([1.0, 0.0, 1.0]))
+    left_out = event_search.oriented(np.array([[1.0, 7.0, -2.0]]), np.array([1.0, 0.0, 1.0]))
     assert close(left_out, np.array([2.0, 0.0, 1.0]) / np.sqrt(5), 1e-15)
 
 
@@ -153,7 +153,9 @@ def test_lanes_of_branches_do_not_disturb_each_other():
     starts = np.stack([np.full(5, -2.0), -8.0 + 2.0 * a], 1)
     starts[4, 1] = np.nan
     highs = np.array([-5.0, -3.0, 5.0, 0.0, 3.0])
-    tangents = np.stack([steps.tangent(CUSP, z, np.ones(2), given(one)) for z, one in zip(starts[:4], a, strict=False)])
+    tangents = np.stack(
+        [event_search.tangent(CUSP, z, np.ones(2), given(one)) for z, one in zip(starts[:4], a, strict=False)]
+    )
     places = [place_of(z, t) for z, t in zip(starts, [*tangents, tangents[0]], strict=True)]
     controls = [control_of(2, low=-9.0, high=high) for high in highs]
 
@@ -178,7 +180,9 @@ def test_lanes_of_branches_do_not_disturb_each_other():
 def test_branches_together_are_as_one_by_one():
     a = [1.0, -0.5, 2.5]
     starts = [np.array([-2.0, -8.0 + 2.0 * each]) for each in a]
-    places = [place_of(z, steps.tangent(CUSP, z, np.ones(2), given(each))) for z, each in zip(starts, a, strict=True)]
+    places = [
+        place_of(z, event_search.tangent(CUSP, z, np.ones(2), given(each))) for z, each in zip(starts, a, strict=True)
+    ]
     controls = [control_of(2, largest=0.02, low=-9.0, high=high) for high in (-8.5, 40.0, 20.0)]
     taken = [[], [], []]
 
@@ -186,9 +190,9 @@ def test_branches_together_are_as_one_by_one():
         taken[lane].append(chunk)
         return lane != 1 or len(taken[lane]) < 2
 
-    steps.together(CUSP, places, controls, [given(each) for each in a], goes_on)
+    event_search.together(CUSP, places, controls, [given(each) for each in a], goes_on)
     alone = [
-        list(steps.stretches(CUSP, place, control, given(each)))
+        list(event_search.stretches(CUSP, place, control, given(each)))
         for place, control, each in zip(places, controls, a, strict=True)
     ]
     assert len(alone[0]) == 1 and len(alone[1]) > 2 and len(alone[2]) > len(taken[1]) == 2
@@ -208,19 +212,19 @@ def test_a_point_with_one_number_given(scale):
         (0, 0.0, [0, 1]),
         (-1, -0.28, [0.96, -0.28]),
     ):
-        found = steps.pinned(CIRCLE, np.array([0.7, 0.7]), index, value, control, given(1.0))
+        found = event_search.pinned(CIRCLE, np.array([0.7, 0.7]), index, value, control, given(1.0))
         assert found.met
         assert found.z[index] == value
         assert close(found.z, true, 1e-15)
-    assert not steps.pinned(CIRCLE, np.array([0.7, 0.7]), 0, 1.1, control, given(1.0)).kept
-    found = steps.pinned(HENON, np.array([0.3, 0.4, 0.0]), 2, 0.3675, control_of(3), given(0.3))
+    assert not event_search.pinned(CIRCLE, np.array([0.7, 0.7]), 0, 1.1, control, given(1.0)).kept
+    found = event_search.pinned(HENON, np.array([0.3, 0.4, 0.0]), 2, 0.3675, control_of(3), given(0.3))
     assert close(found.z, [0.35, 0.35, 0.3675], 1e-15)
 
 
 def test_lengths_are_weighted():
     scale, z = np.array([3.0, 0.5]), np.array([0.6, 0.8])
     control = control_of(2, largest=0.1, scale=scale)
-    ahead = steps.tangent(CIRCLE, z, scale, given(1.0))
+    ahead = event_search.tangent(CIRCLE, z, scale, given(1.0))
     task = driver.Task(CIRCLE, given(1.0), control, 0.05, ((-3.0, 3.0),), starts=(z,))
     found = driver.run(task, point_of(z, ahead))
     assert found.end is driver.End.CLOSED
@@ -243,7 +247,9 @@ def test_runs_together_are_as_one_by_one_and_may_retry():
 
     a, highs = (1.0, -0.5, 2.5), (-5.0, 3.0, 3.0)
     starts = [np.array([-2.0, -8.0 + 2.0 * each]) for each in a]
-    points = [point_of(z, steps.tangent(CUSP, z, np.ones(2), given(one))) for z, one in zip(starts, a, strict=True)]
+    points = [
+        point_of(z, event_search.tangent(CUSP, z, np.ones(2), given(one))) for z, one in zip(starts, a, strict=True)
+    ]
 
     def tasks():
         return [
@@ -262,7 +268,7 @@ def test_runs_together_are_as_one_by_one_and_may_retry():
 
 def test_a_step_is_kept_only_where_newton_s_method_ended():
     place = place_of([1.0, 1.0], np.array([2.0, 1.0]) / np.sqrt(5))
-    points, _ = next(steps.stretches(TWICE, place, control_of(2), given()))
+    points, _ = next(event_search.stretches(TWICE, place, control_of(2), given()))
     assert len(points.z) > 5
     assert abs(points.z[:, 0] - points.z[:, 1] ** 2).max() < 1e-9
 
@@ -277,17 +283,17 @@ def row_of(what, zs, args, step):
     control = control_of(2)
     rows = []
     for z in np.asarray(zs, float):
-        ahead = steps.tangent(what, z, control.scale, args)
-        rows.append(steps.step(what, point_of(z, ahead), 0.0, control, args)._replace(step=np.float64(step)))
+        ahead = event_search.tangent(what, z, control.scale, args)
+        rows.append(event_search.step(what, point_of(z, ahead), 0.0, control, args)._replace(step=np.float64(step)))
     return arclength.Point(*(np.stack(each) for each in zip(*rows, strict=True))), control
 
 
 def test_a_jump_to_another_branch_is_told_from_a_crossing():
     _, middle, upper = np.sort(np.roots([-1.0, 0.0, 0.5, 0.01]).real)  # the sheets at p = 0.5: two meet in a fold
     points, control = row_of(PITCHFORK, [[upper - 0.001, 0.499], [middle, 0.5]], given(0.01), 0.8)
-    assert steps.jump(PITCHFORK, points, control, given(0.01)) == (1, {})
+    assert event_search.jump(PITCHFORK, points, control, given(0.01)) == (1, {})
     points, control = row_of(PITCHFORK, [[upper - 0.001, 0.499], [upper, 0.5]], given(0.01), 0.01)
-    assert steps.jump(PITCHFORK, points, control, given(0.01)) == (None, {})
+    assert event_search.jump(PITCHFORK, points, control, given(0.01)) == (None, {})
     points, control = row_of(PITCHFORK, [[0.0, -0.2], [0.0, 0.2]], given(0.0), 0.4)
-    place, known = steps.jump(PITCHFORK, points, control, given(0.0))
+    place, known = event_search.jump(PITCHFORK, points, control, given(0.0))
     assert place is None and list(known) == [0] and known[0].kind == "BP" and close(known[0].z, [0, 0], 1e-12)

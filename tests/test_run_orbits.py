@@ -10,7 +10,7 @@ import xarray as xr
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.studies import compute, figures, report, run_dataset, scene_file
+from jaxvibro.studies import compute, figures, report, results_dataset, scene_file
 from tests.scene_files import SCENE
 
 SCENE_FILE = Path(__file__).parents[1] / "scenes" / "branches.toml"
@@ -117,4 +117,4 @@ def test_a_scene_without_such_orbits_says_so():
     found = compute.Found(msgspec.structs.replace(file, sweep=None, attractors=None), file.scene.make(), None, None, ())
     assert "200 starts (seed 0): none found" in report.table(found, "name")
     assert report.summary(found, {})["orbits"] == [] and figures.picture(found).startswith(b"\x89PNG")
-    assert run_dataset.dataset(found).sizes == {}
+    assert results_dataset.dataset(found).sizes == {}

@@ -177,7 +177,7 @@ def _special(scene, name, bounds, mark, place, row):
 
 
 def _joined(way):
-    """The `OrbitPoint` of an `Exit`."""
+    """The `OrbitPoint` of an `GrazingExit`."""
     along, z = way.along, way.near
     count, rows = int(np.sum(along.cycle.sides != 0)), len(along.cycle.sides)
     look = way.look

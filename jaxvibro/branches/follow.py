@@ -4,7 +4,7 @@ import numpy as np
 
 from continuation import locate
 from continuation.arclength import Control, Point
-from continuation.steps import pinned, tangent
+from continuation.event_search import pinned, tangent
 
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import Orbit, OrbitError

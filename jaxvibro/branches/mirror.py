@@ -43,7 +43,7 @@ def _data(branch):
 
 
 def _look(branch, spot, rows):
-    """The `Look` at rows of one itinerary, that of a `Spot`."""
+    """The `Diagnostics` at rows of one itinerary, that of a `OrbitPoint`."""
     along, z = place_orbit(branch.scene, branch.name, spot)
     count, wide = len(spot.times), len(along.cycle.sides)
     hit = rows["side"].values[0] != 0
@@ -61,7 +61,7 @@ def _special(branch, data, one):
 
 
 def _reflected(scene, name, spot):
-    """The mirror image of a `Spot`; without impacts it is its own."""
+    """The mirror image of a `OrbitPoint`; without impacts it is its own."""
     if not len(spot.times):
         return spot
     late = spot.times + np.pi / frequency_at(scene, name, spot.value)

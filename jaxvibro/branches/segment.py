@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation import driver, steps
+from continuation import driver, event_search
 from continuation.arclength import Control, Point
 from continuation.driver import Met, Task
 from continuation.points import at, put, upto
@@ -116,7 +116,9 @@ class BranchWatch(OrbitWatch):
             flip = np.append(flip[:-1], flip[-2] * _turned(*doubled))
             tangent = np.vstack([tangent[:-1], tangent[-2] * _turned(*folded)])
         values = {"PD": flip} if len(self.equations.cycle.sides) else {}
-        found = steps.events(task.problem, points._replace(tangent=tangent), values, task.control, task.args, known)
+        found = event_search.events(
+            task.problem, points._replace(tangent=tangent), values, task.control, task.args, known
+        )
         for kind, function in self.monitors.items():
             found += crossings(task, points, view, kind, function)
         return found

@@ -6,7 +6,7 @@ import numpy as np
 
 from continuation import branch_switching as crossing
 from continuation import locate
-from continuation.steps import tangent
+from continuation.event_search import tangent
 
 from ..problem.end import End, Reason
 from ..problem.equations import problem
@@ -48,7 +48,7 @@ def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1
 
 
 def starts(special):
-    """(`Along`, `Point`) at the start of each branch that leaves a special point of one of the `KINDS`.
+    """(`OrbitEquations`, `Point`) at the start of each branch that leaves a special point of one of the `KINDS`.
 
     Raises ValueError where the equations say that none cross there.
     """

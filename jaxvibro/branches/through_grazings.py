@@ -48,7 +48,7 @@ def go_on(along, start, asked):
 
 
 def _onwards(one, scale):
-    """(the piece, its last mark telling which exits are left aside; the `Exit` by which the branch goes on).
+    """(the piece, its last mark telling which exits are left aside; the `GrazingExit` by which the branch goes on).
 
     It goes on with the touches' impacts exchanged, those it had for those it had not, else as many of them as can be;
     the exit is None where there is none.

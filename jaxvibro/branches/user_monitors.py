@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from continuation.event_search import Event
 from continuation.points import at, between
 from continuation.roots import sign_change
-from continuation.steps import Event
 
 from ..orbits.orbit import multipliers
 from ..problem.diagnostics import diagnose

@@ -15,10 +15,10 @@ import numpy as np
 from jax import lax
 
 from continuation import locate
+from continuation.event_search import Event, fetched
 from continuation.linear import solve
 from continuation.persistent_jit import persistent_jit
 from continuation.points import between
-from continuation.steps import Event, fetched
 
 from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
@@ -58,7 +58,8 @@ LANES = 132  # points of a compiled call
 
 
 def events(task, points, look):
-    """The `Event`s between points in a row, of which the `Look` is known; task: the `driver.Task` of the locus."""
+    """The `Event`s between points in a row, of which the `Diagnostics` is known; task: the `driver.Task` of the
+    locus."""
     curve, found = task.args, []
     for kind, values in _watched(curve, points, look).items():
         for after in np.flatnonzero(values[:-1] * values[1:] < 0):

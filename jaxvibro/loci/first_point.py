@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from continuation.arclength import Control
-from continuation.steps import step, tangent
+from continuation.event_search import step, tangent
 
 from ..branches.assemble import is_own_image
 from ..branches.branch import Special

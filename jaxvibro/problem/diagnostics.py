@@ -7,8 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from continuation.event_search import fetched
 from continuation.persistent_jit import persistent_jit
-from continuation.steps import fetched
 
 from ..compiled.compiler_hints import one_kernel
 from ..flight import flow

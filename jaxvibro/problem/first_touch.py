@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from continuation import steps
+from continuation import event_search
 from continuation.driver import Watch
 from continuation.locate import Located
 from continuation.points import at, between, pointed, put, upto
@@ -16,8 +16,8 @@ HALVES = 60  # of an interval in which a touch is looked for
 
 
 class OrbitWatch(Watch):
-    """Orbits keep between their walls, and their impacts have a speed. equations: `Along`, or those of a locus; length:
-    the scene's."""
+    """Orbits keep between their walls, and their impacts have a speed. equations: `OrbitEquations`, or those of a
+    locus; length: the scene's."""
 
     def __init__(self, equations, length):
         self.equations, self.length = equations, length
@@ -91,5 +91,5 @@ def _stopped(task, z, row, length):
     rows = len(along.cycle.sides)
     if len(z) > 2 * rows + 1 and soft_grazing.is_smooth(along.scene, along.cycle.sides[row]):  # singular, for a locus
         return soft_grazing.located(along, z, [row], length)
-    one = steps.pinned(task.problem, z, rows + row, 0.0, task.control, along)
+    one = event_search.pinned(task.problem, z, rows + row, 0.0, task.control, along)
     return Located(one.z if one.met else None, float(one.residual))

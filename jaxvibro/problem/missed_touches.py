@@ -13,7 +13,8 @@ ZOOMS = 6  # times that the parts are made smaller around it
 
 
 def with_dips(task, points, look):
-    """(the points, with one more where a clearance or speed may have dipped below zero between them; their `Look`).
+    """(the points, with one more where a clearance or speed may have dipped below zero between them; their
+    `Diagnostics`).
 
     task: the `driver.Task` of the branch or locus, its args the equations.
     """

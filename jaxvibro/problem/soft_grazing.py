@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation import steps
+from continuation import event_search
 from continuation.locate import Located
 
 from . import touches
@@ -92,7 +92,7 @@ def _ways(along, z, met, length):
         return
     none = (False,) * len(met)
     bare, start, out = with_touches(along, z, met, none)
-    tangent = steps.tangent(problem(bare), start, scales(bare, length), bare)
+    tangent = event_search.tangent(problem(bare), start, scales(bare, length), bare)
     order = sorted(range(len(met)), key=lambda k: (met[k].row, 0.0 if met[k].own else met[k].late))
     opening, pull = np.zeros(len(met)), np.zeros(len(met))
     for k, one in zip(order, out, strict=True):
@@ -114,7 +114,7 @@ class Fall(NamedTuple):
 
 
 def _entering(along, z, met, falls, ahead, length):
-    """(the `Exit` along which walls that come nearer are entered, None where it is none; whether that is sure).
+    """(the `GrazingExit` along which walls that come nearer are entered, None where it is none; whether that is sure).
 
     falls: the `Fall` of each touch that is entered, by its place, in order of travel; ahead: the tangent of the orbits
     that leave the touches out. The exit's point lies a little on, as the grazing's tangent says nothing of its bend.
@@ -127,7 +127,7 @@ def _entering(along, z, met, falls, ahead, length):
         guess, tangent = _aside(new, start, list(falls.values()), ahead, aside * length)
         way, _ = touches.stepped(new, guess, tangent, length, included, LOOSE, (0.0,))
         if way:
-            tangent = steps.tangent(problem(new), way.near, scales(new, length), new, tangent)
+            tangent = event_search.tangent(problem(new), way.near, scales(new, length), new, tangent)
             return way._replace(point=way.point._replace(z=way.near, tangent=tangent)), True
     return None, False
 

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from continuation import locate, steps
+from continuation import event_search, locate
 from continuation.arclength import Control, Point
 from continuation.persistent_jit import persistent_jit
 
@@ -310,7 +310,7 @@ def opening(along, z, direction, row, wall, late):
 def leave(along, z, out, sign, length, included):
     """(the `GrazingExit` in one direction of a branch, None where it is none; whether that is sure). out: the touches
     left out."""
-    tangent = sign * steps.tangent(problem(along), z, scales(along, length), along)
+    tangent = sign * event_search.tangent(problem(along), z, scales(along, length), along)
     rows = len(along.cycle.sides)
     rates = [tangent[rows + k] for k in along.hits if z[rows + k] == 0.0]
     rates += [opening(along, z, tangent, *each) for each in out]
@@ -328,7 +328,7 @@ def stepped(along, z, tangent, length, included, tolerance, asides):
     numbers = (np.float64(each) for each in (0.0, 1.0, tolerance, -np.inf, np.inf))
     control, met = Control(scales(along, length), *numbers), False
     for aside in asides:
-        near = steps.step(problem(along), point, aside, control, along)
+        near = event_search.step(problem(along), point, aside, control, along)
         met |= bool(near.met)
         look = diagnose(along, near.z[None])
         if near.met and admissible(along, near.z, look)[0]:

@@ -8,7 +8,7 @@ from .. import plot
 from ..attractors.find import find_attractors
 from ..branches.explore import explore
 from ..studies.compute import study
-from ..studies.run_dataset import dataset
+from ..studies.results_dataset import dataset
 from .claim import number, own, statement
 from .lasting import largest, onset, shares, stable_at
 from .located import ROUNDING, labelled, nearest, twice, value

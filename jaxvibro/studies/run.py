@@ -13,7 +13,7 @@ from ..scene.scene_table import SceneTable
 from . import report, scene_file
 from .compute import study
 from .figures import loci, picture
-from .run_dataset import dataset
+from .results_dataset import dataset
 from .schema import SceneFile
 
 ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}
