@@ -15,7 +15,7 @@ from ..output.checksums import netcdf
 from ..output.table_text import columns, pair
 from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
-from ..scene.check import ArgumentError
+from ..problem.orbit_rows import OrbitRows
 from ..scene.scene import Scene
 from ..scene.scene_table import table_of
 
@@ -87,7 +87,7 @@ class Special:
 
 
 @dataclass(frozen=True, eq=False)
-class Branch:
+class Branch(OrbitRows):
     """A branch of periodic orbits.
 
     name: the parameter; bounds: of it; scene: at the start; data: an xarray.Dataset with a row a point, in order along
@@ -105,12 +105,11 @@ class Branch:
     settings: dict
     ends: tuple[End, End]
 
+    NOUN = "branch"
+
     def __repr__(self):
         values, kinds = self.values, " ".join(one.kind for one in self.special)
         return f"Branch({self.name} from {values[0]:g} to {values[-1]:g}, {len(self)} points, {kinds})"
-
-    def __len__(self):
-        return self.data.sizes["point"]
 
     @property
     def values(self):
@@ -127,22 +126,10 @@ class Branch:
         """Floquet's, (points, 2), complex, the larger first."""
         return self.data["multiplier_real"].values + 1j * self.data["multiplier_imag"].values
 
-    @property
-    def reason(self):
-        """Why each end is one: {"first": ..., "last": ...}."""
-        return dict(zip(("first", "last"), self.reasons, strict=True))
-
-    def points(self, kind):
-        """The special points of a kind, a tuple."""
-        return tuple(one for one in self.special if one.kind == kind)
-
-    def orbit(self, place):
-        """The `Orbit` at one of the points, by its place along the branch."""
-        count = len(self)
-        if not -count <= place < count:
-            raise ArgumentError("place", f"must be a point of the branch, from 0 to {count - 1}", place)
+    def located(self, place):
+        """(the scene at a point, its `OrbitPoint`)."""
         spot = spot_of(row_of(self.data, place), self.name)
-        return described_orbit(self.scene.replace(**{self.name: spot.value}), spot)
+        return self.scene.replace(**{self.name: spot.value}), spot
 
     def save(self, path, force=False):
         """Write the branch to a NetCDF file, from which `load_branch` reads the same numbers.

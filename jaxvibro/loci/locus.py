@@ -18,7 +18,8 @@ from ..output.table_text import columns
 from ..output.units import LENGTH, SPEED, TIME
 from ..problem.diagnostics import Diagnostics
 from ..problem.end import End
-from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
+from ..problem.orbit_on_branch import OrbitPoint, itinerary
+from ..problem.orbit_rows import OrbitRows
 from ..scene import check
 from ..scene.scene import Scene, changed
 from .corner import outsets, track_on
@@ -67,7 +68,7 @@ class Codim2:
 
 
 @dataclass(frozen=True, eq=False)
-class Locus:
+class Locus(OrbitRows):
     """A curve of special points in two parameters.
 
     kind: of the points, SN, PD, SB or GR; names: of the parameters; bounds: of each; scene: at the start; data: an
@@ -83,12 +84,11 @@ class Locus:
     special: tuple[Codim2, ...]
     reasons: tuple[str, str]
 
+    NOUN = "locus"
+
     def __repr__(self):
         ends = " ".join(one.kind for one in self.special)
         return f"Locus({self.kind} of {self.label} in {self.names[0]} and {self.names[1]}, {len(self)} points, {ends})"
-
-    def __len__(self):
-        return self.data.sizes["point"]
 
     @property
     def values(self):
@@ -100,22 +100,10 @@ class Locus:
         """P n p q of the orbits."""
         return self.special[0].label
 
-    @property
-    def reason(self):
-        """Why each end is one: {"first": ..., "last": ...}."""
-        return dict(zip(("first", "last"), self.reasons, strict=True))
-
-    def points(self, kind):
-        """The special points of a kind, a tuple."""
-        return tuple(one for one in self.special if one.kind == kind)
-
-    def orbit(self, place):
-        """The `Orbit` at one of the points, by its place along the locus."""
-        count = len(self)
-        if not -count <= place < count:
-            raise check.ArgumentError("place", f"must be a point of the locus, from 0 to {count - 1}", place)
+    def located(self, place):
+        """(the scene at a point, its `OrbitPoint`)."""
         spot, values = _spot_of(self.data, place, self.names)
-        return described_orbit(self.scene.replace(**values), spot)
+        return self.scene.replace(**values), spot
 
     def table(self):
         """The special points as a text, a line each, and why the locus ends."""
