@@ -18,7 +18,7 @@ from ..output.table_text import columns
 from ..output.units import LENGTH, SPEED, TIME
 from ..problem.diagnostics import Diagnostics
 from ..problem.end import End
-from ..problem.orbit_on_branch import OrbitPoint, itinerary
+from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
 from ..problem.orbit_rows import OrbitRows
 from ..scene import check
 from ..scene.scene import Scene, changed
