@@ -197,7 +197,7 @@ def test_replace_and_parameter():
         jv.SceneError, match=r"amplitud: is not a parameter of this scene, perhaps amplitude \(amplitude, freq"
     ):
         scene.replace(amplitud=1.0)
-    with pytest.raises(jv.SceneError, match=r"left\.motion\.phase: is not a parameter"):
+    with pytest.raises(jv.ArgumentError, match=r"left\.motion\.phase: is not a parameter"):
         scene.parameter("left.motion.phase")
     with pytest.raises(jv.SceneError, match="restitution: must lie between 0 and 1; got 2"):
         scene.replace(restitution=2.0)

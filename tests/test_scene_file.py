@@ -203,7 +203,7 @@ def test_nothing_is_overwritten_or_left_half_written(tmp_path):
     before = path.read_bytes()
     with pytest.raises(FileExistsError):
         jv.save_scene(scene.replace(amplitude=1.0), path)
-    with pytest.raises(jv.SceneError, match="only a single scene can be written"):
+    with pytest.raises(jv.ArgumentError, match="only a single scene can be written"):
         jv.save_scene(scene.replace(amplitude=np.array([1.0, 2.0])), path, force=True)
     assert path.read_bytes() == before
     jv.save_scene(scene.replace(amplitude=1.0), path, force=True)
