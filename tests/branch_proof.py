@@ -15,7 +15,7 @@ from continuation.arclength import Control
 from continuation.event_search import pinned
 from jaxvibro.branches.branch import row_of, spot_of
 from jaxvibro.branches.follow import place_orbit
-from jaxvibro.problem import touches as graze
+from jaxvibro.problem import touches as touching
 from jaxvibro.problem.equations import problem
 from jaxvibro.problem.orbit_on_branch import described_orbit
 from jaxvibro.problem.touches import scales
@@ -95,7 +95,7 @@ def error(point):
     touch = None
     if point.kind == "GR":
         along, z = place_orbit(point.scene, point.name, spot)
-        touches = graze.touches(along, z, scene_length(point.scene))
+        touches = touching.touches(along, z, scene_length(point.scene))
         if not any(one.own for one in touches):
             one = touches[0]
             begin = spot.times[one.row] if len(spot.times) else 0.0

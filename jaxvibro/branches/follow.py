@@ -10,8 +10,9 @@ from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import Orbit, OrbitError
 from ..problem.end import End
 from ..problem.equations import OrbitEquations, problem
+from ..problem.grazing import free_start, padded
 from ..problem.orbit_on_branch import OrbitPoint
-from ..problem.touches import free_start, padded, scales
+from ..problem.touches import scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, marked
 from ..scene.scale import scene_length

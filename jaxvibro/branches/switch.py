@@ -10,8 +10,9 @@ from continuation.event_search import tangent
 
 from ..problem.end import End, Reason
 from ..problem.equations import problem
+from ..problem.grazing import padded
 from ..problem.soft_grazing import exits
-from ..problem.touches import padded, scales
+from ..problem.touches import scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length

@@ -10,8 +10,9 @@ import numpy as np
 
 from ..problem.end import End
 from ..problem.equations import there as at
+from ..problem.grazing import FLAT, opening
 from ..problem.orbit_on_branch import OrbitPoint
-from ..problem.touches import FLAT, opening, stays, touches, wall_sides
+from ..problem.touches import stays, touches, wall_sides
 from ..scene import check
 from ..scene.scale import scene_length
 from ..scene.scene import changed

@@ -24,7 +24,7 @@ from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
-from ..problem import touches
+from ..problem import grazing
 from ..problem.equations import OrbitEquations, cycle_at, impacts, problem, there, varied
 from ..scene.scene import Scene
 
@@ -178,7 +178,7 @@ GRAZING = Problem(_grazing, _bordered, _plain(_grazing), (), one_kernel)
 SINGULAR = Problem(_singular, _bordered, _plain(_singular), (), one_kernel)
 
 
-@touches.recut.register
+@grazing.recut.register
 def _(curve: Grazing, cycle, rows):
     pick = np.zeros(len(cycle.sides))
     pick[: len(rows)] = curve.pick[list(rows)]

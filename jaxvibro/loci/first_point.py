@@ -13,8 +13,9 @@ from ..branches.follow import SMALLEST, check_settings, place_orbit, point
 from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
 from ..problem.equations import problem
+from ..problem.grazing import padded
 from ..problem.orbit_on_branch import OrbitPoint
-from ..problem.touches import TOUCH, padded, scales, touches
+from ..problem.touches import TOUCH, scales, touches
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, flat, marked, tied
 from ..scene.scale import scene_length

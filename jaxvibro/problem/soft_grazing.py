@@ -16,9 +16,10 @@ import numpy as np
 from continuation import event_search
 from continuation.locate import Located
 
-from . import touches
+from . import grazing, touches
 from .equations import problem
-from .touches import FLAT, LOOSE, scales, touched, wall_sides, with_impacts, with_touches
+from .grazing import FLAT, LOOSE, with_impacts, with_touches
+from .touches import scales, touched, wall_sides
 
 NEAR = 1e-4  # of the scene's length per t: as slow a contact is about to be none
 ASIDE = 1e-3, 1e-4  # as in `touches`; nearer to the singular point Newton's steps are rounding
@@ -46,7 +47,7 @@ def located(along, z, rows, length):
     """The grazing near z at which contacts with soft walls, in these rows, lose their speed: a `locate.Located`."""
     size, sides = len(along.cycle.sides), along.cycle.sides
     keep = [k for k in np.flatnonzero(sides != 0) if k not in rows]
-    hits = [touches.Hit(z[k], z[size + k], sides[k], True) for k in keep]
+    hits = [grazing.Hit(z[k], z[size + k], sides[k], True) for k in keep]
     new, start = with_impacts(along, z, hits, keep)
     places = [_place(along, z, row, keep) for row in rows]
     found = touched(new, start, *places[0])
@@ -81,14 +82,14 @@ def _place(along, z, row, keep):
 
 
 def exits(along, z, length):
-    """As `touches.exits`, also where the walls touched are soft."""
-    return touches.exits(along, z, length, _ways)
+    """As `grazing.exits`, also where the walls touched are soft."""
+    return grazing.exits(along, z, length, _ways)
 
 
 def _ways(along, z, met, length):
-    """As `touches.each_choice`; where all is smooth, both directions of the orbit that leaves the touches out."""
+    """As `grazing.each_choice`; where all is smooth, both directions of the orbit that leaves the touches out."""
     if not met or not all(is_smooth(along.scene, one.side) for one in met):
-        yield from touches.each_choice(along, z, met, length)
+        yield from grazing.each_choice(along, z, met, length)
         return
     none = (False,) * len(met)
     bare, start, out = with_touches(along, z, met, none)
@@ -96,11 +97,11 @@ def _ways(along, z, met, length):
     order = sorted(range(len(met)), key=lambda k: (met[k].row, 0.0 if met[k].own else met[k].late))
     opening, pull = np.zeros(len(met)), np.zeros(len(met))
     for k, one in zip(order, out, strict=True):
-        opening[k] = touches.opening(bare, start, tangent, *one)
+        opening[k] = grazing.opening(bare, start, tangent, *one)
         pull[k] = -touches.settled_near(bare, start, *one)[2]
     for sign in (1.0, -1.0):
         if (sign * opening > -FLAT).all():
-            yield touches.leave(bare, start, out, sign, length, none)
+            yield grazing.leave(bare, start, out, sign, length, none)
         else:
             falls = {k: Fall(-sign * opening[k], pull[k]) for k in order if sign * opening[k] <= -FLAT}
             yield _entering(along, z, met, falls, sign * tangent, length)
@@ -125,7 +126,7 @@ def _entering(along, z, met, falls, ahead, length):
     new, start, _ = with_touches(along, z, met, included)
     for aside in ASIDE:
         guess, tangent = _aside(new, start, list(falls.values()), ahead, aside * length)
-        way, _ = touches.stepped(new, guess, tangent, length, included, LOOSE, (0.0,))
+        way, _ = grazing.stepped(new, guess, tangent, length, included, LOOSE, (0.0,))
         if way:
             tangent = event_search.tangent(problem(new), way.near, scales(new, length), new, tangent)
             return way._replace(point=way.point._replace(z=way.near, tangent=tangent)), True
