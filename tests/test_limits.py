@@ -163,7 +163,7 @@ def scenes(draw):
 
 
 LABOUR = {
-    "orbits.find": "trail",
+    "orbits.find": "iterate",
     "maps.simulate": "_trace",
     "maps.sections": "ends",
     "attractors.sweep": "_run",

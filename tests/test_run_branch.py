@@ -236,8 +236,8 @@ def walked(monkeypatch, first, ways, symmetric=False, **given):
 
     monkeypatch.setattr(branch_tree, "follow", lambda orbit, name, bounds, **settings: first)
     monkeypatch.setattr(branch_tree, "_starts", starts)
-    monkeypatch.setattr(branch_tree, "left", lambda one, start, bounds, **settings: start)
-    monkeypatch.setattr(branch_tree, "placed", lambda scene, name, spot: (None, None))
+    monkeypatch.setattr(branch_tree, "branch_from", lambda one, start, bounds, **settings: start)
+    monkeypatch.setattr(branch_tree, "place_orbit", lambda scene, name, spot: (None, None))
     monkeypatch.setattr(branch_tree, "is_repeated", lambda along, z: False)
     monkeypatch.setattr(branch_tree, "stays_symmetric", lambda scene, name: symmetric)
     monkeypatch.setattr(branch_tree, "mirrored", reflected)
