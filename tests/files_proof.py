@@ -259,7 +259,8 @@ def _loaded(index):
 
 def _data(place):
     data = xr.load_dataset(place / "long.nc")
-    return {name: each.values.tobytes() for name, each in data.variables.items()}
+    columns = {name: each.values for name, each in data.variables.items()}  # texts are objects, whose bytes are places
+    return {name: each.tolist() if each.dtype == object else each.tobytes() for name, each in columns.items()}
 
 
 def _claims(place):
