@@ -333,3 +333,11 @@ def test_extreme_numbers_end_with_a_status(scene):
     assert impacts.status.tolist() == [0, 4, 4]
     _, impacts = jv.strobe(scene.replace(damping=1e300), jv.State(0.05, -1.1))
     assert impacts.status == 4
+
+
+def test_what_is_no_scene_and_no_state_is_refused():
+    scene, state = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)), jv.State(0.0, 1.0)
+    with pytest.raises(jv.ArgumentError, match="^scene: must be a Scene; got 5$"):
+        jv.strobe(5, state)
+    with pytest.raises(jv.ArgumentError, match="^state: must be a State; got 0.5$"):
+        jv.monodromy(scene, 0.5)

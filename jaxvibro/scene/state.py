@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import check
-from .scene import between
+from .scene import Scene, between
 
 
 @jax.tree_util.register_dataclass
@@ -51,8 +51,9 @@ class Impacts:
 
 def real_state(scene, state):
     """The state with every number an array of the scene's type; refused where it is none, or fits no batch."""
-    if not isinstance(state, State):
-        raise check.ArgumentError("state", "must be a State", state)
+    for key, given, kind in (("scene", scene, Scene), ("state", state, State)):
+        if not isinstance(given, kind):
+            raise check.ArgumentError(key, f"must be a {kind.__name__}", given)
     keys = ("x", "v", "phase", "contact")
     found = [jnp.asarray(check.real(f"state.{key}", getattr(state, key), scene.dtype)) for key in keys]
     leaves = [
