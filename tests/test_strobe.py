@@ -337,7 +337,7 @@ def test_extreme_numbers_end_with_a_status(scene):
 
 def test_what_is_no_scene_and_no_state_is_refused():
     scene, state = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)), jv.State(0.0, 1.0)
-    with pytest.raises(jv.ArgumentError, match="^scene: must be a Scene; got 5$"):
+    with pytest.raises(jv.ArgumentError, match=r"^scene: must be a Scene; got 5$"):
         jv.strobe(5, state)
-    with pytest.raises(jv.ArgumentError, match="^state: must be a State; got 0.5$"):
+    with pytest.raises(jv.ArgumentError, match=r"^state: must be a State; got 0\.5$"):
         jv.monodromy(scene, 0.5)
