@@ -131,10 +131,10 @@ def newton(system, start):
     """The zero near a start of a function y -> (value, its derivative): `Located`."""
     y, before = start, np.inf
     for _ in range(ROUNDS):
-        value, slopes = system(y)
         try:
+            value, slopes = system(y)
             change = np.linalg.solve(slopes, value)
-        except np.linalg.LinAlgError:
+        except np.linalg.LinAlgError:  # singular, be it within the system's own equations
             break
         y, step = y - change, abs(change).max()
         if not np.isfinite(step):
