@@ -15,7 +15,7 @@ from ..output.checksums import netcdf
 from ..output.table_text import columns, pair
 from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
-from ..problem.orbit_rows import OrbitRows
+from ..problem.orbit_rows import OrbitRows, SpecialOrbit
 from ..scene.scene import Scene
 from ..scene.scene_table import table_of
 
@@ -44,16 +44,15 @@ class Segment:
 
 
 @dataclass(frozen=True, eq=False)
-class Special:
+class Special(SpecialOrbit):
     """A special point of a branch.
 
     kind: SN, SB (symmetry breaking), BP (other branch point), PD, GR, CH (the mass begins to rest on a wall), EP (end),
-    or a monitor's name. name, value: of
-    the parameter. bounds: of the branch. scene: at the value. itinerary: the walls hit, a word a period. multipliers:
-    the larger first, infinite at an impact without speed. residual: the largest error left in the point's equations.
-    place: among the branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the
-    parameter); joins: spots of the orbits that meet at a GR, a little on; aside: which of them the branch does not
-    go on with.
+    or a monitor's name. name, value: of the parameter. bounds: of the branch. scene: at the value. itinerary: the walls
+    hit, a word a period. multipliers: the larger first, infinite at an impact without speed. residual: the largest
+    error left in the point's equations. place: among the branch's points. spot: the orbit in plain numbers; slopes: its
+    unit tangent (times, speeds, the parameter); joins: spots of the orbits that meet at a GR, a little on; aside: which
+    of them the branch does not go on with.
     """
 
     kind: str
@@ -69,16 +68,6 @@ class Special:
     slopes: np.ndarray = field(repr=False)
     joins: tuple[OrbitPoint, ...] = field(repr=False)
     aside: tuple[bool, ...] = field(repr=False)
-
-    @property
-    def label(self):
-        """P n p q of the orbit."""
-        return words.label(self.itinerary)
-
-    @cached_property
-    def orbit(self):
-        """The `Orbit` at the point. At a GR an impact may have no speed."""
-        return described_orbit(self.scene, self.spot)
 
     @cached_property
     def meets(self):

@@ -1,7 +1,6 @@
 """`locus`: a curve of special points in two parameters, with its points of codimension two."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -12,14 +11,13 @@ from continuation.arclength import Point
 from continuation.points import joined, turned
 
 from ..branches.branch import row_of
-from ..maps import itinerary as words
 from ..orbits.orbit import roots
 from ..output.table_text import columns
 from ..output.units import LENGTH, SPEED, TIME
 from ..problem.diagnostics import Diagnostics
 from ..problem.end import End
-from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
-from ..problem.orbit_rows import OrbitRows
+from ..problem.orbit_on_branch import OrbitPoint, itinerary
+from ..problem.orbit_rows import OrbitRows, SpecialOrbit
 from ..scene import check
 from ..scene.scene import Scene, changed
 from .corner import outsets, track_on
@@ -38,7 +36,7 @@ MEANINGS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Codim2:
+class Codim2(SpecialOrbit):
     """A special point of a locus.
 
     kind: CP (cusp), GPD (generalized period doubling), DSB (degenerate symmetry breaking), GR (an SN, PD or SB ends on
@@ -55,16 +53,6 @@ class Codim2:
     itinerary: tuple[str, ...]
     scene: Scene = field(repr=False)
     spot: OrbitPoint = field(repr=False)
-
-    @property
-    def label(self):
-        """P n p q of the orbit."""
-        return words.label(self.itinerary)
-
-    @cached_property
-    def orbit(self):
-        """The `Orbit` at the point; an impact may have no speed."""
-        return described_orbit(self.scene, self.spot)
 
 
 @dataclass(frozen=True, eq=False)

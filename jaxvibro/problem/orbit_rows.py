@@ -1,7 +1,24 @@
 """What a branch and a locus have in common: orbits in the rows of a Dataset, special points among them, two ends."""
 
+from functools import cached_property
+
+from ..maps import itinerary as words
 from ..scene.check import ArgumentError
 from .orbit_on_branch import described_orbit
+
+
+class SpecialOrbit:
+    """A class of special points has scene, at the point; spot, the `OrbitPoint`; itinerary."""
+
+    @property
+    def label(self):
+        """P n p q of the orbit."""
+        return words.label(self.itinerary)
+
+    @cached_property
+    def orbit(self):
+        """The `Orbit` at the point. At a grazing an impact may have no speed."""
+        return described_orbit(self.scene, self.spot)
 
 
 class OrbitRows:
