@@ -12,7 +12,7 @@ import numpy as np
 
 from . import arclength, event_search
 from .arclength import ON, OUT, Control, Place, Point
-from .points import at, cut_at, joined, pointed, put, to_value, upto
+from .points import at, cut_at, joined, joined_marks, pointed, put, to_value, upto
 from .problem import Problem
 
 MOST = 20_000  # points of a branch
@@ -182,11 +182,10 @@ def _is_over(parts):
 
 def _joined(parts):
     points, view = joined([one.points for one in parts]), joined([one.view for one in parts])
-    marks, offset, last = [], 0, parts[-1]
-    for part in parts:
-        marks += [one._replace(place=one.place + offset) for one in part.marks]
-        offset += len(part.points.z) - 1
-    return Stretch(points, view, tuple(marks), last.end or End.POINTS, last.which, float(points.z[-1, last.which]))
+    marks, last = (), parts[-1]
+    for part in reversed(parts):
+        marks = joined_marks(part.marks, part.points, marks)
+    return Stretch(points, view, marks, last.end or End.POINTS, last.which, float(points.z[-1, last.which]))
 
 
 def _part(task, points, status):

@@ -14,7 +14,7 @@ from .driver import End, Stretch, Task, Watch
 from .errors import ContinuationError
 from .event_search import Event
 from .newton import ADVICE, newton
-from .points import between, joined, turned
+from .points import between, joined, joined_marks, turned, turned_marks
 from .problem import EQUILIBRIA, FIXED_POINTS, Given, System, problem_of, residual_at, slopes_at
 from .roots import sign_change
 
@@ -217,16 +217,13 @@ def _point(z, tangent):
 
 def _turned(one):
     """A `Stretch` from its end to its start."""
-    last = len(one.points.z) - 1
-    points = turned(one.points)
-    marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
+    points, marks = turned(one.points), turned_marks(one.marks, one.points)
     return one._replace(points=points._replace(tangent=-points.tangent), view=turned(one.view), marks=marks)
 
 
 def _glued(one, other):
     """Two stretches as one, the second beginning where the first ends."""
-    last = len(one.points.z) - 1
-    marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
+    marks = joined_marks(one.marks, one.points, other.marks)
     points, view = joined([one.points, other.points]), joined([one.view, other.view])
     return Stretch(points, view, marks, other.end, other.which, other.value)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from continuation.points import joined, turned
+from continuation.points import joined, joined_marks, turned, turned_marks
 
 from ..maps import itinerary as words
 from ..orbits.orbit import MARGIN, roots
@@ -66,16 +66,13 @@ def _widened(data, widest):
 
 def _turned(one):
     """A piece from its end to its start."""
-    last = len(one.points.z) - 1
-    points = turned(one.points)
-    marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
+    points, marks = turned(one.points), turned_marks(one.marks, one.points)
     return BranchPiece(one.along, points._replace(tangent=-points.tangent), turned(one.look), marks, one.why)
 
 
 def _glued(one, other):
     """Two pieces of the same orbits, the second beginning where the first ends."""
-    last = len(one.points.z) - 1
-    marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
+    marks = joined_marks(one.marks, one.points, other.marks)
     points, look = joined([one.points, other.points]), joined([one.look, other.look])
     return BranchPiece(one.along, points, look, marks, other.why)
 

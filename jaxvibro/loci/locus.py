@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from continuation.arclength import Point
-from continuation.points import joined, turned
+from continuation.points import joined, joined_marks, turned, turned_marks
 
 from ..branches.branch import row_of
 from ..orbits.orbit import roots
@@ -163,15 +163,12 @@ class _Part(NamedTuple):
 
 def _turned(way, one):
     """What was tracked as a `_Part` from its end to its start."""
-    last = len(one.points.z) - 1
-    marks = tuple(mark._replace(place=last - mark.place) for mark in reversed(one.marks))
-    return _Part(way.curve, turned(one.points), turned(one.look), marks)
+    return _Part(way.curve, turned(one.points), turned(one.look), turned_marks(one.marks, one.points))
 
 
 def _glued(one, other):
     """Two parts of one curve, the second beginning where the first ends."""
-    last = len(one.points.z) - 1
-    marks = one.marks + tuple(mark._replace(place=mark.place + last) for mark in other.marks)
+    marks = joined_marks(one.marks, one.points, other.marks)
     points, look = (joined([a, b]) for a, b in ((one.points, other.points), (one.look, other.look)))
     return _Part(one.curve, points, look, marks)
 
