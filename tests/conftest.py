@@ -11,6 +11,8 @@ import matplotlib
 import pytest
 from hypothesis import settings
 
+from . import checked_types
+
 LARGE = 4e9  # bytes that a process may hold: ten scenes with soft walls, each with functions of its own
 
 CACHE = {
@@ -21,6 +23,7 @@ CACHE = {
 os.environ.update({name: value for name, value in CACHE.items() if name not in os.environ})  # of processes begun here
 
 jax.config.update("jax_enable_x64", True)
+checked_types.install()
 matplotlib.use("Agg")
 settings.register_profile("same", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("same")

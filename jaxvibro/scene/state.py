@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike, Real
 
 from . import check
 from .scene import Scene, between
@@ -19,10 +20,10 @@ class State:
     within it, a soft one. A free state that is beyond a soft wall is within it too.
     """
 
-    x: jax.Array
-    v: jax.Array
-    phase: jax.Array = 0.0
-    contact: jax.Array = 0.0
+    x: Real[ArrayLike, "..."]
+    v: Real[ArrayLike, "..."]
+    phase: Real[ArrayLike, "..."] = 0.0
+    contact: Real[ArrayLike, "..."] = 0.0
 
 
 @jax.tree_util.register_dataclass
