@@ -1,6 +1,5 @@
 """Types: every record and the whole public face are annotated, and `checked_types` finds what does not keep to it."""
 
-import ast
 import inspect
 from importlib import import_module
 from pathlib import Path
@@ -35,10 +34,10 @@ def test_the_public_face_has_types(one):
     if not inspect.isclass(one):
         assert missing(one) == []
         return
-    for name, part in inspect.getmembers(one):
+    for field, part in inspect.getmembers(one):
         part = part.fget if isinstance(part, property) else getattr(part, "func", part)
-        if not name.startswith("_") and inspect.isfunction(part) and part.__module__.split(".")[0] == "jaxvibro":
-            assert missing(part, "self") == [], name
+        if not field.startswith("_") and inspect.isfunction(part) and part.__module__.split(".")[0] == "jaxvibro":
+            assert missing(part, "self") == [], field
 
 
 def bare(hint):
