@@ -1,7 +1,7 @@
 """Annotations of both packages held at run time: jaxtyping's shapes and dtypes, beartype's types.
 
 A file's annotated functions and its records are checked as soon as the file has been imported. A function is checked at
-every call. A record is checked where a file of ours makes one by its name: what jax puts together from the leaves of a
+every call, what it returns alone where it refuses arguments itself ("Raises" in its docstring). A record is checked where a file of ours makes one by its name: what jax puts together from the leaves of a
 tree (lanes, placeholders) is not.
 """
 
@@ -10,7 +10,7 @@ from dataclasses import is_dataclass
 from functools import wraps
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder
-from inspect import isclass, isfunction
+from inspect import isclass, isfunction, signature
 from typing import get_type_hints
 
 from beartype import beartype
@@ -42,7 +42,22 @@ def check(module):
         if is_record(one):
             check_record(one)
         elif isfunction(one) and one.__annotations__:
-            setattr(module, name, jaxtyped(one, typechecker=beartype))
+            setattr(module, name, checked(one))
+
+
+def checked(one):
+    """The function, or property, held to its annotations."""
+    function = one.fget if isinstance(one, property) else one
+    if "Raises" in (function.__doc__ or ""):
+        plain = signature(function)
+
+        @wraps(function)
+        def one(*args, **named):
+            return function(*args, **named)
+
+        free = [each.replace(annotation=each.empty) for each in plain.parameters.values()]
+        one.__signature__ = plain.replace(parameters=free)
+    return jaxtyped(one, typechecker=beartype)
 
 
 def is_record(one):
@@ -66,7 +81,7 @@ def check_record(record):
     for name, one in list(vars(record).items()):
         annotated = one.fget if isinstance(one, property) else one
         if isfunction(annotated) and annotated.__annotations__ and not name.startswith("_"):
-            setattr(record, name, jaxtyped(one, typechecker=beartype))
+            setattr(record, name, checked(one))
 
 
 def _check_fields(record, one, hints):

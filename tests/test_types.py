@@ -82,3 +82,24 @@ def test_what_does_not_keep_to_its_type_is_found(monkeypatch):
     with pytest.raises(TypeError, match="one"):
         Pair(np.zeros(3, int), three)
     assert len(jax.tree.map(lambda leaf: leaf[:, None], Pair(three, three)).one) == 3
+
+
+def half(number: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
+    return number / 2
+
+
+def refuse(number: float) -> int:
+    """Raises ValueError."""
+    if isinstance(number, str):
+        raise ValueError("must be a number")
+    return number
+
+
+def test_functions_are_held_to_their_types():
+    assert checked_types.checked(half)(np.ones(2))[0] == 0.5
+    with pytest.raises(TypeError, match="rows"):
+        checked_types.checked(half)(np.ones((2, 2)))
+    with pytest.raises(ValueError, match="must be a number"):
+        checked_types.checked(refuse)("a")
+    with pytest.raises(TypeError, match="return"):
+        checked_types.checked(refuse)(1.5)
