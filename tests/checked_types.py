@@ -1,8 +1,9 @@
 """Annotations of both packages held at run time: jaxtyping's shapes and dtypes, beartype's types.
 
 A file's annotated functions and its records are checked as soon as the file has been imported. A function is checked at
-every call, what it returns alone where it refuses arguments itself ("Raises" in its docstring). A record is checked where a file of ours makes one by its name: what jax puts together from the leaves of a
-tree (lanes, placeholders) is not.
+every call, what it returns alone where it refuses arguments itself ("Raises" in its docstring). A record is checked
+where a file of ours makes one by its name: what jax puts together from the leaves of a tree (lanes, placeholders) is
+not.
 """
 
 import sys
