@@ -10,8 +10,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from continuation import newton
+from continuation.arrays import Array
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
@@ -39,10 +41,10 @@ class Solution(NamedTuple):
     cycle: Cycle
     solved: newton.Solved
     flights: impact_equations.Flights
-    start: tuple[jax.Array, jax.Array]
-    calls: tuple[jax.Array, jax.Array]
-    trace: jax.Array
-    determinant: jax.Array
+    start: tuple[Float[Array, " periods"], Float[Array, " periods"]]
+    calls: tuple[Float[Array, "rows walls"], Float[Array, "rows walls"]]
+    trace: Float[Array, ""]
+    determinant: Float[Array, ""]
 
 
 @persistent_jit

@@ -10,7 +10,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float, Int
 
+from continuation.arrays import Array
 from continuation.linear import Eliminated, solve
 
 
@@ -18,10 +20,10 @@ class Ring(NamedTuple):
     """own: (rows, 2, 2), each row's derivative by its own time and speed; following: by the next row's; by:
     (rows, 2, p), by the parameters; last: the row whose next is the first; those after it are empty."""
 
-    own: jax.Array
-    following: jax.Array
-    by: jax.Array
-    last: jax.Array
+    own: Float[Array, "rows 2 2"]
+    following: Float[Array, "rows 2 2"]
+    by: Float[Array, "rows 2 parameters"]
+    last: Int[Array, ""]
 
 
 def of(slopes, by=None):

@@ -8,16 +8,23 @@ from ..maps.iterate import KEEP, iterate
 from ..maps.rests import may_rest
 from ..scene import check
 from ..scene.codes import Status
+from ..scene.scene import Scene
 from ..scene.state import State, check_start, real_state
 from .by_impacts import by_impacts, guessed
 from .by_shooting import by_state
-from .orbit import OrbitError
+from .orbit import Orbit, OrbitError
 
 SETTLED = 1e-3  # of the largest x and v: a return as near as this
 
 
 @check.host("use strobe or monodromy")
-def find_orbit(scene, state, periods=None, itinerary=None, settle=200):
+def find_orbit(
+    scene: Scene,
+    state: State,
+    periods: int | None = None,
+    itinerary: tuple[str, ...] | list[str] | None = None,
+    settle: int = 200,
+) -> Orbit:
     """The periodic orbit that a state settles on, or, with settle=0, an orbit near it, stable or not: an `Orbit`.
 
     scene: a single one; state: a `State` of numbers, the section lies at its phase. periods: drive periods n of the

@@ -9,6 +9,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
+
+from continuation.arrays import Array
 
 from ..flight import flow
 from ..flight.flight_state import accelerations
@@ -23,11 +26,11 @@ class Flight(NamedTuple):
     """What is asked of flights: how long they are, x, v and the drive's cosine and sine at their start, (rows,) each.
     `impact_equations.Flights` have these too."""
 
-    time: jax.Array
-    x: jax.Array
-    v: jax.Array
-    cosine: jax.Array
-    sine: jax.Array
+    time: Float[Array, " rows"]
+    x: Float[Array, " rows"]
+    v: Float[Array, " rows"]
+    cosine: Float[Array, " rows"]
+    sine: Float[Array, " rows"]
 
 
 def samples(frame, found):

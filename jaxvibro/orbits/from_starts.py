@@ -15,12 +15,13 @@ from ..maps.initial_conditions import box, random_starts
 from ..maps.iterate import KEEP, iterate
 from ..scene import check
 from ..scene.codes import Status
+from ..scene.scene import Scene
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
 from .by_impacts import by_impacts, padded, solutions
 from .by_shooting import by_state
 from .free_response import free_response
-from .orbit import OrbitError
+from .orbit import Orbit, OrbitError
 from .orbit_comparison import is_same_orbit, meetings, mirrored
 
 SETTLE = 300  # drive periods after which a second look at the trajectories is taken
@@ -32,7 +33,7 @@ SAME = 1e-7  # of the largest speed: two orbits as near are one
 
 
 @check.host("use strobe or monodromy")
-def find_orbits(scene, max_period=4, starts=200, seed=0):
+def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int = 0) -> tuple[Orbit, ...]:
     """The periodic orbits of a scene up to a number of drive periods, stable and unstable: a tuple of `Orbit`.
 
     scene: a single one. starts: trajectories that are searched, at phase 0, drawn from `seed` as

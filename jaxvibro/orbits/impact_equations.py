@@ -11,7 +11,9 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float, Int
 
+from continuation.arrays import Array
 from continuation.newton import newton
 
 from ..flight import flow
@@ -30,14 +32,14 @@ class Cycle(NamedTuple):
     change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1. still:
     (rows,), 1 at touches, impacts without speed, of a soft wall, which do nothing; None: there are none."""
 
-    times: jax.Array
-    speeds: jax.Array
-    sides: jax.Array
-    phase: jax.Array
-    periods: jax.Array
-    turn: jax.Array | None = None
-    closing: jax.Array | None = None
-    still: jax.Array | None = None
+    times: Float[Array, "*lanes rows"]
+    speeds: Float[Array, "*lanes rows"]
+    sides: Float[Array, "*lanes rows"]
+    phase: Float[Array, "*lanes"]
+    periods: Float[Array, "*lanes"]
+    turn: Float[Array, "*lanes"] | None = None
+    closing: Float[Array, "*lanes"] | None = None
+    still: Float[Array, "*lanes rows"] | None = None
 
 
 class Flights(NamedTuple):
@@ -45,16 +47,16 @@ class Flights(NamedTuple):
     end; the `flow.responses`' matrix; the row of the impact at its end, and -1 where that is met as its mirror image,
     else 1; and the `saltation.Meeting` at its start."""
 
-    time: jax.Array
-    x: jax.Array
-    v: jax.Array
-    cosine: jax.Array
-    sine: jax.Array
-    end_x: jax.Array
-    end_v: jax.Array
-    matrix: tuple[jax.Array, jax.Array, jax.Array]
-    follows: jax.Array
-    sign: jax.Array
+    time: Float[Array, " rows"]
+    x: Float[Array, " rows"]
+    v: Float[Array, " rows"]
+    cosine: Float[Array, " rows"]
+    sine: Float[Array, " rows"]
+    end_x: Float[Array, " rows"]
+    end_v: Float[Array, " rows"]
+    matrix: tuple[Float[Array, " rows"], Float[Array, " rows"], Float[Array, " rows"]]
+    follows: Int[Array, " rows"]
+    sign: Float[Array, " rows"]
     met: Meeting
 
 
@@ -106,9 +108,9 @@ class Slopes(NamedTuple):
     """How each row's equations, first the gap, then the speed, change with its own time and speed: ((a, b), (c, d));
     and with the next impact's: ((e, 0), (f, -1)). last: the row whose next is the first."""
 
-    own: tuple
-    following: tuple
-    last: jax.Array
+    own: tuple[tuple[Float[Array, " rows"], Float[Array, " rows"]], tuple[Float[Array, " rows"], Float[Array, " rows"]]]
+    following: tuple[Float[Array, " rows"], Float[Array, " rows"]]
+    last: Int[Array, ""]
 
 
 def equations(frame, cycle, found=None):

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Complex
 
 from ..maps import itinerary as words
 from ..maps.rests import NO_RESTS
@@ -16,11 +17,11 @@ class OrbitError(ValueError):
     """There is no orbit to return. status: in a few words; residual: how far what was found is from an orbit, in the
     scene's lengths, nan where nothing was; advice: what may help."""
 
-    def __init__(self, status, residual, advice):
+    def __init__(self, status: str, residual: float, advice: str) -> None:
         super().__init__(status, residual, advice)
         self.status, self.residual, self.advice = status, residual, advice
 
-    def __str__(self):
+    def __str__(self) -> str:
         left = "" if np.isnan(self.residual) else f" (residual {self.residual:.1e})"
         return f"no orbit: {self.status}{left}; {self.advice}"
 
@@ -46,7 +47,7 @@ class Orbit:
     state: State
     impacts: Impacts
     itinerary: tuple[str, ...]
-    multipliers: np.ndarray
+    multipliers: Complex[np.ndarray, "2"]
     stable: bool
     residual: float
     least_speed: float

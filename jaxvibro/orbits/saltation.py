@@ -9,6 +9,9 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Bool, Float
+
+from continuation.arrays import Array
 
 from ..compiled.compiler_hints import choose
 from ..flight import flow, soft_contact
@@ -25,20 +28,20 @@ class Meeting(NamedTuple):
     the flight's start being kept; the velocity against the wall. gives: whether it is a stay, None where all walls are
     rigid."""
 
-    cosine: jax.Array
-    sine: jax.Array
-    where: jax.Array
-    pace: jax.Array
-    bend: jax.Array
-    bounce: jax.Array
-    closing: jax.Array
-    stay: jax.Array | None
-    state: tuple[jax.Array, jax.Array]
-    phasor: tuple[jax.Array, jax.Array]
-    by_time: tuple[jax.Array, jax.Array]
-    by_speed: tuple[jax.Array, jax.Array]
-    opening: jax.Array
-    gives: jax.Array | None = None
+    cosine: Float[Array, "*shape"]
+    sine: Float[Array, "*shape"]
+    where: Float[Array, "*shape"]
+    pace: Float[Array, "*shape"]
+    bend: Float[Array, "*shape"]
+    bounce: Float[Array, "*shape"]
+    closing: Float[Array, "*shape"]
+    stay: Float[Array, "*shape"] | None
+    state: tuple[Float[Array, "*shape"], Float[Array, "*shape"]]
+    phasor: tuple[Float[Array, "*shape"], Float[Array, "*shape"]]
+    by_time: tuple[Float[Array, "*shape"], Float[Array, "*shape"]]
+    by_speed: tuple[Float[Array, "*shape"], Float[Array, "*shape"]]
+    opening: Float[Array, "*shape"]
+    gives: Bool[Array, "*shape"] | None = None
 
 
 def meeting(frame, sides, cosine, sine, speed, still=None):
