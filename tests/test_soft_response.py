@@ -7,7 +7,7 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.loci.sensitivity import hold, move
 from jaxvibro.reproduction import fitting
-from jaxvibro.scene.soft_walls import hardened
+from jaxvibro.scene.scene import hardened
 from tests.reference import compliant
 
 A, GAMMA, GAMMA2 = 0.3, 0.076, 0.1

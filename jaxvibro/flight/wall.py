@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 
 from ..compiled.compiler_hints import choose
-from ..scene.soft_walls import hardened
+from ..scene.scene import hardened
 
 
 @jax.tree_util.register_dataclass

@@ -1,7 +1,9 @@
 """The rules for a scene: each broken one is a single line that names the key, the rule and the value."""
 
 import difflib
+from collections.abc import Callable
 from functools import wraps
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -14,16 +16,19 @@ HIGHEST_HARMONIC = 1000
 LONGEST = 300  # characters of a message
 MOST_PERIODS = 32  # of an orbit that is looked for; `iterate` keeps twice as many
 
+Given = ParamSpec("Given")
+Found = TypeVar("Found")
+
 
 class ArgumentError(ValueError):
     """An argument breaks a rule. key: the argument, or the parameter, dotted; rule: what it must be; value: what was
     given; index: the first place in a batch where it is broken, None without a batch."""
 
-    def __init__(self, key, rule, value, index=None):
+    def __init__(self, key: str, rule: str, value: Any, index: tuple[int, ...] | None = None) -> None:
         super().__init__(key, rule, value, index)
         self.key, self.rule, self.value, self.index = key, rule, value, index
 
-    def __str__(self):
+    def __str__(self) -> str:
         place = "" if self.index is None else f" at index {self.index}"
         end = f"; got {shown(self.value)}{place}"
         return short(f"{short(self.key)}: {self.rule}", LONGEST - len(end)) + end
@@ -33,11 +38,11 @@ class SceneError(ArgumentError):
     """A scene breaks a rule."""
 
 
-def of_scene(function):
+def of_scene(function: Callable[Given, Found]) -> Callable[Given, Found]:
     """Decorates what makes a scene: an argument that breaks a rule is then the scene's."""
 
     @wraps(function)
-    def made(*args, **named):
+    def made(*args: Given.args, **named: Given.kwargs) -> Found:
         try:
             return function(*args, **named)
         except ArgumentError as error:
@@ -86,15 +91,15 @@ def is_transformed():
         return now != get_opaque_trace_state()
 
 
-def host(instead):
+def host(instead: str) -> Callable[[Callable[Given, Found]], Callable[Given, Found]]:
     """Decorates a function that runs on the host: under a transformation it says so at once, and what does it there.
 
     Raises ArgumentError where an argument is traced, and within jit, vmap and grad where none is.
     """
 
-    def decorated(function):
+    def decorated(function: Callable[Given, Found]) -> Callable[Given, Found]:
         @wraps(function)
-        def called(*args, **named):
+        def called(*args: Given.args, **named: Given.kwargs) -> Found:
             traced = [each for each in jax.tree.leaves((args, named)) if is_traced(each)]
             if traced or is_transformed():
                 rule = "runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, " + instead

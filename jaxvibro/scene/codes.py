@@ -13,7 +13,7 @@ class Status(IntEnum):
     NONFINITE = 4
 
     @property
-    def word(self):
+    def word(self) -> str:
         """As it stands in messages and in saved data."""
         return self.name.lower()
 

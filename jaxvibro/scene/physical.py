@@ -4,13 +4,25 @@ from dataclasses import replace
 
 import numpy as np
 from jax import numpy as jnp
+from jaxtyping import ArrayLike, Real
+from numpy.typing import DTypeLike
 
 from . import check
-from .scene import SIDES, Motion, Wall, make_scene
+from .scene import SIDES, Motion, Scene, Wall, Walls, make_scene
 
 
 @check.of_scene
-def scene_from_physical(mass, damping, stiffness, force, frequency, restitution, walls, length=None, dtype=None):
+def scene_from_physical(
+    mass: Real[ArrayLike, "..."],
+    damping: Real[ArrayLike, "..."],
+    stiffness: Real[ArrayLike, "..."],
+    force: Real[ArrayLike, "..."],
+    frequency: Real[ArrayLike, "..."],
+    restitution: Real[ArrayLike, "..."],
+    walls: Walls,
+    length: Real[ArrayLike, "..."] | None = None,
+    dtype: DTypeLike | None = None,
+) -> Scene:
     """The nondimensional scene of a mass on a spring, in any consistent set of units.
 
     mass M > 0, damping C >= 0, stiffness K > 0, force F, frequency Omega > 0 in radians per unit of time, restitution
@@ -57,7 +69,7 @@ def _scaled(side, wall, of, natural, kind):
     if wall is None:
         return None
     if not isinstance(wall, Wall):
-        wall = Wall(wall)
+        return Wall(check.quantity(f"{side}.position", wall, kind) / of["length"])
     units = {"position": of["length"], "stiffness": of["stiffness"], "damping": 2 * of["mass"] * natural}
     given = {name: getattr(wall, name) for name in units if getattr(wall, name) is not None}
     scaled = {name: check.quantity(f"{side}.{name}", value, kind) / units[name] for name, value in given.items()}

@@ -1,14 +1,19 @@
 """The scene: an oscillator, its drive and its walls, a frozen pytree of nondimensional numbers (paper, section 1)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike, Float, Real
+from numpy.typing import DTypeLike
+
+from continuation.arrays import Array
 
 from . import check
-from .soft_walls import hardened
 
 SIDES = ("left", "right")
 
@@ -21,8 +26,8 @@ class Motion:
     amplitude: length, any finite real number; phase: radians; harmonic: a whole number, static under transformations.
     """
 
-    amplitude: jax.Array
-    phase: jax.Array = 0.0
+    amplitude: Real[ArrayLike, "..."]
+    phase: Real[ArrayLike, "..."] = 0.0
     harmonic: int = field(default=1, metadata={"static": True})
 
 
@@ -36,19 +41,19 @@ class Wall:
     x is back at x_b (paper, (39)).
     """
 
-    position: jax.Array
-    restitution: jax.Array | None = None
-    stiffness: jax.Array | None = None
-    damping: jax.Array | None = None
+    position: Real[ArrayLike, "..."]
+    restitution: Real[ArrayLike, "..."] | None = None
+    stiffness: Real[ArrayLike, "..."] | None = None
+    damping: Real[ArrayLike, "..."] | None = None
     motion: Motion | None = None
 
     @property
-    def soft(self):
+    def soft(self) -> bool:
         """Whether the wall gives way."""
         return self.stiffness is not None
 
     @property
-    def taken(self):
+    def taken(self) -> tuple[str, ...]:
         """The names of what it takes from the scene."""
         name = "damping" if self.soft else "restitution"
         return () if getattr(self, name) is not None else (name,)
@@ -65,26 +70,26 @@ class Scene:
     Make one with `make_scene`, which checks it.
     """
 
-    amplitude: jax.Array
-    frequency: jax.Array
-    damping: jax.Array
-    restitution: jax.Array
+    amplitude: Float[Array, "..."]
+    frequency: Float[Array, "..."]
+    damping: Float[Array, "..."]
+    restitution: Float[Array, "..."]
     left: Wall | None
     right: Wall | None
-    harder: jax.Array | None = None
+    harder: Float[Array, "..."] | None = None
 
     @property
-    def dtype(self):
+    def dtype(self) -> np.dtype:
         """The floating-point type of the scene's numbers."""
         return jnp.result_type(self.amplitude)
 
     @property
-    def shape(self):
+    def shape(self) -> tuple[int, ...]:
         """The shape of the batch: of all the scene's numbers, broadcast together."""
         return jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves(self)))
 
     @property
-    def names(self):
+    def names(self) -> tuple[str, ...]:
         """The names of the scene's parameters, those of a wall dotted: "right.motion.phase".
 
         Where there is a soft wall, "hardness" is one: the decimal logarithm of its stiffness, of the left one's where
@@ -99,16 +104,16 @@ class Scene:
         return (*found, "hardness") if self.soft_sides else tuple(found)
 
     @property
-    def walls(self):
+    def walls(self) -> dict[str, Wall]:
         """{side: `Wall`} of the walls that there are, left first."""
         return {side: getattr(self, side) for side in SIDES if getattr(self, side) is not None}
 
     @property
-    def soft_sides(self):
+    def soft_sides(self) -> tuple[str, ...]:
         """The sides of its soft walls, left first."""
         return tuple(side for side, wall in self.walls.items() if wall.soft)
 
-    def parameter(self, name):
+    def parameter(self, name: str) -> Float[Array, "..."] | np.floating:
         """The value of a parameter, an array; a wall without a restitution, or damping, of its own gives the scene's.
 
         Raises ArgumentError where the scene has no parameter of this name.
@@ -117,31 +122,41 @@ class Scene:
         if name == "hardness":
             stiffness = getattr(self, self.soft_sides[0]).stiffness
             return (jnp if check.is_traced(stiffness) else np).log10(stiffness)
-        value = reduce(getattr, name.split("."), self)
+        value: Any = reduce(getattr, name.split("."), self)
         return getattr(self, name.split(".")[-1]) if value is None else value
 
     @property
-    def numbers(self):
+    def numbers(self) -> dict[str, float]:
         """{name: number} of the parameters of a single scene."""
         return {name: float(self.parameter(name)) for name in self.names}
 
-    def bounce(self, side):
+    def bounce(self, side: str) -> Float[Array, "..."] | np.floating:
         """R of a wall, with which the velocity against it comes back; -1 of a soft one, which lets it pass."""
         wall = getattr(self, side)
         return -jnp.ones_like(wall.position) if wall.soft else self.parameter(f"{side}.restitution")
 
     @check.of_scene
-    def replace(self, **changes):
+    def replace(self, **changes: Real[ArrayLike, "..."]) -> "Scene":
         """The same scene with other values: `scene.replace(**{"amplitude": 3.0, "right.restitution": 0.5})`.
 
         Naming a wall's restitution, or damping, gives that wall its own; so does naming the hardness, which is changed
-        before the others. The new scene is checked like any other: SceneError.
+        before the others. Raises SceneError, as the new scene is checked like any other.
         """
-        return _checked(changed(self, changes), self.dtype)
+        return _checked(vars(changed(self, changes)), self.dtype)
+
+
+Walls = Sequence[Wall | Real[ArrayLike, "..."] | None] | Real[Array, " walls"]  # left and right
 
 
 @check.of_scene
-def make_scene(amplitude, frequency, damping, restitution, walls, dtype=None):
+def make_scene(
+    amplitude: Real[ArrayLike, "..."],
+    frequency: Real[ArrayLike, "..."],
+    damping: Real[ArrayLike, "..."],
+    restitution: Real[ArrayLike, "..."],
+    walls: Walls,
+    dtype: DTypeLike | None = None,
+) -> Scene:
     """A checked scene.
 
     amplitude A, frequency omega > 0, damping gamma >= 0 (1 is critical), restitution 0 <= R <= 1: numbers or arrays
@@ -153,16 +168,12 @@ def make_scene(amplitude, frequency, damping, restitution, walls, dtype=None):
     Raises SceneError, which names the argument, the rule and the first offending value. Under tracing only types and
     shapes are checked.
     """
-    left, right = (_wall(side, wall) for side, wall in zip(SIDES, check.pair(walls), strict=True))
-    return _checked(Scene(amplitude, frequency, damping, restitution, left, right), dtype)
-
-
-def _wall(side, given):
-    if given is None or isinstance(given, Wall):
-        return given
-    if isinstance(given, Motion):
-        raise check.SceneError(side, "must be a position, None or a Wall", given)
-    return Wall(given)
+    given = dict(zip(SIDES, check.pair(walls), strict=True))
+    for side, wall in given.items():
+        if isinstance(wall, Motion):
+            raise check.SceneError(side, "must be a position, None or a Wall", wall)
+    plain = {"amplitude": amplitude, "frequency": frequency, "damping": damping, "restitution": restitution}
+    return _checked({**plain, **given, "harder": None}, dtype)
 
 
 def changed(scene, changes):
@@ -184,22 +195,30 @@ def _of_hardness(scene, value):
     return replace(scene, **walls)
 
 
+def hardened(stiffness, damping, decades):
+    """(k2, gamma2) of a wall 10^decades times as stiff that has the same z, and with it the same R_eff."""
+    xp = jnp if check.is_traced(stiffness, damping, decades) else np
+    with np.errstate(over="ignore", under="ignore"):  # a wall's own rules refuse what comes of it
+        harder = stiffness * 10.0**decades
+        return harder, damping * xp.sqrt((1.0 + harder) / (1.0 + stiffness))
+
+
 def _put(node, path, value):
     head, *rest = path
     return replace(node, **{head: _put(getattr(node, head), rest, value) if rest else value})
 
 
-def _checked(scene, dtype):
-    return jax.tree.map(jnp.asarray, known(scene, check.float_type(dtype)))
+def _checked(given, dtype):
+    return jax.tree.map(jnp.asarray, check.check_scene(_numbers(given, check.float_type(dtype))))
 
 
 def known(scene, dtype):
     """The scene once it breaks no rule, its numbers NumPy arrays of this type (tracers where they are traced)."""
-    return check.check_scene(_numbers(scene, dtype))
+    return check.check_scene(_numbers(vars(scene), dtype))
 
 
-def _numbers(scene, dtype):
-    """The scene with every number an array of this type, refused where it is no finite real number."""
+def _numbers(given, dtype):
+    """The scene of {field: value}, every number an array of this type, refused where it is no finite real number."""
 
     def number(key, value):
         return check.quantity(key, value, dtype)
@@ -218,15 +237,17 @@ def _numbers(scene, dtype):
     def standing(side, wall):
         if wall is None:
             return None
+        if not isinstance(wall, Wall):
+            return Wall(number(f"{side}.position", wall))
         check.require_one_kind(side, wall)
         own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
         own = {name: number(f"{side}.{name}", value) for name, value in own.items() if value is not None}
         return Wall(number(f"{side}.position", wall.position), **own, motion=moving(side, wall.motion))
 
-    plain = {key: number(key, getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
-    if scene.harder is not None:
-        plain["harder"] = number("harder", scene.harder)
-    return Scene(**plain, left=standing("left", scene.left), right=standing("right", scene.right))
+    plain = {key: number(key, given[key]) for key in ("amplitude", "frequency", "damping", "restitution")}
+    if given["harder"] is not None:
+        plain["harder"] = number("harder", given["harder"])
+    return Scene(**plain, left=standing("left", given["left"]), right=standing("right", given["right"]))
 
 
 def between(scene, phase):

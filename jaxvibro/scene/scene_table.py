@@ -10,7 +10,7 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True)
     """A table in which every key has its meaning and no other key may stand."""
 
 
-class MotionTable(Table):
+class MotionTable(Table, frozen=True):
     """[scene.left.motion]: a `Motion`."""
 
     amplitude: float
@@ -18,7 +18,7 @@ class MotionTable(Table):
     harmonic: int = 1
 
 
-class WallTable(Table):
+class WallTable(Table, frozen=True):
     """[scene.left]: a `Wall`; a rigid one without restitution has the scene's, a soft one without damping too."""
 
     position: float
@@ -33,7 +33,7 @@ class WallTable(Table):
         return Wall(self.position, self.restitution, self.stiffness, self.damping, motion)
 
 
-class SceneTable(Table):
+class SceneTable(Table, frozen=True):
     """[scene]: the arguments of `make_scene`; a wall without a table is not there."""
 
     amplitude: float

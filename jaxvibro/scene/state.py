@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike, Real
+from jaxtyping import ArrayLike, Float, Int, Real
+
+from continuation.arrays import Array
 
 from . import check
 from .scene import Scene, between
@@ -41,13 +43,13 @@ class Impacts:
     The hops up to there are recorded and counted, least_speed is 0, the status FULL.
     """
 
-    time: jax.Array
-    side: jax.Array
-    speed: jax.Array
-    count: jax.Array
-    least_speed: jax.Array
-    least_clearance: jax.Array
-    status: jax.Array
+    time: Float[Array, "*lanes slots"]
+    side: Int[Array, "*lanes slots"]
+    speed: Float[Array, "*lanes slots"]
+    count: Int[ArrayLike, "*lanes"]
+    least_speed: Float[ArrayLike, "*lanes"]
+    least_clearance: Float[ArrayLike, "*lanes"]
+    status: Int[ArrayLike, "*lanes"]
 
 
 def real_state(scene, state):

@@ -37,8 +37,9 @@ def checked(file):
 def _plain(table):
     """The scene of a table in NumPy's float64, checked, whether jax has double precision on or not."""
     left, right = (wall and wall.wall() for wall in (table.left, table.right))
+    numbers = map(np.asarray, (table.amplitude, table.frequency, table.damping, table.restitution))
     with _under("scene."):
-        return known(Scene(table.amplitude, table.frequency, table.damping, table.restitution, left, right), np.float64)
+        return known(Scene(*numbers, left, right), np.float64)
 
 
 @contextmanager
