@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Float
 
 from continuation.persistent_jit import persistent_jit
 
@@ -18,7 +19,7 @@ from ..maps.iterate import iterate
 from ..maps.phase_shift import shift_phase
 from ..scene.codes import Status
 from ..scene.state import State
-from .trapping_region import Cloud, cloud, trap
+from .trapping_region import Cloud, Trap, cloud, trap
 
 ROUND = 8  # drive periods between two looks
 LANES = 1 << 14  # of one compiled call
@@ -30,8 +31,8 @@ FAR = 1e18  # where lanes without an end are put, on no attractor
 class Home(NamedTuple):
     """An attractor at a phase: points on Sigma (n, 2), a sample where chaotic; its `Trap` or `Cloud`, or None."""
 
-    points: np.ndarray
-    trap: object
+    points: Float[np.ndarray, "points 2"]
+    trap: Trap | Cloud | None
 
 
 def homes(scene, attractors, phase, scale):

@@ -1,20 +1,32 @@
 """Basins of attraction: which attractor each start of a grid ends on."""
 
+from collections.abc import Callable, Sequence
+
 import numpy as np
 import xarray as xr
+from jaxtyping import ArrayLike, Float, Real
 
 from ..maps.initial_conditions import box
 from ..output.units import LENGTH, SPEED
 from ..scene import check
+from ..scene.scene import Scene
 from .assign import OUTSIDE, assign_labels, homes
-from .find import find_attractors
+from .find import Attractor, find_attractors
 from .fractal import BOX, dimension, entropies
 
 PATIENCE = 2000  # drive periods after which a start is given up
 
 
 @check.host("use strobe")
-def basins(scene, x, v, phase=0.0, attractors=None, patience=PATIENCE, progress=None):
+def basins(
+    scene: Scene,
+    x: Real[ArrayLike, " columns"] | Sequence[float],
+    v: Real[ArrayLike, " rows"] | Sequence[float],
+    phase: Real[ArrayLike, ""] = 0.0,
+    attractors: Sequence[Attractor] | None = None,
+    patience: int = PATIENCE,
+    progress: Callable[[int], object] | None = None,
+) -> xr.Dataset:
     """The basins of attraction on Sigma: an xarray.Dataset.
 
     scene: a single one. x (columns,), v (rows,): positions and velocities of the starts, rising, at least two of each;
@@ -40,20 +52,20 @@ def basins(scene, x, v, phase=0.0, attractors=None, patience=PATIENCE, progress=
     check.require_single(scene)
     check.require_rigid(scene, "basins")
     x, v = _axis("x", x), _axis("v", v)
-    phase = check.number("phase", phase, np.float64)
-    if phase.shape:
-        raise check.ArgumentError("phase", "must be a number", phase)
+    angle = check.number("phase", phase, np.float64)
+    if angle.shape:
+        raise check.ArgumentError("phase", "must be a number", angle)
     patience = check.whole("patience", patience, 1)
     attractors = find_attractors(scene) if attractors is None else tuple(attractors)
     left, right, fast = box(scene)
-    found = homes(scene, attractors, float(phase), float(max(abs(left), abs(right), fast)))
-    starts = [each.ravel() for each in np.meshgrid(x, v)]
-    label, periods = assign_labels(scene, *starts, float(phase), found, patience, progress)
+    found = homes(scene, attractors, float(angle), float(max(abs(left), abs(right), fast)))
+    across, along = (each.ravel() for each in np.meshgrid(x, v))
+    label, periods = assign_labels(scene, across, along, float(angle), found, patience, progress)
     shape = (len(v), len(x))
-    return _dataset(scene, x, v, float(phase), attractors, found, label.reshape(shape), periods.reshape(shape))
+    return _dataset(scene, x, v, float(angle), attractors, found, label.reshape(shape), periods.reshape(shape))
 
 
-def _axis(key, values):
+def _axis(key, values) -> Float[np.ndarray, " numbers"]:
     values = check.number(key, values, np.float64)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
         raise check.ArgumentError(key, "must be at least two numbers in rising order", values)

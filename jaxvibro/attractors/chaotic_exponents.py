@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
 from ..compiled.compiler_hints import WIDTH
 from ..maps.initial_conditions import box
@@ -32,19 +33,19 @@ class Settled(NamedTuple):
     """
 
     lanes: TangentLanes
-    status: np.ndarray
-    periods: np.ndarray
-    rate: np.ndarray
+    status: Int[np.ndarray, " lanes"]
+    periods: Int[np.ndarray, " lanes"]
+    rate: Float[np.ndarray, " lanes"]
     visits: State
-    scale: np.ndarray
+    scale: Float[np.ndarray, " lanes"]
 
     @property
-    def is_well(self):
+    def is_well(self) -> bool:
         """Whether a single lane has not met its end."""
-        return bool(np.isfinite(self.lanes.state.x[0]))
+        return bool(np.isfinite(np.ravel(self.lanes.state.x)[0]))
 
     @property
-    def goes_on(self):
+    def goes_on(self) -> bool:
         """Whether a single lane has yet to settle."""
         return self.is_well and not self.periods[0]
 

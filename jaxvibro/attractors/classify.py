@@ -1,9 +1,11 @@
 """Evidence for an attractor: an orbit that recurs and draws in, or motion that does neither recur nor stay together."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from ..maps import itinerary
 from ..maps.iterate import KEEP, Trail, iterate
@@ -30,8 +32,8 @@ class Evidence:
     """
 
     lanes: list[int]
-    hits: np.ndarray
-    numbers: dict
+    hits: Float[np.ndarray, "impacts 4"]
+    numbers: dict[str, Any]
 
 
 def periodic(scene, found, periods, settle, scale):

@@ -4,6 +4,7 @@ from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
+from jaxtyping import Float
 
 from ..maps.initial_conditions import box, random_starts
 from ..orbits.by_impacts import from_phase_0
@@ -11,6 +12,7 @@ from ..orbits.find import find_orbit
 from ..orbits.orbit import Orbit, OrbitError
 from ..scene import check
 from ..scene.codes import Status
+from ..scene.scene import Scene
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
 from . import free_and_mirrored
@@ -45,7 +47,7 @@ class Attractor:
     state: State
     periods: int
     itinerary: tuple[str, ...]
-    points: np.ndarray
+    points: Float[np.ndarray, "points 2"]
     least_speed: float
     exponent: float
     mirror_of: int | None
@@ -55,7 +57,7 @@ class Attractor:
 
 
 @check.host("use strobe")
-def find_attractors(scene, starts=200, seed=0, settle=300):
+def find_attractors(scene: Scene, starts: int = 200, seed: int = 0, settle: int = 300) -> tuple[Attractor, ...]:
     """What a scene settles on: a tuple of `Attractor`, the largest share first, unresolved starts last.
 
     scene: a single one. starts: how many, at phase 0, the same ones each time: drawn from `seed`, uniformly in

@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float, Int
 from scipy.special import xlogy
 
 BOX = 5  # labels along the side of a box of the entropies: 25 in it, as the source takes
@@ -16,8 +17,8 @@ class Dimension(NamedTuple):
 
     value: float
     error: float
-    sides: np.ndarray
-    mixed: np.ndarray
+    sides: Int[np.ndarray, " sides"]
+    mixed: Float[np.ndarray, " sides"]
 
 
 def entropies(labels, box=BOX):

@@ -12,6 +12,7 @@ and v, over the distance from the saddle, ends what can be told. So the germ is 
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 from .local_manifold import LEAST, mapped
 
@@ -41,10 +42,10 @@ class Rules(NamedTuple):
 class Level(NamedTuple):
     """Points of a strand, F^k of some: u, z (points, 2), the impacts on their ways, whether they have an end."""
 
-    u: np.ndarray
-    z: np.ndarray
-    count: np.ndarray
-    good: np.ndarray
+    u: Float[np.ndarray, " points"]
+    z: Float[np.ndarray, "points 2"]
+    count: Int[np.ndarray, " points"]  # type: ignore[assignment]  # hides tuple's method
+    good: Bool[np.ndarray, " points"]
 
 
 def levels(scene, start, side, sign, periods, phase, back, size, rules):

@@ -12,6 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import ArrayLike, Float
 from numpy.polynomial import chebyshev
 
 from continuation.persistent_jit import persistent_jit
@@ -33,19 +34,19 @@ SETTLED, EXACT = 5, 500  # roundings of the scene's size: g changes no more; g i
 class Germ(NamedTuple):
     """reach: as far along the line, to both sides, g (across) and p (before) hold: Chebyshev series in a / reach."""
 
-    saddle: np.ndarray
-    heading: np.ndarray
+    saddle: Float[np.ndarray, "2"]
+    heading: Float[np.ndarray, "2"]
     reach: float
-    across: np.ndarray
-    before: np.ndarray
+    across: Float[np.ndarray, " across"]
+    before: Float[np.ndarray, " before"]
 
-    def at(self, along):
+    def at(self, along: Float[np.ndarray, " lanes"]) -> Float[np.ndarray, "lanes 2"]:
         """The curve's points (lanes, 2) so far along the line, of either sign."""
         normal = np.array([-self.heading[1], self.heading[0]])
         off = chebyshev.chebval(along / self.reach, self.across)
         return self.saddle + along[:, None] * self.heading + off[:, None] * normal
 
-    def back(self, along):
+    def back(self, along: Float[ArrayLike, "*lanes"]) -> Float[ArrayLike, "*lanes"]:
         """How far along are the points that the map leads to those so far along."""
         return chebyshev.chebval(along / self.reach, self.before)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import xarray as xr
+from jaxtyping import ArrayLike, Real
 
 from ..flight.wall_positions import places
 from ..maps.initial_conditions import box
@@ -20,7 +21,16 @@ SAME = 1e-6  # of the scene's size: two points as near are one, and a point as n
 
 
 @check.host("use strobe or monodromy")
-def manifold(orbit, kind, length=20.0, phase=None, spacing=0.01, angle=0.05, fastest=None, most=200_000):
+def manifold(
+    orbit: Orbit,
+    kind: str,
+    length: Real[ArrayLike, ""] = 20.0,
+    phase: Real[ArrayLike, ""] | None = None,
+    spacing: Real[ArrayLike, ""] = 0.01,
+    angle: Real[ArrayLike, ""] = 0.05,
+    fastest: Real[ArrayLike, ""] | None = None,
+    most: int = 200_000,
+) -> xr.Dataset:
     """The stable or the unstable manifold of a saddle on Sigma, both sides of each of its points: an xarray.Dataset.
 
     orbit: an `Orbit` with one multiplier inside the unit circle and one outside. kind: "stable" (what leads into it) or
@@ -50,7 +60,7 @@ def manifold(orbit, kind, length=20.0, phase=None, spacing=0.01, angle=0.05, fas
     rate, turn = _rate(orbit, kind), orbit.periods
     if back:
         require_reversible(scene)
-    phase = float(orbit.state.phase if phase is None else check.number("phase", phase, np.float64))
+    phase = float(check.number("phase", orbit.state.phase if phase is None else phase, np.float64))
     strands = []
     for origin, (saddle, heading) in enumerate(_saddles(orbit, phase, back)):
         start = germ(scene, saddle, heading, rate, turn, phase, back, size)

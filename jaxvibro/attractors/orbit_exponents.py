@@ -7,6 +7,7 @@ it gives the second multiplier, however much smaller than the first.
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from ..scene.codes import Status
 from ..scene.state import State
@@ -20,15 +21,15 @@ class Rates(NamedTuple):
     """What is known of one motion. exponent, error: (2,), a period, the larger first; impacts: a period, of all, left,
     right, (3,); periods: of the orbit, 0 for none; status: see `tangent.run`; count: periods averaged."""
 
-    exponent: np.ndarray
-    error: np.ndarray
-    impacts: np.ndarray
+    exponent: Float[np.ndarray, "2"]
+    error: Float[np.ndarray, "2"]
+    impacts: Float[np.ndarray, "3"]
     periods: int
     status: int
-    count: int
+    count: int  # type: ignore[assignment]  # hides tuple's method
 
     @property
-    def repels(self):
+    def repels(self) -> bool:
         """Whether motions near it certainly leave it."""
         return bool(self.exponent[0] > NEUTRAL)
 

@@ -1,16 +1,19 @@
 """The Lyapunov spectrum against a parameter: both exponents of what a scene settles on, with error bars."""
 
 import os
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
 import jax
 import numpy as np
 import xarray as xr
+from jaxtyping import ArrayLike, Float, Real
 
 from ..compiled.compiler_hints import WIDTH
 from ..maps.rests import NO_RESTS, rests
 from ..scene import check
-from ..scene.state import check_start, real_state
+from ..scene.scene import Scene
+from ..scene.state import State, check_start, real_state
 from .chaotic_exponents import of_motion, settled
 from .orbit_exponents import lost, of_orbits
 from .sweep import EQUATION, MEANING, UNITS, others, started, static
@@ -20,7 +23,16 @@ FEW, MANY = 8, 64  # rounds after which most values have settled, and after whic
 
 
 @check.host("use monodromy")
-def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, progress=None):
+def spectrum(
+    scene: Scene,
+    name: str,
+    values: Real[ArrayLike, "..."] | Sequence[float],
+    state: State,
+    settle: int = 300,
+    error: Real[ArrayLike, ""] = 2e-3,
+    most: int = 2**20,
+    progress: Callable[[int], object] | None = None,
+) -> xr.Dataset:
     """Both Lyapunov exponents per drive period of what a scene settles on, for many values of a parameter: a Dataset.
 
     scene: a single one; name: of any of its parameters, dotted for a wall's; values: shape (count,). state: a `State`
@@ -60,7 +72,7 @@ def spectrum(scene, name, values, state, settle=300, error=2e-3, most=2**20, pro
     return _dataset(scene, name, values, state, found, resting)
 
 
-def _checked(scene, name, values, state):
+def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count"], State]:
     """(values, state), arrays of the scene's type, once they break no rule."""
     check.require_known(name, scene.names, name)
     values = check.number(name, values, scene.dtype)

@@ -1,12 +1,14 @@
 """The swept diagram: a parameter goes through its values, and the state at the end of one starts the next."""
 
 import math
+from collections.abc import Callable, Sequence
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jax import lax
+from jaxtyping import ArrayLike, Float, Real
 
 from continuation.persistent_jit import persistent_jit
 
@@ -16,6 +18,7 @@ from ..maps.strobe import strobe
 from ..output.units import LENGTH, SPEED
 from ..scene import check
 from ..scene.codes import Status
+from ..scene.scene import Scene
 from ..scene.state import State, check_start
 
 CHUNK = 16  # values between two reports of progress
@@ -25,7 +28,16 @@ UNITS = "lengths in that of the walls, time t in 1/w0"
 
 
 @check.host("use strobe")
-def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progress=None):
+def sweep(
+    scene: Scene,
+    name: str,
+    values: Real[ArrayLike, "..."] | Sequence[float],
+    state: State,
+    settle: int = 300,
+    keep: int = 100,
+    chunk: int = CHUNK,
+    progress: Callable[[int], object] | None = None,
+) -> xr.Dataset:
     """What a scene settles on as one of its parameters goes through values, in their order: an xarray.Dataset.
 
     name: of any parameter of the scene, dotted for a wall's. values: shape (count,), or (count, ...) with lanes: the
@@ -54,7 +66,7 @@ def sweep(scene, name, values, state, settle=300, keep=100, chunk=CHUNK, progres
     return _dataset(scene, name, values, state, parts)
 
 
-def _checked(scene, name, values, state):
+def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, "count *lanes"], State]:
     """(values, state), arrays of the scene's type, once they break no rule."""
     check.require_known(name, scene.names, name)
     values = check.number(name, values, scene.dtype)
@@ -76,7 +88,7 @@ def started(state, dtype, beside):
     return State(*parts)
 
 
-def _lanes(shape, scene, values, state):
+def _lanes(shape, scene, values, state) -> tuple[Scene, Float[np.ndarray, "count lanes"], State]:
     """Scene, values (count, lanes) and state with their lanes along one axis."""
     size = math.prod(shape)
 

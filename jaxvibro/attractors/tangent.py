@@ -11,7 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Float, Int
 
+from continuation.arrays import Array
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import OPTIONS, WIDTH, choose, one_kernel
@@ -28,8 +30,8 @@ class TangentLanes(NamedTuple):
     """Where lanes are: a `State` with leaves (lanes,), unit tangent vectors along x and v (lanes,)."""
 
     state: State
-    along_x: jax.Array
-    along_v: jax.Array
+    along_x: Float[Array, " lanes"]
+    along_v: Float[Array, " lanes"]
 
 
 class Laps(NamedTuple):
@@ -40,17 +42,17 @@ class Laps(NamedTuple):
     by rows, (periods, lanes, 4); status: the worst of all periods run, (lanes,).
     """
 
-    x: np.ndarray
-    v: np.ndarray
-    growth: np.ndarray
-    left: np.ndarray
-    right: np.ndarray
-    count: np.ndarray
-    matrix: np.ndarray
-    status: np.ndarray
+    x: Float[np.ndarray, "periods lanes"]
+    v: Float[np.ndarray, "periods lanes"]
+    growth: Float[np.ndarray, "periods lanes"]
+    left: Float[np.ndarray, "periods lanes"]
+    right: Float[np.ndarray, "periods lanes"]
+    count: Float[np.ndarray, "periods lanes"]  # type: ignore[assignment]  # hides tuple's method
+    matrix: Float[np.ndarray, "periods lanes 4"]
+    status: Int[np.ndarray, " lanes"]
 
     @property
-    def points(self):
+    def points(self) -> Float[np.ndarray, "periods lanes 2"]:
         """Positions and velocities at the ends of the periods, (periods, lanes, 2)."""
         return np.stack([self.x, self.v], -1)
 

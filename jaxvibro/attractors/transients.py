@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import jax
 import numpy as np
+from jaxtyping import ArrayLike, Float
 
 from ..maps import itinerary
 from ..maps.iterate import KEEP, Trail, iterate
@@ -18,11 +19,11 @@ MORE = 4  # times that, as long as others still settle: what is left may be on t
 class Cluster:
     """Lanes on one periodic orbit: its points on Sigma, shape (periods, 2), and its itinerary."""
 
-    points: np.ndarray
+    points: Float[np.ndarray, "periods 2"]
     words: tuple[str, ...]
     lanes: list[int] = field(default_factory=list)
 
-    def holds(self, points, words, near):
+    def holds(self, points: Float[np.ndarray, "states 2"], words: tuple[str, ...], near: Float[ArrayLike, ""]) -> bool:
         """Whether these points are the orbit's, begun anywhere along it."""
         if len(points) != len(self.points) or not itinerary.same(words, self.words):
             return False

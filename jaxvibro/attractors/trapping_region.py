@@ -9,6 +9,7 @@ its place.
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 from scipy.linalg import cholesky, solve_discrete_lyapunov
 from scipy.spatial import cKDTree
 
@@ -27,10 +28,10 @@ LOOSE = 3.0  # times the distance within which 99 % of one half of a sample find
 class Trap(NamedTuple):
     """Of a periodic attractor: its points (n, 2), and L (n, 2, 2); a state with abs(L (z - point)) <= 1 is in it."""
 
-    points: np.ndarray
-    lengths: np.ndarray
+    points: Float[np.ndarray, "points 2"]
+    lengths: Float[np.ndarray, "points 2 2"]
 
-    def holds(self, z):
+    def holds(self, z: Float[np.ndarray, "lanes 2"]) -> Bool[np.ndarray, " lanes"]:
         """Whether states (lanes, 2) are in it."""
         found = np.zeros(len(z), bool)
         for point, length in zip(self.points, self.lengths, strict=True):
@@ -44,7 +45,7 @@ class Cloud(NamedTuple):
     tree: cKDTree
     near: float
 
-    def holds(self, z):
+    def holds(self, z: Float[np.ndarray, "lanes 2"]) -> Bool[np.ndarray, " lanes"]:
         """Whether states (lanes, 2) are near it."""
         return np.isfinite(self.tree.query(z, distance_upper_bound=self.near)[0])
 

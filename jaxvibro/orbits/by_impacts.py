@@ -129,8 +129,8 @@ def from_phase_0(orbit, itinerary):
 def _read(scene, times, speeds, sides, phase, periods, residual):
     """The orbit with these impacts, times since the section's phase; nothing is solved."""
     given = padded(scene, times, speeds, sides, phase, periods)
-    zero = np.zeros((), scene.dtype)
-    solved = newton.Solved(zero, zero + residual, zero, zero + 1.0, newton.OK)
+    numbers = (np.asarray(each, scene.dtype) for each in ([], residual, 0.0, 1.0))
+    solved = newton.Solved(*numbers, np.asarray(newton.OK))
     length = 2.0 * np.pi / float(scene.frequency)
     return _described(scene, jax.device_get(_known(scene, given, solved)), len(times), length)
 
