@@ -6,6 +6,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..scene.scale import swift
 from . import flow
@@ -30,30 +31,30 @@ class Frame(NamedTuple):
     stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`).
     """
 
-    force: jax.Array
-    frequency: jax.Array
-    damping: jax.Array
+    force: Float[jax.Array, "..."]
+    frequency: Float[jax.Array, "..."]
+    damping: Float[jax.Array, "..."]
     walls: tuple[Lane, ...]
-    period: jax.Array
-    period_low: jax.Array
-    swift: jax.Array
+    period: Float[jax.Array, "..."]
+    period_low: Float[jax.Array, "..."]
+    swift: Float[jax.Array, "..."]
     series: flow.Series
-    reach: jax.Array
-    pace: jax.Array
-    weights: tuple[jax.Array, ...]
-    size: jax.Array
-    curb: jax.Array
-    slope: jax.Array
-    tails: tuple[jax.Array, ...]
-    swings: tuple[jax.Array, ...]
-    rushes: tuple[jax.Array, ...]
-    gap: jax.Array
+    reach: Float[jax.Array, "..."]
+    pace: Float[jax.Array, "..."]
+    weights: tuple[Float[jax.Array, "..."], ...]
+    size: Float[jax.Array, "..."]
+    curb: Float[jax.Array, "..."]
+    slope: Float[jax.Array, "..."]
+    tails: tuple[Float[jax.Array, "..."], ...]
+    swings: tuple[Float[jax.Array, "..."], ...]
+    rushes: tuple[Float[jax.Array, "..."], ...]
+    gap: Float[jax.Array, "..."]
     contacts: tuple[SoftFlow | None, ...] = ()
-    stiffness: jax.Array | None = None
-    root: jax.Array | None = None
+    stiffness: Float[jax.Array, "..."] | None = None
+    root: Float[jax.Array, "..."] | None = None
 
     @property
-    def soft(self):
+    def soft(self) -> bool:
         """Whether there is a soft wall."""
         return any(each is not None for each in self.contacts)
 

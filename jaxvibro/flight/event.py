@@ -13,6 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, most, negative, positive
 
@@ -25,17 +26,17 @@ MARGIN = 1.05  # the root must be the only one, and the other wall out of reach,
 class Progress(NamedTuple):
     """The polynomial of G, from the constant on, and its remainder."""
 
-    terms: tuple[jax.Array, ...]
-    remainder: jax.Array
+    terms: tuple[Float[jax.Array, "*lanes"], ...]
+    remainder: Float[jax.Array, "*lanes"]
 
 
 class Bound(NamedTuple):
     """G <= -clear + slope t + bend t^2 + cubic t^3, cubic >= 0."""
 
-    clear: jax.Array
-    slope: jax.Array
-    bend: jax.Array
-    cubic: jax.Array
+    clear: Float[jax.Array, "*lanes"]
+    slope: Float[jax.Array, "*lanes"]
+    bend: Float[jax.Array, "*lanes"]
+    cubic: Float[jax.Array, "*lanes"]
 
 
 def weights(reach):

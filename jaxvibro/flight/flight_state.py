@@ -9,6 +9,7 @@ the drive gets fast, so that the rounding of a step is small beside the motion. 
 from typing import NamedTuple
 
 import jax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, stage, two_sum
 from . import flow, soft_contact
@@ -20,12 +21,12 @@ CAPPED = -1.0
 class SlowMotion(NamedTuple):
     """What the flow carries: x and v less the swift part, with the low parts of their sums; the drive's angle."""
 
-    slow_x: jax.Array
-    slow_x_low: jax.Array
-    slow_v: jax.Array
-    slow_v_low: jax.Array
-    cosine: jax.Array
-    sine: jax.Array
+    slow_x: Float[jax.Array, "*lanes"]
+    slow_x_low: Float[jax.Array, "*lanes"]
+    slow_v: Float[jax.Array, "*lanes"]
+    slow_v_low: Float[jax.Array, "*lanes"]
+    cosine: Float[jax.Array, "*lanes"]
+    sine: Float[jax.Array, "*lanes"]
 
 
 class Path(NamedTuple):
@@ -37,20 +38,20 @@ class Path(NamedTuple):
     just entered it, 5 is released, no push on it. Within a wall x and v are counted from the wall's.
     """
 
-    x: jax.Array
-    x_low: jax.Array
-    v: jax.Array
+    x: Float[jax.Array, "*lanes"]
+    x_low: Float[jax.Array, "*lanes"]
+    v: Float[jax.Array, "*lanes"]
     motion: SlowMotion
-    to_go: jax.Array
-    to_go_low: jax.Array
-    contact: jax.Array
+    to_go: Float[jax.Array, "*lanes"]
+    to_go_low: Float[jax.Array, "*lanes"]
+    contact: Float[jax.Array, "*lanes"]
 
     @property
-    def cosine(self):
+    def cosine(self) -> Float[jax.Array, "..."]:
         return self.motion.cosine
 
     @property
-    def sine(self):
+    def sine(self) -> Float[jax.Array, "..."]:
         return self.motion.sine
 
 

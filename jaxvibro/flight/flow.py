@@ -12,6 +12,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
 
@@ -19,13 +20,19 @@ STEP = 1.0  # longest step, in units of 1 / rate
 ORDER = 18  # STEP^19 / 19! < 1e-17
 
 
+Number = Float[jax.Array, "..."]
+FreeFlow = tuple[Number, Number, Number]  # p00, p01, p11
+ForcedFlow = tuple[tuple[Number, Number], tuple[Number, Number]]  # x, v under cos, under sin
+Rows = Float[jax.Array, "_ ..."] | list[Float[jax.Array, "..."]]
+
+
 class Series(NamedTuple):
     """Taylor coefficients of the `Gains`, their order first, each from its first power of t that is not zero."""
 
-    stay: jax.Array
-    move: jax.Array
-    lift: jax.Array
-    lag: jax.Array
+    stay: Rows
+    move: Rows
+    lift: Rows
+    lag: Rows
 
 
 class Gains(NamedTuple):
@@ -35,12 +42,12 @@ class Gains(NamedTuple):
     from rest under the force cos(omega t), sin(omega t); versed, sined: cos - 1 and sin of the drive's angle.
     """
 
-    stay: jax.Array
-    move: jax.Array
-    lift: jax.Array
-    lag: jax.Array
-    versed: jax.Array
-    sined: jax.Array
+    stay: Float[jax.Array, "*lanes"]
+    move: Float[jax.Array, "*lanes"]
+    lift: Float[jax.Array, "*lanes"]
+    lag: Float[jax.Array, "*lanes"]
+    versed: Float[jax.Array, "*lanes"]
+    sined: Float[jax.Array, "*lanes"]
 
 
 def rate(frequency, damping, stiffness=None):

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, positive, two_sum
 from ..scene.codes import Contact
@@ -23,9 +24,9 @@ class Strike(NamedTuple):
     The speed is negative where the event is the end of a contact with a soft wall.
     """
 
-    speed: jax.Array
-    least: jax.Array
-    contact: jax.Array
+    speed: Float[jax.Array, "*lanes"]
+    least: Float[jax.Array, "*lanes"]
+    contact: Float[jax.Array, "*lanes"]
 
 
 def late(frame, path, side):

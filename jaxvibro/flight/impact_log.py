@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, mask, merge, stage
 from ..scene.codes import Contact
@@ -18,21 +19,21 @@ class Log(NamedTuple):
     (floats like the rest, as mixed types are slow); freed: when the mass was last released from a wall, -1 if never;
     end: when the time to go is used up; steps: taken so far, one number for all lanes."""
 
-    times: tuple[jax.Array, ...]
-    speeds: tuple[jax.Array, ...]
-    held: jax.Array
-    count: jax.Array
-    least_speed: jax.Array
-    freed: jax.Array
-    end: jax.Array
-    steps: jax.Array
+    times: tuple[Float[jax.Array, "*lanes"], ...]
+    speeds: tuple[Float[jax.Array, "*lanes"], ...]
+    held: Float[jax.Array, "*lanes"]
+    count: Float[jax.Array, "*lanes"]  # type: ignore[assignment]  # a tuple has a method of this name
+    least_speed: Float[jax.Array, "*lanes"]
+    freed: Float[jax.Array, "*lanes"]
+    end: Float[jax.Array, "..."]
+    steps: Float[jax.Array, ""]
 
 
 class Slots(NamedTuple):
     """Times and speeds of all impacts, lanes first, slots last."""
 
-    times: jax.Array
-    speeds: jax.Array
+    times: Float[jax.Array, "*lanes slots"]
+    speeds: Float[jax.Array, "*lanes slots"]
 
 
 def empty(lanes, slots, end):

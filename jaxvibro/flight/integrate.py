@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, stage
 from . import impact_log, soft_long_step, turning_points
@@ -34,14 +35,14 @@ class Journey(NamedTuple):
     log: impact_log.Log
     slots: impact_log.Slots
     calls: turning_points.Calls | None
-    wait: jax.Array | None = None
+    wait: Float[jax.Array, "..."] | None = None
 
 
 class Cap(NamedTuple):
     """How many impacts a lane may have, and how many steps it may take."""
 
-    impacts: jax.Array
-    steps: jax.Array
+    impacts: Float[jax.Array, "..."]
+    steps: Float[jax.Array, "..."]
 
 
 def begin(frame, path, slots, end, watched=True):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
 from ..scene.codes import Contact
@@ -24,29 +25,29 @@ class SoftFlow(NamedTuple):
     waves: under the wall's own motion, None where it stands still; plunge: the first step after an entry; reach: the
     longest of the others; curb, slope: as the `coefficients.Frame` has them, for y."""
 
-    stiffness: jax.Array
-    root: jax.Array
-    damping: jax.Array
+    stiffness: Float[jax.Array, "..."]
+    root: Float[jax.Array, "..."]
+    damping: Float[jax.Array, "..."]
     series: flow.Series
     waves: flow.Series | None
     plunge: Plunge
-    reach: jax.Array
-    curb: jax.Array
-    slope: jax.Array
+    reach: Float[jax.Array, "..."]
+    curb: Float[jax.Array, "..."]
+    slope: Float[jax.Array, "..."]
 
 
 class Felt(NamedTuple):
     """What of a `coefficients.Frame` differs between lanes: damping; swift; stiffness, its root; reach, pace; curb,
     slope."""
 
-    damping: jax.Array
-    swift: jax.Array
-    stiffness: jax.Array
-    root: jax.Array
-    reach: jax.Array
-    pace: jax.Array
-    curb: jax.Array
-    slope: jax.Array
+    damping: Float[jax.Array, "..."]
+    swift: Float[jax.Array, "..."]
+    stiffness: Float[jax.Array, "..."]
+    root: Float[jax.Array, "..."]
+    reach: Float[jax.Array, "..."]
+    pace: Float[jax.Array, "..."]
+    curb: Float[jax.Array, "..."]
+    slope: Float[jax.Array, "..."]
 
 
 def contact(wall, force, frequency):
@@ -236,9 +237,9 @@ class StayResponse(NamedTuple):
     """What a stay of a given time does: `flow.doubled`'s matrix; motions forced by the drive, and by the wall's motion
     where a soft wall moves."""
 
-    free: tuple
-    forced: tuple
-    waves: tuple | None
+    free: flow.FreeFlow
+    forced: flow.ForcedFlow
+    waves: flow.ForcedFlow | None
 
 
 def response(frame, contact, time):

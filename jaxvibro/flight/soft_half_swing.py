@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
 from . import flow
@@ -26,13 +27,13 @@ class Plunge(NamedTuple):
     it, a bound; free, forced, angle: `flow.doubled`'s; waves: as forced, under the wall's own motion, None where it
     stands still."""
 
-    time: jax.Array
-    ratio: jax.Array
-    change: jax.Array
-    free: tuple
-    forced: tuple
-    angle: tuple
-    waves: tuple | None
+    time: Float[jax.Array, "..."]
+    ratio: Float[jax.Array, "..."]
+    change: Float[jax.Array, "..."]
+    free: flow.FreeFlow
+    forced: flow.ForcedFlow
+    angle: tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]]
+    waves: flow.ForcedFlow | None
 
 
 def plunge(wall, force, frequency, series, waves, stiffness):

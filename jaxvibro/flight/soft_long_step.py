@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import jax
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, mask, merge, stage
 from ..scene.codes import Contact
@@ -25,15 +26,15 @@ OVERDAMPED = 2.0  # times the stiffness: damping^2 from which two rates are told
 class Wave(NamedTuple):
     """A part of a slow motion: the real part of (real + i imaginary) exp(i rate t)."""
 
-    real: jax.Array
-    imaginary: jax.Array
-    rate: jax.Array
+    real: Float[jax.Array, "..."]
+    imaginary: Float[jax.Array, "..."]
+    rate: Float[jax.Array, "..."]
 
     @property
-    def size(self):
+    def size(self) -> Float[jax.Array, "..."]:
         return lax.abs(self.real) + lax.abs(self.imaginary)
 
-    def values(self, count):
+    def values(self, count: int) -> list[Float[jax.Array, "..."]]:
         """So many derivatives at t = 0, from the value on."""
         found, (real, imaginary) = [], (self.real, self.imaginary)
         for _ in range(count):
@@ -45,14 +46,14 @@ class Wave(NamedTuple):
 class Creep(NamedTuple):
     """A part of a slow motion: real exp(-rate t)."""
 
-    real: jax.Array
-    rate: jax.Array
+    real: Float[jax.Array, "..."]
+    rate: Float[jax.Array, "..."]
 
     @property
-    def size(self):
+    def size(self) -> Float[jax.Array, "..."]:
         return lax.abs(self.real)
 
-    def values(self, count):
+    def values(self, count: int) -> list[Float[jax.Array, "..."]]:
         """So many derivatives at t = 0, from the value on."""
         found = [self.real]
         while len(found) < count:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import jax
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, most, positive, stage
 from ..scene.codes import Contact
@@ -21,10 +22,10 @@ SLOW = 0.25  # of the speed that the acceleration makes over the longest step
 class Step(NamedTuple):
     """What a step did: its time, the path before any impact and after, the side of the impact (0: none), the strike."""
 
-    time: jax.Array
+    time: Float[jax.Array, "*lanes"]
     flown: Path
     path: Path
-    side: jax.Array
+    side: Float[jax.Array, "*lanes"]
     strike: impact.Strike
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from . import event, flow
 from .wall import course, less, picked
@@ -16,11 +17,11 @@ from .wall import course, less, picked
 class Now(NamedTuple):
     """x, v and the drive's phasor at a time since the start; the time is a constant."""
 
-    x: jax.Array
-    v: jax.Array
-    cosine: jax.Array
-    sine: jax.Array
-    time: jax.Array
+    x: Float[jax.Array, "*lanes"]
+    v: Float[jax.Array, "*lanes"]
+    cosine: Float[jax.Array, "*lanes"]
+    sine: Float[jax.Array, "*lanes"]
+    time: Float[jax.Array, "*lanes"]
 
 
 def jet(frame, now, order, bias=()):

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, mask, merge, most, stage
 from ..scene.codes import Contact
@@ -35,14 +36,14 @@ class Turn(NamedTuple):
     """
 
     motion: SlowMotion
-    span: jax.Array
-    mark: jax.Array
+    span: Float[jax.Array, "*lanes"]
+    mark: Float[jax.Array, "*lanes"]
 
 
 class Calls(NamedTuple):
     """The least clearance so far, the turning points not yet measured, and those of the last step."""
 
-    least: jax.Array
+    least: Float[jax.Array, "*lanes"]
     noted: Turn
     fresh: Turn
 

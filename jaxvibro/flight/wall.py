@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
 from ..scene.scene import hardened
@@ -18,15 +19,15 @@ class Lane:
     restitution: of a rigid wall; stiffness k2, damping gamma2: of a soft one, which has them in its place.
     """
 
-    position: jax.Array
-    restitution: jax.Array | None
-    swing: jax.Array | None
-    cosine: jax.Array | None
-    sine: jax.Array | None
+    position: Float[jax.Array, "..."]
+    restitution: Float[jax.Array, "..."] | None
+    swing: Float[jax.Array, "..."] | None
+    cosine: Float[jax.Array, "..."] | None
+    sine: Float[jax.Array, "..."] | None
     sign: int = field(metadata={"static": True})
     harmonic: int = field(default=1, metadata={"static": True})
-    stiffness: jax.Array | None = None
-    damping: jax.Array | None = None
+    stiffness: Float[jax.Array, "..."] | None = None
+    damping: Float[jax.Array, "..."] | None = None
 
 
 def lane(wall, scene, sign, dtype):

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, stage
 from ..flight import flow, soft_contact, soft_long_step, taylor
@@ -27,10 +28,10 @@ ORDER = 3  # of the derivatives that the equations of the impacts need
 class StayEnd(NamedTuple):
     """The end of a stay: its time; the velocity against the wall there; the drive's cosine and sine."""
 
-    time: jax.Array
-    v: jax.Array
-    cosine: jax.Array
-    sine: jax.Array
+    time: Float[jax.Array, "*lanes"]
+    v: Float[jax.Array, "*lanes"]
+    cosine: Float[jax.Array, "*lanes"]
+    sine: Float[jax.Array, "*lanes"]
 
 
 def duration(frame, touch, y, v, cosine, sine, longest):

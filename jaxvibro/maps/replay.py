@@ -11,6 +11,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float, Real
 
 from ..compiled.compiler_hints import choose, stage
 from ..flight import flow, taylor
@@ -27,12 +28,12 @@ class KnownImpacts(NamedTuple):
     never; rests: the contact of a mass that rests on a wall at the end, or is within a soft one, else 0; slowest: the
     place of the slowest impact."""
 
-    times: jax.Array
-    sides: jax.Array
-    count: jax.Array
-    freed: jax.Array
-    rests: jax.Array
-    slowest: jax.Array | None = None
+    times: Float[jax.Array, "..."]
+    sides: Float[jax.Array, "..."]
+    count: Real[jax.Array, "*lanes"]  # type: ignore[assignment]  # a tuple has a method of this name
+    freed: Float[jax.Array, "*lanes"]
+    rests: Float[jax.Array, "*lanes"]
+    slowest: Float[jax.Array, "*lanes"] | None = None
 
 
 def replay(frame, state, known, periods, order):

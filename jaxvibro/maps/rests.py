@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import ArrayLike, Float
 
 from continuation.persistent_jit import persistent_jit
 
@@ -45,7 +46,7 @@ class Rests(NamedTuple):
     """
 
     rests: bool
-    count: int
+    count: int  # type: ignore[assignment]  # a tuple has a method of this name
     endless: str
     rate: float
 
@@ -85,12 +86,12 @@ def rests(scene, state, periods):
 class SinceRelease(NamedTuple):
     """The derivative since the mass was last let go from a wall, by rows, over exp(size), and how long ago that was."""
 
-    a: jax.Array
-    b: jax.Array
-    c: jax.Array
-    d: jax.Array
-    size: jax.Array
-    age: jax.Array
+    a: Float[ArrayLike, ""]
+    b: Float[ArrayLike, ""]
+    c: Float[ArrayLike, ""]
+    d: Float[ArrayLike, ""]
+    size: Float[ArrayLike, ""]
+    age: Float[ArrayLike, ""]
 
 
 @persistent_jit(compiler_options=OPTIONS)

@@ -4,11 +4,12 @@ from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
 from ..flight.wall_positions import SIGNS, places
 from ..scene import check
 from ..scene.codes import Contact
-from ..scene.scene import SIDES
+from ..scene.scene import SIDES, Scene
 from ..scene.state import State
 from .strobe import strobe
 
@@ -20,15 +21,22 @@ class Return:
     impact before, in t; between: impacts on the other wall on the way; found: whether there is one within the periods;
     if not, phase, velocity and time are nan; status: as in `Impacts`."""
 
-    phase: jax.Array
-    velocity: jax.Array
-    time: jax.Array
-    between: jax.Array
-    found: jax.Array
-    status: jax.Array
+    phase: Float[jax.Array, "*lanes"]
+    velocity: Float[jax.Array, "*lanes"]
+    time: Float[jax.Array, "*lanes"]
+    between: Int[jax.Array, "*lanes"]
+    found: Bool[jax.Array, "*lanes"]
+    status: Int[jax.Array, "*lanes"]
 
 
-def return_map(scene, side, phase, velocity, periods=2, slots=32):
+def return_map(
+    scene: Scene,
+    side: str,
+    phase: Real[ArrayLike, "..."],
+    velocity: Real[ArrayLike, "..."],
+    periods: int = 2,
+    slots: int = 32,
+) -> Return:
     """From an impact on a wall to the next on it: a `Return`; P2 of the paper for "left", P3 for "right".
 
     side: "left" or "right"; phase (rad), velocity (after the impact, away from the wall): numbers that broadcast with

@@ -70,13 +70,13 @@ class Scene:
     Make one with `make_scene`, which checks it.
     """
 
-    amplitude: Float[Array, "..."]
-    frequency: Float[Array, "..."]
-    damping: Float[Array, "..."]
-    restitution: Float[Array, "..."]
+    amplitude: Real[Array, "..."]
+    frequency: Real[Array, "..."]
+    damping: Real[Array, "..."]
+    restitution: Real[Array, "..."]
     left: Wall | None
     right: Wall | None
-    harder: Float[Array, "..."] | None = None
+    harder: Real[Array, "..."] | None = None
 
     @property
     def dtype(self) -> np.dtype:
