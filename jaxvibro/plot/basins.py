@@ -1,6 +1,8 @@
 """Basins of attraction: each start in the colour of what it ends on, and the attractors' own points."""
 
 import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
@@ -16,12 +18,14 @@ PAIRS = (("<", ">"), ("^", "v"), ("$\\subset$", "$\\supset$"), ("P", "X"))
 SINGLE = ("o", "s", "D", "p", "h", "8")
 
 
-def basins(dataset, ax=None, legend=True):
+def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True) -> Axes:
     """Draw a Dataset of `jaxvibro.basins`, velocity against position: the Axes.
 
     Each attractor has a colour, the lightest the first, and a shape for its points; of two mirror images the shapes
     mirror each other. Chaos is white, its points are dots. Starts on no attractor are nearly black, those beyond a wall
     grey. legend: below the picture, with the shares of the starts.
+
+    Raises ArgumentError for what is no such Dataset.
     """
     is_from("basins", "basins", ("label", "fraction", "x", "v"), dataset)
     ax = axes(ax)

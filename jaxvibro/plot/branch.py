@@ -1,9 +1,12 @@
 """Branches of periodic orbits against their parameter, and the special points on them."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
+from matplotlib.typing import ColorType
 
 from ..branches.branch import MEANINGS, Branch
 from .lines import columns_of, lines
@@ -25,7 +28,7 @@ LABELS = {
 }
 
 
-def branch(one, variable="x", ax=None, colour=None):
+def branch(one: Branch, variable: str = "x", ax: Axes | None = None, colour: ColorType | None = None) -> Axes:
     """Draw one variable of a `Branch` against its parameter: the Axes.
 
     variable: "x" or "v" at phase 0 of each drive period; "clearance" or "speed", the least of an orbit; "peak", its
@@ -34,14 +37,21 @@ def branch(one, variable="x", ax=None, colour=None):
 
     Stable parts are solid and thick, unstable ones dashed and thin. A line breaks where an impact crosses phase 0: the
     velocity jumps there, though the branch goes on. Each kind of special point has a marker of its own, the ends none.
+
+    Raises ArgumentError for what is no `Branch`.
     """
     is_of("branch", Branch, one)
     ax, text = axes(ax), name(one)
-    known = {line.get_label().lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"}
+    known = {str(line.get_label()).lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"}
     colour = colour or known.get(text, ORDER[len(known) % len(ORDER)])
     values, columns, stable = lines(one, variable)
     for first, last in _runs(stable):
-        look = {"color": colour, "linewidth": WIDTHS[stable[first]], "linestyle": STYLES[stable[first]], "zorder": 3}
+        look: dict[str, Any] = {
+            "color": colour,
+            "linewidth": WIDTHS[stable[first]],
+            "linestyle": STYLES[stable[first]],
+            "zorder": 3,
+        }
         for up in columns[first : last + 1].T:
             told = text if text not in known else "_" + text
             ax.plot(values[first : last + 1], up, label=told, gid="branch", solid_capstyle="butt", **look)
@@ -105,17 +115,19 @@ def _walls(ax, one):
             ax.axhline(place, color=WALL, linewidth=0.8, zorder=0)
 
 
-def mark_points(branches, ax):
+def mark_points(branches: tuple[Branch, ...] | list[Branch], ax: Axes) -> Axes:
     """Tell kind and value of the special points of branches along the top of Axes in which they are drawn: the Axes.
 
     Points of one value are told once, and those that lie too close to be told apart on one tick: the first of them.
+
+    Raises ArgumentError for what is no tuple or list of `Branch`es.
     """
     are_of("mark_points", Branch, branches)
     low, high = ax.get_xlim()
     close = _line(ax) * (high - low)
     digits = max(0, 3 - int(np.floor(np.log10(high - low))))  # about a thousandth of the range
     found = {(each.kind, f"{each.value:.{digits}f}"): each.value for one in branches for each in one.special}
-    ticks = []  # value, lines
+    ticks: list[tuple[float, list[str]]] = []  # value, lines
     for (kind, text), value in sorted(found.items(), key=lambda item: item[1]):
         if kind == "EP" or not low <= value <= high:
             continue
@@ -124,8 +136,8 @@ def mark_points(branches, ax):
         ticks[-1][1].append(f"{plain(kind)} {text}")
     top = ax.secondary_xaxis("top")
     top.set_xticks([value for value, _ in ticks], [_lines(each) for _, each in ticks], rotation=90, fontsize=TICKS)
-    for text, (_, each) in zip(top.get_xticklabels(), ticks, strict=True):
-        text.set_horizontalalignment("left" if len(each) > 1 else "center")  # the first line at the tick
+    for told, (_, each) in zip(top.get_xticklabels(), ticks, strict=True):
+        told.set_horizontalalignment("left" if len(each) > 1 else "center")  # the first line at the tick
     return ax
 
 

@@ -1,6 +1,10 @@
 """The swept diagram: a coordinate on the section against the parameter, one colour a leg."""
 
+from typing import Any
+
 import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.markers import TICKLEFT, TICKRIGHT
 
 from ..attractors.find import Attractor
@@ -12,12 +16,14 @@ FAINT = 0.7  # of that size
 MARKERS = "osD^vP*X"
 
 
-def diagram(swept, variable="x", ax=None, faint=False):
+def diagram(swept: xr.Dataset, variable: str = "x", ax: Axes | None = None, faint: bool = False) -> Axes:
     """Draw one variable, "x" or "v", of a Dataset of `sweep`: the Axes.
 
     A dimension besides the values' and `period` (lane, or leg with its names) makes a leg of each of its entries, with
     a colour and a size of dot of its own. Fixed walls are lines where x is drawn, unless they are far from all dots.
     faint: smaller and paler dots, to be drawn over.
+
+    Raises ArgumentError for what is no such Dataset.
     """
     is_from("diagram", "sweep", ("swept", "x", "v"), swept)
     ax, name = axes(ax), swept.attrs["swept"]
@@ -56,14 +62,22 @@ def _dots(ax, across, up, place, text, faint):
     ax.plot([], [], markersize=7 / (1 + 0.4 * place), label=text, **style)
 
 
-def mark(attractors, value, variable="x", ax=None):
+def mark(
+    attractors: tuple[Attractor, ...] | list[Attractor],
+    value: float,
+    variable: str = "x",
+    ax: Axes | None = None,
+) -> Axes:
     """Draw attractors into a diagram, at the value of the swept parameter that they belong to: the Axes.
 
     Mirror images of each other have one shape, the first of them open and the second filled; a chaotic one is a row of
     ticks, to the left or, its image, to the right. The legend tells their shares of the starts, with bounds at 95 %.
+
+    Raises ArgumentError for what is no tuple or list of `Attractor`s.
     """
     are_of("mark", Attractor, attractors)
-    ax, shapes = axes(ax), {}
+    ax = axes(ax)
+    shapes: dict[int, Any] = {}
     ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
     for place, one in enumerate(attractors):
         if one.kind == "unresolved":
@@ -73,7 +87,11 @@ def mark(attractors, value, variable="x", ax=None):
         shape = shapes.setdefault(first, MARKERS[len(shapes) % len(MARKERS)])
         up = one.points[:, "xv".index(variable)]
         if one.kind == "chaotic":
-            look = {"marker": TICKLEFT if place == first else TICKRIGHT, "markeredgewidth": 0.3, "zorder": 4}
+            look: dict[str, Any] = {
+                "marker": TICKLEFT if place == first else TICKRIGHT,
+                "markeredgewidth": 0.3,
+                "zorder": 4,
+            }
         else:
             look = {"marker": shape, "markerfacecolor": "white" if place == first else "black", "zorder": 5}
         text = f"{one.label}, {share_text(one)}"

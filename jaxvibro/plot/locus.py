@@ -1,8 +1,11 @@
 """Loci in the plane of their two parameters, and the regions between them."""
 
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.typing import ColorType
 
 from ..loci.locus import MEANINGS, Locus
 from ..scene.check import ArgumentError
@@ -23,7 +26,7 @@ HATCHES = ("///", "\\\\\\", "...", "xxx", "")
 LOCUS, REGION = "locus of", "region of"  # with the parameters, the group id of what is drawn
 
 
-def locus(one, ax=None, colour=None):
+def locus(one: Locus, ax: Axes | None = None, colour: ColorType | None = None) -> Axes:
     """Draw a `Locus` in the plane of its two parameters, the first across, the second up: the Axes.
 
     colour: of its line; None takes that of its kind. Each kind has a colour and a style of line; of two loci of a kind
@@ -39,7 +42,7 @@ def locus(one, ax=None, colour=None):
     alike = [line for line in lines if line.get_label().lstrip("_") == told]
     earlier = {line.get_label().lstrip("_") for line in lines} - {told}
     rank = sum(each.startswith(f"{one.kind} ") for each in earlier)
-    look = {"color": colour or own, "linestyle": style, "linewidth": WIDTHS[min(rank, len(WIDTHS) - 1)]}
+    look: dict[str, Any] = {"color": colour or own, "linestyle": style, "linewidth": WIDTHS[min(rank, len(WIDTHS) - 1)]}
     if alike:
         look = {"linestyle": style, "color": colour or alike[0].get_color(), "linewidth": alike[0].get_linewidth()}
     hidden = any(line.get_color() == look["color"] for line in alike)
@@ -64,7 +67,7 @@ def _points(ax, one):
         ax.plot(across, up, label=told, gid="codimension two", **look)
 
 
-def region(first, second, text, ax=None, colour=None):
+def region(first: Locus, second: Locus, text: str, ax: Axes | None = None, colour: ColorType | None = None) -> Axes:
     """Shade the region between two `Locus` over the same two parameters, and write a text into it: the Axes.
 
     A point is in the region if, on the line through it on which the second parameter is constant, its neighbours are
@@ -82,7 +85,11 @@ def region(first, second, text, ax=None, colour=None):
     if not outlines:
         raise ArgumentError("second", f"must share values of {first.names[1]} with the first", repr(second))
     earlier = len({patch.get_label() for patch in _with_gid(ax.patches, REGION)} - {"_"})
-    look = {"facecolor": colour or "0.5", "edgecolor": colour or "0.35", "hatch": HATCHES[earlier % len(HATCHES)]}
+    look: dict[str, Any] = {
+        "facecolor": colour or "0.5",
+        "edgecolor": colour or "0.35",
+        "hatch": HATCHES[earlier % len(HATCHES)],
+    }
     for place, outline in enumerate(outlines):
         told = plain(text) if place == 0 else "_"
         patch = ax.fill(*outline.T, label=told, gid=_gid(REGION, first.names), alpha=0.22, zorder=1, **look)[0]

@@ -1,6 +1,9 @@
 """Periodic orbits: one in the phase plane, and many in a swept diagram."""
 
+from typing import Any
+
 import numpy as np
+from matplotlib.axes import Axes
 
 from ..maps.simulate import simulate
 from ..orbits.orbit import Orbit
@@ -11,7 +14,7 @@ SAMPLES = 400  # of a drive period
 COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a diagram
 
 
-def orbit(one, ax=None):
+def orbit(one: Orbit, ax: Axes | None = None) -> Axes:
     """Draw an `Orbit` of `find_orbit` or `find_orbits` in the phase plane, as `portrait` does: the Axes.
 
     The title says whether it is stable, and the larger multiplier. An orbit that repels is followed from its state for
@@ -39,14 +42,22 @@ def _stability(one):
     return "stable" if one.stable else "unstable"
 
 
-def mark_orbits(orbits, value, variable="x", ax=None):
+def mark_orbits(
+    orbits: tuple[Orbit, ...] | list[Orbit],
+    value: float,
+    variable: str = "x",
+    ax: Axes | None = None,
+) -> Axes:
     """Draw each `Orbit` into a diagram, at the value of the swept parameter that they belong to: the Axes.
 
     Shown is the state at phase 0 of each drive period. Stable orbits are filled, unstable ones open; mirror images of
     each other have one shape.
+
+    Raises ArgumentError for what is no tuple or list of `Orbit`s.
     """
     are_of("mark_orbits", Orbit, orbits)
-    ax, shapes = axes(ax), {}
+    ax = axes(ax)
+    shapes: dict[int, Any] = {}
     ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
     for place, one in enumerate(orbits):
         twin = place if one.mirror_of is None else one.mirror_of

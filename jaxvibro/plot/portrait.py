@@ -1,18 +1,24 @@
 """The phase portrait: velocity against position along a trajectory, with its impacts."""
 
+from typing import Any
+
 import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
 
 from ..scene.scene import Scene
 from .path import with_impacts
 from .style import COLOURS, COORDINATES, WALL, axes, is_from, is_of
 
 
-def portrait(trajectory, scene, ax=None, stable=True):
+def portrait(trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, stable: bool = True) -> Axes:
     """Draw a Dataset of `simulate` in the phase plane: the Axes.
 
     Walls are grey, a moving one as wide as it goes; an impact is a dashed line; dots are the states on the section,
     at the end of each drive period. stable: whether the motion is; one that is not has a dashed line of its own colour,
     its impacts are dotted, its states open.
+
+    Raises ArgumentError for what is no such Dataset, or no `Scene`.
     """
     is_from("portrait", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
     is_of("portrait", Scene, scene)
@@ -25,7 +31,7 @@ def portrait(trajectory, scene, ax=None, stable=True):
     ax.plot(x[ends], v[ends], color=COLOURS[1], linewidth=1.2, linestyle=broken)
     turns = trajectory["phase"].values / (2 * np.pi)
     whole = np.flatnonzero(abs(turns - turns[0] - np.round(turns - turns[0])) < 1e-6)[1:]
-    dots = {"linestyle": "none", "marker": "o", "markersize": 4, "color": COLOURS[2], "zorder": 3}
+    dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4, "color": COLOURS[2], "zorder": 3}
     dots["markerfacecolor"] = COLOURS[2] if stable else "white"
     ax.plot(trajectory["x"].values[whole], trajectory["v"].values[whole], **dots)
     ax.set(xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])

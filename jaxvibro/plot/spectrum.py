@@ -1,6 +1,10 @@
 """The Lyapunov spectrum against a parameter, chaotic ranges shaded."""
 
+from typing import Any
+
 import numpy as np
+import xarray as xr
+from matplotlib.axes import Axes
 
 from .style import COLOURS, WALL, axes, is_from, label
 
@@ -11,13 +15,15 @@ NAMES = ("first exponent", "second exponent")
 STYLES = (("-", 1.3, COLOURS[0]), ("--", 1.0, COLOURS[7]))  # told apart in grey by dashes and width
 
 
-def spectrum(found, ax=None):
+def spectrum(found: xr.Dataset, ax: Axes | None = None) -> Axes:
     """Draw a Dataset of `jaxvibro.spectrum`: the Axes.
 
     Both exponents per drive period against the parameter, solid and dashed, with bands of two standard errors, which
     are seen where the errors are; a line at zero; grey behind the values where the first exponent is positive beyond
     doubt. An exponent of -inf is a tick at the lower edge; where there is none, the line has a gap; a value that stands
     alone is a dot. Open circles are the growth between rests of a mass that comes to rest.
+
+    Raises ArgumentError for what is no such Dataset.
     """
     is_from("spectrum", "spectrum", ("swept", "exponent", "error"), found)
     ax, name = axes(ax), found.attrs["swept"]
@@ -36,10 +42,16 @@ def spectrum(found, ax=None):
         if alone.any():
             ax.plot(across[alone], line[alone], "o", markersize=3, color=colour, label="_alone")
         deep = across[np.isneginf(exponent[:, k])]
-        ticks = {"linestyle": "none", "marker": "v", "markersize": 4, "color": colour, "clip_on": False}
+        ticks: dict[str, Any] = {"linestyle": "none", "marker": "v", "markersize": 4, "color": colour, "clip_on": False}
         ax.plot(deep, np.zeros(len(deep)), transform=ax.get_xaxis_transform(), label="_-inf", **ticks)
     if "between" in found and np.isfinite(found["between"]).any():
-        look = {"linestyle": "none", "marker": "o", "markersize": 4, "markerfacecolor": "none", "color": COLOURS[5]}
+        look: dict[str, Any] = {
+            "linestyle": "none",
+            "marker": "o",
+            "markersize": 4,
+            "markerfacecolor": "none",
+            "color": COLOURS[5],
+        }
         ax.plot(across, found["between"].values, label="growth between rests", **look)
     ax.set(xlabel=label(name), ylabel="Lyapunov exponents per drive period")
     ax.margins(x=0.01)

@@ -2,6 +2,7 @@
 
 import matplotlib.pyplot as plt
 import xarray as xr
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
 from ..scene.check import ArgumentError
@@ -44,7 +45,7 @@ def paler(colour):
     return tuple(0.5 + 0.5 * part for part in to_rgb(colour))
 
 
-def axes(ax):
+def axes(ax: Axes | None) -> Axes:
     """The Axes given, or those of a new figure."""
     return plt.subplots(layout="constrained")[1] if ax is None else ax
 
