@@ -33,7 +33,7 @@ class Claim:
     ours: bool = False
 
     @property
-    def verdict(self):
+    def verdict(self) -> str:
         """A number agrees or differs, words hold or not; what does not exist cannot hold; else it is undecided."""
         if math.isnan(self.value):
             return OPEN if self.more else FALSE
@@ -45,7 +45,7 @@ class Claim:
         return OPEN
 
     @property
-    def is_right(self):
+    def is_right(self) -> bool:
         """Whether it agrees or holds."""
         return self.verdict in (AGREES, HOLDS)
 

@@ -1,9 +1,11 @@
 """The figures and what else is judged: the scene files that each needs, and what computes it."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 from . import amplitudes, compliant, diagrams, edges, errata, exponents, hysteresis, portraits, response, walls
 from . import basins as fifth
+from .panels import Drawn
 
 
 class Job(NamedTuple):
@@ -11,7 +13,7 @@ class Job(NamedTuple):
 
     title: str
     files: tuple[str, ...]
-    drawn: object
+    drawn: Callable[..., Drawn]
 
 
 JOBS = {

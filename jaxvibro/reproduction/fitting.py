@@ -4,8 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 import optax
+from jaxtyping import Float
 
-from ..loci.sensitivity import move, slopes
+from ..loci.sensitivity import HeldPoint, move, slopes
 
 RATE, CLOSE, LONG = 0.02, 0.03, 80  # of Adam's steps; a misfit so small ends them; so many at most
 ROUNDS, LEAST = 20, 1e-13  # of Newton's steps; one as short is the last
@@ -16,14 +17,14 @@ class Fit(NamedTuple):
     """values: the numbers fitted; misfits: value less target of each point; by: d value / d number, (points, numbers);
     met: whether the last step was rounding; points: the `sensitivity.HeldPoint` there."""
 
-    values: np.ndarray
-    misfits: np.ndarray
-    by: np.ndarray
+    values: Float[np.ndarray, " numbers"]
+    misfits: Float[np.ndarray, " points"]
+    by: Float[np.ndarray, "points numbers"]
     met: bool
-    points: tuple
+    points: tuple[HeldPoint, ...]
 
     @property
-    def condition(self):
+    def condition(self) -> float:
         """Of the derivative: how much more one direction of the numbers is felt than another."""
         return float(np.linalg.cond(self.by))
 

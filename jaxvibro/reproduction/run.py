@@ -4,7 +4,9 @@ import hashlib
 import json
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from os import PathLike
 from pathlib import Path
 
 from .. import __version__
@@ -31,7 +33,13 @@ class Report:
     told: str
 
 
-def paper(names=(), out="out/paper", scenes=None, force=False, progress=False):
+def paper(
+    names: Sequence[str] = (),
+    out: str | PathLike[str] = "out/paper",
+    scenes: str | PathLike[str] | None = None,
+    force: bool = False,
+    progress: bool = False,
+) -> Report:
     """Recomputes figures and claims of the paper and writes them into a folder: a `Report`.
 
     names: of `figures.JOBS`, all where none is given. out: the folder, made where it is missing; it holds NAME.png and

@@ -7,6 +7,7 @@ walls at -1 and 1, from phase 0 on.
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float, Int
 
 BLOCK = 8192
 BRACKET = 1e-6
@@ -24,23 +25,23 @@ class Drive(NamedTuple):
 class SteppedLanes(NamedTuple):
     """Lanes still on their way; move is the next step, beyond tells that the last one ended past a wall."""
 
-    row: np.ndarray
-    x: np.ndarray
-    v: np.ndarray
-    amplitude: np.ndarray
-    time: np.ndarray
-    move: np.ndarray
-    searching: np.ndarray
-    beyond: np.ndarray
-    count: np.ndarray
+    row: Int[np.ndarray, " lanes"]
+    x: Float[np.ndarray, " lanes"]
+    v: Float[np.ndarray, " lanes"]
+    amplitude: Float[np.ndarray, " lanes"]
+    time: Float[np.ndarray, " lanes"]
+    move: Float[np.ndarray, " lanes"]
+    searching: Bool[np.ndarray, " lanes"]
+    beyond: Bool[np.ndarray, " lanes"]
+    count: Int[np.ndarray, " lanes"]  # type: ignore[assignment]  # hides tuple's method
 
 
 class Stepped(NamedTuple):
     """ends: (n, 2), x and v after a period; sides, times: of the impacts, (n, room), 0 and inf in empty slots."""
 
-    ends: np.ndarray
-    sides: np.ndarray
-    times: np.ndarray
+    ends: Float[np.ndarray, "rows 2"]
+    sides: Int[np.ndarray, "rows room"]
+    times: Float[np.ndarray, "rows room"]
 
 
 def strobe(drive, states, steps, bracket=BRACKET, room=ROOM):

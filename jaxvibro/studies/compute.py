@@ -8,20 +8,24 @@ import numpy as np
 import xarray as xr
 from tqdm import tqdm
 
-from ..attractors.find import find_attractors
+from ..attractors.find import Attractor, find_attractors
 from ..attractors.sweep import sweep
+from ..branches.branch import Branch, Special
 from ..branches.branch_tree import followed
 from ..branches.diagram import Diagram
 from ..branches.explore import explore
 from ..flight.wall_positions import fit
 from ..loci.loci import count, loci
+from ..loci.locus import Locus
 from ..orbits.find import find_orbit
 from ..orbits.from_starts import find_orbits
-from ..orbits.orbit import OrbitError
+from ..orbits.orbit import Orbit, OrbitError
 from ..scene.check import ArgumentError, SceneError
 from ..scene.scene import Scene, changed
 from ..scene.state import State
-from .schema import SceneFile
+from .schema import AttractorsTable, BranchTable, ExploreTable, OrbitsTable, SceneFile
+
+Asked = AttractorsTable | OrbitsTable | BranchTable | ExploreTable | None  # a table with values `at`
 
 SETTLE, KEEP = 300, 100  # drive periods from rest, where no study says how many
 SAME = 1e-6  # of a state: an orbit as near to an attractor's is that attractor
@@ -40,29 +44,29 @@ class Found:
     file: SceneFile
     scene: Scene
     swept: xr.Dataset | None
-    attractors: tuple | None
-    orbits: tuple | None
-    branches: tuple | None = None
+    attractors: tuple[Attractor, ...] | None
+    orbits: tuple[Orbit, ...] | None
+    branches: tuple[Branch, ...] | None = None
     diagram: Diagram | None = None
-    loci: tuple | None = None
-    refused: tuple | None = None
+    loci: tuple[Locus, ...] | None = None
+    refused: tuple[tuple[Special, str], ...] | None = None
 
     @property
-    def across(self):
+    def across(self) -> str | None:
         """The parameter of the diagram: that which is swept, or else followed; None where there is no diagram."""
         asked = self.file.sweep or self.file.followed
         return None if asked is None else asked.parameter
 
     @property
-    def base(self):
+    def base(self) -> Scene:
         """The scene of the diagram, but for its parameter."""
         return self.scene if self.file.sweep is not None else self.there(self.file.followed)
 
-    def there(self, asked):
+    def there(self, asked: Asked) -> Scene:
         """The scene that a table with values `at` is about; for None the file's own."""
         return self.scene if asked is None else self.scene.replace(**asked.at)
 
-    def mark(self, asked):
+    def mark(self, asked: Asked) -> float | None:
         """The value of the diagram's parameter at which what a table with values `at` gave belongs into it, None where
         it does not."""
         if asked is None or self.across is None or not self._is_inside(asked):
@@ -70,11 +74,10 @@ class Found:
         return float(self.there(asked).parameter(self.across))
 
     @property
-    def drawn(self):
+    def drawn(self) -> tuple[Branch, ...]:
         """The branches that belong into the diagram: none where another parameter is swept, or in another scene."""
-        asked = self.file.followed
-        inside = self.branches and asked.parameter == self.across and self._is_inside(asked)
-        return self.branches if inside else ()
+        asked, found = self.file.followed, self.branches or ()
+        return found if asked and asked.parameter == self.across and self._is_inside(asked) else ()
 
     def _is_inside(self, asked):
         """Whether the scene that a table is about is that of the diagram, but for its parameter."""
@@ -83,13 +86,13 @@ class Found:
         return all(float(here.parameter(key)) == float(there.parameter(key)) for key in here.names)
 
     @property
-    def others(self):
+    def others(self) -> tuple[Orbit, ...]:
         """The orbits that are not among the attractors, mirror images being places in this tuple."""
         asked, orbits = self.file, self.orbits or ()
         if asked.attractors is None or asked.orbits is None or asked.attractors.at != asked.orbits.at:
             return orbits
-        kept = [k for k, one in enumerate(orbits) if not any(_is_on(one, other) for other in self.attractors)]
-        places = {old: new for new, old in enumerate(kept)}
+        kept = [k for k, one in enumerate(orbits) if not any(_is_on(one, other) for other in self.attractors or ())]
+        places: dict[int | None, int] = {old: new for new, old in enumerate(kept)}
         return tuple(replace(orbits[k], mirror_of=places.get(orbits[k].mirror_of)) for k in kept)
 
 

@@ -2,9 +2,12 @@
 
 import os
 import time
+from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from ..output.atomic_write import refuse_folder, whole
 from ..output.checksums import netcdf
@@ -25,12 +28,18 @@ FOR_PAPER = ("spectrum", "basins", "panels")  # tables that `paper` knows
 class Done:
     """What a run gives. summary: plain numbers, texts, lists and dicts, as `--json` prints it; table: for reading."""
 
-    summary: dict
+    summary: dict[str, Any]
     table: str
 
 
 @host("use strobe or monodromy")
-def run(path, out="out", changes=(), force=False, progress=False):
+def run(
+    path: str | PathLike[str],
+    out: str | PathLike[str] = "out",
+    changes: Iterable[str] = (),
+    force: bool = False,
+    progress: bool = False,
+) -> Done:
     """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus] a picture of
     the loci too: `Done`.
 

@@ -1,13 +1,16 @@
 """Scene files: TOML in, strictly, and TOML out."""
 
 import re
+from os import PathLike
 from pathlib import Path
 
 import msgspec
+from jax.typing import DTypeLike
 
 from ..output.atomic_write import whole
 from ..scene import scene_table
 from ..scene.check import ArgumentError, SceneError, among, host
+from ..scene.scene import Scene
 from ..scene.scene_table import table_of
 from . import schema
 from .schema import SceneFile
@@ -37,7 +40,7 @@ _KINDS = {
 _WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
 
 
-def load_scene(path, dtype=None):
+def load_scene(path: str | PathLike[str], dtype: DTypeLike | None = None) -> Scene:
     """The scene of a scene file, as `make_scene` would make it (dtype as there).
 
     Raises SceneError on the first thing in the file that breaks a rule, be it in the scene or in what else the file
@@ -47,7 +50,7 @@ def load_scene(path, dtype=None):
 
 
 @host("return the scene")
-def save_scene(scene, path, force=False):
+def save_scene(scene: Scene, path: str | PathLike[str], force: bool = False) -> None:
     """Write a single scene to a scene file, from which `load_scene` reads the same numbers bit for bit.
 
     Raises SceneError for a batch, FileExistsError where the file is there already, unless force is given.

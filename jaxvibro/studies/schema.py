@@ -3,6 +3,7 @@
 from typing import Annotated
 
 import numpy as np
+from jaxtyping import Float
 from msgspec import Meta, field
 
 from ..scene.check import MOST_PERIODS
@@ -19,14 +20,14 @@ Name = Annotated[str, Meta(min_length=1)]
 KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci
 
 
-class StartTable(Table):
+class StartTable(Table, frozen=True):
     """Where a motion starts, at phase 0: position x in the walls' unit of length, velocity v."""
 
     x: float
     v: float
 
 
-class LegTable(Table):
+class LegTable(Table, frozen=True):
     """[[sweep.legs]]: one direction of a sweep, from a first value of the parameter to a last one."""
 
     name: Name
@@ -35,7 +36,7 @@ class LegTable(Table):
     start: StartTable
 
 
-class SweepTable(Table, kw_only=True):
+class SweepTable(Table, frozen=True, kw_only=True):
     """[sweep]: count values a leg; at each, settle drive periods are left out and keep are drawn."""
 
     parameter: Name
@@ -44,13 +45,13 @@ class SweepTable(Table, kw_only=True):
     keep: Count = 100
     legs: Annotated[list[LegTable], Meta(min_length=1, max_length=MOST_LEGS)]
 
-    def values(self, leg):
+    def values(self, leg: LegTable) -> Float[np.ndarray, " count"]:
         """The parameter's values along a leg, in the order of the sweep: float64, shape (count,)."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.linspace(leg.first, leg.last, self.count)
 
 
-class AttractorsTable(Table):
+class AttractorsTable(Table, frozen=True):
     """[attractors]: what the scene, with the values under `at`, settles on from this many random starts."""
 
     starts: Count = 200
@@ -58,7 +59,7 @@ class AttractorsTable(Table):
     at: dict[str, float] = field(default_factory=dict)
 
 
-class OrbitsTable(Table):
+class OrbitsTable(Table, frozen=True):
     """[orbits]: the periodic orbits, stable and unstable, that trajectories of the scene, with the values under `at`,
     come near."""
 
@@ -68,7 +69,7 @@ class OrbitsTable(Table):
     at: dict[str, float] = field(default_factory=dict)
 
 
-class BranchTable(Table, kw_only=True):
+class BranchTable(Table, frozen=True, kw_only=True):
     """[branch]: the periodic orbits along a parameter from that on which the scene, with the values under `at`, settles
     from a start, and the branches that leave them."""
 
@@ -81,7 +82,7 @@ class BranchTable(Table, kw_only=True):
     largest_step: float = 0.1
 
 
-class ExploreTable(Table, kw_only=True):
+class ExploreTable(Table, frozen=True, kw_only=True):
     """[explore]: the periodic orbits along a parameter, found from many starts at values all over its range, the scene
     having the values under `at`, and all branches that leave them."""
 
@@ -93,7 +94,7 @@ class ExploreTable(Table, kw_only=True):
     budget: Count | None = None
 
 
-class LocusTable(Table, kw_only=True):
+class LocusTable(Table, frozen=True, kw_only=True):
     """[locus]: the curves, in two parameters, of the special points of what [branch] or [explore] gives."""
 
     parameters: tuple[Name, Name]
@@ -102,7 +103,7 @@ class LocusTable(Table, kw_only=True):
     largest_step: float = 0.1
 
 
-class SpectrumTable(Table, kw_only=True):
+class SpectrumTable(Table, frozen=True, kw_only=True):
     """[spectrum]: both Lyapunov exponents at so many values of a parameter, each from the same start."""
 
     parameter: Name
@@ -114,13 +115,13 @@ class SpectrumTable(Table, kw_only=True):
     error: float = 2e-3
 
     @property
-    def values(self):
+    def values(self) -> Float[np.ndarray, " count"]:
         """The parameter's values: float64, shape (count,)."""
         with np.errstate(over="ignore", invalid="ignore"):
             return np.linspace(self.first, self.last, self.count)
 
 
-class BasinsTable(Table, kw_only=True):
+class BasinsTable(Table, frozen=True, kw_only=True):
     """[basins]: which attractor each start of a grid settles on, the scene having the values under `at`."""
 
     x: tuple[float, float]
@@ -132,12 +133,12 @@ class BasinsTable(Table, kw_only=True):
     at: dict[str, float] = field(default_factory=dict)
 
     @property
-    def grid(self):
+    def grid(self) -> tuple[Float[np.ndarray, " count"], Float[np.ndarray, " count"]]:
         """The positions and the velocities: float64, shape (count,) each."""
-        return tuple(np.linspace(*ends, self.count) for ends in (self.x, self.v))
+        return np.linspace(*self.x, self.count), np.linspace(*self.v, self.count)
 
 
-class SceneFile(Table):
+class SceneFile(Table, frozen=True):
     """All that a scene file says: the scene, and the studies that it asks for."""
 
     scene: SceneTable
@@ -152,12 +153,12 @@ class SceneFile(Table):
     panels: dict[str, list[float]] = field(default_factory=dict)
 
     @property
-    def followed(self):
+    def followed(self) -> BranchTable | ExploreTable | None:
         """What gives branches: [branch] or [explore]; None without."""
         return self.branch or self.explore
 
     @property
-    def panel_values(self):
+    def panel_values(self) -> list[dict[str, float]]:
         """The values of the scene's parameters in each panel, a list of dicts; [{}] where there are no [panels]."""
         rows = zip(*self.panels.values(), strict=True) if self.panels else [()]
         return [dict(zip(self.panels, row, strict=True)) for row in rows]
