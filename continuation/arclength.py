@@ -6,10 +6,11 @@ the plane across it. Lengths are weighted: the length of dz is that of scale * d
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import ArrayLike, Bool, Float, Int
 
+from .arrays import Array
 from .linear import solve as dense
 
 ON, OUT, UNDERFLOW, NONFINITE = range(4)
@@ -24,21 +25,21 @@ class Control(NamedTuple):
     """scale: (n + 1,), weights of a length; smallest, largest: step; tolerance: of Newton's method, as a length;
     low, high: where the parameter ends the branch."""
 
-    scale: jax.Array
-    smallest: jax.Array
-    largest: jax.Array
-    tolerance: jax.Array
-    low: jax.Array
-    high: jax.Array
+    scale: Float[Array, "*lanes unknowns"]
+    smallest: Float[ArrayLike, "*lanes"]
+    largest: Float[ArrayLike, "*lanes"]
+    tolerance: Float[ArrayLike, "*lanes"]
+    low: Float[ArrayLike, "*lanes"]
+    high: Float[ArrayLike, "*lanes"]
 
 
 class Place(NamedTuple):
     """A point of a branch, its unit tangent, the step to try next, and a status: on from here, or why not."""
 
-    z: jax.Array
-    tangent: jax.Array
-    step: jax.Array
-    status: jax.Array
+    z: Float[Array, "*lanes unknowns"]
+    tangent: Float[Array, "*lanes unknowns"]
+    step: Float[ArrayLike, "*lanes"]
+    status: Int[ArrayLike, "*lanes"]
 
 
 class Point(NamedTuple):
@@ -46,13 +47,13 @@ class Point(NamedTuple):
     step; determinant: of the system with the last tangent as its last row; met: whether Newton's method came there;
     kept: whether the step was taken, not too far round a bend."""
 
-    z: jax.Array
-    tangent: jax.Array
-    step: jax.Array
-    residual: jax.Array
-    determinant: jax.Array
-    met: jax.Array
-    kept: jax.Array
+    z: Float[Array, "*points unknowns"]
+    tangent: Float[Array, "*points unknowns"]
+    step: Float[Array, "*points"]
+    residual: Float[Array, "*points"]
+    determinant: Float[Array, "*points"]
+    met: Bool[ArrayLike, "*points"]
+    kept: Bool[ArrayLike, "*points"]
 
 
 def bordered(slopes, row, right):

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from jaxtyping import Bool, Complex, Float
 
 from .problem import FIXED_POINTS, System
 
@@ -28,19 +29,19 @@ class Special:
     branch's points; tangent: of the branch there, (n + names,)."""
 
     kind: str
-    u: np.ndarray
-    p: dict
+    u: Float[np.ndarray, " unknowns"]
+    p: dict[str, float]
     names: tuple[str, ...]
-    eigenvalues: np.ndarray
+    eigenvalues: Complex[np.ndarray, " unknowns"]
     residual: float
     place: int
     system: System = field(repr=False)
     args: Any = field(repr=False)
-    bounds: dict = field(repr=False)
-    tangent: np.ndarray = field(repr=False)
+    bounds: dict[str, tuple[float, float]] = field(repr=False)
+    tangent: Float[np.ndarray, " z"] = field(repr=False)
 
     @property
-    def z(self):
+    def z(self) -> Float[np.ndarray, " z"]:
         """u and the values of the names, (n + names,)."""
         return np.append(self.u, [self.p[name] for name in self.names])
 
@@ -55,37 +56,37 @@ class Branch:
     system: System = field(repr=False)
     kind: str | None
     names: tuple[str, ...]
-    u: np.ndarray = field(repr=False)
-    p: dict = field(repr=False)
-    eigenvalues: np.ndarray = field(repr=False)
-    residual: np.ndarray = field(repr=False)
+    u: Float[np.ndarray, "points unknowns"] = field(repr=False)
+    p: dict[str, Float[np.ndarray, " points"]] = field(repr=False)
+    eigenvalues: Complex[np.ndarray, "points unknowns"] = field(repr=False)
+    residual: Float[np.ndarray, " points"] = field(repr=False)
     special: tuple[Special, ...]
     reasons: tuple[str, str]
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self.u)
 
-    def __repr__(self):
+    def __repr__(self) -> str:
         kinds = " ".join(one.kind for one in self.special)
         of = f"{self.kind} " if self.kind else ""
         return f"Branch({of}along {' and '.join(self.names)}, {len(self)} points, {kinds})"
 
     @property
-    def stable(self):
+    def stable(self) -> Bool[np.ndarray, " points"]:
         """Whether each solution attracts, (points,): all real parts below 0, of a map all multipliers within 1."""
         found = self.eigenvalues
-        return ((abs(found) < 1.0) if self.system.kind == FIXED_POINTS else (found.real < 0.0)).all(axis=1)
+        return np.all((abs(found) < 1.0) if self.system.kind == FIXED_POINTS else (found.real < 0.0), axis=1)
 
     @property
-    def reason(self):
+    def reason(self) -> dict[str, str]:
         """Why each end is one: {"first": ..., "last": ...}."""
         return dict(zip(("first", "last"), self.reasons, strict=True))
 
-    def points(self, kind):
+    def points(self, kind: str) -> tuple[Special, ...]:
         """The special points of a kind, a tuple."""
         return tuple(one for one in self.special if one.kind == kind)
 
-    def table(self):
+    def table(self) -> str:
         """The special points as a text, a line each, and why the branch ends."""
         rows = [("kind", *self.names, "u", "residual")]
         for one in self.special:

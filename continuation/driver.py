@@ -9,6 +9,7 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from . import arclength, event_search
 from .arclength import ON, OUT, Control, Place, Point
@@ -105,7 +106,7 @@ class Task(NamedTuple):
     domain: tuple[tuple[float, ...], ...] = ()
     watch: Watch = Watch()
     stop: tuple[str, ...] = ()
-    starts: tuple = ()
+    starts: tuple[Float[np.ndarray, " unknowns"], ...] = ()
 
 
 class Stretch(NamedTuple):

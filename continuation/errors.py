@@ -1,13 +1,15 @@
 """What is raised for arguments that cannot be."""
 
+from typing import Any
+
 
 class ContinuationError(ValueError):
     """An argument breaks a rule. key: the argument; rule: what it must be; value: what was given."""
 
-    def __init__(self, key, rule, value):
+    def __init__(self, key: str, rule: str, value: Any) -> None:
         super().__init__(key, rule, value)
         self.key, self.rule, self.value = key, rule, value
 
-    def __str__(self):
+    def __str__(self) -> str:
         shown = " ".join(repr(self.value).split())
         return f"{self.key}: {self.rule}; got {shown if len(shown) <= 80 else shown[:77] + '...'}"

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from . import arclength, locate
 from .arclength import ON, OUT, Place, Point
@@ -26,7 +27,7 @@ class Event(NamedTuple):
     kind: str
     after: int
     length: float
-    z: np.ndarray
+    z: Float[np.ndarray, " unknowns"]
     residual: float
 
 

@@ -5,14 +5,15 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 
 class Eliminated(NamedTuple):
     """x; worst: the least pivot over the largest, 0 where the matrix is singular, and x is not finite; determinant."""
 
-    x: jax.Array
-    worst: jax.Array
-    determinant: jax.Array
+    x: Float[jax.Array, "unknowns *sides"]
+    worst: Float[jax.Array, ""]
+    determinant: Float[jax.Array, ""]
 
 
 def solve(matrix, right):

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 from jax import lax
+from jaxtyping import Float
 
 from .persistent_jit import persistent_jit
 
@@ -23,7 +24,7 @@ SMALL = 1e-9  # of 1 + abs z: a step from which the next leaves rounding alone
 class Located(NamedTuple):
     """z: the point, None where Newton's method led to none; residual: the largest error left in its equations."""
 
-    z: np.ndarray | None
+    z: Float[np.ndarray, " unknowns"] | None
     residual: float
 
 
@@ -159,7 +160,7 @@ def _nulls(matrix, border):
     """(w, g, v, y -> the solution x of A x + b s = y, c x = 0)."""
     size = len(matrix)
     whole = np.zeros((size + 1, size + 1))
-    whole[:size, :size], whole[:size, -1], whole[-1, :size] = matrix, *border
+    whole[:size, :size], (whole[:size, -1], whole[-1, :size]) = matrix, border
     unit = np.zeros(size + 1)
     unit[-1] = 1.0
     right, left = np.linalg.solve(whole, unit), np.linalg.solve(whole.T, unit)

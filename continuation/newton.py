@@ -2,10 +2,11 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import ArrayLike, Float, Int
 
+from .arrays import Array
 from .linear import solve
 
 OK, SLOW, SINGULAR, NONFINITE = range(4)
@@ -24,11 +25,11 @@ class Solved(NamedTuple):
     """unknowns; residual: the largest entry of F there; step: the last one's largest entry; worst: the least pivot over
     the largest; status: 0 OK, 1 SLOW, 2 SINGULAR, 3 NONFINITE."""
 
-    unknowns: jax.Array
-    residual: jax.Array
-    step: jax.Array
-    worst: jax.Array
-    status: jax.Array
+    unknowns: Float[Array, " unknowns"]
+    residual: Float[ArrayLike, ""]
+    step: Float[ArrayLike, ""]
+    worst: Float[ArrayLike, ""]
+    status: Int[ArrayLike, ""]
 
 
 def newton(function, start, longest=jnp.inf, most=30, solve=solve):

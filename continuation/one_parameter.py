@@ -1,10 +1,13 @@
 """`trace`: a branch of solutions along one parameter; `switch`: the branches that leave a special point of it."""
 
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike, Real
 
 from . import branch_switching as crossing
 from . import driver, event_search, locate
@@ -22,6 +25,7 @@ DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
 ZERO = 1e-9  # of an eigenvalue's distance from an event: as small is nearly none
 LEAVING = ("BP", "PD")  # special points that other branches leave
+Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # of (u, p, args)
 
 
 class Monitored(Watch):
@@ -57,19 +61,19 @@ class Monitored(Watch):
 
 
 def trace(
-    system,
-    u,
-    at,
-    along,
-    bounds,
-    args=None,
-    direction="both",
-    first_step=0.05,
-    largest_step=0.1,
-    tolerance=1e-10,
-    monitors=None,
-    stop=(),
-):
+    system: System,
+    u: Real[ArrayLike, "..."] | Sequence[float],
+    at: Mapping[str, float],
+    along: str,
+    bounds: Sequence[float],
+    args: Any = None,
+    direction: str = "both",
+    first_step: float = 0.05,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+    monitors: Monitors | None = None,
+    stop: Sequence[str] = (),
+) -> Branch:
     """The branch of solutions of a system through one near u, along one parameter: a `Branch`.
 
     system: of `equilibria` or `fixed_points`; u: (n,), near a solution; at: {name: number}, the parameters there;
@@ -91,7 +95,15 @@ def trace(
     return branch_of(system, None, bounds, given, back, on)
 
 
-def switch(special, bounds=None, first_step=0.01, largest_step=0.1, tolerance=1e-10, monitors=None, stop=()):
+def switch(
+    special: Special,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    first_step: float = 0.01,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+    monitors: Monitors | None = None,
+    stop: Sequence[str] = (),
+) -> tuple[Branch, ...]:
     """The branches that leave a special point besides that on which it was found: a tuple of `Branch`, each from the
     point on. special: of kind BP, the two halves of the branch that crosses there; PD, that of twice as many times.
     bounds: {name: (low, high)}, or None for those of the point's branch; the rest as in `trace`.

@@ -12,9 +12,11 @@ import os
 import shutil
 import sys
 import tempfile
+from collections.abc import Callable
 from contextlib import suppress
 from functools import lru_cache, partial, reduce, wraps
 from pathlib import Path
+from typing import Any, ParamSpec, TypeVar, overload
 
 import jax
 import jaxlib
@@ -28,12 +30,19 @@ DIGEST = hashlib.sha256().digest_size
 NUMBER = "number"
 _ours = {__name__.split(".")[0]}  # packages whose sources decide what a traced function is
 
+Given = ParamSpec("Given")
+Found = TypeVar("Found")
+
 
 class Unknown(Exception):
     """A value that has no name which says the same in every process."""
 
 
-def persistent_jit(function=None, **options):
+@overload
+def persistent_jit(function: Callable[Given, Found], **options: Any) -> Callable[Given, Found]: ...
+@overload
+def persistent_jit(**options: Any) -> Callable[[Callable[Given, Found]], Callable[Given, Found]]: ...
+def persistent_jit(function: Callable[..., Any] | None = None, **options: Any) -> Callable[..., Any]:
     """`jax.jit` for a function of a module that the host calls, its options the same; its module is kept.
 
     Under a transformation it is the jitted function: what has been exported has no derivatives and no lanes. Nothing is
@@ -56,7 +65,7 @@ def persistent_jit(function=None, **options):
     def call(*args, **named):
         return (plain if _numbers((args, named)) else stored)(*args, **named)
 
-    call.lower = plain.lower
+    call.lower = plain.lower  # type: ignore[attr-defined]  # a function takes any attribute
     return call
 
 
@@ -179,9 +188,9 @@ def _described(value):
 
 
 def _built(form):
-    """The value of a described form."""
+    """The value of a described form, 0 for each number."""
     if form == NUMBER:
-        return NUMBER
+        return 0
     if "class" in form:
         return _known(form["class"])(*(_built(one) for one in form["parts"]))
     ((kind, parts),) = form.items()

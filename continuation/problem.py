@@ -7,8 +7,10 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import ArrayLike
 
 from .arclength import bordered
+from .linear import Eliminated
 
 ON_CIRCLE = 1e-6  # so far from the unit circle, or from the real line, is a multiplier not on it
 
@@ -23,8 +25,8 @@ class Test(NamedTuple):
     whether it is one, where the matrix may be singular for another reason."""
 
     label: str
-    matrix: Callable
-    holds: Callable = always
+    matrix: Callable[[Any, Any], jax.Array]
+    holds: Callable[..., bool] = always
 
 
 def plainly(function, *arrays, **static):
@@ -41,19 +43,22 @@ class Problem(NamedTuple):
     args), whether a special point that Newton's method comes to is one.
     """
 
-    function: Callable
-    solve: Callable
-    plain: Callable
+    function: Callable[[Any, Any], tuple[jax.Array, Any]]
+    solve: Callable[[Any, jax.Array, jax.Array], Eliminated]
+    plain: Callable[[Any, Any], tuple[jax.Array, jax.Array]]
     tests: tuple[Test, ...] = ()
-    run: Callable = plainly
-    holds: Callable = always
+    run: Callable[..., Any] = plainly
+    holds: Callable[..., bool] = always
+
+
+Function = Callable[[jax.Array, dict[str, Any], Any], ArrayLike]  # of (u, p, args)
 
 
 class System(NamedTuple):
     """Equations with parameters by name. function: of (u, p, args) -> (n,), u of shape (n,), p {name: number}; kind:
     EQUILIBRIA, where the function is to be zero, or FIXED_POINTS, where it gives u back after so many times."""
 
-    function: Callable
+    function: Function
     kind: str
     times: int = 1
 
@@ -61,7 +66,7 @@ class System(NamedTuple):
 EQUILIBRIA, FIXED_POINTS = "equilibria", "fixed points"
 
 
-def equilibria(function):
+def equilibria(function: Function) -> System:
     """The `System` of function(u, p, args) = 0: of the equilibria of u' = function. Besides folds (SN) and branch
     points (BP), Hopf points (HB) are watched.
 
@@ -70,7 +75,7 @@ def equilibria(function):
     return System(function, EQUILIBRIA)
 
 
-def fixed_points(move, times=1):
+def fixed_points(move: Function, times: int = 1) -> System:
     """The `System` of the fixed points of a map, move(u, p, args) = u, or of the map taken so many times. Besides folds
     (SN) and branch points (BP), period doublings (PD) and Neimark-Sacker points (NS) are watched. Arguments as in
     `equilibria`."""
@@ -80,7 +85,7 @@ def fixed_points(move, times=1):
 class Given(NamedTuple):
     """Numbers of a `System` that stay along a branch. others: {name: number}, the other parameters; args."""
 
-    others: dict
+    others: dict[str, float]
     args: Any
 
 

@@ -4,15 +4,17 @@ To F(u, p) = 0 the determinant of the matrix that is singular at the point is ad
 iterate's at PD, a bialternate product at HB and NS. Its gradient is not zero where the matrix has one null vector.
 """
 
+from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from . import event_search, locate
 from .arclength import bordered
-from .branch import Special
+from .branch import Branch, Special
 from .driver import End, Watch
 from .errors import ContinuationError
 from .event_search import Event
@@ -43,7 +45,15 @@ DOUBLE = {"BT": (0.0, "ZH", is_oscillation), "R1": (0.0, "FN", is_pair), "R2": (
 BENT = {"SN": "CP", "PD": "GPD"}  # where the normal form's first coefficient is zero
 
 
-def curve(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1e-12, stop=()):
+def curve(
+    special: Special,
+    names: Sequence[str],
+    bounds: Mapping[str, Sequence[float]],
+    first_step: float = 0.02,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-12,
+    stop: Sequence[str] = (),
+) -> Branch:
     """The curve of a special point in two parameters: a `Branch` of its kind.
 
     special: a `Special` of kind SN, PD, HB or NS; names: two parameters of its system; bounds: {name: (low, high)}.
@@ -187,7 +197,7 @@ def _derived(function, direction, u):
     return jax.jvp(function, (u,), (direction,))[1]
 
 
-def sensitivity(special, names):
+def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarray, " names"]:
     """How the value of a special point's parameter changes with other parameters of its system: (names,).
 
     special: a `Special` of a branch, SN, PD, HB or NS; names: of parameters but its own. With z = (u, p) the curve's
@@ -197,12 +207,12 @@ def sensitivity(special, names):
     """
     if not isinstance(special, Special) or special.kind not in KINDS or len(special.names) != 1:
         raise ContinuationError("special", f"must be a special point of a branch, {', '.join(KINDS)}", special)
-    names = tuple(names) if isinstance(names, tuple | list) else (names,)
-    if not names or len({*special.names, *names}) <= len(names) or not set(names) <= set(special.p):
-        raise ContinuationError("names", f"must be different parameters, none {special.names[0]}", names)
-    every = (*special.names, *names)
+    others = tuple(names) if isinstance(names, tuple | list) else (names,)
+    if not others or len({*special.names, *others}) <= len(others) or not set(others) <= set(special.p):
+        raise ContinuationError("names", f"must be different parameters, none {special.names[0]}", others)
+    every = (*special.names, *others)
     given = Given({name: value for name, value in special.p.items() if name not in every}, special.args)
     z = np.append(special.u, [special.p[name] for name in every])
     slopes = locate.slopes_of(special_problem(special.system, special.kind, every), z, given)
-    size = len(z) - len(names)
+    size = len(z) - len(others)
     return -np.linalg.solve(slopes[:, :size], slopes[:, size:])[-1]
