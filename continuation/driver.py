@@ -9,7 +9,6 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from . import arclength, event_search
 from .arclength import ON, OUT, Control, Place, Point
@@ -106,7 +105,7 @@ class Task(NamedTuple):
     domain: tuple[tuple[float, ...], ...] = ()
     watch: Watch = Watch()
     stop: tuple[str, ...] = ()
-    starts: tuple[Float[np.ndarray, " unknowns"], ...] = ()
+    starts: tuple[Any, ...] = ()
 
 
 class Stretch(NamedTuple):

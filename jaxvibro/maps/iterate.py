@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Bool, Float, Int
 
 from continuation.persistent_jit import persistent_jit
 
@@ -26,20 +27,20 @@ class Trail(NamedTuple):
     """
 
     state: State
-    status: np.ndarray
-    x: np.ndarray
-    v: np.ndarray
-    contact: np.ndarray
-    time: np.ndarray
-    side: np.ndarray
-    speed: np.ndarray
+    status: Int[np.ndarray, " lanes"]
+    x: Float[np.ndarray, "periods lanes"]
+    v: Float[np.ndarray, "periods lanes"]
+    contact: Float[np.ndarray, "periods lanes"]
+    time: Float[np.ndarray, "periods lanes slots"]
+    side: Int[np.ndarray, "periods lanes slots"]
+    speed: Float[np.ndarray, "periods lanes slots"]
 
     @property
-    def points(self):
+    def points(self) -> Float[np.ndarray, "periods lanes 2"]:
         """Positions and velocities at the ends of the kept periods, shape (periods, lanes, 2)."""
         return np.stack([self.x, self.v], -1)
 
-    def lanes(self, chosen):
+    def lanes(self, chosen: Bool[np.ndarray, " lanes"] | Int[np.ndarray, " some"] | list[int] | slice) -> "Trail":
         """The trail of some of the lanes."""
         ends = jax.tree.map(lambda leaf: leaf[chosen], self.state)
         return Trail(ends, self.status[chosen], *(part[:, chosen] for part in self[2:]))

@@ -14,6 +14,7 @@ from functools import cache, partial
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.blocks import LEAST, batched, in_blocks
 from ..compiled.compiler_hints import OPTIONS, choose, one_kernel, stage
@@ -26,13 +27,14 @@ from ..flight.taylor import Now
 from ..flight.wall import chosen, course, less, picked
 from ..scene import check
 from ..scene.codes import Contact, Status
-from ..scene.state import real_state
+from ..scene.scene import Scene
+from ..scene.state import State, real_state
 from . import contact_replay, one_period
 from .contact_duration import carried, duration, product, share
 from .one_period import SLOTS
 
 
-def monodromy(scene, state, periods=1, slots=SLOTS):
+def monodromy(scene: Scene, state: State, periods: int = 1, slots: int = SLOTS) -> Float[jax.Array, "*lanes 2 2"]:
     """The derivative of `strobe`'s (x, v) by the given (x, v): shape (..., 2, 2), rows x and v of the end.
 
     scene, state, periods as for `strobe`; slots: impacts of a period that there is room for. nan where the strobe has

@@ -6,6 +6,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
+from continuation.arrays import Array
+
 from ..flight.wall_positions import SIGNS, places
 from ..scene import check
 from ..scene.codes import Contact
@@ -26,7 +28,7 @@ class Return:
     time: Float[jax.Array, "*lanes"]
     between: Int[jax.Array, "*lanes"]
     found: Bool[jax.Array, "*lanes"]
-    status: Int[jax.Array, "*lanes"]
+    status: Int[Array, "*lanes"] | int
 
 
 def return_map(

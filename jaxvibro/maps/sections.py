@@ -2,19 +2,22 @@
 
 import numpy as np
 import xarray as xr
+from jaxtyping import ArrayLike, Real
 
 from ..flight.wall_positions import SIGNS, places
 from ..output.units import ANGLE, LENGTH, SPEED
 from ..scene import check
 from ..scene.codes import Status
-from ..scene.scene import SIDES
+from ..scene.scene import SIDES, Scene
 from ..scene.state import State, check_start, real_state
 from .iterate import KEEP, ends, iterate
 from .phase_shift import shift_phase
 
 
 @check.host("use return_map or strobe")
-def sections(scene, state, phase=0.0, periods=1000, settle=300):
+def sections(
+    scene: Scene, state: State, phase: Real[ArrayLike, ""] = 0.0, periods: int = 1000, settle: int = 300
+) -> xr.Dataset:
     """A motion's points on Sigma, L and R: an xarray.Dataset.
 
     scene: a single one; state: a `State` of numbers, at its phase. settle: drive periods left out; periods: those
@@ -33,20 +36,20 @@ def sections(scene, state, phase=0.0, periods=1000, settle=300):
     if np.shape(state.x + state.v + state.phase + state.contact):
         raise check.ArgumentError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
     check_start(scene, state)
-    phase = check.number("phase", phase, np.float64)
-    if phase.shape:
-        raise check.ArgumentError("phase", "must be a number", phase)
-    phase = float(phase)
+    given = check.number("phase", phase, np.float64)
+    if given.shape:
+        raise check.ArgumentError("phase", "must be a number", given)
+    turned = float(given)
     state = State(*(np.reshape(np.asarray(each), 1) for each in (state.x, state.v, state.phase, state.contact)))
     if settle:
         state = _good(*ends(scene, state, settle))
-    state = _good(*shift_phase(scene, state, phase))
+    state = _good(*shift_phase(scene, state, turned))
     parts = []
     for first in range(0, periods, KEEP):
         run = iterate(scene, state, min(KEEP, periods - first))
         state = _good(run.state, run.status)
         parts.append(run)
-    return _dataset(scene, phase, parts)
+    return _dataset(scene, turned, parts)
 
 
 def _good(state, status):

@@ -16,14 +16,15 @@ from ..flight.flight_state import CAPPED, absolute
 from ..output.units import ANGLE, LENGTH, SPEED, TIME
 from ..scene import check
 from ..scene.codes import Status
-from ..scene.state import check_start, real_state
+from ..scene.scene import Scene
+from ..scene.state import State, check_start, real_state
 from .one_period import finish
 
 SLOTS = 1024
 
 
 @check.host("use strobe")
-def simulate(scene, state, periods=1, samples=200):
+def simulate(scene: Scene, state: State, periods: int = 1, samples: int = 200) -> xr.Dataset:
     """The trajectory of one state over whole drive periods, as an xarray.Dataset.
 
     scene, state: one of each, no batch. samples: of a period, evenly spaced; the first is the given state, the last the

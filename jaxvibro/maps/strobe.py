@@ -7,7 +7,8 @@ from continuation.persistent_jit import persistent_jit
 from ..compiled.blocks import LEAST
 from ..compiled.compiler_hints import OPTIONS
 from ..scene import check
-from ..scene.state import real_state
+from ..scene.scene import Scene
+from ..scene.state import Impacts, State, real_state
 from . import derivatives, one_period
 
 
@@ -16,7 +17,7 @@ def _at_once(scene, state, periods, slots):
     return one_period.strobe(scene, state, periods, slots, least=LEAST)
 
 
-def strobe(scene, state, periods=1, slots=32):
+def strobe(scene: Scene, state: State, periods: int = 1, slots: int = 32) -> tuple[State, Impacts]:
     """The state after a number of drive periods, and the impacts on the way: (State, Impacts).
 
     scene: a `Scene`; state: a `State` at its phase; their numbers broadcast together, and the results have that shape.

@@ -7,6 +7,7 @@ place. So every flipped bit is told, those in padding too, and any reader of Net
 import hashlib
 import re
 import warnings
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -66,7 +67,7 @@ def is_format(number, path):
 
 
 @host("use what was loaded before")
-def load_data(path):
+def load_data(path: str | PathLike[str]) -> xr.Dataset:
     """The xarray.Dataset of a NetCDF file that `run` or `paper` wrote, once its checksum is right.
 
     A file of before, without a checksum, is read with a warning. Raises ArgumentError where the file is damaged or none

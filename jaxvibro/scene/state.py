@@ -46,10 +46,10 @@ class Impacts:
     time: Float[Array, "*lanes slots"]
     side: Int[Array, "*lanes slots"]
     speed: Float[Array, "*lanes slots"]
-    count: Int[ArrayLike, "*lanes"]
-    least_speed: Float[ArrayLike, "*lanes"]
-    least_clearance: Float[ArrayLike, "*lanes"]
-    status: Int[ArrayLike, "*lanes"]
+    count: Int[Array, "*lanes"] | int
+    least_speed: Float[Array, "*lanes"] | float
+    least_clearance: Float[Array, "*lanes"] | float
+    status: Int[Array, "*lanes"] | int
 
 
 def real_state(scene, state):
