@@ -3,13 +3,17 @@
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
+from os import PathLike
+from typing import Any
 
 import msgspec
 import numpy as np
 import xarray as xr
+from jaxtyping import Bool, Complex, Float
 
 from .. import __version__
 from ..maps import itinerary as words
+from ..orbits.orbit import Orbit
 from ..output.atomic_write import whole
 from ..output.checksums import netcdf
 from ..output.table_text import columns, pair
@@ -61,22 +65,22 @@ class Special(SpecialOrbit):
     bounds: tuple[float, float]
     scene: Scene = field(repr=False)
     itinerary: tuple[str, ...]
-    multipliers: np.ndarray
+    multipliers: Complex[np.ndarray, "2"]
     residual: float
     place: int
     spot: OrbitPoint = field(repr=False)
-    slopes: np.ndarray = field(repr=False)
+    slopes: Float[np.ndarray, " unknowns"] = field(repr=False)
     joins: tuple[OrbitPoint, ...] = field(repr=False)
     aside: tuple[bool, ...] = field(repr=False)
 
     @cached_property
-    def meets(self):
+    def meets(self) -> tuple[Orbit, ...]:
         """The `Orbit`s that meet at a GR, each a little on from it, one for every branch that leaves the point."""
         return tuple(described_orbit(self.scene.replace(**{self.name: one.value}), one) for one in self.joins)
 
 
 @dataclass(frozen=True, eq=False)
-class Branch(OrbitRows):
+class Branch(OrbitRows[Special]):
     """A branch of periodic orbits.
 
     name: the parameter; bounds: of it; scene: at the start; data: an xarray.Dataset with a row a point, in order along
@@ -91,7 +95,7 @@ class Branch(OrbitRows):
     segments: tuple[Segment, ...]
     special: tuple[Special, ...]
     reasons: tuple[str, str]
-    settings: dict
+    settings: dict[str, Any]
     ends: tuple[End, End]
 
     NOUN = "branch"
@@ -101,26 +105,26 @@ class Branch(OrbitRows):
         return f"Branch({self.name} from {values[0]:g} to {values[-1]:g}, {len(self)} points, {kinds})"
 
     @property
-    def values(self):
+    def values(self) -> Float[np.ndarray, " points"]:
         """The parameter's value at each point, (points,)."""
         return self.data[self.name].values
 
     @property
-    def stable(self):
+    def stable(self) -> Bool[np.ndarray, " points"]:
         """Whether each point's orbit is stable, (points,)."""
         return self.data["stable"].values.astype(bool)
 
     @property
-    def multipliers(self):
+    def multipliers(self) -> Complex[np.ndarray, "points 2"]:
         """Floquet's, (points, 2), complex, the larger first."""
         return self.data["multiplier_real"].values + 1j * self.data["multiplier_imag"].values
 
-    def located(self, place):
+    def located(self, place: int) -> tuple[Scene, OrbitPoint]:
         """(the scene at a point, its `OrbitPoint`)."""
         spot = spot_of(row_of(self.data, place), self.name)
         return self.scene.replace(**{self.name: spot.value}), spot
 
-    def save(self, path, force=False):
+    def save(self, path: str | PathLike[str], force: bool = False) -> None:
         """Write the branch to a NetCDF file, from which `load_branch` reads the same numbers.
 
         Raises FileExistsError where the file is there already, unless force is given; OSError where it cannot be
@@ -130,7 +134,7 @@ class Branch(OrbitRows):
             file.write(self.content)
 
     @property
-    def content(self):
+    def content(self) -> bytes:
         """The bytes of the file that `save` writes."""
         known = [
             [one.kind, one.place, one.residual, [_plain(each) for each in one.joins], one.aside] for one in self.special
@@ -149,7 +153,7 @@ class Branch(OrbitRows):
         }
         return netcdf(self.data.assign_attrs(attrs))
 
-    def table(self):
+    def table(self) -> str:
         """The special points as a text, a line each, and why the branch ends."""
         rows = [("kind", self.name, "orbit", "itinerary", "multipliers", "meets")]
         for one in self.special:

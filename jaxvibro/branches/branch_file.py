@@ -1,6 +1,7 @@
 """The file of a branch, read: every field is held against what `Branch.save` writes."""
 
 import json
+from os import PathLike
 
 import msgspec
 import numpy as np
@@ -25,7 +26,7 @@ Point = tuple[str, int, float, list[Join], list[bool]]  # a special point: kind,
 
 
 @check.host("use what was loaded before")
-def load_branch(path):
+def load_branch(path: str | PathLike[str]) -> Branch:
     """The `Branch` of a file that `Branch.save` wrote. Monitors and stops are not kept.
 
     A file of before, without a checksum, is read with a warning. Raises ArgumentError where the file is damaged or no

@@ -4,6 +4,7 @@ import json
 import os
 import re
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
 
 import msgspec
@@ -14,7 +15,7 @@ from ..output.table_text import columns
 from ..scene.check import ArgumentError, host, short
 from ..scene.scene import Scene
 from ..scene.scene_table import SceneTable, table_of
-from .branch import Branch
+from .branch import Branch, Special
 from .branch_file import branch_of
 from .branch_tree import is_same
 
@@ -38,27 +39,29 @@ class Diagram:
     left: tuple[tuple[int, int], ...] = field(repr=False)
     complete: bool
     reason: str
-    settings: dict
+    settings: dict[str, int | float]
 
     def __len__(self):
         return len(self.branches)
 
     @property
-    def special(self):
+    def special(self) -> tuple[Special, ...]:
         """The special points of all branches, but for ends, each orbit once, by value."""
-        found = []
+        found: list[Special] = []
         for one in (one for branch in self.branches for one in branch.special if one.kind != "EP"):
             if not any(is_same(one, two) for two in found):
                 found.append(one)
         return tuple(sorted(found, key=lambda one: one.value))
 
-    def points(self, kind):
+    def points(self, kind: str) -> tuple[Special, ...]:
         """The special points of a kind."""
         return tuple(one for one in self.special if one.kind == kind)
 
-    def table(self):
+    def table(self) -> str:
         """The branches, then the special points, as a text, a line each."""
-        rows = [("branch", "orbits", "from", "to", "points", "special", "starts as", "ends as")]
+        rows: list[tuple[object, ...]] = [
+            ("branch", "orbits", "from", "to", "points", "special", "starts as", "ends as")
+        ]
         for place, one in enumerate(self.branches, 1):
             first, last = (f"{one.values[k]:.9g}" for k in (0, -1))
             kinds = " ".join(each.kind for each in one.special if each.kind != "EP")
@@ -68,7 +71,7 @@ class Diagram:
         points += [(one.kind, f"{one.value:.12g}", one.label) for one in self.special]
         return f"{columns(rows)}\n\n{columns(points)}\n\n{self.reason}"
 
-    def save(self, folder, force=False):
+    def save(self, folder: str | PathLike[str], force: bool = False) -> None:
         """Write the diagram into a folder, a NetCDF file a branch and an index; `load_diagram` reads the same numbers.
 
         The branches' files bear their checksums in their names, so that those of a diagram that is there already stay
@@ -112,7 +115,7 @@ class Index(msgspec.Struct):
 
 
 @host("use what was loaded before")
-def load_diagram(folder):
+def load_diagram(folder: str | PathLike[str]) -> Diagram:
     """The `Diagram` of a folder that `Diagram.save` wrote.
 
     A folder of before, without checksums, is read with a warning. Raises ArgumentError where the folder holds none or a

@@ -1,12 +1,29 @@
 """`diagrams`: what `explore` gives, for each value of another parameter."""
 
+from collections.abc import Callable, Sequence
+
+from jaxtyping import ArrayLike, Real
+
 from ..scene import check
 from ..scene.parameters import values_of
+from ..scene.scene import Scene
+from .diagram import Diagram
 from .explore import check_arguments, explore_on, settled_on
 
 
 @check.host("use strobe or monodromy")
-def diagrams(scene, name, bounds, third, values, max_period=8, seed=0, budget=None, largest_step=0.1, progress=None):
+def diagrams(
+    scene: Scene,
+    name: str,
+    bounds: tuple[float, float],
+    third: str,
+    values: Real[ArrayLike, " values"] | Sequence[float],
+    max_period: int = 8,
+    seed: int = 0,
+    budget: int | None = None,
+    largest_step: float = 0.1,
+    progress: Callable[[int], object] | None = None,
+) -> tuple[Diagram, ...]:
     """The periodic orbits along a parameter for each value of another: a tuple of `Diagram`, one a value.
 
     third: a parameter of the scene other than name; values: of it, a row of one at least, in any order; its value in
@@ -18,9 +35,9 @@ def diagrams(scene, name, bounds, third, values, max_period=8, seed=0, budget=No
     """
     check.require_single(scene)
     check.require_known(name, scene.names, name)
-    values = values_of(scene, third, values)
+    given = values_of(scene, third, values)
     if third == name:
         raise check.ArgumentError("third", "must be another parameter than name", third)
-    scenes = [scene.replace(**{third: value}) for value in values]
+    scenes = [scene.replace(**{third: value}) for value in given]
     tasks = [check_arguments(each, name, bounds, max_period, seed, budget, largest_step) for each in scenes]
     return tuple(explore_on(*each, progress) for each in zip(tasks, settled_on(tasks), strict=True))

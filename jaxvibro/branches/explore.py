@@ -5,7 +5,8 @@ is followed, through folds and grazings, and so is all that leaves the branch po
 next is looked at.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,7 +34,17 @@ SPENT = "the budget of {} branches is spent"
 
 
 @check.host("use strobe or monodromy")
-def explore(scene, name, bounds, max_period=8, seed=0, budget=None, resume=None, largest_step=0.1, progress=None):
+def explore(
+    scene: Scene,
+    name: str,
+    bounds: tuple[float, float],
+    max_period: int = 8,
+    seed: int = 0,
+    budget: int | None = None,
+    resume: Diagram | None = None,
+    largest_step: float = 0.1,
+    progress: Callable[[int], object] | None = None,
+) -> Diagram:
     """The periodic orbits of a scene along a parameter: a `Diagram`.
 
     scene: a single one; name, bounds: as in `follow`; the scene's own value of the parameter does not matter.
@@ -62,8 +73,8 @@ class Search(NamedTuple):
     name: str
     bounds: tuple[float, float]
     most: int
-    steps: dict
-    settings: dict
+    steps: dict[str, Any]
+    settings: dict[str, int | float]
 
 
 def check_arguments(scene, name, bounds, max_period, seed, budget, largest_step):

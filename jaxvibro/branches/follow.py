@@ -1,5 +1,8 @@
 """`follow`: a branch of periodic orbits along a parameter, through folds and grazings."""
 
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
 import numpy as np
 
 from continuation import locate
@@ -17,18 +20,29 @@ from ..scene import check
 from ..scene.parameters import bounds_of, domain, marked
 from ..scene.scale import scene_length
 from .assemble import assemble
+from .branch import Branch
 from .segment import BranchSettings
 from .through_grazings import go_on
+from .user_monitors import MonitoredPoint
 
 DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
 NO_ORBIT = 1e-6  # of the scene's length: a start with as large a residual is no orbit
+Monitors = Mapping[str, Callable[[MonitoredPoint], Any]] | tuple[()]  # by their labels
 
 
 @check.host("use strobe or monodromy; sensitivity has derivatives of special points")
 def follow(
-    orbit, name, bounds, direction="both", first_step=0.05, largest_step=0.1, tolerance=1e-10, monitors=(), stop=()
-):
+    orbit: Orbit,
+    name: str,
+    bounds: tuple[float, float],
+    direction: str = "both",
+    first_step: float = 0.05,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+    monitors: Monitors = (),
+    stop: str | Sequence[str] = (),
+) -> Branch:
     """The branch of periodic orbits through an orbit, along one parameter of its scene: a `Branch`.
 
     orbit: an `Orbit`, stable or not; name: of the parameter ("amplitude", "right.restitution", ...); bounds: (low,

@@ -7,6 +7,7 @@ position. Whatever is compared is a value of x on the orbit, so that a cell with
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from ..flight import flow, soft_contact
 from ..flight.coefficients import frame
@@ -24,8 +25,11 @@ ROUNDS = 6  # of false position: x at a turning point is right to the square of 
 
 
 @check.host("use strobe")
-def peaks(branch):
-    """The largest abs x on the orbit of each point of a `Branch`, (points,), in the scene's lengths."""
+def peaks(branch: Branch) -> Float[np.ndarray, " points"]:
+    """The largest abs x on the orbit of each point of a `Branch`, (points,), in the scene's lengths.
+
+    Raises ArgumentError for what is no `Branch`.
+    """
     if not isinstance(branch, Branch):
         raise check.ArgumentError("branch", "must be a Branch, as follow gives it", branch)
     found = np.zeros(len(branch))
@@ -38,7 +42,7 @@ def peaks(branch):
 
 
 @check.host("use strobe")
-def peak(orbit):
+def peak(orbit: Orbit) -> float:
     """The largest abs x on an `Orbit` of separate impacts, a number in the scene's lengths.
 
     Raises ArgumentError for an orbit that rests on a wall.
@@ -46,13 +50,14 @@ def peak(orbit):
     if not isinstance(orbit, Orbit) or (orbit.unknowns == "state" and orbit.impacts.count):
         raise check.ArgumentError("orbit", "must be an Orbit of separate impacts, as find_orbit gives it", orbit)
     scene, state, impacts = orbit.scene, orbit.state, orbit.impacts
-    late = float(state.phase) / float(scene.frequency)
-    rows = impacts.time + late, impacts.speed, impacts.side.astype(float)
-    spot = OrbitPoint(float(scene.amplitude), *rows, orbit.periods, float(state.x), float(state.v), orbit.residual)
+    x, v, phase = (float(np.asarray(each)) for each in (state.x, state.v, state.phase))
+    late = phase / float(scene.frequency)
+    rows = np.asarray(impacts.time) + late, np.asarray(impacts.speed), np.asarray(impacts.side, float)
+    spot = OrbitPoint(float(scene.amplitude), *rows, orbit.periods, x, v, orbit.residual)
     along, z = place_orbit(scene, "amplitude", spot)
     if not len(spot.times):
         z = np.array([spot.x, spot.v, spot.value])
-        along = along._replace(cycle=along.cycle._replace(phase=np.asarray(float(state.phase))))
+        along = along._replace(cycle=along.cycle._replace(phase=np.asarray(phase)))
     return float(_largest(along, z[None])[0])
 
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from ..attractors.recurrence import returns
 from ..maps.initial_conditions import random_starts
@@ -21,7 +22,7 @@ class Probe(NamedTuple):
     """What a start settled on. spot: the orbit, about; points: x and v at the end of each period, (periods, 2)."""
 
     spot: OrbitPoint
-    points: np.ndarray
+    points: Float[np.ndarray, "periods 2"]
 
 
 def probes(scenes, name, bounds, max_period, seed):

@@ -1,6 +1,7 @@
 """A segment of a branch: orbits of one itinerary, from a start to the first grazing, bound or other end."""
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,14 +10,16 @@ from continuation.arclength import Control, Point
 from continuation.driver import Met, Task
 from continuation.points import at, put, upto
 
+from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
 from ..problem.diagnostics import Diagnostics
 from ..problem.end import End
 from ..problem.equations import OrbitEquations, problem
 from ..problem.first_touch import OrbitWatch, to_touch
+from ..problem.grazing import GrazingExit
 from ..problem.same_orbit import images, is_repeated
 from ..problem.touches import Touch, is_pressed
-from .user_monitors import crossings
+from .user_monitors import MonitoredPoint, crossings
 
 
 class BranchSettings(NamedTuple):
@@ -26,11 +29,11 @@ class BranchSettings(NamedTuple):
 
     control: Control
     first: float
-    domain: tuple[float, float]
-    monitors: dict
+    domain: tuple[float, ...]
+    monitors: dict[str, Callable[[MonitoredPoint], Any]]
     stop: tuple[str, ...]
     length: float
-    marks: tuple
+    marks: tuple[tuple[Cycle, float], ...]
 
 
 class Mark(NamedTuple):
@@ -41,7 +44,7 @@ class Mark(NamedTuple):
     kind: str
     residual: float
     touches: tuple[Touch, ...] = ()
-    exits: tuple = ()
+    exits: tuple[GrazingExit, ...] = ()
     sure: bool = True
     aside: tuple[bool, ...] = ()
 

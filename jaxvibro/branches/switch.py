@@ -1,5 +1,6 @@
 """`switch`: the other branches that leave a special point; `extend`: a branch beyond its end."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +19,7 @@ from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
 from .assemble import START, assemble, merge
 from .branch import Branch, Special, row_of, spot_of
-from .follow import asking, check_settings, place_orbit, point
+from .follow import Monitors, asking, check_settings, place_orbit, point
 from .through_grazings import go_on
 
 FIRST = 0.01  # step of a branch that leaves a point
@@ -26,7 +27,15 @@ KINDS = ("SB", "BP", "PD", "GR")
 
 
 @check.host("use strobe or monodromy")
-def switch(special, bounds=None, first_step=FIRST, largest_step=0.1, tolerance=1e-10, monitors=(), stop=()):
+def switch(
+    special: Special,
+    bounds: tuple[float, float] | None = None,
+    first_step: float = FIRST,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+    monitors: Monitors = (),
+    stop: str | Sequence[str] = (),
+) -> tuple[Branch, ...]:
     """The branches that leave a special point besides the one it was found on: a tuple of `Branch`, each from the point
     on, to where it ends.
 
@@ -66,7 +75,7 @@ def branch_from(special, start, bounds, **settings):
 
 
 @check.host("use strobe or monodromy")
-def extend(branch, bounds):
+def extend(branch: Branch, bounds: tuple[float, float]) -> Branch:
     """The branch with wider bounds, followed on from each end that had come to its bound: a `Branch`.
 
     Raises ArgumentError where the new bounds do not hold the old ones.

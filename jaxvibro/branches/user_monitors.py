@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Complex, Float
 
 from continuation.event_search import Event
 from continuation.points import at, between
@@ -18,12 +19,12 @@ class MonitoredPoint(NamedTuple):
     x, v: at the section, one for each period; multipliers: the larger first; clearance: the least, inf if none."""
 
     value: float
-    times: np.ndarray
-    speeds: np.ndarray
-    sides: np.ndarray
-    x: np.ndarray
-    v: np.ndarray
-    multipliers: np.ndarray
+    times: Float[np.ndarray, " impacts"]
+    speeds: Float[np.ndarray, " impacts"]
+    sides: Float[np.ndarray, " impacts"]
+    x: Float[np.ndarray, " periods"]
+    v: Float[np.ndarray, " periods"]
+    multipliers: Complex[np.ndarray, "2"]
     clearance: float
 
 

@@ -13,8 +13,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Float
 
 from continuation import locate
+from continuation.arrays import Array
 from continuation.event_search import Event, fetched
 from continuation.linear import solve
 from continuation.persistent_jit import persistent_jit
@@ -150,10 +152,10 @@ class _Bend(NamedTuple):
     """value: the derivative of second or third order along the null vectors v and w; across: by how much the closing
     changes along them, whose sign makes that of the third derivative a normal form's."""
 
-    value: np.ndarray
-    v: np.ndarray
-    w: np.ndarray
-    across: np.ndarray
+    value: Float[Array, "*points"]
+    v: Float[Array, "*points unknowns"]
+    w: Float[Array, "*points unknowns"]
+    across: Float[Array, "*points"]
 
 
 def _bent(curve, zs, order, fine, reference=None):

@@ -17,7 +17,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Float, Int
 
+from continuation.arrays import Array
 from continuation.problem import Problem
 
 from ..compiled.compiler_hints import one_kernel
@@ -38,11 +40,11 @@ class Grazing(NamedTuple):
     scene: Scene
     which: Scene
     cycle: Cycle
-    pick: np.ndarray
-    slack: np.ndarray
+    pick: Float[Array, " rows"]
+    slack: Float[Array, ""]
 
     @property
-    def hits(self):
+    def hits(self) -> Int[np.ndarray, " impacts"]:
         """The rows of impacts whose speeds are to be positive."""
         return np.flatnonzero((self.cycle.sides != 0) & (self.pick == 0))
 
@@ -54,10 +56,10 @@ class Singular(NamedTuple):
     scene: Scene
     which: Scene
     cycle: Cycle
-    closing: np.ndarray
+    closing: Float[Array, ""]
 
-    hits = OrbitEquations.hits
-    slack = OrbitEquations.slack
+    hits = OrbitEquations.hits  # type: ignore[misc]  # properties that both have
+    slack = OrbitEquations.slack  # type: ignore[misc]  # so too
 
 
 def _grazing(z, curve):

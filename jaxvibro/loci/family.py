@@ -1,9 +1,13 @@
 """`family`: the loci of a special point for values of a third parameter, tracked together."""
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
+from jaxtyping import ArrayLike, Real
 
 from continuation.points import to_value
 
+from ..branches.branch import Special
 from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint
 from ..scene import check
@@ -11,12 +15,21 @@ from ..scene.parameters import values_of
 from ..scene.symmetry import stays_symmetric
 from .corner import outsets, track_on
 from .first_point import LocusStart, impacts_of, named, start_of
-from .locus import locus_of
+from .locus import Locus, locus_of
 from .track import together
 
 
 @check.host("use strobe or monodromy")
-def family(special, names, bounds, third, values, first_step=0.02, largest_step=0.1, tolerance=1e-12):
+def family(
+    special: Special,
+    names: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]],
+    third: str,
+    values: Real[ArrayLike, " values"] | Sequence[float],
+    first_step: float = 0.02,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-12,
+) -> tuple[Locus | None, ...]:
     """The loci of a special point for values of a third parameter: a tuple, for each value a `Locus` or None.
 
     special, names, bounds, first_step, largest_step, tolerance: as in `locus`; third: a parameter of the scene other
@@ -41,7 +54,7 @@ def family(special, names, bounds, third, values, first_step=0.02, largest_step=
     ways = [outsets(one, names, bounds, *steps) for one in starts]
     first = together([each for pair in ways for each in pair])
     both = zip(starts, ways, zip(first[::2], first[1::2], strict=True), strict=True)
-    loci = iter([_locus(one, *pair, *tracks, steps) for one, pair, tracks in both])
+    loci = iter([_locus(one, on, back, ahead, behind, steps) for one, (on, back), (ahead, behind) in both])
     return tuple(None if one is None else next(loci) for one in found)
 
 

@@ -1,16 +1,19 @@
 """`locus`: a curve of special points in two parameters, with its points of codimension two."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from jaxtyping import Complex, Float
 
 from continuation.arclength import Point
+from continuation.driver import Mark
 from continuation.points import joined, joined_marks, turned, turned_marks
 
-from ..branches.branch import row_of
+from ..branches.branch import Special, row_of
 from ..orbits.orbit import roots
 from ..output.table_text import columns
 from ..output.units import LENGTH, SPEED, TIME
@@ -46,8 +49,8 @@ class Codim2(SpecialOrbit):
     """
 
     kind: str
-    values: dict
-    multipliers: np.ndarray
+    values: dict[str, float]
+    multipliers: Complex[np.ndarray, "2"]
     place: int
     residual: float
     itinerary: tuple[str, ...]
@@ -56,7 +59,7 @@ class Codim2(SpecialOrbit):
 
 
 @dataclass(frozen=True, eq=False)
-class Locus(OrbitRows):
+class Locus(OrbitRows[Codim2]):
     """A curve of special points in two parameters.
 
     kind: of the points, SN, PD, SB or GR; names: of the parameters; bounds: of each; scene: at the start; data: an
@@ -66,7 +69,7 @@ class Locus(OrbitRows):
 
     kind: str
     names: tuple[str, str]
-    bounds: dict
+    bounds: dict[str, tuple[float, float]]
     scene: Scene = field(repr=False)
     data: xr.Dataset = field(repr=False)
     special: tuple[Codim2, ...]
@@ -79,23 +82,23 @@ class Locus(OrbitRows):
         return f"Locus({self.kind} of {self.label} in {self.names[0]} and {self.names[1]}, {len(self)} points, {ends})"
 
     @property
-    def values(self):
+    def values(self) -> Float[np.ndarray, "points 2"]:
         """The two parameters at each point, (points, 2)."""
         return np.stack([self.data[name].values for name in self.names], axis=1)
 
     @property
-    def label(self):
+    def label(self) -> str:
         """P n p q of the orbits."""
         return self.special[0].label
 
-    def located(self, place):
+    def located(self, place: int) -> tuple[Scene, OrbitPoint]:
         """(the scene at a point, its `OrbitPoint`)."""
         spot, values = _spot_of(self.data, place, self.names)
         return self.scene.replace(**values), spot
 
-    def table(self):
+    def table(self) -> str:
         """The special points as a text, a line each, and why the locus ends."""
-        rows = [("kind", *self.names, "orbit", "itinerary")]
+        rows: list[tuple[str, ...]] = [("kind", *self.names, "orbit", "itinerary")]
         for one in self.special:
             walls = " ".join(word or "." for word in one.itinerary)
             rows.append((one.kind, *(f"{value:.12g}" for value in one.values.values()), one.label, walls))
@@ -104,7 +107,14 @@ class Locus(OrbitRows):
 
 
 @check.host("use strobe or monodromy")
-def locus(special, names, bounds, first_step=0.02, largest_step=0.1, tolerance=1e-12):
+def locus(
+    special: Special,
+    names: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]],
+    first_step: float = 0.02,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-12,
+) -> Locus:
     """The curve of a special point in two parameters of its scene: a `Locus`.
 
     special: a `Special` of a branch, SN, PD, SB or GR; names: two parameters; bounds: {name: (low, high)} of both.
@@ -158,7 +168,7 @@ class _Part(NamedTuple):
     curve: Grazing | Singular
     points: Point
     look: Diagnostics
-    marks: tuple
+    marks: tuple[Mark, ...]
 
 
 def _turned(way, one):

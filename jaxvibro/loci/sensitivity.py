@@ -5,13 +5,16 @@ with w its null vector from the left, dp/dq = -(w F_q) / (w F_p). At a grazing o
 left of (F_u, F_p) is regular, and dp/dq is the last row of -(F_u, F_p)^-1 F_q. No second derivative is asked for.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float, Int
 
 from continuation import locate
 
+from ..branches.branch import Special
 from ..problem.equations import OrbitEquations, problem
 from ..scene import check
 from ..scene.parameters import flat, marked
@@ -31,20 +34,22 @@ class HeldPoint(NamedTuple):
     1 where it stands; residual: the largest error left in the equations."""
 
     along: OrbitEquations
-    z: np.ndarray
-    still: np.ndarray
-    kept: np.ndarray
+    z: Float[np.ndarray, " unknowns"]
+    still: Int[np.ndarray, " places"]
+    kept: Float[np.ndarray, " count"]
     marks: tuple[Scene, ...]
     residual: float
 
     @property
-    def value(self):
+    def value(self) -> float:
         """Of the point's parameter."""
         return float(self.z[-1])
 
 
 @check.host("use monodromy")
-def sensitivity(special, names, wall=None):
+def sensitivity(
+    special: Special, names: str | Sequence[str | tuple[str, ...]], wall: str | None = None
+) -> Float[np.ndarray, " names"]:
     """How the value of a special point changes with other parameters of its scene: an array, a number for each name.
 
     special: a `Special` of a branch, SN or GR; names: of parameters but the point's own, one or a sequence; a tuple

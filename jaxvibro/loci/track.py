@@ -33,9 +33,9 @@ class LocusSettings(NamedTuple):
     control: Control
     first: float
     names: tuple[str, str]
-    bounds: dict
-    box: tuple
-    domain: tuple
+    bounds: dict[str, tuple[float, float]]
+    box: tuple[tuple[float, float], ...]
+    domain: tuple[tuple[float, ...], ...]
     length: float
 
 
@@ -47,11 +47,11 @@ class LocusWay(NamedTuple):
     asked: LocusSettings
 
     @property
-    def task(self):
+    def task(self) -> Task:
         """The `driver.Task`."""
         curve, asked = self.curve, self.asked
         watch = LocusWatch(curve, asked.length)
-        starts = (self.start.z,)
+        starts = (np.asarray(self.start.z),)
         return Task(problem(curve), curve, asked.control, asked.first, asked.box, asked.domain, watch, starts=starts)
 
 

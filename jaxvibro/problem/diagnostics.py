@@ -6,7 +6,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jaxtyping import Float
 
+from continuation.arrays import Array
 from continuation.event_search import fetched
 from continuation.persistent_jit import persistent_jit
 
@@ -25,14 +27,14 @@ class Diagnostics(NamedTuple):
     the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods), at the
     section's phase; fold, flip: (points,), determinants, zero where a branch folds and where the period doubles."""
 
-    clear: np.ndarray
-    late: np.ndarray
-    trace: np.ndarray
-    determinant: np.ndarray
-    x: np.ndarray
-    v: np.ndarray
-    fold: np.ndarray
-    flip: np.ndarray
+    clear: Float[Array, "*points flights walls"]
+    late: Float[Array, "*points flights walls"]
+    trace: Float[Array, "*points"]
+    determinant: Float[Array, "*points"]
+    x: Float[Array, "*points periods"]
+    v: Float[Array, "*points periods"]
+    fold: Float[Array, "*points"]
+    flip: Float[Array, "*points"]
 
 
 def diagnose(along, zs):

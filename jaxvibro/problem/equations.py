@@ -10,6 +10,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Int
 
 from continuation.arclength import bordered
 from continuation.problem import Problem, Test
@@ -33,12 +34,12 @@ class OrbitEquations(NamedTuple):
     cycle: Cycle
 
     @property
-    def hits(self):
+    def hits(self) -> Int[np.ndarray, " impacts"]:
         """The rows of impacts, whose speeds are to be positive."""
         return np.flatnonzero(self.cycle.sides != 0)
 
     @property
-    def slack(self):
+    def slack(self) -> float:
         """How deep behind a wall a flight may be, as a touch that is meant is found with a rounding."""
         return 0.0
 

@@ -9,6 +9,7 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Float
 
 from continuation import event_search, locate
 from continuation.arclength import Control, Point
@@ -30,7 +31,7 @@ class GrazingExit(NamedTuple):
 
     along: OrbitEquations
     point: Point
-    near: np.ndarray
+    near: Float[np.ndarray, " unknowns"]
     look: Diagnostics
     included: tuple[bool, ...]
 

@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from ..maps import itinerary as words
 from ..orbits.by_impacts import by_section
@@ -21,9 +22,9 @@ class OrbitPoint(NamedTuple):
     periods; x, v: at phase 0; residual: the largest error left in its equations."""
 
     value: float
-    times: np.ndarray
-    speeds: np.ndarray
-    sides: np.ndarray
+    times: Float[np.ndarray, " impacts"]
+    speeds: Float[np.ndarray, " impacts"]
+    sides: Float[np.ndarray, " impacts"]
     periods: int
     x: float
     v: float

@@ -1,44 +1,66 @@
 """What a branch and a locus have in common: orbits in the rows of a Dataset, special points among them, two ends."""
 
+from collections.abc import Callable
 from functools import cached_property
+from typing import Generic, TypeVar
+
+import xarray as xr
 
 from ..maps import itinerary as words
+from ..orbits.orbit import Orbit
 from ..scene.check import ArgumentError
-from .orbit_on_branch import described_orbit
+from ..scene.scene import Scene
+from .orbit_on_branch import OrbitPoint, described_orbit
+
+Found = TypeVar("Found", bound="SpecialOrbit")  # the class of a curve's special points
 
 
 class SpecialOrbit:
     """A class of special points has scene, at the point; spot, the `OrbitPoint`; itinerary."""
 
+    kind: str
+    scene: Scene
+    spot: OrbitPoint
+    itinerary: tuple[str, ...]
+
     @property
-    def label(self):
+    def label(self) -> str:
         """P n p q of the orbit."""
         return words.label(self.itinerary)
 
     @cached_property
-    def orbit(self):
+    def orbit(self) -> Orbit:
         """The `Orbit` at the point. At a grazing an impact may have no speed."""
         return described_orbit(self.scene, self.spot)
 
 
-class OrbitRows:
+class OrbitRows(Generic[Found]):
     """A class of these has data, special and reasons; `NOUN`, what it is called; `located(place)`: (the scene at a
     point, its `OrbitPoint`)."""
 
-    def __len__(self):
+    data: xr.Dataset
+    special: tuple[Found, ...]
+    reasons: tuple[str, str]
+    NOUN: str
+    located: Callable[[int], tuple[Scene, OrbitPoint]]
+
+    def __len__(self) -> int:
         return self.data.sizes["point"]
 
     @property
-    def reason(self):
+    def reason(self) -> dict[str, str]:
         """Why each end is one: {"first": ..., "last": ...}."""
         return dict(zip(("first", "last"), self.reasons, strict=True))
 
-    def points(self, kind):
+    def points(self, kind: str) -> tuple[Found, ...]:
         """The special points of a kind, a tuple."""
         return tuple(one for one in self.special if one.kind == kind)
 
-    def orbit(self, place):
-        """The `Orbit` at one of the points, by its place."""
+    def orbit(self, place: int) -> Orbit:
+        """The `Orbit` at one of the points, by its place.
+
+        Raises ArgumentError for a place where there is none.
+        """
         count = len(self)
         if not -count <= place < count:
             raise ArgumentError("place", f"must be a point of the {self.NOUN}, from 0 to {count - 1}", place)
