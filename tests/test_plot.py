@@ -167,7 +167,8 @@ def branch(label="P111", periods=1, change=7):
     segments = (Segment(0, change - 1, label, ("RL",)), Segment(change, 8, "P112", ("RLR",)))
     kinds = {"EP": 0, "SN": 3, "PD": 6, "fast": 8}
     special = [
-        special_of(FREE, "amplitude", (0, 9), place, row_of(data, place), kind, 0.0) for kind, place in kinds.items()
+        special_of(FREE, "amplitude", (0.0, 9.0), place, row_of(data, place), kind, 0.0)
+        for kind, place in kinds.items()
     ]
     return Branch("amplitude", (0.0, 9.0), FREE, data, segments, tuple(special), ("", ""), {}, (End.BOUND, End.BOUND))
 
