@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import ArrayLike
+from jaxtyping import ArrayLike, Float
 
 from .arclength import bordered
 from .linear import Eliminated
@@ -25,7 +25,7 @@ class Test(NamedTuple):
     whether it is one, where the matrix may be singular for another reason."""
 
     label: str
-    matrix: Callable[[Any, Any], jax.Array]
+    matrix: Callable[[Any, Any], Float[jax.Array, "size size"]]
     holds: Callable[..., bool] = always
 
 
@@ -43,15 +43,15 @@ class Problem(NamedTuple):
     args), whether a special point that Newton's method comes to is one.
     """
 
-    function: Callable[[Any, Any], tuple[jax.Array, Any]]
-    solve: Callable[[Any, jax.Array, jax.Array], Eliminated]
-    plain: Callable[[Any, Any], tuple[jax.Array, jax.Array]]
+    function: Callable[[Any, Any], tuple[Float[jax.Array, " unknowns"], Any]]
+    solve: Callable[[Any, Float[jax.Array, " z"], Float[jax.Array, "z *sides"]], Eliminated]
+    plain: Callable[[Any, Any], tuple[Float[jax.Array, " unknowns"], Float[jax.Array, "unknowns z"]]]
     tests: tuple[Test, ...] = ()
     run: Callable[..., Any] = plainly
     holds: Callable[..., bool] = always
 
 
-Function = Callable[[jax.Array, dict[str, Any], Any], ArrayLike]  # of (u, p, args)
+Function = Callable[[Float[jax.Array, " unknowns"], dict[str, Any], Any], ArrayLike]  # of (u, p, args)
 
 
 class System(NamedTuple):

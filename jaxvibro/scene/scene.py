@@ -113,7 +113,7 @@ class Scene:
         """The sides of its soft walls, left first."""
         return tuple(side for side, wall in self.walls.items() if wall.soft)
 
-    def parameter(self, name: str) -> Float[Array, "..."] | np.floating:
+    def parameter(self, name: str) -> Float[Array, "..."] | np.floating | float | int:
         """The value of a parameter, an array; a wall without a restitution, or damping, of its own gives the scene's.
 
         Raises ArgumentError where the scene has no parameter of this name.
@@ -130,7 +130,7 @@ class Scene:
         """{name: number} of the parameters of a single scene."""
         return {name: float(self.parameter(name)) for name in self.names}
 
-    def bounce(self, side: str) -> Float[Array, "..."] | np.floating:
+    def bounce(self, side: str) -> Float[Array, "..."] | np.floating | float | int:
         """R of a wall, with which the velocity against it comes back; -1 of a soft one, which lets it pass."""
         wall = getattr(self, side)
         return -jnp.ones_like(wall.position) if wall.soft else self.parameter(f"{side}.restitution")
