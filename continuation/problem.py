@@ -51,7 +51,9 @@ class Problem(NamedTuple):
     holds: Callable[..., bool] = always
 
 
-Function = Callable[[Float[jax.Array, " unknowns"], dict[str, Any], Any], ArrayLike]  # of (u, p, args)
+Function = Callable[
+    [Float[jax.Array, " unknowns"], dict[str, Any], Any], Float[ArrayLike, " unknowns"]
+]  # of (u, p, args)
 
 
 class System(NamedTuple):
