@@ -1,9 +1,9 @@
 """Annotations of both packages held at run time: jaxtyping's shapes and dtypes, beartype's types.
 
 A file's annotated functions and its records are checked as soon as the file has been imported. A function is checked at
-every call, what it returns alone where it refuses arguments itself ("Raises" in its docstring). A record is checked
-where a file of ours makes one by its name: what jax puts together from the leaves of a tree (lanes, placeholders) is
-not.
+every call, what it returns alone where it refuses arguments itself ("Raises" in its docstring), and not at all where it
+warns, as a warning names the caller's line. A record is checked where a file of ours makes one by its name: what jax
+puts together from the leaves of a tree (lanes, placeholders) is not.
 """
 
 import sys
@@ -42,7 +42,7 @@ def check(module):
             continue
         if is_record(one):
             check_record(one)
-        elif isfunction(one) and one.__annotations__:
+        elif isfunction(one) and one.__annotations__ and "warning" not in (one.__doc__ or ""):
             setattr(module, name, checked(one))
 
 
@@ -58,7 +58,10 @@ def checked(one):
 
         free = [each.replace(annotation=each.empty) for each in plain.parameters.values()]
         one.__signature__ = plain.replace(parameters=free)
-    return jaxtyped(one, typechecker=beartype)
+    found = jaxtyped(one, typechecker=beartype)
+    if not isinstance(found, property):
+        found.__signature__ = signature(function)
+    return found
 
 
 def is_record(one):
@@ -72,9 +75,10 @@ def check_record(record):
     original = getattr(record, make)
 
     @wraps(original)
-    def made(first, *args, **named):
+    def made(first, /, *args, **named):
         found = original(first, *args, **named)
-        if sys._getframe(1).f_globals.get("__name__", "").split(".")[0] in PACKAGES:
+        maker = sys._getframe(1).f_globals.get("__name__", "")
+        if maker.split(".")[0] in PACKAGES and maker != "continuation.persistent_jit":
             _check_fields(record, first if found is None else found, hints)
         return found
 
