@@ -55,8 +55,6 @@ class Met(NamedTuple):
 class Watch:
     """What is known of points besides that they solve the equations, and what ends a branch: here nothing."""
 
-    tries_again = True  # whether a step that came to another branch, or to no point of this one, is tried again shorter
-
     def look(self, task, points):
         """(the points, with more where something may have been missed between two; what is known of each, as rows)."""
         return points, self.view(points.z)
@@ -196,16 +194,14 @@ def _part(task, points, status):
     good = watch.good(points.z, view)
     good[0] = True
     size, bad = len(points.z), int(np.argmin(np.append(good, False)))
-    jump, known = None, {}
-    if watch.tries_again:
-        jump, known = event_search.jump(task.problem, upto(points, bad + 1), task.control, task.args)
+    jump, known = event_search.jump(task.problem, upto(points, bad + 1), task.control, task.args)
     met = watch.before(task, upto(points, bad if jump is None else jump))
     if met is None and jump is not None:
         points, (end, again) = upto(points, jump), _retried(points.step[jump], task.control)
     elif met is None and bad < size:
         met, step = watch.touch(task, points, view, bad), points.step[bad]
         if met is None:
-            points, (end, again) = upto(points, bad), _retried(step, task.control if watch.tries_again else None)
+            points, (end, again) = upto(points, bad), _retried(step, task.control)
     if met is not None:
         points, end = met.points, met.end
     loop = _met(task, points)
@@ -239,9 +235,9 @@ def _within(task, points, end):
 
 
 def _retried(step, control):
-    """(the end, the step to try) where a step came to no point of the branch; control None: none is to be tried."""
+    """(the end, the step to try) where a step came to no point of the branch."""
     again = SMALLER * float(step)
-    return (End.STEP, None) if control is None or again < control.smallest else (None, again)
+    return (End.STEP, None) if again < control.smallest else (None, again)
 
 
 def _met(task, points):

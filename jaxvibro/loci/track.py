@@ -66,12 +66,7 @@ class TrackedLocus(NamedTuple):
 
 
 class LocusWatch(OrbitWatch):
-    """Orbits along two parameters: the points of codimension two among them, and the touch that ends them.
-
-    Where no touch is found a locus ends: closer to where its equations get singular, tests of third order are rounding.
-    """
-
-    tries_again = False
+    """Orbits along two parameters: the points of codimension two among them, and the touch that ends them."""
 
     def look(self, task, points):
         return super().look(task, points._replace(residual=_left(task, points)))
