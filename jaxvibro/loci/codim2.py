@@ -148,9 +148,9 @@ def _told_apart(found):
 
 
 class _Bend(NamedTuple):
-    """value: the derivative of second or third order along the null vectors v and w; across: by how much
-    w F_u v changes with the closing; where that is positive the sign of the third derivative is a normal form's. Near an impact without speed h
-    and the third derivative grow like 1 / speed: so h is a direction of its own, taken with length 1."""
+    """value: the derivative of second or third order along the null vectors v and w; across: how w F_u v changes with
+    the closing; where that is positive the sign of the third derivative is a normal form's. Near an impact without
+    speed h and the third derivative grow like 1 / speed: so h is a direction of its own, taken with length 1."""
 
     value: np.ndarray
     v: np.ndarray
@@ -195,7 +195,7 @@ def _bend(curve, z, reference, order, fine):
     places, *weights = THIRTEEN if fine else SEVEN
 
     def look(k, given):  # along v; then, where the third derivative is asked for, along v + h and v - h, h of length 1
-        second, third, mixed, size = given
+        second, third, mixed, _ = given
         h = jnp.where(k > 0, -solve(cyclic_system.dense(found), second).x, 0.0)
         length = jnp.sqrt(jnp.sum(h * h))
         length = jnp.where(length > 0, length, 1.0)
