@@ -15,6 +15,7 @@ from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, impacts, itinerary
 from ..scene.symmetry import is_symmetric
 from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
+from .impossible import require_damped, require_possible
 
 START = End.START.reason()
 SAME = 1e-6  # of the largest speed: two impacts as near are one
@@ -64,6 +65,7 @@ def _widened(data, widest):
 
 
 def _told(scene, name, bounds, pieces):
+    """(the data, `Segment`s, `Special`s) of the pieces. Raises ImpossibleError."""
     widest = max(int(np.sum(one.args.cycle.sides != 0)) for one in pieces)
     parts = [_columns(one, name, widest, k) for k, one in enumerate(pieces)]
     whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
@@ -87,7 +89,10 @@ def _told(scene, name, bounds, pieces):
         if not any(one.place == place for one in special):
             row = row_of(data, place)
             special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
-    return data.assign_attrs(parameter=name), tuple(segments), tuple(sorted(special, key=lambda one: one.place))
+    special = tuple(sorted(special, key=lambda one: one.place))
+    require_damped(name, whole[name], whole["multiplier_real"] + 1j * whole["multiplier_imag"])
+    require_possible(special, is_own_image)
+    return data.assign_attrs(parameter=name), tuple(segments), special
 
 
 def _columns(one, name, widest, place):
