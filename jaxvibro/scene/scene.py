@@ -176,10 +176,10 @@ def changed(scene, changes):
 def _of_hardness(scene, value):
     if not check.is_traced(value):
         value = check.quantity("hardness", value, np.float64)
-    decades, walls = value - scene.parameter("hardness"), {}
+    harder, walls = value - scene.parameter("hardness"), {}
     for side in scene.soft_sides:
         wall = getattr(scene, side)
-        stiffness, damping = hardened(wall.stiffness, scene.parameter(f"{side}.damping"), decades)
+        stiffness, damping = hardened(wall.stiffness, scene.parameter(f"{side}.damping"), harder)
         walls[side] = replace(wall, stiffness=stiffness, damping=damping)
     return replace(scene, **walls)
 

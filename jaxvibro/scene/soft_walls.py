@@ -60,12 +60,12 @@ def soften(scene, stiffness):
     return replace(scene, **changes).replace()
 
 
-def hardened(stiffness, damping, decades):
-    """(k2, gamma2) of a wall 10^decades times as stiff that has the same z, and with it the same R_eff."""
-    xp = jnp if check.is_traced(stiffness, damping, decades) else np
+def hardened(stiffness, damping, harder):
+    """(k2, gamma2) of a wall 10^harder times as stiff that has the same z, and with it the same R_eff."""
+    xp = jnp if check.is_traced(stiffness, damping, harder) else np
     with np.errstate(over="ignore", under="ignore"):  # a wall's own rules refuse what comes of it
-        harder = stiffness * 10.0**decades
-        return harder, damping * xp.sqrt((1.0 + harder) / (1.0 + stiffness))
+        found = stiffness * 10.0**harder
+        return found, damping * xp.sqrt((1.0 + found) / (1.0 + stiffness))
 
 
 def _numbers(**given):
