@@ -42,9 +42,10 @@ run: $(VENV)/.run ## compute figure 4 and its attractors into out/
 paper: $(VENV)/.run ## recompute the paper's figures and judge its claims, into out/paper/
 	$(BIN)/jaxvibro paper --out out/paper
 
-test: $(VENV)/.dev ## lint and the tests that take seconds
+test: $(VENV)/.dev ## lint, types and the tests that take seconds
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 	$(PYTEST) -m "not slow and not long"
 
 test-slow: $(VENV)/.dev ## the tests that take minutes
@@ -71,7 +72,7 @@ lock: $(UV) ## resolve the dependencies anew, hashes for every platform
 	echo "uv==$$($(UV) --version | cut -d' ' -f2)" | $(COMPILE) - --output-file requirements-uv.lock
 
 clean: ## remove all that make made, results included
-	rm -rf $(VENV) .tools out .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) .tools out .pytest_cache .ruff_cache .mypy_cache .hypothesis
 
 $(UV): requirements-uv.lock
 	@echo "fetching uv into .tools"

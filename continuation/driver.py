@@ -12,8 +12,9 @@ import numpy as np
 
 from . import arclength, event_search
 from .arclength import ON, OUT, Control, Place, Point
-from .points import at, cut_at, joined, joined_marks, pointed, put, to_value, upto
+from .points import at, cut_at, pointed, put, to_value, upto
 from .problem import Problem
+from .stretch import Mark, Stretch, glued
 
 MOST = 20_000  # points of a branch
 SMALLER = 0.25  # times the step that came to no point of the branch, to try again
@@ -34,16 +35,6 @@ class End(Enum):
 ENDS = {ON: None, OUT: End.BOUND, arclength.UNDERFLOW: End.STEP, arclength.NONFINITE: End.NUMBER}  # of a chunk
 
 
-class Mark(NamedTuple):
-    """A special point among those of a branch: its place there, kind, the largest error left in its equations; more:
-    what a `Watch` knows of it."""
-
-    place: int
-    kind: str
-    residual: float
-    more: Any = None
-
-
 class Met(NamedTuple):
     """What a `Watch` says of an end. points: up to it; mark: the special point there, its place left open; end."""
 
@@ -54,8 +45,6 @@ class Met(NamedTuple):
 
 class Watch:
     """What is known of points besides that they solve the equations, and what ends a branch: here nothing."""
-
-    tries_again = True  # whether a step that came to another branch, or to no point of this one, is tried again shorter
 
     def look(self, task, points):
         """(the points, with more where something may have been missed between two; what is known of each, as rows)."""
@@ -108,40 +97,15 @@ class Task(NamedTuple):
     starts: tuple[Any, ...] = ()
 
 
-class Stretch(NamedTuple):
-    """points, view: a row a point; marks: the special ones, in order; end: why; which: the place in the box of the
-    parameter that ended it, value: where."""
-
-    points: Point
-    view: Any
-    marks: tuple[Mark, ...]
-    end: Enum
-    which: int
-    value: float
-
-
-class _Part(NamedTuple):
-    """Of a `Stretch`: end is None where it goes on; again: the step to go on with from its last point, where a longer
-    one came to no point of the branch."""
-
-    points: Point
-    view: Any
-    marks: tuple[Mark, ...]
-    end: Enum | None
-    which: int
-    again: float | None
-
-
 def run(task, start):
     """The `Stretch` from a `Point`, whose tangent leads away."""
-    parts, place = [], _place(start, task.first)
+    whole, place = None, _place(start, task.first)
     while place is not None:
         for points, status in event_search.stretches(task.problem, place, task.control, task.args):
-            parts.append(_part(task, points, status))
-            if _is_over(parts) or parts[-1].again:
+            whole, place = _longer(task, whole, points, status)
+            if whole.end is not None or place is not None:
                 break
-        place = None if _is_over(parts) else _again(parts[-1])
-    return _joined(parts)
+    return whole
 
 
 def run_together(tasks, starts):
@@ -156,56 +120,48 @@ def run_together(tasks, starts):
 
 
 def _side_by_side(problem, tasks, starts):
-    parts = [[] for _ in tasks]
+    found = [None for _ in tasks]
 
     def goes_on(lane, points, status):
-        parts[lane].append(_part(tasks[lane], points, status))
-        return None if _is_over(parts[lane]) else _again(parts[lane][-1]) or True
+        found[lane], place = _longer(tasks[lane], found[lane], points, status)
+        return None if found[lane].end is not None else place or True
 
     places = [_place(start, task.first) for task, start in zip(tasks, starts, strict=True)]
     event_search.together(problem, places, [one.control for one in tasks], [one.args for one in tasks], goes_on)
-    return [_joined(each) for each in parts]
+    return found
 
 
 def _place(start, first):
     return Place(start.z, start.tangent, np.float64(first), np.int32(ON))
 
 
-def _again(part):
-    """The `Place` to go on from with a smaller step, None where the steps are good."""
-    return _place(at(part.points, -1), part.again) if part.again else None
-
-
-def _is_over(parts):
-    return parts[-1].end is not None or sum(len(one.points.z) - 1 for one in parts) > MOST
-
-
-def _joined(parts):
-    points, view = joined([one.points for one in parts]), joined([one.view for one in parts])
-    marks, last = (), parts[-1]
-    for part in reversed(parts):
-        marks = joined_marks(part.marks, part.points, marks)
-    return Stretch(points, view, marks, last.end or End.POINTS, last.which, float(points.z[-1, last.which]))
+def _longer(task, whole, points, status):
+    """(the `Stretch` with a chunk of steps at its end, whole: that before it or None; the `Place` to go on from with a
+    smaller step, None where the steps are good)."""
+    one, again = _part(task, points, status)
+    one = one if whole is None else glued(whole, one)
+    if one.end is None and len(one.points.z) - 1 > MOST:
+        one = one._replace(end=End.POINTS)
+    return one, _place(at(one.points, -1), again) if one.end is None and again else None
 
 
 def _part(task, points, status):
-    """The `_Part` of a chunk of steps."""
+    """(the `Stretch` of a chunk of steps; the step to go on with from its last point, where a longer one came to no
+    point of the branch, else None)."""
     watch, again = task.watch, None
     points, end, which = _within(task, points, ENDS[status])  # first, as what comes after a bound is not to be seen
     points, view = watch.look(task, points)
     good = watch.good(points.z, view)
     good[0] = True
     size, bad = len(points.z), int(np.argmin(np.append(good, False)))
-    jump, known = None, {}
-    if watch.tries_again:
-        jump, known = event_search.jump(task.problem, upto(points, bad + 1), task.control, task.args)
+    jump, known = event_search.jump(task.problem, upto(points, bad + 1), task.control, task.args)
     met = watch.before(task, upto(points, bad if jump is None else jump))
     if met is None and jump is not None:
         points, (end, again) = upto(points, jump), _retried(points.step[jump], task.control)
     elif met is None and bad < size:
         met, step = watch.touch(task, points, view, bad), points.step[bad]
         if met is None:
-            points, (end, again) = upto(points, bad), _retried(step, task.control if watch.tries_again else None)
+            points, (end, again) = upto(points, bad), _retried(step, task.control)
     if met is not None:
         points, end = met.points, met.end
     loop = _met(task, points)
@@ -219,7 +175,8 @@ def _part(task, points, status):
         marks.append(met.mark._replace(place=len(points.z) - 1))
     points, marks, halt = _stopped(task, points, marks)
     view = watch.view(points.z) if events or halt else view
-    return _Part(points, view, tuple(marks), halt or end, which, None if halt else again)
+    value = float(points.z[-1, which])
+    return Stretch(task.args, points, view, tuple(marks), halt or end, which, value), None if halt else again
 
 
 def _within(task, points, end):
@@ -239,9 +196,9 @@ def _within(task, points, end):
 
 
 def _retried(step, control):
-    """(the end, the step to try) where a step came to no point of the branch; control None: none is to be tried."""
+    """(the end, the step to try) where a step came to no point of the branch."""
     again = SMALLER * float(step)
-    return (End.STEP, None) if control is None or again < control.smallest else (None, again)
+    return (End.STEP, None) if again < control.smallest else (None, again)
 
 
 def _met(task, points):

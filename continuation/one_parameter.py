@@ -13,13 +13,14 @@ from . import branch_switching as crossing
 from . import driver, event_search, locate
 from .arclength import Control, Point
 from .branch import Branch, Special
-from .driver import End, Stretch, Task, Watch
+from .driver import End, Task, Watch
 from .errors import ContinuationError
 from .event_search import Event
 from .newton import ADVICE, newton
-from .points import between, joined, joined_marks, turned, turned_marks
+from .points import between
 from .problem import EQUILIBRIA, FIXED_POINTS, Given, System, problem_of, residual_at, slopes_at
 from .roots import sign_change
+from .stretch import backwards, glued
 
 DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
@@ -140,7 +141,7 @@ def both_ways(task, z, ahead, direction="both"):
 def branch_of(system, kind, bounds, given, back, on):
     """The `Branch` of the stretches backward and forward from a start; either may be None."""
     names = tuple(bounds)
-    whole = on if back is None else _turned(back) if on is None else _glued(_turned(back), on)
+    whole = on if back is None else backwards(back) if on is None else glued(backwards(back), on)
     z, size = whole.points.z, whole.points.z.shape[1] - len(names)
     eigenvalues = _eigenvalues(system, names, z, given)
     marks = {one.place: (one.kind, one.residual) for one in whole.marks}
@@ -225,19 +226,6 @@ def _point(z, tangent):
     """The `Point` at a start."""
     none = np.zeros(())
     return Point(z, tangent, none, none, none, np.True_, np.True_)
-
-
-def _turned(one):
-    """A `Stretch` from its end to its start."""
-    points, marks = turned(one.points), turned_marks(one.marks, one.points)
-    return one._replace(points=points._replace(tangent=-points.tangent), view=turned(one.view), marks=marks)
-
-
-def _glued(one, other):
-    """Two stretches as one, the second beginning where the first ends."""
-    marks = joined_marks(one.marks, one.points, other.marks)
-    points, view = joined([one.points, other.points]), joined([one.view, other.view])
-    return Stretch(points, view, marks, other.end, other.which, other.value)
 
 
 def _reason(one, names):

@@ -34,18 +34,6 @@ def turned(points):
     return jax.tree.map(lambda leaf: leaf[::-1], points)
 
 
-def turned_marks(marks, points):
-    """The special points among points, in the other order; each has its place."""
-    last = len(points.z) - 1
-    return tuple(one._replace(place=last - one.place) for one in reversed(marks))
-
-
-def joined_marks(marks, points, others):
-    """The special points among points and among those that begin with the last of these."""
-    last = len(points.z) - 1
-    return (*marks, *(one._replace(place=one.place + last) for one in others))
-
-
 def between(task, points, after, length):
     """The `Point` a length after one of them, None where Newton's method does not come there."""
     one = event_search.step(task.problem, at(points, after), length, task.control, task.args)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from continuation.points import joined, joined_marks, turned, turned_marks
+from continuation.stretch import backwards, glued
 
 from ..maps import itinerary as words
 from ..orbits.orbit import MARGIN, roots
@@ -15,7 +15,7 @@ from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, impacts, itinerary
 from ..scene.symmetry import is_symmetric
 from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
-from .segment import BranchPiece
+from .impossible import require_damped, require_possible
 
 START = End.START.reason()
 SAME = 1e-6  # of the largest speed: two impacts as near are one
@@ -24,9 +24,9 @@ SAME = 1e-6  # of the largest speed: two impacts as near are one
 def assemble(scene, name, bounds, settings, back, on, start=START):
     """The `Branch` of what was walked from a start backwards and onwards; either may be None. start: the `Reason` of
     that end."""
-    pieces = [_turned(one) for one in reversed(back.pieces)] if back else []
+    pieces = [backwards(one) for one in reversed(back.pieces)] if back else []
     if back and on:
-        pieces[-1] = _glued(pieces[-1], on.pieces[0])
+        pieces[-1] = glued(pieces[-1], on.pieces[0])
         pieces += on.pieces[1:]
     elif on:
         pieces = on.pieces
@@ -64,21 +64,9 @@ def _widened(data, widest):
     return data.drop_vars("side").pad(room).assign(side=sides)
 
 
-def _turned(one):
-    """A piece from its end to its start."""
-    points, marks = turned(one.points), turned_marks(one.marks, one.points)
-    return BranchPiece(one.along, points._replace(tangent=-points.tangent), turned(one.look), marks, one.why)
-
-
-def _glued(one, other):
-    """Two pieces of the same orbits, the second beginning where the first ends."""
-    marks = joined_marks(one.marks, one.points, other.marks)
-    points, look = joined([one.points, other.points]), joined([one.look, other.look])
-    return BranchPiece(one.along, points, look, marks, other.why)
-
-
 def _told(scene, name, bounds, pieces):
-    widest = max(int(np.sum(one.along.cycle.sides != 0)) for one in pieces)
+    """(the data, `Segment`s, `Special`s) of the pieces. Raises ImpossibleError."""
+    widest = max(int(np.sum(one.args.cycle.sides != 0)) for one in pieces)
     parts = [_columns(one, name, widest, k) for k, one in enumerate(pieces)]
     whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     about = _about(name)
@@ -101,20 +89,23 @@ def _told(scene, name, bounds, pieces):
         if not any(one.place == place for one in special):
             row = row_of(data, place)
             special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
-    return data.assign_attrs(parameter=name), tuple(segments), tuple(sorted(special, key=lambda one: one.place))
+    special = tuple(sorted(special, key=lambda one: one.place))
+    require_damped(name, whole[name], whole["multiplier_real"] + 1j * whole["multiplier_imag"])
+    require_possible(special, is_own_image)
+    return data.assign_attrs(parameter=name), tuple(segments), special
 
 
 def _columns(one, name, widest, place):
     """What a branch's data have of a piece: {name: array}, a row a point."""
-    z, turn, look = one.points.z, one.points.tangent, one.look
-    count, rows, size = int(np.sum(one.along.cycle.sides != 0)), len(one.along.cycle.sides), len(one.points.z)
+    z, turn, look = one.points.z, one.points.tangent, one.view
+    count, rows, size = int(np.sum(one.args.cycle.sides != 0)), len(one.args.cycle.sides), len(one.points.z)
 
     def impacts(values, fill):
         found = np.full((size, widest), fill)
         found[:, :count] = values
         return found
 
-    sides = np.broadcast_to(one.along.cycle.sides[:count], (size, count))
+    sides = np.broadcast_to(one.args.cycle.sides[:count], (size, count))
     slow = z[:, rows : rows + count] if rows else z[:, :0]
     quick = turn[:, rows : rows + count] if rows else slow
     found = roots(look.trace, look.determinant)
@@ -169,8 +160,8 @@ def _special(scene, name, bounds, mark, place, row):
     if kind == "BP" and is_symmetric(scene):
         spot = spot_of(row, name)
         kind = "SB" if is_own_image(spot, frequency_at(scene, name, spot.value)) else kind
-    joins = [_joined(way) for way in mark.exits]
-    return special_of(scene, name, bounds, place, row, kind, mark.residual, joins, mark.aside)
+    joins, aside = ([_joined(way) for way in mark.more.exits], mark.more.aside) if mark.more else ((), ())
+    return special_of(scene, name, bounds, place, row, kind, mark.residual, joins, aside)
 
 
 def _joined(way):

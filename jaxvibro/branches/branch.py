@@ -201,10 +201,10 @@ def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=
     """The `Special` at a `row_of` a branch's data."""
     spot = spot_of(row, name)
     found = row["multiplier_real"] + 1j * row["multiplier_imag"]
-    there = scene.replace(**{name: spot.value})
-    walls = itinerary(spot, float(there.frequency))
+    scene = scene.replace(**{name: spot.value})
+    walls = itinerary(spot, float(scene.frequency))
     hit = row["side"] != 0
     slopes = np.concatenate([row["time_slope"][hit], row["speed_slope"][hit], [row["value_slope"]]])
     return Special(
-        kind, name, spot.value, bounds, there, walls, found, residual, place, spot, slopes, tuple(joins), tuple(aside)
+        kind, name, spot.value, bounds, scene, walls, found, residual, place, spot, slopes, tuple(joins), tuple(aside)
     )

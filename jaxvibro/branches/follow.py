@@ -62,7 +62,8 @@ def follow(
     each period, multiplier_real and multiplier_imag, stable, least_speed, least_clearance, residual, segment.
 
     Raises ArgumentError for arguments that cannot be, OrbitError where the start is no orbit, rests on a wall or is
-    singular. What ends a branch is told by its `reason`.
+    singular, ArithmeticError where a special point was found that the scene cannot have (`impossible`). What ends a
+    branch is told by its `reason`.
     """
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)

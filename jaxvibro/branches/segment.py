@@ -6,15 +6,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from continuation import driver, event_search
-from continuation.arclength import Control, Point
+from continuation.arclength import Control
 from continuation.driver import Met, Task
 from continuation.points import at, put, upto
+from continuation.stretch import Mark
 
 from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
-from ..problem.diagnostics import Diagnostics
-from ..problem.end import End
-from ..problem.equations import OrbitEquations, problem
+from ..problem.end import End, ended
+from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
 from ..problem.grazing import GrazingExit
 from ..problem.same_orbit import images, is_repeated
@@ -36,37 +36,22 @@ class BranchSettings(NamedTuple):
     marks: tuple[tuple[Cycle, float], ...]
 
 
-class Mark(NamedTuple):
-    """A special point of a segment: its place there, kind, the largest error left; at a GR or CH its touches
-    and exits, whether those are all, and which the branch leaves aside."""
+class GrazingPoint(NamedTuple):
+    """What is known of a GR or CH. touches: of walls; exits: the branches that leave it; sure: whether these are all;
+    aside: which of them the branch does not go on with."""
 
-    place: int
-    kind: str
-    residual: float
-    touches: tuple[Touch, ...] = ()
-    exits: tuple[GrazingExit, ...] = ()
-    sure: bool = True
+    touches: tuple[Touch, ...]
+    exits: tuple[GrazingExit, ...]
+    sure: bool
     aside: tuple[bool, ...] = ()
 
 
-class BranchPiece(NamedTuple):
-    """along: its orbits; points, look: a row a point; marks: in order; why: its `End`."""
-
-    along: OrbitEquations
-    points: Point
-    look: Diagnostics
-    marks: tuple[Mark, ...]
-    why: End
-
-
 def follow_itinerary(along, start, asked):
-    """The `BranchPiece` that begins at a `Point`."""
+    """The `Stretch` of orbits of one itinerary that begins at a `Point`; its end is an `End` of `problem.end`."""
     control = asked.control
     box, watch = ((float(control.low), float(control.high)),), BranchWatch(along, asked.length, asked.monitors)
     task = Task(problem(along), along, control, asked.first, box, (asked.domain,), watch, asked.stop, asked.marks)
-    found = driver.run(task, start)
-    marks = (Mark(one.place, one.kind, one.residual, *(one.more or ())) for one in found.marks)
-    return BranchPiece(along, found.points, found.view, tuple(marks), End[found.end.name])
+    return ended(driver.run(task, start))
 
 
 class BranchWatch(OrbitWatch):
@@ -107,14 +92,14 @@ class BranchWatch(OrbitWatch):
     def grazing(self, points, kind, residual, more):
         """The `Met` at the last of the points; more: (touches, exits, whether these are all)."""
         met, ways, sure = more
-        mark = driver.Mark(0, kind, residual, (tuple(met), tuple(ways), sure))
+        mark = Mark(0, kind, residual, GrazingPoint(tuple(met), tuple(ways), sure))
         return Met(points, mark, {"GR": End.GRAZE, "CH": End.REST}[kind])
 
     def events(self, task, points, view, known, end):
         """Where the contact at the end has no speed each test is zero: it is given the sign that the multipliers come
         there with."""
         flip, tangent = view.flip, points.tangent
-        if end is not None and soft_grazing.is_singular(self.equations, end.mark.more[0]):
+        if end is not None and soft_grazing.is_singular(self.equations, end.mark.more.touches):
             doubled, folded = (1.0 + sign * view.trace[-2:] + view.determinant[-2:] for sign in (1.0, -1.0))
             flip = np.append(flip[:-1], flip[-2] * _turned(*doubled))
             tangent = np.vstack([tangent[:-1], tangent[-2] * _turned(*folded)])

@@ -4,11 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from continuation.stretch import Stretch
+
 from ..orbits.orbit_comparison import is_same_orbit
 from ..problem.end import End, Reason
 from ..problem.same_orbit import impacts, is_repeated
 from ..problem.touches import scales
-from .segment import BranchPiece, follow_itinerary
+from .segment import follow_itinerary
 
 MOST = 200  # pieces of a branch
 SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
@@ -18,7 +20,7 @@ SLOW = 1e-4  # of the scene's length per t: below, the flights between impacts a
 class OneWay(NamedTuple):
     """The pieces of a branch in one direction, and why it ends."""
 
-    pieces: list[BranchPiece]
+    pieces: list[Stretch]
     reason: Reason
 
 
@@ -29,18 +31,18 @@ def go_on(along, start, asked):
         scale = scales(along, asked.length)
         one = follow_itinerary(along, start, asked._replace(control=asked.control._replace(scale=scale)))
         way = None
-        if one.why is End.GRAZE:
+        if one.end is End.GRAZE:
             one, way = _onwards(one, scale)
             here = one.points.z[-1, -1], impacts(along, one.points.z[-1], asked.length)
             if any(_is_met(here, each) for each in met):
-                one, way = one._replace(why=End.CLOSED), None
+                one, way = one._replace(end=End.CLOSED), None
             elif is_repeated(along, one.points.z[-1]):
-                one, way = one._replace(why=End.HALVED), None
+                one, way = one._replace(end=End.HALVED), None
             elif _is_chatter(along, one.points.z[-1], asked.length):
-                one, way = one._replace(why=End.CHATTER), None
+                one, way = one._replace(end=End.CHATTER), None
             met.append(here)
         if len(pieces) == MOST - 1 and way is not None:
-            one, way = one._replace(why=End.POINTS), None
+            one, way = one._replace(end=End.POINTS), None
         pieces.append(one)
         if way is None:
             return OneWay(pieces, _reason(one))
@@ -53,8 +55,8 @@ def _onwards(one, scale):
     It goes on with the touches' impacts exchanged, those it had for those it had not, else as many of them as can be;
     the exit is None where there is none.
     """
-    mark = one.marks[-1]
-    here = tuple(touch.own for touch in mark.touches)
+    mark, met = one.marks[-1], one.marks[-1].more
+    here = tuple(touch.own for touch in met.touches)
     arrived = one.points.tangent[-1]
 
     def is_back(way):
@@ -65,10 +67,10 @@ def _onwards(one, scale):
         forward = way.included == here
         return forward, sum(a != b for a, b in zip(way.included, here, strict=True))
 
-    chosen = max((way for way in mark.exits if not is_back(way)), key=exchanged, default=None)
-    aside = tuple(not (way is chosen or is_back(way)) for way in mark.exits)
-    why = one.why if chosen or mark.sure else End.STEP
-    return one._replace(marks=(*one.marks[:-1], mark._replace(aside=aside)), why=why), chosen
+    chosen = max((way for way in met.exits if not is_back(way)), key=exchanged, default=None)
+    aside = tuple(not (way is chosen or is_back(way)) for way in met.exits)
+    marks = (*one.marks[:-1], mark._replace(more=met._replace(aside=aside)))
+    return one._replace(marks=marks, end=one.end if chosen or met.sure else End.STEP), chosen
 
 
 def _is_chatter(along, z, length):
@@ -84,4 +86,4 @@ def _is_met(here, other):
 
 def _reason(one):
     kind = one.marks[-1].kind if one.marks else ""
-    return one.why.reason(one.points.z[-1, -1], kind)
+    return one.end.reason(one.points.z[-1, -1], kind)

@@ -55,6 +55,7 @@ SEVEN = (
 )
 ORDERS = {"CP": 2, "GPD": 3, "DSB": 3}  # of the derivative that is zero there
 STEP = 1e-5  # of 1 + abs z: the points of a difference, for Newton's method
+NONE = 1e-10  # `_Bend.across`: as small, an impact has no speed, and the third derivative no value
 SAME = 1e-7  # of z: two points as near are one
 LANES = 132  # points of a compiled call
 
@@ -78,7 +79,7 @@ def _watched(curve, points, look):
             turned = np.sum(points.tangent[1:, -2:] * points.tangent[:-1, -2:], axis=1)
             return {"CP": np.cumprod(np.append(1.0, np.sign(turned)))}
         bend = _bent(curve, points.z, 3, False)
-        return {_doubling(curve, "GPD", "DSB"): bend.value * np.sign(bend.across)}
+        return {_doubling(curve, "GPD", "DSB"): np.where(bend.across > NONE, bend.value, np.nan)}
     fold, flip = _singled(curve, look)
     return {"SN": fold, _doubling(curve, "PD", "SB"): flip}
 
@@ -149,8 +150,9 @@ def _told_apart(found):
 
 
 class _Bend(NamedTuple):
-    """value: the derivative of second or third order along the null vectors v and w; across: by how much the closing
-    changes along them, whose sign makes that of the third derivative a normal form's."""
+    """value: the derivative of second or third order along the null vectors v and w; across: how w F_u v changes with
+    the closing; where that is positive the sign of the third derivative is a normal form's. Near an impact without
+    speed h and the third derivative grow like 1 / speed: so h is a direction of its own, taken with length 1."""
 
     value: Float[Array, "*points"]
     v: Float[Array, "*points unknowns"]
@@ -190,18 +192,27 @@ def _bend(curve, z, reference, order, fine):
     found = cyclic_system.of(impact_equations.equations(built, cycle_at(curve, z))[1])
     w, v = (each / jnp.sqrt(jnp.sum(each * each)) for each in cyclic_system.nulls(found, curve.closing))
     v, w = (jnp.where(jnp.sum(one * given) < 0, -one, one) for one, given in zip((v, w), reference, strict=True))
-    across = cyclic_system.product(w, found, v, 1.0) - cyclic_system.product(w, found, v, -1.0)
+    across = cyclic_system.by_turn(w, found, v)
     step = APART / _rate(built)
     places, *weights = THIRTEEN if fine else SEVEN
 
-    def derivative(k, given):  # of the second order, then of the third with its h
-        last, _ = given
-        h = jnp.where(k > 0, -solve(cyclic_system.dense(found), last).x, 0.0)
-        beside = jax.vmap(lambda k: _ahead(curve, built, z, v, h, k * step))(jnp.array(places, z.dtype))
-        weight = lax.dynamic_index_in_dim(jnp.array(weights, z.dtype), k, keepdims=False)
-        return jnp.sum(weight[:, None] * beside, 0) / step ** (k + 2.0), h
+    def look(k, given):  # along v; then, where the third derivative is asked for, along v + h and v - h, h of length 1
+        second, third, mixed, _ = given
+        h = jnp.where(k > 0, -solve(cyclic_system.dense(found), second).x, 0.0)
+        length = jnp.sqrt(jnp.sum(h * h))
+        length = jnp.where(length > 0, length, 1.0)
+        h = jnp.where(k > 1, -h, h) / length
+        beside = jax.vmap(lambda place: _ahead(curve, built, z, v, h, place * step))(jnp.array(places, z.dtype))
+        two, three = (
+            jnp.array(each, z.dtype) @ beside / step**power for power, each in zip((2, 3), weights, strict=True)
+        )
+        first = k == 0
+        mixed = jnp.where(first, mixed, mixed + jnp.where(k > 1, -0.25, 0.25) * two)
+        return jnp.where(first, two, second), jnp.where(first, three, third), mixed, length
 
-    last, _ = lax.fori_loop(0, order - 1, derivative, (jnp.zeros_like(v), jnp.zeros_like(v)))
+    zero = jnp.zeros_like(v)
+    second, third, mixed, size = lax.fori_loop(0, 1 if order == 2 else 3, look, (zero, zero, zero, jnp.ones(())))
+    last = second if order == 2 else third + 3.0 * size * mixed
     return _Bend(jnp.sum(w * last), v, w, across)
 
 
@@ -214,8 +225,8 @@ def _rate(built):
 
 
 def _ahead(curve, built, z, v, h, s):
-    """F of the impacts moved by s v + s^2 / 2 h, the first impact of the next time round by what its closing says."""
-    rows, moves = len(curve.cycle.sides), ((s * v, curve.closing), (0.5 * s * s * h, 1.0))
+    """F of the impacts moved by s (v + h), the first impact of the next time round by v as its closing says."""
+    rows, moves = len(curve.cycle.sides), ((s * v, curve.closing), (s * h, 1.0))
     value = impact_equations.equations(built, impact_equations.unwound(cycle_at(curve, z), built.period, moves))[0]
     own = jnp.arange(rows) < jnp.sum(curve.cycle.sides != 0)
     return jnp.concatenate([jnp.where(own, value[:rows], 0.0), jnp.where(own, value[rows + 1 : 2 * rows + 1], 0.0)])

@@ -42,7 +42,7 @@ def outsets(start, names, bounds, *steps):
 
 
 def track_on(start, way, steps, one=None):
-    """What is tracked along a `LocusWay` and on from wall to wall, a list of (`LocusWay`, `TrackedLocus`); one: the
+    """What is tracked along a `LocusWay` and on from wall to wall, a list of (`LocusWay`, `Stretch`); one: the
     first, if it is known. start: the `LocusStart` of the locus; steps: as of `outsets`."""
     found = []
     while way is not None and len(found) < MOST:
@@ -68,7 +68,7 @@ def _is_free(way):
 def _beyond(start, way, one, steps):
     """The `LocusWay` on from where the motion without impacts comes to touch another wall, None elsewhere."""
     curve, names = way.curve, way.asked.names
-    if one.why is not End.GRAZE or not isinstance(curve, Grazing) or len(curve.hits) or float(curve.cycle.turn) < 0:
+    if one.end is not End.GRAZE or not isinstance(curve, Grazing) or len(curve.hits) or float(curve.cycle.turn) < 0:
         return None
     z, none = one.points.z[-1], np.zeros(0)
     values = zip(names, z[-2:], strict=True)

@@ -60,7 +60,7 @@ def family(
 
 def _locus(start, on, back, ahead, behind, steps):
     """The `Locus` of ways on and back and what was tracked along each first."""
-    closes = ahead.why is End.CLOSED
+    closes = ahead.end is End.CLOSED
     return locus_of(start, track_on(start, on, steps, ahead), () if closes else track_on(start, back, steps, behind))
 
 
@@ -84,7 +84,8 @@ def _crossed(start, sides, pair, value):
     ahead = []
     for side in sides:
         past = 0.0
-        for way, (points, *_) in side:
+        for way, one in side:
+            points = one.points
             late, level = past + np.cumsum(points.step), points.z[:, -1] - value
             for after in np.flatnonzero(level[:-1] * level[1:] <= 0):
                 share = level[after] / ((level[after] - level[after + 1]) or 1.0)

@@ -2,30 +2,26 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
 from jaxtyping import Complex, Float
 
-from continuation.arclength import Point
-from continuation.driver import Mark
-from continuation.points import joined, joined_marks, turned, turned_marks
+from continuation.stretch import backwards, glued
 
 from ..branches.branch import Special, row_of
 from ..orbits.orbit import roots
 from ..output.table_text import columns
 from ..output.units import LENGTH, SPEED, TIME
-from ..problem.diagnostics import Diagnostics
 from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, itinerary
 from ..problem.orbit_rows import OrbitRows, SpecialOrbit
 from ..scene import check
 from ..scene.scene import Scene, changed
 from .corner import outsets, track_on
-from .extended_system import Grazing, Singular
 from .first_point import impacts_of, start_of
+from .track import reason
 
 MEANINGS = {
     "CP": "cusp",
@@ -135,20 +131,20 @@ def locus(
     start, steps = start_of(special), (first_step, largest_step, tolerance)
     on, back = outsets(start, names, bounds, *steps)
     ahead = track_on(start, on, steps)
-    return locus_of(special, ahead, () if ahead[0][1].why is End.CLOSED else track_on(start, back, steps))
+    return locus_of(special, ahead, () if ahead[0][1].end is End.CLOSED else track_on(start, back, steps))
 
 
 def locus_of(special, on, back):
     """The `Locus` of what was `corner.track_on` from its start on and back, the latter empty where the first closes."""
     asked, parts = (
         on[0][0].asked,
-        [_turned(*one) for one in reversed(back)] + [_Part(way.curve, *one[:3]) for way, one in on],
+        [backwards(one) for _, one in reversed(back)] + [one for _, one in on],
     )
     if back and back[0][0].curve is on[0][0].curve:
-        parts[len(back) - 1 : len(back) + 1] = [_glued(*parts[len(back) - 1 : len(back) + 1])]
+        parts[len(back) - 1 : len(back) + 1] = [glued(*parts[len(back) - 1 : len(back) + 1])]
     data, found, first = [], {}, 0
     for part in parts:
-        data.append(_data(part.curve, asked.names, part).isel(point=slice(1 if data else 0, None)))
+        data.append(_data(asked.names, part).isel(point=slice(1 if data else 0, None)))
         found |= {first + mark.place: (mark.kind, mark.residual) for mark in part.marks}
         last = first + len(part.points.z) - 1
         if part is not parts[-1]:  # a corner
@@ -158,33 +154,13 @@ def locus_of(special, on, back):
     for place in (0, first):
         found.setdefault(place, ("EP", float(data["residual"].values[place])))
     points = tuple(_codim2(special.scene, asked.names, data, place, *found[place]) for place in sorted(found))
-    reasons = (back[-1][1].reason if back else "the start", on[-1][1].reason)
+    reasons = (reason(*back[-1]) if back else "the start", reason(*on[-1]))
     return Locus(special.kind, asked.names, asked.bounds, special.scene, data, points, reasons)
 
 
-class _Part(NamedTuple):
-    """A stretch of a locus with one curve: its points, their `Diagnostics`, and marks."""
-
-    curve: Grazing | Singular
-    points: Point
-    look: Diagnostics
-    marks: tuple[Mark, ...]
-
-
-def _turned(way, one):
-    """What was tracked as a `_Part` from its end to its start."""
-    return _Part(way.curve, turned(one.points), turned(one.look), turned_marks(one.marks, one.points))
-
-
-def _glued(one, other):
-    """Two parts of one curve, the second beginning where the first ends."""
-    marks = joined_marks(one.marks, one.points, other.marks)
-    points, look = (joined([a, b]) for a, b in ((one.points, other.points), (one.look, other.look)))
-    return _Part(one.curve, points, look, marks)
-
-
-def _data(curve, names, one):
-    z, look, rows = one.points.z, one.look, len(curve.cycle.sides)
+def _data(names, one):
+    curve, z, look = one.args, one.points.z, one.view
+    rows = len(curve.cycle.sides)
     times, speeds, sides, periods = impacts_of(curve, z)
     found = roots(look.trace, look.determinant)
     if float(curve.cycle.turn) < 0:  # of half the orbit

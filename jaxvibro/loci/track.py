@@ -6,10 +6,10 @@ import numpy as np
 
 from continuation import driver, locate
 from continuation.arclength import Control, Point
-from continuation.driver import Mark, Met, Task
+from continuation.driver import Met, Task
+from continuation.stretch import Mark
 
-from ..problem.diagnostics import Diagnostics
-from ..problem.end import End
+from ..problem.end import End, ended
 from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
 from . import codim2
@@ -55,23 +55,8 @@ class LocusWay(NamedTuple):
         return Task(problem(curve), curve, asked.control, asked.first, asked.box, asked.domain, watch, starts=starts)
 
 
-class TrackedLocus(NamedTuple):
-    """points, look: a row a point; marks: the special ones; reason: why it ends; why: the same, an `End`."""
-
-    points: Point
-    look: Diagnostics
-    marks: tuple[Mark, ...]
-    reason: str
-    why: End
-
-
 class LocusWatch(OrbitWatch):
-    """Orbits along two parameters: the points of codimension two among them, and the touch that ends them.
-
-    Where no touch is found a locus ends: closer to where its equations get singular, tests of third order are rounding.
-    """
-
-    tries_again = False
+    """Orbits along two parameters: the points of codimension two among them, and the touch that ends them."""
 
     def look(self, task, points):
         return super().look(task, points._replace(residual=_left(task, points)))
@@ -86,21 +71,18 @@ class LocusWatch(OrbitWatch):
 
 
 def track(way):
-    """The `TrackedLocus` along a `LocusWay`."""
-    return _tracked(way, driver.run(way.task, way.start))
+    """The `Stretch` along a `LocusWay`."""
+    return ended(driver.run(way.task, way.start))
 
 
 def together(ways):
-    """The `TrackedLocus` of each of some `LocusWay`s, those of one kind and size as the lanes of one compiled call."""
-    found = driver.run_together([way.task for way in ways], [way.start for way in ways])
-    return [_tracked(*each) for each in zip(ways, found, strict=True)]
+    """The `Stretch` of each of some `LocusWay`s, those of one kind and size as the lanes of one compiled call."""
+    return [ended(one) for one in driver.run_together([way.task for way in ways], [way.start for way in ways])]
 
 
-def _tracked(way, found):
-    """The `TrackedLocus` of a `driver.Stretch`."""
-    why = End[found.end.name]
-    text = REASONS.get(why, REASONS[End.STEP]).format(name=way.asked.names[found.which], value=found.value)
-    return TrackedLocus(found.points, found.view, found.marks, text, why)
+def reason(way, one):
+    """Why a `LocusWay` ended, of which the `Stretch` is known."""
+    return REASONS.get(one.end, REASONS[End.STEP]).format(name=way.asked.names[one.which], value=one.value)
 
 
 def _left(task, points):

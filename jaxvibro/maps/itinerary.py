@@ -35,8 +35,7 @@ def around(time, side, periods, length):
 
     An impact at the section's phase belongs to the period that ends.
     """
-    spare = NEAR * length
-    late = np.mod(np.asarray(time) - spare, periods * length)
+    late = np.mod(np.asarray(time) - NEAR * length, periods * length)
     order = np.argsort(late)
     place = np.minimum(late[order] // length, periods - 1)
     sides = np.asarray(side)[order]

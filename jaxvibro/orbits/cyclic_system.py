@@ -71,13 +71,21 @@ def determinants(ring):
 def nulls(ring, turn):
     """(w, v), (2 rows,) each, for which w J and J v are zero where J is singular: the equations by times and speeds,
     what comes after the last impact being the first's times turn. Elsewhere w J v measures how far that is: its
-    derivative is w J' v, but for what is as small as w J v."""
+    derivative is w J' v, but for what is as small as w J v. It has one sign along a locus: w J v grows with the turn,
+    at a multiplier that is not a double one."""
     place = jnp.arange(len(ring.own))
     order = jnp.where(place <= ring.last, ring.last - place, place)
     before = jnp.where(place < ring.last, order - 1, ring.last)
     own, following = (each.transpose(0, 2, 1)[at] for each, at in ((ring.own, order), (ring.following, before)))
-    left = _null(ring._replace(own=own, following=following), turn)[order]
-    return _flat(left), _flat(_null(ring, turn))
+    left = _flat(_null(ring._replace(own=own, following=following), turn)[order])
+    right = _flat(_null(ring, turn))
+    return jnp.where(by_turn(left, ring, right) < 0, -left, left), right
+
+
+def by_turn(left, ring, right):
+    """How w J v, J as in `nulls`, changes with the turn."""
+    w, v = (pairs(each, len(ring.own)) for each in (left, right))
+    return w[ring.last] @ ring.following[ring.last] @ v[0]
 
 
 def _null(ring, turn):

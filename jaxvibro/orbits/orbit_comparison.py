@@ -11,15 +11,15 @@ APART = 10.0  # between the two walls' points: more than any two of one wall
 QUERIES = 200  # impacts of one set that are looked for in another
 
 
-def meetings(frequency, time, side, speed, pace):
-    """The impacts as points (side APART, cos phase, sin phase, speed / pace), shape (impacts, 4), in order.
+def meetings(frequency, time, side, speed, length):
+    """The impacts as points (side APART, cos phase, sin phase, speed / length), shape (impacts, 4), in order.
 
     time, side, speed: of the impacts in periods that start at phase `time` 0, as in `Impacts`, slots last.
-    pace: a speed that is large for the scene.
+    length: of the scene, per t a speed that is large.
     """
     hit = side != 0
     phase = frequency * time[hit]
-    return np.stack([side[hit] * APART, np.cos(phase), np.sin(phase), speed[hit] / pace], -1)
+    return np.stack([side[hit] * APART, np.cos(phase), np.sin(phase), speed[hit] / length], -1)
 
 
 def mirrored(points):

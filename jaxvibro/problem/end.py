@@ -38,6 +38,11 @@ class Reason(NamedTuple):
     text: str
 
 
+def ended(one):
+    """A `continuation.stretch.Stretch` with its end as an `End` of these."""
+    return one._replace(end=End[one.end.name])
+
+
 def read(text):
     """The `End` of a text: saved branches had no more. Raises ValueError where it is none."""
     for one in End:

@@ -36,10 +36,10 @@ def itinerary(spot, frequency):
     return words.around(spot.times, spot.sides, spot.periods, 2.0 * np.pi / frequency)
 
 
-def impacts(spot, frequency, pace=None):
-    """The impacts of a `OrbitPoint`'s orbit in order as points (`orbit_comparison`), speeds over a pace, or over the
+def impacts(spot, frequency, length=None):
+    """The impacts of a `OrbitPoint`'s orbit in order as points (`orbit_comparison`), speeds over a length per t or the
     largest."""
-    return meetings(frequency, spot.times, spot.sides, spot.speeds, pace or spot.speeds.max(initial=0.0) or 1.0)
+    return meetings(frequency, spot.times, spot.sides, spot.speeds, length or spot.speeds.max(initial=0.0) or 1.0)
 
 
 def described_orbit(scene, spot):

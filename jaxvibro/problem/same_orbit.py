@@ -47,9 +47,9 @@ def turns(along, z, times, sides):
     return apart.argmin(axis=2)
 
 
-def impacts(along, z, pace=None):
-    """The impacts of an orbit in order as points (`orbit_comparison`), speeds over a pace, or over the largest."""
+def impacts(along, z, length=None):
+    """The impacts of an orbit in order as points (`orbit_comparison`), speeds over a length per t or the largest."""
     rows = len(along.cycle.sides)
     times, speeds = z[:rows], z[rows : 2 * rows]
-    pace = pace or speeds.max(initial=0.0) or 1.0
-    return meetings(float(there(along, z).frequency), times, along.cycle.sides, speeds, pace)
+    length = length or speeds.max(initial=0.0) or 1.0
+    return meetings(float(there(along, z).frequency), times, along.cycle.sides, speeds, length)

@@ -187,20 +187,20 @@ def changed(scene, changes):
 def _of_hardness(scene, value):
     if not check.is_traced(value):
         value = check.quantity("hardness", value, np.float64)
-    decades, walls = value - scene.parameter("hardness"), {}
+    harder, walls = value - scene.parameter("hardness"), {}
     for side in scene.soft_sides:
         wall = getattr(scene, side)
-        stiffness, damping = hardened(wall.stiffness, scene.parameter(f"{side}.damping"), decades)
+        stiffness, damping = hardened(wall.stiffness, scene.parameter(f"{side}.damping"), harder)
         walls[side] = replace(wall, stiffness=stiffness, damping=damping)
     return replace(scene, **walls)
 
 
-def hardened(stiffness, damping, decades):
-    """(k2, gamma2) of a wall 10^decades times as stiff that has the same z, and with it the same R_eff."""
-    xp = jnp if check.is_traced(stiffness, damping, decades) else np
+def hardened(stiffness, damping, harder):
+    """(k2, gamma2) of a wall 10^harder times as stiff that has the same z, and with it the same R_eff."""
+    xp = jnp if check.is_traced(stiffness, damping, harder) else np
     with np.errstate(over="ignore", under="ignore"):  # a wall's own rules refuse what comes of it
-        harder = stiffness * 10.0**decades
-        return harder, damping * xp.sqrt((1.0 + harder) / (1.0 + stiffness))
+        found = stiffness * 10.0**harder
+        return found, damping * xp.sqrt((1.0 + found) / (1.0 + stiffness))
 
 
 def _put(node, path, value):

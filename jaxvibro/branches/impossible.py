@@ -1,0 +1,63 @@
+"""Special points that cannot be.
+
+Between passive walls the multipliers' product is that of e^(-gamma T), of each wall's R^2 and of what soft walls take:
+positive, and 1 at the most. Below 1 no two multipliers are of size 1: there is no Neimark-Sacker point, and no two of
+SN, SB and PD are one; nor has an orbit that is its own mirror image a PD, as its multipliers are the squares of those
+of half of it (Swift and Wiesenfeld, Phys. Rev. Lett. 52, 1984).
+"""
+
+import numpy as np
+
+from ..scene.symmetry import is_symmetric
+
+PAIRS = {("SB", "SN"), ("PD", "SN"), ("PD", "SB"), ("BP", "PD")}
+NEAR = 1e-9  # of 1 + abs value and of the largest impact's speed: special points as near are one
+ROUNDING = 1e-9  # of 1 + the larger multiplier, squared: so far may the product be off
+
+
+class ImpossibleError(ArithmeticError):
+    """A special point was found that the scene cannot have: what was computed there is wrong."""
+
+    def __init__(self, what, name, value, product):
+        super().__init__(what, name, value, product)
+        self.what, self.name, self.value, self.product = what, name, value, product
+
+    def __str__(self):
+        return (
+            f"{self.what} at {self.name} = {self.value:.12g} cannot be, the multipliers' product being"
+            f" {self.product:.6g}: what was computed there is wrong; please report the scene"
+        )
+
+
+def require_damped(name, values, multipliers):
+    """Refuse points, (points,) and (points, 2), whose multipliers' product is more than 1. Raises ImpossibleError."""
+    with np.errstate(invalid="ignore"):
+        products = abs(multipliers.prod(axis=1))
+        beyond = products > 1.0 + ROUNDING * (1.0 + abs(multipliers[:, 0])) ** 2
+    for place in np.flatnonzero(beyond & np.isfinite(products)):
+        raise ImpossibleError("a growing area", name, float(values[place]), float(products[place]))
+
+
+def require_possible(special, is_own_image):
+    """Refuse special points, in order, that cannot be; is_own_image: of an `OrbitPoint` and the drive's frequency.
+    Raises ImpossibleError."""
+    for one in special:
+        with np.errstate(invalid="ignore"):  # infinite ones, at a grazing
+            product = abs(one.multipliers.prod())
+        if not product < 1.0 - ROUNDING * (1.0 + abs(one.multipliers[0])) ** 2:
+            continue
+        whole = is_symmetric(one.scene) and is_own_image(one.spot, float(one.scene.frequency))
+        if one.kind == "PD" and whole:
+            raise ImpossibleError("PD of an orbit that is its own mirror image", one.name, one.value, product)
+        for other in special:
+            if tuple(sorted((one.kind, other.kind))) in PAIRS and other is not one and _is_one(one, other):
+                raise ImpossibleError(f"{one.kind} and {other.kind} in one", one.name, one.value, product)
+
+
+def _is_one(one, other):
+    """Whether two special points have the same value and impacts."""
+    a, b = one.spot, other.spot
+    if len(a.times) != len(b.times) or abs(a.value - b.value) > NEAR * (1.0 + abs(a.value)):
+        return False
+    apart = np.concatenate([a.times - b.times, a.speeds - b.speeds, [a.x - b.x, a.v - b.v]])
+    return bool(abs(apart).max() <= NEAR * (1.0 + a.speeds.max(initial=abs(a.v))))
