@@ -180,9 +180,10 @@ def _part(task, points, status):
 
 
 def _within(task, points, end):
-    """(the points up to the first bound, why they end, the place of the parameter in z that is to be told)."""
-    count = len(task.box)
-    for k in range(-count, 0):
+    """(the points up to where the first bound is met, why they end, the place of the parameter in z that is to be
+    told)."""
+    which = -1
+    for k in range(-len(task.box), 0):  # one step may cross several: each cuts what the one before has left
         low, high = task.box[k]
         outside = (points.z[:, k] < low) | (points.z[:, k] > high)
         outside[0] = False
@@ -191,8 +192,8 @@ def _within(task, points, end):
             value = low if points.z[last, k] < low else high
             points, there = to_value(task, points, last, k, value)
             domain = task.domain[k] if task.domain else ()
-            return points, (End.DOMAIN if value in domain else End.BOUND) if there else End.STEP, k
-    return points, end, -1
+            end, which = (End.DOMAIN if value in domain else End.BOUND) if there else End.STEP, k
+    return points, end, which
 
 
 def _retried(step, control):

@@ -138,6 +138,18 @@ def test_cusp(r):
     assert found.p["h"][-1] == 5.0
 
 
+@pytest.mark.parametrize(("least", "most"), [(-1.087, 1.99), (-1.08, 1.9995), (-1.087, 1.98)])
+def test_a_step_that_crosses_two_bounds_ends_at_the_first(least, most):
+    """The folds lie at h = -2 (r / 3)^1.5."""
+    fold = co.trace(CUSP, [-2.0], {"h": -6.0, "r": 1.0}, "h", (-9.0, 9.0)).points("SN")
+    fold = next(one for one in fold if one.p["h"] < 0)
+    found = co.curve(fold, ("h", "r"), {"h": (least, 9.0), "r": (0.5, most)}, largest_step=0.5)
+    name, end = ("r", most) if 2 * (most / 3) ** 1.5 < -least else ("h", 3 * (-least / 2) ** (2 / 3))
+    top = max(found.special, key=lambda one: one.p["r"])
+    assert abs(top.p["r"] - end) < 1e-12 and abs(top.p["h"] + 2 * (end / 3) ** 1.5) < 1e-12
+    assert any(f"{name} reached its bound" in one for one in found.reason.values())
+
+
 def test_the_curve_of_folds_has_a_cusp():
     fold = co.trace(CUSP, [-2.0], {"h": -6.0, "r": 1.0}, "h", (-9.0, 9.0)).points("SN")[0]
     found = co.curve(fold, ("h", "r"), {"h": (-9.0, 9.0), "r": (-1.0, 3.0)})
