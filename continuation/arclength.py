@@ -18,8 +18,8 @@ STATUS = ("on", "out of bounds", "step underflow", "not finite")
 ROUNDS = 8  # of Newton's method in a step
 TURN, LARGEST_TURN = 0.12, 0.3  # angle between tangents that steps aim at; beyond which a step is refused
 GROW, SHRINK = 2.0, 0.25  # the most that one step is longer or shorter than the last
-EXACT = 16.0  # roundings of 1 + the largest unknown: F as small is zero, and Newton's last change a rounding's,
-LOOSE = 1e-8  # where it is no longer than this: near a singular point it is longer than what is asked for
+EXACT = 16.0  # roundings of 1 + the largest unknown: F as small is zero, and Newton's last change is a rounding's
+LOOSE = 1e-10  # so long that may be: near a singular point a rounding moves the unknowns by more than is asked for
 STRAY = 0.15  # of a step: so far may the branch lie from its tangent
 
 

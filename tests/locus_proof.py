@@ -1,6 +1,7 @@
-"""Loci from special points of random scenes against references: `python -m tests.locus_proof N [seed]`.
+"""Loci from special points of random scenes: `python -m tests.locus_proof N [seed]`, `... steps N [seed]`.
 
-Each is followed in two random parameters; every tenth point is held against tests/reference/special.py.
+Each is followed in two random parameters; every tenth point is held against tests/reference/special.py. steps: each is
+followed with largest steps of 0.02, 0.1 and 0.5, which are to give the same special points and ends, and one curve.
 """
 
 import sys
@@ -27,6 +28,8 @@ NAMES = (
     "right.motion.amplitude",
 )
 EVERY = 10  # points
+STEPS = 0.02, 0.1, 0.5
+ALIKE = 1e-5  # of 1 + abs value: special points as near are one
 
 
 def error(locus, place, digits=40, near=None):
@@ -156,7 +159,58 @@ def main(count, seed):
         print(f"{times:5} {why}")
 
 
+def steps(count, seed):
+    """So many loci with long and short steps: what differs, then how often."""
+    rng, done, other, far = np.random.default_rng(seed), 0, 0, 0
+    for branch, _ in branches(rng, 10 * count):
+        found = picked(branch, rng)
+        if found is None:
+            continue
+        point, names, bounds = found
+        try:
+            fine, *coarse = (
+                jv.locus(point, names, bounds, first_step=min(0.02, step), largest_step=step) for step in STEPS
+            )
+        except jv.ArgumentError as why:
+            print("refused:", why, flush=True)
+            continue
+        done += 1
+        for step, one in zip(STEPS[1:], coarse, strict=True):
+            apart = different(fine, one)
+            away = farthest(curve(fine), curve(one))
+            other, far = other + bool(apart), far + (away > STEPS[0])
+            if apart or away > STEPS[0]:
+                print(done, point.kind, point.label, names, step, apart, f"{away:.1e} away", flush=True)
+        if done == count:
+            break
+    print(f"{done} loci by {len(STEPS)} steps: {other} with other special points or ends, {far} off the curve")
+
+
+def different(one, other):
+    """What of two loci is not the same: their kinds, the places of their special points, or nothing."""
+    if [each.kind for each in one.special] != [each.kind for each in other.special]:
+        return "kinds"
+    places = ([list(each.values.values()) for each in locus.special] for locus in (one, other))
+    here, there = map(np.array, places)
+    return "places" if (abs(here - there) > ALIKE * (1.0 + abs(here))).any() else ""
+
+
+def curve(locus):
+    """The parameters and the sum of the speeds at each point."""
+    return np.column_stack([locus.values, np.nan_to_num(locus.data["speed"].values).sum(axis=1)])
+
+
+def farthest(fine, coarse):
+    """How far a point of one curve is from the other at the most, over the other's extent."""
+    ways, worst = np.diff(fine, axis=0), 0.0
+    for point in coarse:
+        share = np.clip(np.sum((point - fine[:-1]) * ways, 1) / np.maximum(np.sum(ways**2, 1), 1e-300), 0.0, 1.0)
+        worst = max(worst, np.linalg.norm(fine[:-1] + share[:, None] * ways - point, axis=1).min())
+    return worst / np.ptp(fine, axis=0).max()
+
+
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    number, *rest = sys.argv[1:]
-    main(int(number), int(rest[0]) if rest else 0)
+    what, given = (steps, sys.argv[2:]) if sys.argv[1] == "steps" else (main, sys.argv[1:])
+    number, *rest = given
+    what(int(number), int(rest[0]) if rest else 0)
