@@ -9,16 +9,14 @@ from continuation.stretch import backwards, glued
 
 from ..maps import itinerary as words
 from ..orbits.orbit import MARGIN, roots
-from ..orbits.orbit_comparison import is_same_orbit, mirrored
 from ..output.units import LENGTH, SPEED, TIME
 from ..problem.end import End
-from ..problem.orbit_on_branch import OrbitPoint, impacts, itinerary
+from ..problem.orbit_on_branch import OrbitPoint, is_own_image, itinerary
 from ..scene.symmetry import is_symmetric
 from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
 from .impossible import require_damped, require_possible
 
 START = End.START.reason()
-SAME = 1e-6  # of the largest speed: two impacts as near are one
 
 
 def assemble(scene, name, bounds, settings, back, on, start=START):
@@ -91,7 +89,7 @@ def _told(scene, name, bounds, pieces):
             special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
     special = tuple(sorted(special, key=lambda one: one.place))
     require_damped(name, whole[name], whole["multiplier_real"] + 1j * whole["multiplier_imag"])
-    require_possible(special, is_own_image)
+    require_possible(special)
     return data.assign_attrs(parameter=name), tuple(segments), special
 
 
@@ -180,9 +178,3 @@ def _joined(way):
         *start,
         0.0,
     )
-
-
-def is_own_image(spot, frequency):
-    """Whether an orbit is its own mirror image."""
-    points = impacts(spot, frequency)
-    return is_same_orbit(points, mirrored(points), SAME)

@@ -8,6 +8,7 @@ of half of it (Swift and Wiesenfeld, Phys. Rev. Lett. 52, 1984).
 
 import numpy as np
 
+from ..problem.orbit_on_branch import is_own_image
 from ..scene.symmetry import is_symmetric
 
 PAIRS = {("SB", "SN"), ("PD", "SN"), ("PD", "SB"), ("BP", "PD")}
@@ -38,9 +39,8 @@ def require_damped(name, values, multipliers):
         raise ImpossibleError("a growing area", name, float(values[place]), float(products[place]))
 
 
-def require_possible(special, is_own_image):
-    """Refuse special points, in order, that cannot be; is_own_image: of an `OrbitPoint` and the drive's frequency.
-    Raises ImpossibleError."""
+def require_possible(special):
+    """Refuse special points of a branch that cannot be. Raises ImpossibleError."""
     for one in special:
         with np.errstate(invalid="ignore"):  # infinite ones, at a grazing
             product = abs(one.multipliers.prod())

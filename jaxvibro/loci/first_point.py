@@ -7,14 +7,13 @@ import numpy as np
 from continuation.arclength import Control
 from continuation.event_search import step, tangent
 
-from ..branches.assemble import is_own_image
 from ..branches.branch import Special
 from ..branches.follow import SMALLEST, check_settings, place_orbit, point
 from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
 from ..problem.equations import problem
 from ..problem.grazing import padded
-from ..problem.orbit_on_branch import OrbitPoint
+from ..problem.orbit_on_branch import OrbitPoint, is_own_image
 from ..problem.touches import TOUCH, scales, touches
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, flat, marked, tied

@@ -10,11 +10,13 @@ from ..maps import itinerary as words
 from ..orbits.by_impacts import by_section
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import described, multipliers
-from ..orbits.orbit_comparison import meetings
+from ..orbits.orbit_comparison import is_same_orbit, meetings, mirrored
 from ..scene.codes import Status
 from ..scene.state import Impacts, State
 from .diagnostics import diagnose
 from .equations import OrbitEquations
+
+SAME = 1e-6  # of the largest speed: two impacts as near are one
 
 
 class OrbitPoint(NamedTuple):
@@ -40,6 +42,12 @@ def impacts(spot, frequency, length=None):
     """The impacts of a `OrbitPoint`'s orbit in order as points (`orbit_comparison`), speeds over a length per t or the
     largest."""
     return meetings(frequency, spot.times, spot.sides, spot.speeds, length or spot.speeds.max(initial=0.0) or 1.0)
+
+
+def is_own_image(spot, frequency):
+    """Whether an orbit is its own mirror image."""
+    points = impacts(spot, frequency)
+    return is_same_orbit(points, mirrored(points), SAME)
 
 
 def described_orbit(scene, spot):
