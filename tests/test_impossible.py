@@ -49,6 +49,8 @@ def test_no_two_multipliers_of_size_one(symmetric, kinds, monkeypatch):
     with pytest.raises(ImpossibleError, match=f"{kinds[0]} and {kinds[1]} in one|{kinds[1]} and {kinds[0]} in one"):
         require_possible(both)
     require_possible([both[0], replace(aside, kind=kinds[1])])
+    turned = replace(both[1], multipliers=-broken.multipliers)  # as at a grazing of a soft wall, within a rounding
+    require_possible([both[0], turned])
     kept = replace(broken, multipliers=np.array([1.0, -1.0 + 0j]))  # no damping: the area is kept
     require_possible([replace(kept, kind=kind) for kind in kinds])
 

@@ -13,6 +13,7 @@ from ..scene.symmetry import is_symmetric
 
 PAIRS = {("SB", "SN"), ("PD", "SN"), ("PD", "SB"), ("BP", "PD")}
 NEAR = 1e-9  # of 1 + abs value and of the largest impact's speed: special points as near are one
+ALIKE = 1e-2  # between multipliers: those of one point, as near a grazing as can be
 ROUNDING = 1e-9  # of 1 + the larger multiplier, squared: so far may the product be off
 
 
@@ -55,9 +56,12 @@ def require_possible(special):
 
 
 def _is_one(one, other):
-    """Whether two special points have the same value and impacts."""
+    """Whether two special points have the same value, impacts and multipliers. At a grazing of a soft wall the last go
+    from -1 to 1 while the others change by a rounding."""
     a, b = one.spot, other.spot
     if len(a.times) != len(b.times) or abs(a.value - b.value) > NEAR * (1.0 + abs(a.value)):
+        return False
+    if not abs(one.multipliers - other.multipliers).max() <= ALIKE:
         return False
     apart = np.concatenate([a.times - b.times, a.speeds - b.speeds, [a.x - b.x, a.v - b.v]])
     return bool(abs(apart).max() <= NEAR * (1.0 + a.speeds.max(initial=abs(a.v))))
