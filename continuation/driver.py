@@ -99,13 +99,13 @@ class Task(NamedTuple):
 
 def run(task, start):
     """The `Stretch` from a `Point`, whose tangent leads away."""
-    whole, place = None, _place(start, task.first)
+    parts, place = [], _place(start, task.first)
     while place is not None:
         for points, status in event_search.stretches(task.problem, place, task.control, task.args):
-            whole, place = _longer(task, whole, points, status)
-            if whole.end is not None or place is not None:
+            place = _add(task, parts, points, status)
+            if parts[-1].end is not None or place is not None:
                 break
-    return whole
+    return glued(parts)
 
 
 def run_together(tasks, starts):
@@ -120,29 +120,29 @@ def run_together(tasks, starts):
 
 
 def _side_by_side(problem, tasks, starts):
-    found = [None for _ in tasks]
+    parts = [[] for _ in tasks]
 
     def goes_on(lane, points, status):
-        found[lane], place = _longer(tasks[lane], found[lane], points, status)
-        return None if found[lane].end is not None else place or True
+        place = _add(tasks[lane], parts[lane], points, status)
+        return None if parts[lane][-1].end is not None else place or True
 
     places = [_place(start, task.first) for task, start in zip(tasks, starts, strict=True)]
     event_search.together(problem, places, [one.control for one in tasks], [one.args for one in tasks], goes_on)
-    return found
+    return [glued(each) for each in parts]
 
 
 def _place(start, first):
     return Place(start.z, start.tangent, np.float64(first), np.int32(ON))
 
 
-def _longer(task, whole, points, status):
-    """(the `Stretch` with a chunk of steps at its end, whole: that before it or None; the `Place` to go on from with a
-    smaller step, None where the steps are good)."""
+def _add(task, parts, points, status):
+    """Put the `Stretch` of a chunk of steps to those before it; the `Place` to go on from with a smaller step, None
+    where the steps are good."""
     one, again = _part(task, points, status)
-    one = one if whole is None else glued(whole, one)
-    if one.end is None and len(one.points.z) - 1 > MOST:
+    if one.end is None and sum(len(each.points.z) - 1 for each in (*parts, one)) > MOST:
         one = one._replace(end=End.POINTS)
-    return one, _place(at(one.points, -1), again) if one.end is None and again else None
+    parts.append(one)
+    return _place(at(one.points, -1), again) if one.end is None and again else None
 
 
 def _part(task, points, status):

@@ -141,7 +141,7 @@ def both_ways(task, z, ahead, direction="both"):
 def branch_of(system, kind, bounds, given, back, on):
     """The `Branch` of the stretches backward and forward from a start; either may be None."""
     names = tuple(bounds)
-    whole = on if back is None else backwards(back) if on is None else glued(backwards(back), on)
+    whole = on if back is None else backwards(back) if on is None else glued([backwards(back), on])
     z, size = whole.points.z, whole.points.z.shape[1] - len(names)
     eigenvalues = _eigenvalues(system, names, z, given)
     marks = {one.place: (one.kind, one.residual) for one in whole.marks}

@@ -39,9 +39,11 @@ def backwards(one):
     return one._replace(points=points._replace(tangent=-points.tangent), view=turned(one.view), marks=marks)
 
 
-def glued(one, other):
-    """Two `Stretch`es of the same equations as one, the second beginning where the first ends."""
-    last = len(one.points.z) - 1
-    marks = (*one.marks, *(each._replace(place=each.place + last) for each in other.marks))
-    points, view = joined([one.points, other.points]), joined([one.view, other.view])
-    return other._replace(points=points, view=view, marks=marks)
+def glued(parts):
+    """`Stretch`es of the same equations as one, each beginning where that before it ends."""
+    marks, first = [], 0
+    for one in parts:
+        marks += [each._replace(place=each.place + first) for each in one.marks]
+        first += len(one.points.z) - 1
+    points, view = joined([one.points for one in parts]), joined([one.view for one in parts])
+    return parts[-1]._replace(points=points, view=view, marks=tuple(marks))

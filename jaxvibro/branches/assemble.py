@@ -24,7 +24,7 @@ def assemble(scene, name, bounds, settings, back, on, start=START):
     that end."""
     pieces = [backwards(one) for one in reversed(back.pieces)] if back else []
     if back and on:
-        pieces[-1] = glued(pieces[-1], on.pieces[0])
+        pieces[-1] = glued([pieces[-1], on.pieces[0]])
         pieces += on.pieces[1:]
     elif on:
         pieces = on.pieces

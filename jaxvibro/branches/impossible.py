@@ -6,6 +6,8 @@ SN, SB and PD are one; nor has an orbit that is its own mirror image a PD, as it
 of half of it (Swift and Wiesenfeld, Phys. Rev. Lett. 52, 1984).
 """
 
+from itertools import combinations
+
 import numpy as np
 
 from ..problem.orbit_on_branch import is_own_image
@@ -33,26 +35,31 @@ class ImpossibleError(ArithmeticError):
 
 def require_damped(name, values, multipliers):
     """Refuse points, (points,) and (points, 2), whose multipliers' product is more than 1. Raises ImpossibleError."""
-    with np.errstate(invalid="ignore"):
-        products = abs(multipliers.prod(axis=1))
-        beyond = products > 1.0 + ROUNDING * (1.0 + abs(multipliers[:, 0])) ** 2
-    for place in np.flatnonzero(beyond & np.isfinite(products)):
+    products, rounding = _products(multipliers)
+    for place in np.flatnonzero(np.isfinite(products) & (products > 1.0 + rounding)):
         raise ImpossibleError("a growing area", name, float(values[place]), float(products[place]))
 
 
 def require_possible(special):
     """Refuse special points of a branch that cannot be. Raises ImpossibleError."""
+    damped = []
     for one in special:
-        with np.errstate(invalid="ignore"):  # infinite ones, at a grazing
-            product = abs(one.multipliers.prod())
-        if not product < 1.0 - ROUNDING * (1.0 + abs(one.multipliers[0])) ** 2:
-            continue
-        whole = is_symmetric(one.scene) and is_own_image(one.spot, float(one.scene.frequency))
-        if one.kind == "PD" and whole:
+        product, rounding = _products(one.multipliers)
+        if product < 1.0 - rounding:
+            damped.append((one, product))
+    for one, product in damped:
+        if one.kind == "PD" and is_symmetric(one.scene) and is_own_image(one.spot, float(one.scene.frequency)):
             raise ImpossibleError("PD of an orbit that is its own mirror image", one.name, one.value, product)
-        for other in special:
-            if tuple(sorted((one.kind, other.kind))) in PAIRS and other is not one and _is_one(one, other):
-                raise ImpossibleError(f"{one.kind} and {other.kind} in one", one.name, one.value, product)
+    for (one, product), (other, _) in combinations(damped, 2):
+        if tuple(sorted((one.kind, other.kind))) in PAIRS and _is_one(one, other):
+            raise ImpossibleError(f"{one.kind} and {other.kind} in one", one.name, one.value, product)
+
+
+def _products(multipliers):
+    """(the size of the product of the multipliers, (..., 2); how far rounding may put it off), nan where they are not
+    finite, at an impact without speed."""
+    with np.errstate(invalid="ignore"):
+        return abs(multipliers.prod(axis=-1)), ROUNDING * (1.0 + abs(multipliers[..., 0])) ** 2
 
 
 def _is_one(one, other):

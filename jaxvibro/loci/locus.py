@@ -141,7 +141,7 @@ def locus_of(special, on, back):
         [backwards(one) for _, one in reversed(back)] + [one for _, one in on],
     )
     if back and back[0][0].curve is on[0][0].curve:
-        parts[len(back) - 1 : len(back) + 1] = [glued(*parts[len(back) - 1 : len(back) + 1])]
+        parts[len(back) - 1 : len(back) + 1] = [glued(parts[len(back) - 1 : len(back) + 1])]
     data, found, first = [], {}, 0
     for part in parts:
         data.append(_data(asked.names, part).isel(point=slice(1 if data else 0, None)))
