@@ -69,7 +69,8 @@ def unit(tangent, scale):
 
 
 def corrected(function, solve, place, step, control, args):
-    """The branch's point a step away along the tangent: (`Point`, length of Newton's last change, of all of them).
+    """The branch's point a step away along the tangent: (`Point`, cosine of the angle that the tangent has turned by,
+    length of Newton's changes).
 
     function: (z, args) -> (F, slopes); solve: (slopes, row, right) -> x, worst, determinant, as `bordered`.
     """
@@ -88,8 +89,8 @@ def corrected(function, solve, place, step, control, args):
         found = solve(slopes, row, jnp.stack([miss, along], 1))
         change, tangent = found.x[:, 0], found.x[:, 1]
         length = jnp.linalg.norm(control.scale * change)
-        length = jnp.where(jnp.isfinite(length), length, jnp.inf)
-        count = jnp.where(jnp.isfinite(length), count + 1, ROUNDS)
+        finite = jnp.isfinite(length)
+        length, count = jnp.where(finite, length, jnp.inf), jnp.where(finite, count + 1, ROUNDS)
         return z - change, tangent, length, jnp.max(abs(value)), found.determinant, count
 
     zero = jnp.zeros_like(step)
@@ -98,7 +99,7 @@ def corrected(function, solve, place, step, control, args):
     exact = residual <= EXACT * jnp.finfo(z.dtype).eps * (1.0 + jnp.max(abs(z)))
     met = (change <= control.tolerance) | (exact & (change <= LOOSE))
     point = Point(z, unit(tangent, control.scale), step, residual, determinant, met, met)
-    return point, jnp.linalg.norm(control.scale * (z - guess))
+    return point, jnp.sum(row * point.tangent), jnp.linalg.norm(control.scale * (z - guess))
 
 
 def track(function, solve, place, control, args, count):
@@ -108,12 +109,11 @@ def track(function, solve, place, control, args, count):
     def attempt(place):
         on = place.status == ON  # of lanes under vmap, one may have ended before the others
         step = jnp.where(on, place.step, 0.0)
-        point, stray = corrected(function, solve, place, step, control, args)
-        bend = jnp.sum(control.scale * control.scale * place.tangent * point.tangent)
-        turn = jnp.sqrt(jnp.maximum(2.0 * (1.0 - bend), 0.0))
-        good = point.met & (turn < LARGEST_TURN) & (stray < STRAY * abs(step)) & jnp.all(jnp.isfinite(point.tangent))
+        point, cosine, stray = corrected(function, solve, place, step, control, args)
+        turn = jnp.sqrt(jnp.maximum(2.0 * (1.0 - cosine), 0.0))  # nan where the tangent is not finite
+        good = point.met & (turn < LARGEST_TURN) & (stray < STRAY * abs(step))
         kept = on & good
-        factor = jnp.where(good, jnp.clip(TURN / jnp.maximum(turn, 1e-3), SHRINK, GROW), SHRINK)
+        factor = jnp.where(good, jnp.minimum(jnp.maximum(TURN / turn, SHRINK), GROW), SHRINK)
         wanted = jnp.minimum(place.step * factor, control.largest)
         outside = (point.z[-1] < control.low) | (point.z[-1] > control.high)
         short = jnp.where(jnp.isfinite(point.residual), UNDERFLOW, NONFINITE)

@@ -11,7 +11,7 @@ from jaxtyping import Float
 class Eliminated(NamedTuple):
     """x; worst: the least pivot over the largest, 0 where the matrix is singular, and x is not finite; determinant."""
 
-    x: Float[jax.Array, "unknowns *sides"]
+    x: Float[jax.Array, " unknowns *sides"]
     worst: Float[jax.Array, ""]
     determinant: Float[jax.Array, ""]
 

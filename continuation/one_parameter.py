@@ -11,13 +11,13 @@ from jaxtyping import ArrayLike, Real
 
 from . import branch_switching as crossing
 from . import driver, event_search, locate
-from .arclength import Control, Point
+from .arclength import Control
 from .branch import Branch, Special
 from .driver import End, Task, Watch
 from .errors import ContinuationError
 from .event_search import Event
 from .newton import ADVICE, newton
-from .points import between
+from .points import between, start_point
 from .problem import EQUILIBRIA, FIXED_POINTS, Given, System, problem_of, residual_at, slopes_at
 from .roots import sign_change
 from .stretch import backwards, glued
@@ -125,16 +125,16 @@ def switch(
         tangent = crossing.other(found, special.tangent, scale)
         tangents = [tangent, -tangent]
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)._replace(starts=())
-    runs = [driver.run(task, _point(z, tangent)) for tangent in tangents]
+    runs = [driver.run(task, start_point(z, tangent)) for tangent in tangents]
     return tuple(branch_of(system, None, bounds, given, None, one) for one in runs)
 
 
 def both_ways(task, z, ahead, direction="both"):
     """(the `Stretch` backward, that forward) from a solution; None for that which is not asked for, or not needed as
     the other closes."""
-    on = driver.run(task, _point(z, ahead)) if direction != "backward" else None
+    on = driver.run(task, start_point(z, ahead)) if direction != "backward" else None
     closed = on is not None and on.end is End.CLOSED
-    back = None if direction == "forward" or closed else driver.run(task, _point(z, -ahead))
+    back = None if direction == "forward" or closed else driver.run(task, start_point(z, -ahead))
     return back, on
 
 
@@ -220,12 +220,6 @@ def task_of(system, z, bounds, given, first_step, largest_step, tolerance, monit
     watch = Monitored(system, names, monitors or {})
     first = min(first_step, largest_step)
     return Task(problem_of(system, names), given, control, first, box, watch=watch, stop=tuple(stop), starts=(z,))
-
-
-def _point(z, tangent):
-    """The `Point` at a start."""
-    none = np.zeros(())
-    return Point(z, tangent, none, none, none, np.True_, np.True_)
 
 
 def _reason(one, names):

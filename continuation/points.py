@@ -4,6 +4,13 @@ import jax
 import numpy as np
 
 from . import event_search
+from .arclength import Point
+
+
+def start_point(z, tangent):
+    """The `Point` from which steps begin along a tangent."""
+    zero = np.zeros(())
+    return Point(z, tangent, zero, zero, zero, np.True_, np.True_)
 
 
 def at(points, place):

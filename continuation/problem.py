@@ -44,7 +44,7 @@ class Problem(NamedTuple):
     """
 
     function: Callable[[Any, Any], tuple[Float[jax.Array, " unknowns"], Any]]
-    solve: Callable[[Any, Float[jax.Array, " z"], Float[jax.Array, "z *sides"]], Eliminated]
+    solve: Callable[[Any, Float[jax.Array, " z"], Float[jax.Array, " z *sides"]], Eliminated]
     plain: Callable[[Any, Any], tuple[Float[jax.Array, " unknowns"], Float[jax.Array, "unknowns z"]]]
     tests: tuple[Test, ...] = ()
     run: Callable[..., Any] = plainly

@@ -66,7 +66,7 @@ def sweep(
     return _dataset(scene, name, values, state, parts)
 
 
-def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, "count *lanes"], State]:
+def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count *lanes"], State]:
     """(values, state), arrays of the scene's type, once they break no rule."""
     check.require_known(name, scene.names, name)
     values = check.number(name, values, scene.dtype)

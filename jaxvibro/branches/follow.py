@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from continuation import locate
-from continuation.arclength import Control, Point
+from continuation.arclength import Control
 from continuation.event_search import pinned, tangent
+from continuation.points import start_point
 
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import Orbit, OrbitError
@@ -80,16 +81,10 @@ def through(scene, name, bounds, start, direction, settings):
     (along, z), length = start, scene_length(scene)
     asked = asking(scene, name, bounds, length, start, **settings)
     ahead = tangent(problem(along), z, scales(along, length), along)
-    on = go_on(along, point(z, ahead), asked) if direction != "backward" else None
+    on = go_on(along, start_point(z, ahead), asked) if direction != "backward" else None
     closed = on is not None and on.reason.end is End.CLOSED
-    back = go_on(along, point(z, -ahead), asked) if direction != "forward" and not closed else None
+    back = go_on(along, start_point(z, -ahead), asked) if direction != "forward" and not closed else None
     return assemble(scene, name, bounds, settings, back, on)
-
-
-def point(z, tangent):
-    """The `Point` at a start."""
-    zero = np.zeros(())
-    return Point(z, tangent, zero, zero, zero, np.True_, np.True_)
 
 
 def asking(scene, name, bounds, length, start, first_step, largest_step, tolerance, monitors, stop):

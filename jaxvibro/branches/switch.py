@@ -8,6 +8,7 @@ import numpy as np
 from continuation import branch_switching as crossing
 from continuation import locate
 from continuation.event_search import tangent
+from continuation.points import start_point
 
 from ..problem.end import End, Reason
 from ..problem.equations import problem
@@ -19,7 +20,7 @@ from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
 from .assemble import START, assemble, merge
 from .branch import Branch, Special, row_of, spot_of
-from .follow import Monitors, asking, check_settings, place_orbit, point
+from .follow import Monitors, asking, check_settings, place_orbit
 from .through_grazings import go_on
 
 FIRST = 0.01  # step of a branch that leaves a point
@@ -128,7 +129,7 @@ def _onwards(branch, end, bounds):
     if rows:
         ahead[:count], ahead[rows : rows + count] = row["time_slope"][hit], row["speed_slope"][hit]
     ahead[-1] = row["value_slope"]
-    start = point(z, tangent(problem(along), z, scales(along, scene_length(scene)), along, sign * ahead))
+    start = start_point(z, tangent(problem(along), z, scales(along, scene_length(scene)), along, sign * ahead))
     asked = asking(scene, branch.name, bounds, scene_length(scene), other, **branch.settings)
     done = go_on(along, start, asked)
     back, on = (done, None) if sign < 0 else (None, done)
@@ -143,7 +144,7 @@ def _crossed(special, along, z):
     known[-1] = special.slopes[-1]
     other = crossing.other(crossing.directions(problem(along), z, scale, along), known, scale)
     first = np.flatnonzero(abs(other) > 0.5 * abs(other).max())[0]  # a null vector has no sign of its own
-    return [(along, point(z, sign * np.sign(other[first]) * other)) for sign in (1.0, -1.0)]
+    return [(along, start_point(z, sign * np.sign(other[first]) * other)) for sign in (1.0, -1.0)]
 
 
 def _doubled(special, along, z):
@@ -162,7 +163,7 @@ def _doubled(special, along, z):
         tangent[half * wide : half * wide + 2 * count] = np.concatenate([part, -part])
     tangent /= np.linalg.norm(scales(twice, scene_length(special.scene)) * tangent)
     start = np.concatenate([twice.cycle.times, twice.cycle.speeds, z[-1:]])
-    return [(twice, point(start, tangent))]
+    return [(twice, start_point(start, tangent))]
 
 
 def _grazing(special, along, z):

@@ -196,23 +196,27 @@ def _bend(curve, z, reference, order, fine):
     step = APART / _rate(built)
     places, *weights = THIRTEEN if fine else SEVEN
 
-    def look(k, given):  # along v; then, where the third derivative is asked for, along v + h and v - h, h of length 1
+    def along(h):
+        """The second and the third derivative along v + h."""
+        beside = jax.vmap(lambda place: _ahead(curve, built, z, v, h, place * step))(jnp.array(places, z.dtype))
+        return [jnp.array(each, z.dtype) @ beside / step**power for power, each in zip((2, 3), weights, strict=True)]
+
+    def look(k, given):  # along v, then v + h and v - h, h of length 1
         second, third, mixed, _ = given
         h = jnp.where(k > 0, -solve(cyclic_system.dense(found), second).x, 0.0)
         length = jnp.sqrt(jnp.sum(h * h))
         length = jnp.where(length > 0, length, 1.0)
-        h = jnp.where(k > 1, -h, h) / length
-        beside = jax.vmap(lambda place: _ahead(curve, built, z, v, h, place * step))(jnp.array(places, z.dtype))
-        two, three = (
-            jnp.array(each, z.dtype) @ beside / step**power for power, each in zip((2, 3), weights, strict=True)
-        )
+        two, three = along(jnp.where(k > 1, -h, h) / length)
         first = k == 0
         mixed = jnp.where(first, mixed, mixed + jnp.where(k > 1, -0.25, 0.25) * two)
         return jnp.where(first, two, second), jnp.where(first, three, third), mixed, length
 
     zero = jnp.zeros_like(v)
-    second, third, mixed, size = lax.fori_loop(0, 1 if order == 2 else 3, look, (zero, zero, zero, jnp.ones(())))
-    last = second if order == 2 else third + 3.0 * size * mixed
+    if order == 2:
+        last = along(zero)[0]
+    else:
+        _, third, mixed, size = lax.fori_loop(0, 3, look, (zero, zero, zero, jnp.ones(())))
+        last = third + 3.0 * size * mixed
     return _Bend(jnp.sum(w * last), v, w, across)
 
 

@@ -10,11 +10,8 @@ import numpy as np
 
 from ..problem.end import End
 from ..problem.equations import there as at
-from ..problem.grazing import FLAT, opening
 from ..problem.orbit_on_branch import OrbitPoint
-from ..problem.touches import stays, touches, wall_sides
 from ..scene import check
-from ..scene.scale import scene_length
 from ..scene.scene import changed
 from .extended_system import Grazing
 from .first_point import LocusStart, backward, ways
@@ -53,16 +50,7 @@ def track_on(start, way, steps, one=None):
 
 def _open(found):
     """For each of some ways those of its two senses in which the other touches come free or stay."""
-    return [[one for one in (way, backward(way)) if _is_free(one)] for way in found]
-
-
-def _is_free(way):
-    """Whether along a way no other touch than its own becomes an impact."""
-    curve, z, tangent = way.curve, way.start.z, way.start.tangent
-    walls, held = wall_sides(curve.scene), stays(curve, z)
-    others = (one for one in touches(curve, z, scene_length(curve.scene)) if not one.own)
-    places = [(one.row, walls.index(one.side), one.late - float(held[one.row])) for one in others]
-    return all(opening(curve, z, tangent, *place) > -FLAT for place in places)
+    return [[one for one in (way, backward(way)) if one.is_free] for way in found]
 
 
 def _beyond(start, way, one, steps):

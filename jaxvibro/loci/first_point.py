@@ -6,15 +6,16 @@ import numpy as np
 
 from continuation.arclength import Control
 from continuation.event_search import step, tangent
+from continuation.points import start_point
 
 from ..branches.branch import Special
-from ..branches.follow import SMALLEST, check_settings, place_orbit, point
+from ..branches.follow import SMALLEST, check_settings, place_orbit
 from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
 from ..problem.equations import problem
 from ..problem.grazing import padded
 from ..problem.orbit_on_branch import OrbitPoint, is_own_image
-from ..problem.touches import TOUCH, scales, touches
+from ..problem.touches import TOUCH, Touch, scales, touches
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, flat, marked, tied
 from ..scene.scale import scene_length
@@ -34,6 +35,12 @@ class LocusStart(NamedTuple):
     name: str
     scene: Scene
     spot: OrbitPoint
+
+    @property
+    def touches(self) -> list[Touch]:
+        """The `Touch`es of a GR."""
+        along, z = place_orbit(self.scene, self.name, self.spot)
+        return touches(along, z, scene_length(self.scene))
 
 
 def start_of(special):
@@ -72,13 +79,13 @@ def _way(curve, z, asked):
             weights[k] = 1.0 / (1.0 + abs(z[k]))
     control = asked.control._replace(scale=weights)
     ahead = tangent(problem(curve), z, control.scale, curve)
-    start = point(_settled_at(curve, z, ahead, control), ahead)
+    start = start_point(_settled_at(curve, z, ahead, control), ahead)
     return LocusWay(curve, start, asked._replace(control=control))
 
 
 def backward(way):
     """The `track.LocusWay` in the other direction."""
-    return way._replace(start=point(way.start.z, -way.start.tangent))
+    return way._replace(start=start_point(way.start.z, -way.start.tangent))
 
 
 def named(scene, names):
@@ -141,10 +148,9 @@ def _impacts(start):
     spot = start.spot
     listed = [((k, 0.0), one) for k, one in enumerate(zip(spot.times, spot.speeds, spot.sides, strict=True))]
     if start.kind == "GR":
-        along, z = place_orbit(start.scene, start.name, spot)
-        for one in touches(along, z, scene_length(start.scene)):
+        for one in start.touches:
             if not one.own:
-                begin = z[one.row] if len(spot.times) else 0.0
+                begin = spot.times[one.row] if len(spot.times) else 0.0
                 listed.append(((one.row, one.late), (begin + one.late, 0.0, one.side)))
     listed = [one for _, one in sorted(listed)]
     period = 2.0 * np.pi / float(start.scene.frequency)
@@ -182,5 +188,5 @@ def _frequencies(curve, zs):
 
 def _settled_at(curve, z, ahead, control):
     """z after Newton's method."""
-    found = step(problem(curve), point(z, ahead), 0.0, control, curve)
+    found = step(problem(curve), start_point(z, ahead), 0.0, control, curve)
     return found.z if found.met else z

@@ -12,6 +12,8 @@ from continuation.stretch import Mark
 from ..problem.end import End, ended
 from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
+from ..problem.grazing import FLAT, opening
+from ..problem.touches import stays, touches, wall_sides
 from . import codim2
 from .extended_system import Grazing, Singular
 
@@ -53,6 +55,15 @@ class LocusWay(NamedTuple):
         watch = LocusWatch(curve, asked.length)
         starts = (np.asarray(self.start.z),)
         return Task(problem(curve), curve, asked.control, asked.first, asked.box, asked.domain, watch, starts=starts)
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no other touch than its own becomes an impact along it."""
+        curve, z, tangent = self.curve, self.start.z, self.start.tangent
+        walls, held = wall_sides(curve.scene), stays(curve, z)
+        others = (one for one in touches(curve, z, self.asked.length) if not one.own)
+        places = [(one.row, walls.index(one.side), one.late - float(held[one.row])) for one in others]
+        return all(opening(curve, z, tangent, *place) > -FLAT for place in places)
 
 
 class LocusWatch(OrbitWatch):

@@ -76,9 +76,10 @@ def nulls(ring, turn):
     place = jnp.arange(len(ring.own))
     order = jnp.where(place <= ring.last, ring.last - place, place)
     before = jnp.where(place < ring.last, order - 1, ring.last)
-    own, following = (each.transpose(0, 2, 1)[at] for each, at in ((ring.own, order), (ring.following, before)))
-    left = _flat(_null(ring._replace(own=own, following=following), turn)[order])
-    right = _flat(_null(ring, turn))
+    turned = (each.transpose(0, 2, 1)[at] for each, at in ((ring.own, order), (ring.following, before)))
+    own, following = (jnp.stack(each) for each in zip((ring.own, ring.following), turned, strict=True))
+    right, left = jax.vmap(_null, (0, 0, None, None))(own, following, ring.last, turn)
+    left, right = _flat(left[order]), _flat(right)
     return jnp.where(by_turn(left, ring, right) < 0, -left, left), right
 
 
@@ -88,17 +89,17 @@ def by_turn(left, ring, right):
     return w[ring.last] @ ring.following[ring.last] @ v[0]
 
 
-def _null(ring, turn):
+def _null(own, following, last, turn):
     """(rows, 2): of all equations but one, the one that is least independent of the others, this is a solution."""
-    rows = len(ring.own)
-    blocks = jnp.concatenate([ring.own, ring.following, jnp.zeros((rows, 2, 1), ring.own.dtype)], 2)
+    rows = len(own)
+    blocks = jnp.concatenate([own, following, jnp.zeros((rows, 2, 1), own.dtype)], 2)
     edges, corner = (jnp.zeros(shape, blocks.dtype) for shape in ((rows, 0, 2), (0, 5)))
-    relation, _, _, kept = _reduced(blocks, edges, corner, ring.last)
+    relation, _, _, kept = _reduced(blocks, edges, corner, last)
     (a, b), (c, d) = relation[:, :2] + turn * relation[:, 2:4]
     longer = a * a + b * b > c * c + d * d
     first = jnp.stack([jnp.where(longer, -b, -d), jnp.where(longer, a, c)])
     first = (first / jnp.sqrt(jnp.sum(first * first)))[:, None]
-    return _back(kept, first, turn * first, jnp.zeros((0, 1), blocks.dtype), ring.last)[:, :, 0]
+    return _back(kept, first, turn * first, jnp.zeros((0, 1), blocks.dtype), last)[:, :, 0]
 
 
 def product(left, ring, right, turn):

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from continuation import event_search, locate
 from continuation.arclength import Control, Point
+from continuation.points import start_point
 
 from .diagnostics import Diagnostics, diagnose
 from .equations import OrbitEquations, problem
@@ -176,8 +177,7 @@ def leave(along, z, out, sign, length, included):
 def stepped(along, z, tangent, length, included, tolerance, asides):
     """(the `GrazingExit` along a tangent, None where none of these steps aside comes to an admissible orbit; whether
     one of them comes to an orbit)."""
-    zero = np.zeros(())
-    point = Point(z, tangent, zero, zero, zero, np.True_, np.True_)
+    point = start_point(z, tangent)
     numbers = (np.float64(each) for each in (0.0, 1.0, tolerance, -np.inf, np.inf))
     control, met = Control(scales(along, length), *numbers), False
     for aside in asides:
