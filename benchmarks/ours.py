@@ -18,7 +18,7 @@ def prepare_batch(states, stiffness=None, damping=None):
     """A call without arguments that maps (n, 3) states x, x', A given to strobe as a batch."""
     x, v, amplitude = jnp.asarray(states.T)
     many, start = scene(amplitude, stiffness, damping), jaxvibro.State(x, v)
-    return lambda: jax.block_until_ready(jaxvibro.strobe(many, start))
+    return lambda: jax.block_until_ready(jaxvibro.strobe(many, start, slots=CAP))
 
 
 def prepare_vmap(states):
@@ -27,7 +27,7 @@ def prepare_vmap(states):
     base = scene(1.0)
 
     def one(x, v, amplitude):
-        return jaxvibro.strobe(base.replace(amplitude=amplitude), jaxvibro.State(x, v))
+        return jaxvibro.strobe(base.replace(amplitude=amplitude), jaxvibro.State(x, v), slots=CAP)
 
     mapped = jax.jit(jax.vmap(one))
     return lambda: jax.block_until_ready(mapped(x, v, amplitude))

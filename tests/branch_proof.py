@@ -162,7 +162,7 @@ def grazings(count, seed):
 def is_simulated(point, spot):
     """Whether the strobe sees the impacts of a `OrbitPoint`, and comes back to it."""
     one = described_orbit(point.scene.replace(**{point.name: spot.value}), spot)
-    end, impacts = jv.strobe(one.scene, one.state, one.periods, 64)
+    end, impacts = jv.strobe(one.scene, one.state, one.periods, 64, slots=32)
     sides = np.asarray(impacts.side)[np.asarray(impacts.side) != 0]
     back = max(abs(float(end.x) - one.state.x), abs(float(end.v) - one.state.v))
     return np.array_equal(sides, one.impacts.side) and back < 1e-6 * (1.0 + abs(one.multipliers[0]))
@@ -339,7 +339,7 @@ def passing(branch, rows, number):
         phase = np.asarray(scene.frequency) * times[:, k]
         x, v = leaving(scene, sides[:, k], speeds[:, k], phase)
         whole = int(np.ceil((span / period).max() + 1e-6))
-        _, impacts = jv.strobe(scene, jv.State(x, v, phase, sides[:, k].astype(float)), whole, 16)
+        _, impacts = jv.strobe(scene, jv.State(x, v, phase, sides[:, k].astype(float)), whole, 16, slots=32)
         first, side = np.asarray(impacts.time)[:, 0], np.asarray(impacts.side)[:, 0]
         off = (abs(first - span) > 1e-5 * period) | (side != sides[:, following])
         slow = (speeds[:, k] < 1e-6) | (speeds[:, following] < 1e-6) | (rows["least_clearance"].values < 1e-9)

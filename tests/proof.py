@@ -91,7 +91,7 @@ def monodromy_errors(count, seed=0, kinds=None):
 
 
 def _compare(drawn, records):
-    end, impacts = jv.strobe(*batch(drawn), slots=SLOTS)
+    end, impacts = jv.strobe(*batch(drawn), slots=SLOTS, clearance=True)
     x, v, side, time, speed = map(np.asarray, (end.x, end.v, impacts.side, impacts.time, impacts.speed))
     least, status = np.asarray(impacts.least_clearance), np.asarray(impacts.status)
     rows = []

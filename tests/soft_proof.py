@@ -60,7 +60,7 @@ def groups(count, folder=None, workers=1, kinds=None):
 
 def strobe_rows(members):
     """A Row for each reference of one structure."""
-    end, impacts = jv.strobe(*batch([each.draw for each in members]), slots=SLOTS)
+    end, impacts = jv.strobe(*batch([each.draw for each in members]), slots=SLOTS, clearance=True)
     x, v, side, time, speed = map(np.asarray, (end.x, end.v, impacts.side, impacts.time, impacts.speed))
     least, status = np.asarray(impacts.least_clearance), np.asarray(impacts.status)
     rows = []

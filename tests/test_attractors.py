@@ -65,13 +65,13 @@ def test_two_mirror_pairs_of_period_one(four):
 def test_they_are_orbits_and_mirror_images(four):
     """The mirror image, strobed at phase pi, comes back as well, with the twin's impacts half a period later."""
     for one in four:
-        end, impacts = jv.strobe(scene(4.65), one.state)
+        end, impacts = jv.strobe(scene(4.65), one.state, slots=32)
         assert abs(end.x - one.state.x) < 1e-12 and abs(end.v - one.state.v) < 1e-12
         assert itinerary.words(impacts.side[None]) == one.itinerary
-        back, hits = jv.strobe(scene(4.65), jv.State(-one.state.x, -one.state.v, phase=np.pi))
+        back, hits = jv.strobe(scene(4.65), jv.State(-one.state.x, -one.state.v, phase=np.pi), slots=32)
         assert abs(back.x + one.state.x) < 1e-12 and abs(back.v + one.state.v) < 1e-12
         twin = four[one.mirror_of]
-        _, expected = jv.strobe(scene(4.65), twin.state)
+        _, expected = jv.strobe(scene(4.65), twin.state, slots=32)
         n = int(impacts.count)
         late = np.sort((hits.time[:n] + PERIOD / 2) % PERIOD)
         assert abs(late - np.sort(expected.time[:n])).max() < 1e-11
@@ -136,7 +136,7 @@ def test_longer_orbits_and_their_period():
     assert sorted(one.label for one in pair) == ["P223", "P232"]
     for one in pair:
         assert one.points.shape == (2, 2) and len(one.itinerary) == 2
-        end, impacts = jv.strobe(scene(5.6), one.state)
+        end, impacts = jv.strobe(scene(5.6), one.state, slots=32)
         assert abs(np.array([end.x, end.v]) - one.points[1]).max() < 1e-11
         assert itinerary.words(impacts.side[None]) == one.itinerary[:1]
         assert itinerary.least_period(one.itinerary) == 2

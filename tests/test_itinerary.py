@@ -75,9 +75,9 @@ def test_turning_and_mirroring(words, by):
 def test_the_two_readings_of_a_strobe_agree():
     scene = jv.make_scene(amplitude=5.6, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
     start = jv.State(x=0.2, v=1.0)
-    _, whole = jv.strobe(scene, start, periods=3)
+    _, whole = jv.strobe(scene, start, periods=3, slots=32)
     rows, state = [], start
     for _ in range(3):
-        state, impacts = jv.strobe(scene, state)
+        state, impacts = jv.strobe(scene, state, slots=32)
         rows.append(impacts.side)
     assert itinerary.split(whole.time, whole.side, 3, 2 * np.pi / 2.1) == itinerary.words(np.stack(rows))

@@ -49,7 +49,7 @@ def test_an_image_along_the_frequency(scene):
     image = mirrored(one)
     for place in (1, 4, 7):
         there, spot = scene.replace(frequency=image.values[place]), spot_of(row_of(image.data, place), "frequency")
-        end, impacts = jv.strobe(there, jv.State(spot.x, spot.v))
+        end, impacts = jv.strobe(there, jv.State(spot.x, spot.v), slots=32)
         assert abs(end.x - spot.x) + abs(end.v - spot.v) < 1e-9
         period = 2.0 * np.pi / image.values[place]
         times = np.sort(np.mod(spot.times, period))

@@ -63,7 +63,7 @@ def test_single_precision_decides_contacts_eight_roundings_deep():
         given = (np.asarray(each, dtype) for each in (amplitude, omega, damping, bounce))
         scene = jv.make_scene(*given, (None, np.asarray(wall, dtype)), dtype=dtype)
         state = jv.State(*(np.asarray(each, dtype) for each in (x, v, phase)))
-        return scene, state, *jv.strobe(scene, state, slots=0)
+        return scene, state, *jv.strobe(scene, state, slots=0, clearance=True)
 
     top = 1e3 - np.asarray(told(np.float64, np.full(count, 1e3))[-1].least_clearance)
     turns = np.isfinite(top) & (top > x + 1e-3)

@@ -15,7 +15,7 @@ def scene():
 
 def test_trajectory_ends_where_the_strobe_does(scene):
     path = jv.simulate(scene, jv.State(0.5, -1.1, 0.4), periods=3, samples=50)
-    end, impacts = jv.strobe(scene, jv.State(0.5, -1.1, 0.4), periods=3)
+    end, impacts = jv.strobe(scene, jv.State(0.5, -1.1, 0.4), periods=3, slots=32)
     hits = int(impacts.count)
     assert abs(path.x.values[-1] - float(end.x)) < 1e-12
     assert abs(path.v.values[-1] - float(end.v)) < 1e-12

@@ -73,7 +73,7 @@ def test_a_mass_at_rest_goes_with_its_wall():
     # the spring presses it on the left wall, where it sticks at once: at the period's end x = x_b(T), v = v_b(T)
     def end(position, swing, phase):
         wall = jv.Wall(position, 0.0, motion=jv.Motion(swing, phase))
-        done, impacts = jv.strobe(jv.make_scene(0.1, 0.5, 0.1, 0.5, (wall, None)), jv.State(1.1, -1.0, -0.3))
+        done, impacts = jv.strobe(jv.make_scene(0.1, 0.5, 0.1, 0.5, (wall, None)), jv.State(1.1, -1.0, -0.3), slots=32)
         return done.x, done.v, impacts.status
 
     x, v, _ = jax.jacfwd(end, argnums=(0, 1, 2))(1.0, 0.05, 0.4)
@@ -105,7 +105,7 @@ def test_a_release_forgets_the_start_and_keeps_the_scene():
 
 def test_no_end_no_derivative_and_a_status(scene):
     def ends(x):
-        end, impacts = jv.strobe(scene, jv.State(x, -1.1))
+        end, impacts = jv.strobe(scene, jv.State(x, -1.1), slots=32)
         return end.x, impacts.status
 
     slope, status = jax.vmap(jax.jacfwd(ends, has_aux=True))(jnp.array([0.9, 2.0]))

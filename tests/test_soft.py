@@ -71,9 +71,9 @@ def test_a_short_stay_has_its_own_digits():
 @pytest.mark.slow
 def test_two_periods_are_one_after_the_other():
     scene, start = soft(1e4, 5.0, amplitude=3.0), jv.State(np.linspace(-1.02, 1.02, 32), 0.5)
-    once, first = jv.strobe(scene, start)
-    twice, second = jv.strobe(scene, once)
-    both, impacts = jv.strobe(scene, start, periods=2)
+    once, first = jv.strobe(scene, start, slots=32)
+    twice, second = jv.strobe(scene, once, slots=32)
+    both, impacts = jv.strobe(scene, start, periods=2, slots=32)
     assert (impacts.count == first.count + second.count).all() and first.count.sum() > 32
     for one, other in ((both.x, twice.x), (both.v, twice.v)):
         assert abs(one - other).max() < 1e-9
@@ -84,7 +84,7 @@ def test_single_precision():
     walls = (jv.Wall(-1.0, stiffness=1e4, damping=5.0, motion=jv.Motion(0.1)), jv.Wall(1.0, stiffness=50.0))
     start = jv.State(np.linspace(-0.8, 0.9, 5), 0.3)
     fine, coarse = (soft(walls=walls, amplitude=3.0, dtype=dtype) for dtype in (jnp.float64, jnp.float32))
-    (true, known), (end, impacts) = jv.strobe(fine, start), jv.strobe(coarse, start)
+    (true, known), (end, impacts) = (jv.strobe(each, start, slots=32, clearance=True) for each in (fine, coarse))
     assert end.x.dtype == end.contact.dtype == impacts.time.dtype == jnp.float32
     assert np.allclose(end.x, true.x, rtol=0, atol=1e-5) and np.allclose(end.v, true.v, rtol=0, atol=1e-5)
     assert (impacts.count == known.count).all()
@@ -116,7 +116,7 @@ def test_a_pressed_mass_stays_within_a_very_stiff_wall():
     # statically: x - x_s = (A cos - x_s) / (1 + k2) at the slow drive's phase 0
     scene = jv.make_scene(3.0, 0.05, 0.3, 0.7, (None, jv.Wall(1.0, stiffness=1e10, damping=1e4)))
     start = jv.State(1.0 + 2.0 / (1.0 + 1e10), 0.0, 0.0, 3.0)
-    end, impacts = jv.strobe(scene, start)
+    end, impacts = jv.strobe(scene, start, slots=32)
     assert impacts.status == 0 and float(end.contact) == 3.0
     assert abs((float(end.x) - 1.0) * (1.0 + 1e10) - 2.0) < 1e-2
 
@@ -168,7 +168,7 @@ def test_a_touch_after_a_long_stay_is_where_the_branch_goes_on():
     assert branch.data["residual"].values.max() < 1e-9
     for place in range(0, len(branch), 9):
         orbit = branch.orbit(place)
-        end, impacts = jv.strobe(orbit.scene, orbit.state)
+        end, impacts = jv.strobe(orbit.scene, orbit.state, slots=32)
         assert abs(end.x - orbit.state.x) < 1e-10 and impacts.count == orbit.impacts.count
 
 

@@ -1,5 +1,7 @@
 """The stroboscopic map against ball arithmetic and closed forms, its rules for walls, and its lanes."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +15,7 @@ from tests.reference.scene import Motion, Scene, Wall
 from tests.reference.search import Discard
 
 WALLS = (-1.0, 1.0)
+recorded = partial(jv.strobe, slots=32, clearance=True)  # all that there is
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +29,7 @@ def lanes(scene):
     rng = np.random.default_rng(1)
     many = scene.replace(amplitude=rng.uniform(0, 6, 130))
     start = jv.State(jnp.asarray(rng.uniform(-1, 1, 130)), jnp.asarray(rng.uniform(-3, 3, 130)))
-    return many, start, *jv.strobe(many, start)
+    return many, start, *recorded(many, start)
 
 
 def at(tree, k):
@@ -62,7 +65,7 @@ def test_a_flight_that_stops_bending_before_a_wall_does_not_land_early():
     # Newton's last step is long here where the clearance's second derivative vanishes: it landed half way to the wall
     scene = jv.make_scene(4.65, 2.1, 0.05, 0.7, (-1.0, 1.0))
     shift = np.linspace(-1e-6, 1e-6, 2001)
-    end, impacts = jv.strobe(scene, jv.State(-0.862, 2.718 + shift))
+    end, impacts = recorded(scene, jv.State(-0.862, 2.718 + shift))
     assert (impacts.count == 2).all()
     for found, expected in ((end.x, -0.396212), (end.v, 1.834946)):
         assert abs(found - expected).max() < 1e-4
@@ -79,7 +82,7 @@ def test_the_least_clearance_of_a_flight_that_turns_back_from_both_walls_within_
     low, high = x - far, x + far + 0.05 * rng.normal(size=60)
     motion = None if swing is None else jv.Motion(swing * pull, 0.5)
     scene = jv.make_scene(2.0, 1.0, 0.0, 0.8, (jv.Wall(low), jv.Wall(high, motion=motion)))
-    found = np.asarray(jv.strobe(scene, jv.State(x, v, phase))[1].least_clearance)
+    found = np.asarray(jv.strobe(scene, jv.State(x, v, phase), clearance=True)[1].least_clearance)
     count = 0
     for k in range(60):
         own = None if swing is None else Motion(swing * pull[k], 0.5, 1)
@@ -96,7 +99,7 @@ def test_the_least_clearance_of_a_flight_that_turns_back_from_both_walls_within_
 def test_forced_response_comes_back():
     scene = jv.make_scene(1.3, 1.7, 0.1, 0.7, (-3.0, 2.0))
     x, v = closed.forced(0.1, 1.7, 1.3, 0.0)
-    end, impacts = jv.strobe(scene, jv.State(float(x), float(v)))
+    end, impacts = recorded(scene, jv.State(float(x), float(v)))
     assert abs(end.x - float(x)) < 1e-15
     assert abs(end.v - float(v)) < 1e-15
     assert impacts.count == 0
@@ -106,7 +109,7 @@ def test_forced_response_comes_back():
 def test_one_impact_orbits_come_back():
     (orbit, *_) = closed.orbits(0.05, 2.1, 2.0, 0.7, 1.0, symmetric=True)
     x, v = closed.at_phase(0.05, 2.1, 2.0, orbit, symmetric=True)
-    end, impacts = jv.strobe(jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS), jv.State(float(x), float(v)))
+    end, impacts = recorded(jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS), jv.State(float(x), float(v)))
     assert impacts.count == 2
     assert abs(impacts.speed[0] - float(orbit.speed)) < 1e-14
     assert abs(impacts.speed[1] - float(orbit.speed)) < 1e-14
@@ -117,15 +120,15 @@ def test_one_impact_orbits_come_back():
 def test_a_batch_of_one_is_its_lane_bit_for_bit(lanes):
     scene, start, end, impacts = lanes
     for k in (0, 63, 64, 129):
-        assert same(jv.strobe(at(scene, k), at(start, k)), at((end, impacts), k))
+        assert same(recorded(at(scene, k), at(start, k)), at((end, impacts), k))
 
 
 def test_chunks_are_the_whole_and_a_bad_lane_harms_no_other(lanes):
     scene, start, end, impacts = lanes
     part = jax.tree.map(lambda leaf: leaf[:70] if jnp.ndim(leaf) else leaf, (scene, start, end, impacts))
-    assert same(jv.strobe(*part[:2]), part[2:])
+    assert same(recorded(*part[:2]), part[2:])
     bad = jv.State(start.x.at[7].set(5.0).at[9].set(jnp.nan), start.v)
-    spoilt, told = jv.strobe(scene, bad)
+    spoilt, told = recorded(scene, bad)
     assert told.status[7] == 3
     assert told.status[9] == 4
     assert jnp.isnan(spoilt.x[7])
@@ -137,12 +140,12 @@ def test_chunks_are_the_whole_and_a_bad_lane_harms_no_other(lanes):
 
 def test_scalar_and_vmapped_calls_agree_with_the_batch(lanes):
     scene, start, end, impacts = lanes
-    mapped = jax.jit(jax.vmap(lambda a, s: jv.strobe(scene.replace(amplitude=a), s)))
+    mapped = jax.jit(jax.vmap(lambda a, s: recorded(scene.replace(amplitude=a), s)))
     ends, told = mapped(scene.amplitude, jv.State(start.x, start.v, jnp.zeros(130), jnp.zeros(130)))
     assert np.array_equal(told.side, impacts.side)
     calm = np.asarray(impacts.least_speed) > 1e-2
     assert np.allclose(ends.x[calm], end.x[calm], rtol=0, atol=1e-11)
-    one, single = jv.strobe(*jax.tree.map(lambda leaf: leaf[5] if jnp.ndim(leaf) else leaf, (scene, start)))
+    one, single = recorded(*jax.tree.map(lambda leaf: leaf[5] if jnp.ndim(leaf) else leaf, (scene, start)))
     assert np.array_equal(single.side, impacts.side[5])
     assert abs(one.v - end.v[5]) < 1e-11
 
@@ -152,24 +155,24 @@ def test_scaling_by_a_power_of_two_changes_no_digit(lanes):
     for power in (-30, 7):
         k = 2.0**power
         large = scene.replace(amplitude=k * scene.amplitude, **{"left.position": -k, "right.position": k})
-        grown, told = jv.strobe(large, jv.State(k * start.x, k * start.v))
+        grown, told = recorded(large, jv.State(k * start.x, k * start.v))
         assert same((grown.x / k, grown.v / k, told.time, told.side), (end.x, end.v, impacts.time, impacts.side))
 
 
 def test_mirror_image_with_half_a_period(lanes):
     scene, start, end, impacts = lanes
-    image, told = jv.strobe(scene, jv.State(-start.x, -start.v, jnp.pi))
+    image, told = recorded(scene, jv.State(-start.x, -start.v, jnp.pi))
     assert np.array_equal(told.side, -impacts.side)
     calm = np.asarray(impacts.least_speed) > 1e-2
     assert np.allclose(-image.x[calm], end.x[calm], rtol=0, atol=1e-11)
 
 
 def test_start_on_a_wall_moving_in_rebounds_at_time_zero(scene):
-    end, impacts = jv.strobe(scene, jv.State(1.0, 2.0))
+    end, impacts = recorded(scene, jv.State(1.0, 2.0))
     assert impacts.time[0] == 0
     assert impacts.side[0] == 1
     assert impacts.speed[0] == 2
-    landed, later = jv.strobe(scene, jv.State(1.0, -1.4, 0.0, 1.0))
+    landed, later = recorded(scene, jv.State(1.0, -1.4, 0.0, 1.0))
     assert later.count == impacts.count - 1
     assert abs(landed.x - end.x) < 1e-13
 
@@ -214,8 +217,8 @@ def test_sticks_through_the_end_of_a_period():
 
 def test_two_periods_are_one_after_the_other(lanes):
     scene, start, end, impacts = lanes
-    twice, told = jv.strobe(scene, start, periods=2)
-    after, second = jv.strobe(scene, end)
+    twice, told = recorded(scene, start, periods=2)
+    after, second = recorded(scene, end)
     calm = (np.asarray(told.least_speed) > 1e-2) & (np.asarray(told.count) < 32)
     assert np.array_equal(told.count[calm], (impacts.count + second.count)[calm])
     assert np.allclose(twice.x[calm], after.x[calm], rtol=0, atol=1e-10)
@@ -289,6 +292,36 @@ def test_arguments_are_refused_by_name(scene, key, value):
         jv.strobe(scene, jv.State(0.0, 0.0), **{key: value})
 
 
+def test_a_clearance_is_asked_for_by_true_or_false(scene):
+    with pytest.raises(jv.ArgumentError, match=r"^clearance: must be True or False; got 1"):
+        jv.strobe(scene, jv.State(0.0, 0.0), clearance=1)
+
+
+@pytest.mark.parametrize("slots", [0, 4])
+def test_what_is_not_recorded_changes_nothing_else(lanes, slots):
+    many, start, end, impacts = lanes
+    ends, told = jv.strobe(many, start, slots=slots)
+    assert told.least_clearance is None and told.time.shape == (130, slots)
+    for one, other in ((ends.x, end.x), (ends.v, end.v), (told.least_speed, impacts.least_speed)):
+        np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
+    np.testing.assert_array_equal(told.count, impacts.count)
+    np.testing.assert_array_equal(told.side, impacts.side[:, :slots])
+    np.testing.assert_allclose(told.time, impacts.time[:, :slots], rtol=1e-12)
+    np.testing.assert_array_equal(told.status, impacts.count > slots)  # FULL is 1
+
+
+def test_clearances_of_a_users_own_vmap_and_beside_derivatives(lanes):
+    many, start, _, impacts = lanes
+    base = many.replace(amplitude=1.0)
+
+    def one(amplitude, x, v):
+        return jv.strobe(base.replace(amplitude=amplitude), jv.State(x, v), clearance=True)[1].least_clearance
+
+    values, slopes = jax.vmap(lambda *given: jax.jvp(one, given, (1.0, 1.0, 1.0)))(many.amplitude, start.x, start.v)
+    np.testing.assert_allclose(values, impacts.least_clearance, rtol=0, atol=1e-12)
+    assert not slopes.any()  # it counts as constant
+
+
 @pytest.mark.parametrize(
     "walls",
     [
@@ -329,9 +362,9 @@ def test_batches_that_do_not_fit_are_refused(scene):
 def test_extreme_numbers_end_with_a_status(scene):
     size = np.array([1.0, 1e200, 1e-160])
     scaled = scene.replace(amplitude=2.0 * size, **{"left.position": -size, "right.position": size})
-    _, impacts = jv.strobe(scaled, jv.State(0.9 * size, -1.1 * size))
+    _, impacts = recorded(scaled, jv.State(0.9 * size, -1.1 * size))
     assert impacts.status.tolist() == [0, 4, 4]
-    _, impacts = jv.strobe(scene.replace(damping=1e300), jv.State(0.05, -1.1))
+    _, impacts = recorded(scene.replace(damping=1e300), jv.State(0.05, -1.1))
     assert impacts.status == 4
 
 

@@ -26,7 +26,7 @@ GOING, FULL, CROWDED, WAITING = 1, 2, 4, 8
 
 
 class Journey(NamedTuple):
-    """Where the lanes are, their impacts, their closest calls (none where there is no wall).
+    """Where the lanes are, their impacts, their closest calls (None where not asked for, or without a wall).
 
     wait: steps taken within a soft wall since it was entered, or a long one tried; None where there is no soft wall.
     """
@@ -45,9 +45,9 @@ class Cap(NamedTuple):
     steps: Float[jax.Array, "..."]
 
 
-def begin(frame, path, slots, end, watched=True):
-    """A `Journey` that has not begun; end: when the time to go is used up; watched: with closest calls."""
-    calls = turning_points.nothing(path.x) if frame.walls and watched else None
+def begin(frame, path, slots, end, clearance=False):
+    """A `Journey` that has not begun; end: when the time to go is used up; clearance: with closest calls."""
+    calls = turning_points.nothing(path.x) if frame.walls and clearance else None
     return Journey(path, *impact_log.empty(path.x, slots, end), calls, jnp.zeros_like(path.x) if frame.soft else None)
 
 

@@ -25,21 +25,23 @@ from .replay import KnownImpacts, replay
 
 
 class Request(NamedTuple):
-    """What is asked for, static. tree: of (scene, state); of_state: derivatives of x and v at the end, else of the
-    impacts' times and speeds; order; chosen: the places of the numbers that they are by."""
+    """What is asked for, static. tree: of (scene, state); periods, slots, clearance: as of `strobe`; of_state:
+    derivatives of x and v at the end, else of the impacts' times and speeds; order; chosen: the places of the numbers
+    that they are by."""
 
     tree: jax.tree_util.PyTreeDef
     periods: int
     slots: int
+    clearance: bool = False
     of_state: bool = True
     order: int = 1
     chosen: tuple[int, ...] = ()
 
 
-def strobe(scene, state, periods, slots):
+def strobe(scene, state, periods, slots, clearance):
     """The strobe of numbers that are traced: (State, Impacts)."""
     leaves, tree = jax.tree.flatten((scene, state))
-    end, impacts = _strobe(Request(tree, periods, slots))(*leaves)
+    end, impacts = _strobe(Request(tree, periods, slots, clearance))(*leaves)
     whole = {name: getattr(impacts, name).astype(jnp.int32) for name in ("count", "status")}
     return end, replaced(impacts, side=impacts.side.astype(jnp.int8), **whole)
 
@@ -47,7 +49,8 @@ def strobe(scene, state, periods, slots):
 @cache
 def _strobe(task):
     """(State, Impacts), all real, of the numbers of scene and state."""
-    inner = jax.jit(partial(one_period.strobe, periods=task.periods, slots=task.slots, least=1))
+    asked = {"periods": task.periods, "slots": task.slots, "clearance": task.clearance}
+    inner = jax.jit(partial(one_period.strobe, **asked, least=1))
     run = jax.custom_jvp(batched(lambda *leaves: _real(inner(*task.tree.unflatten(leaves)))))
 
     def rule(primals, tangents):
@@ -62,7 +65,8 @@ def _strobe(task):
 def _recorded(task):
     """The same, and what a replay has to know, whose derivatives are not asked for."""
     slots = max(task.slots, SLOTS * task.periods)
-    inner = jax.jit(partial(one_period.recorded, periods=task.periods, slots=slots, least=1))
+    asked = {"periods": task.periods, "slots": slots, "clearance": task.clearance}
+    inner = jax.jit(partial(one_period.recorded, **asked, least=1))
 
     def found(*leaves):
         (end, impacts), freed = _real(inner(*task.tree.unflatten(leaves)))
@@ -152,7 +156,7 @@ def _contracted(tensors, primals, tangents):
     def along(tensor):
         total = 0.0
         for k, place in enumerate(_moving(tangents)):
-            tangent = tangents[place]
+            tangent = jnp.asarray(tangents[place])
             shape = (*[1] * (rank - tangent.ndim), *tangent.shape, *[1] * (tensor.ndim - 1 - rank))
             total = total + tensor[..., k] * tangent.reshape(shape)
         return total

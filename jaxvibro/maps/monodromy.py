@@ -87,13 +87,13 @@ def _block(scene, state, periods, slots):
 
 
 def passage(scene, state, periods, slots):
-    """(end, impacts, rests, product) of a block of lanes: where `strobe` leads, unwatched, and what M is made of.
+    """(end, impacts, rests, product) of a block of lanes: where `strobe` leads, and what M is made of.
 
     rests: whether the mass is on a wall at some time, which makes M zero whatever the product is. product: of P and Q,
     four entries by rows, of no meaning with a status from CAP on, or with more impacts than slots. state.x has the
     lanes' shape, other numbers are scalars or of that shape. To be called within one kernel.
     """
-    (end, impacts), freed = one_period.through(scene, state, periods, slots, watched=False)
+    (end, impacts), freed = one_period.through(scene, state, periods, slots)
     rests = (abs(end.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (freed >= 0)
     return end, impacts, rests, _product(scene, state, impacts, lax.full_like(freed, 0.0), periods, slots)
 

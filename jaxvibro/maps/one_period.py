@@ -20,37 +20,37 @@ from ..scene.state import Impacts, State
 SLOTS = 32  # impacts of a period whose derivatives can be told
 
 
-def strobe(scene, state, periods, slots, least):
+def strobe(scene, state, periods, slots, least, clearance=False):
     """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least."""
-    return _in_blocks(_seen, scene, state, periods, slots, least)
+    return _in_blocks(_seen, scene, state, periods, slots, least, clearance)
 
 
-def recorded(scene, state, periods, slots, least):
+def recorded(scene, state, periods, slots, least, clearance=False):
     """((State, Impacts), when the mass was last released from a wall, -1: never), as `strobe`."""
-    return _in_blocks(through, scene, state, periods, slots, least)
+    return _in_blocks(through, scene, state, periods, slots, least, clearance)
 
 
-def _in_blocks(function, scene, state, periods, slots, least):
+def _in_blocks(function, scene, state, periods, slots, least, clearance):
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
 
     def run(given):
-        return one_kernel(function, *given, periods=periods, slots=slots)
+        return one_kernel(function, *given, periods=periods, slots=slots, clearance=clearance)
 
     def empty(count):
-        out = blank(count, slots, scene.dtype)
+        out = blank(count, slots, scene.dtype, clearance)
         return out if function is _seen else (out, jnp.zeros(count, scene.dtype))
 
     return in_blocks(run, (scene, replace(state, x=jnp.broadcast_to(state.x, shape))), empty, least)
 
 
-def _seen(scene, state, periods, slots):
-    return through(scene, state, periods, slots)[0]
+def _seen(scene, state, periods, slots, clearance):
+    return through(scene, state, periods, slots, clearance)[0]
 
 
-def through(scene, state, periods, slots, watched=True):
+def through(scene, state, periods, slots, clearance=False):
     """((State, Impacts), when the mass was last released from a wall, -1: never): numbers are scalars or of one shape.
 
-    state.x is of that shape. watched: whether to measure the least clearance, a fifth of the work; inf if not.
+    state.x is of that shape. clearance: whether to measure the least one; None if not.
     """
     built = frame(scene)
     path, fault = stage(enter, built, state)
@@ -59,8 +59,8 @@ def through(scene, state, periods, slots, watched=True):
     end = built.period if periods == 1 else built.period + lax.full_like(path.x, 0.0)
     limit = integrate.cap(built, periods)
     again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
-    told = integrate.run(built, integrate.begin(built, path, slots, end, watched), limit, again)
-    return finish(built, told, state, fault), told.log.freed
+    told = integrate.run(built, integrate.begin(built, path, slots, end, clearance), limit, again)
+    return finish(built, told, state, fault, clearance), told.log.freed
 
 
 def _again(frame, start, last, told):
@@ -77,8 +77,8 @@ def _again(frame, start, last, told):
     return told._replace(path=path, log=book._replace(end=end))
 
 
-def finish(frame, told, state, fault):
-    """(State, Impacts) of a journey at its end."""
+def finish(frame, told, state, fault, clearance=False):
+    """(State, Impacts) of a journey at its end, with its least clearance where that was asked for."""
     path, book, slots, calls = told[:4]
     x, v = absolute(frame, path)
     full = (book.count > slots.times.shape[-1]) | (book.least_speed < 0)
@@ -92,22 +92,22 @@ def finish(frame, told, state, fault):
     contact = jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, kind)
     phase = jnp.broadcast_to(state.phase, status.shape)
     end = State(choose(good, x, jnp.nan), choose(good, v, jnp.nan), phase, choose(good, contact, 0.0))
-    none = jnp.full_like(path.x, jnp.inf)
+    closest = jnp.full_like(path.x, jnp.inf) if calls is None else calls.least
     return end, Impacts(
         time=slots.times,
         side=(slots.speeds > 0).astype(jnp.int8) - (slots.speeds < 0).astype(jnp.int8),
         speed=abs(slots.speeds),
         count=book.count.astype(jnp.int32),
         least_speed=positive(book.least_speed),
-        least_clearance=none if calls is None else calls.least,
+        least_clearance=closest if clearance else None,
         status=status.astype(jnp.int32),
     )
 
 
-def blank(count, slots, dtype):
+def blank(count, slots, dtype, clearance=False):
     """Results to fill in; arrays of one content would be filled once and copied, so times begin as they end, empty."""
     none = jnp.zeros(count, dtype)
     whole = jnp.zeros(count, jnp.int32)
     times, speeds = jnp.full((count, slots), jnp.inf, dtype), jnp.zeros((count, slots), dtype)
     sides = jnp.zeros((count, slots), jnp.int8)
-    return State(none, none, none, none), Impacts(times, sides, speeds, whole, none, none, whole)
+    return State(none, none, none, none), Impacts(times, sides, speeds, whole, none, none if clearance else None, whole)

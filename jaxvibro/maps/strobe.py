@@ -1,6 +1,7 @@
 """The stroboscopic map: the state one or more drive periods later, and the impacts on the way."""
 
 import jax
+import numpy as np
 
 from continuation.persistent_jit import persistent_jit
 
@@ -12,30 +13,37 @@ from ..scene.state import Impacts, State, real_state
 from . import derivatives, one_period
 
 
-@persistent_jit(static_argnums=(2, 3), compiler_options=OPTIONS)
-def _at_once(scene, state, periods, slots):
-    return one_period.strobe(scene, state, periods, slots, least=LEAST)
+@persistent_jit(static_argnums=(2, 3, 4), compiler_options=OPTIONS)
+def _at_once(scene, state, periods, slots, clearance):
+    return one_period.strobe(scene, state, periods, slots, LEAST, clearance)
 
 
-def strobe(scene: Scene, state: State, periods: int = 1, slots: int = 32) -> tuple[State, Impacts]:
+def strobe(
+    scene: Scene, state: State, periods: int = 1, slots: int = 4, clearance: bool = False
+) -> tuple[State, Impacts]:
     """The state after a number of drive periods, and the impacts on the way: (State, Impacts).
 
     scene: a `Scene`; state: a `State` at its phase; their numbers broadcast together, and the results have that shape.
-    periods: whole number >= 1; slots: impacts to record, >= 0. The state's phase comes back unchanged. An impact at the
-    end belongs to the period that ends: the state is the one after it, and its contact says so. A start on a wall and
-    moving into it rebounds at time 0. A flight that turns back within 8 ulp of its largest length (x, v, A, the walls')
-    of a wall may count as a contact or as none. n periods in one call are n strobes but for roundings, which it carries
-    on: they differ by less than 16 eps (1 + T) s (1 + the sum of abs M), T = 2 pi / omega, s the largest length or
-    speed, M the derivative from each strobe on to the end (docs/numbers.md).
+    periods: whole number >= 1; slots: impacts to record, >= 0: with more of them the status is FULL, and all else is
+    right; clearance: whether to measure `Impacts.least_clearance`, which else is None. What is not asked for costs no
+    time. The state's phase comes back unchanged. An impact at the end belongs to the period that ends: the state is the
+    one after it, and its contact says so. A start on a wall and moving into it rebounds at time 0. A flight that turns
+    back within 8 ulp of its largest length (x, v, A, the walls') of a wall may count as a contact or as none. n periods
+    in one call are n strobes but for roundings, which it carries on: they differ by less than
+    16 eps (1 + T) s (1 + the sum of abs M), T = 2 pi / omega, s the largest length or speed, M the derivative from each
+    strobe on to the end (docs/numbers.md).
 
     jax.grad, jacfwd, jacrev, hessian and the rest go through it, at any order: by x, v, phase and every number of the
     scene; of the state, the impacts' times and speeds and the least speed. The rest of `Impacts` counts as constant.
     A derivative is nan where there is no end, and with more than 32 impacts a period in flight: the status says so. At
     an impact without speed there is none: what comes is that of the flight past it. A mass at rest forgets its start.
 
-    Raises ArgumentError for periods, slots or a state that cannot be; all else is a status of each lane (`Impacts`).
+    Raises ArgumentError for periods, slots, clearance or a state that cannot be; all else is a status of each lane
+    (`Impacts`).
     """
     periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 0)
+    if not isinstance(clearance, bool | np.bool_):
+        raise check.ArgumentError("clearance", "must be True or False", clearance)
     state = real_state(scene, state)
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, state)))
-    return (derivatives.strobe if traced else _at_once)(scene, state, periods, slots)
+    return (derivatives.strobe if traced else _at_once)(scene, state, periods, slots, bool(clearance))

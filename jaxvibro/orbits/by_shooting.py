@@ -9,6 +9,7 @@ from continuation.linear import solve
 
 from ..maps import itinerary as words
 from ..maps.monodromy import monodromy
+from ..maps.one_period import SLOTS
 from ..maps.rests import NO_RESTS, may_rest, rests
 from ..maps.strobe import strobe
 from ..scene.codes import Status
@@ -53,7 +54,7 @@ def _round(scene, state, periods):
     points, told, matrix = [(float(state.x), float(state.v))], [], np.eye(2)
     for _ in range(periods):
         matrix = np.asarray(monodromy(scene, state)) @ matrix
-        state, impacts = jax.device_get(strobe(scene, state))
+        state, impacts = jax.device_get(strobe(scene, state, slots=SLOTS, clearance=True))
         if impacts.status >= Status.CAP:
             what = f"the state cannot be followed ({Status(int(impacts.status)).word})"
             raise OrbitError(what, np.nan, "start between the walls, nearer to an orbit")

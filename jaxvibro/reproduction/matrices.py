@@ -3,6 +3,7 @@
 import jax
 import numpy as np
 
+from ..maps.one_period import SLOTS
 from ..maps.strobe import strobe
 from ..scene.scene import Motion, Wall, make_scene
 from ..scene.state import State
@@ -48,7 +49,7 @@ def _derivative(scene, start):
 def _factors(numbers, scene, start, motion):
     """(the P of each flight of a drive period, the Q of each impact between)."""
     _, w, damping, _ = numbers
-    _, impacts = strobe(scene, start)
+    _, impacts = strobe(scene, start, slots=SLOTS)
     hit = np.asarray(impacts.side) != 0
     times, speeds, sides = (np.asarray(part)[hit] for part in (impacts.time, impacts.speed, impacts.side))
     spans = np.diff(np.concatenate([[0.0], times, [2.0 * np.pi / w]]))

@@ -5,7 +5,7 @@ import numpy as np
 from ..maps.strobe import strobe
 from ..scene.state import State
 from .claim import own, statement
-from .stepped import BRACKET, Drive
+from .stepped import BRACKET, ROOM, Drive
 from .stepped import strobe as stepped
 
 STARTS, STEPS = 4096, (100, 400, 1600)  # the steps in a period are not printed
@@ -17,7 +17,7 @@ def claims(scene):
     draw = np.random.default_rng(0)
     low, high = [-1.0, -3.0, 0.0], [1.0, 3.0, 6.0]
     states = draw.uniform(low, high, (STARTS, len(low)))
-    end, impacts = strobe(scene.replace(amplitude=states[:, 2]), State(states[:, 0], states[:, 1]))
+    end, impacts = strobe(scene.replace(amplitude=states[:, 2]), State(states[:, 0], states[:, 1]), slots=ROOM)
     exact, sides = np.stack([np.asarray(end.x), np.asarray(end.v)], axis=1), np.asarray(impacts.side)
     drive = Drive(*(float(getattr(scene, key)) for key in ("frequency", "damping", "restitution")))
     found = [[stepped(drive, states, steps, bracket) for bracket in (BRACKET, FINE)] for steps in STEPS]

@@ -33,11 +33,14 @@ class State:
 class Impacts:
     """The impacts of a strobe, in order; slots are the last axis.
 
+    Status FULL says that there were more impacts than slots: the state, the count and the least values are right, and
+    some impacts are not recorded.
+
     time: since the strobe's start, in t (inf: empty); side: -1 left, +1 right, 0 empty; speed: abs(y- - v_b), 0 empty;
     count: of all impacts; least_speed: of them, inf if none; least_clearance: the smallest distance to a wall at a
-    turning point of x - x_b towards it, inf if none; status: 0 OK, 1 FULL (more impacts than slots; the state is
-    right), 2 CAP (1,000 impacts or a million steps in a period), 3 INVALID (a bad scene, or a start beyond a wall),
-    4 NONFINITE (a number that is not finite, or lengths beyond 1e-123 to 1e123); from CAP on the state is nan.
+    turning point of x - x_b towards it, inf if none, None where it was not asked for; status: 0 OK, 1 FULL, 2 CAP
+    (1,000 impacts or a million steps in a period), 3 INVALID (a bad scene, or a start beyond a wall), 4 NONFINITE (a
+    number that is not finite, or lengths beyond 1e-123 to 1e123); from CAP on the state is nan.
 
     A mass whose hops certainly all end, infinitely many in a finite time, is put to rest on its wall: complete chatter.
     The hops up to there are recorded and counted, least_speed is 0, the status FULL.
@@ -48,7 +51,7 @@ class Impacts:
     speed: Float[Array, "*lanes slots"]
     count: Int[Array, "*lanes"] | int
     least_speed: Float[Array, "*lanes"] | float
-    least_clearance: Float[Array, "*lanes"] | float
+    least_clearance: Float[Array, "*lanes"] | float | None
     status: Int[Array, "*lanes"] | int
 
 

@@ -214,7 +214,7 @@ def distinct(rings):
 
 def orbit(scene, ring, phase):
     """What there is to know about an orbit, from its points."""
-    end, impacts = jv.strobe(scene, jv.State(*ring.T, phase))
+    end, impacts = jv.strobe(scene, jv.State(*ring.T, phase), slots=32, clearance=True)
     words = ["".join(LETTERS[one] for one in row) for row in impacts.side.tolist()]
     turn = min(range(len(ring)), key=lambda k: (words[k:] + words[:k], *ring[k]))
     signed = np.roll(np.asarray(impacts.side * impacts.speed), -turn, axis=0)
