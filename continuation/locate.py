@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from .persistent_jit import persistent_jit
+from .persistent_jit import SOON, persistent_jit
 
 ROUNDS = 12  # of Newton's steps
 APART = 1e-5  # of 1 + abs z: the points of a difference
@@ -28,7 +28,7 @@ class Located(NamedTuple):
     residual: float
 
 
-@persistent_jit(static_argnums=0)
+@persistent_jit(static_argnums=0, compiler_options=SOON)
 def evaluated(problem, z, args):
     """(F, dF/dz) of a `problem.Problem`."""
     return problem.run(problem.plain, z, args)
@@ -61,7 +61,7 @@ def differences(function, z):
     return np.stack([along(k) for k in range(len(z))], axis=-1)
 
 
-@persistent_jit(static_argnums=(0, 1))
+@persistent_jit(static_argnums=(0, 1), compiler_options=SOON)
 def _matrices(problem, test, zs, args):
     return problem.run(_each, zs, args, test=test)
 

@@ -28,6 +28,7 @@ FOLDER = "modules"  # within jax's cache
 GENERATIONS = 3  # of sources, whose modules are kept
 DIGEST = hashlib.sha256().digest_size
 NUMBER = "number"
+SOON = {"xla_backend_optimization_level": 0}  # for what the host calls a few times: compiled in half the time
 _ours = {__name__.split(".")[0]}  # packages whose sources decide what a traced function is
 
 Given = ParamSpec("Given")

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -288,6 +289,16 @@ def test_points_at_the_walls():
     assert is_same_set(sets[0], sets[1]) and not is_same_set(sets[0], sets[2] + [0.0, 1.5, 0.0, 0.0])
     part = sets[2][sets[2][:, 1] < 0.4]
     assert is_same_set(part, sets[0]) and is_same_set(sets[0], part)
+
+
+def test_states_run_one_by_one_are_those_of_a_block_but_for_a_rounding():
+    rng = np.random.default_rng(4)
+    start = jv.State(rng.uniform(-1, 1, 9), rng.uniform(-3, 3, 9), np.full(9, 0.4), np.zeros(9))
+    for each in (scene(4.65), scene(3.0, walls=(jv.Wall(-1.5, stiffness=90.0, damping=1.0), jv.Wall(1.0)))):
+        block = iterate(each, start, 3)
+        few = iterate(each, jax.tree.map(lambda leaf: leaf[1:9], start), 3)
+        for one, other in zip(jax.tree.leaves(few), jax.tree.leaves(block.lanes(slice(1, 9))), strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
 
 
 def test_exponent_of_a_free_oscillator_and_what_a_trail_keeps():

@@ -121,13 +121,15 @@ def test_numbers(cache, fails):
         (cache / persistent_jit.FOLDER).write_text("a file in its place")
     scene = jv.make_scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
     state, slots = jv.State(*(jnp.asarray(each, float) for each in (0.9, -1.1, 0.0, 0.0))), 5 + fails
-    found = _at_once(scene, state, 1, slots)
+    found = _at_once(scene, state, 1, slots, False)
     assert len(list((cache / persistent_jit.FOLDER).glob("*/*"))) == (0 if fails else 1)
-    plain = jax.jit(_at_once.__wrapped__, static_argnums=(2, 3), compiler_options=OPTIONS)(scene, state, 1, slots)
+    plain = jax.jit(_at_once.__wrapped__, static_argnums=(2, 3, 4), compiler_options=OPTIONS)(
+        scene, state, 1, slots, False
+    )
     for one, two in zip(jax.tree.leaves(found), jax.tree.leaves(plain), strict=True):
         np.testing.assert_array_equal(one, two)
     lanes = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state)
-    under = jax.vmap(lambda state: _at_once(scene, state, 1, slots)[0].x)(lanes)
+    under = jax.vmap(lambda state: _at_once(scene, state, 1, slots, False)[0].x)(lanes)
     np.testing.assert_allclose(under, float(found[0].x), rtol=1e-14)
 
 

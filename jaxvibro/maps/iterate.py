@@ -17,6 +17,7 @@ from .strobe import strobe
 
 KEEP = 64  # periods kept, of however many have been run
 SLOTS = 16  # impacts recorded in a period
+FEW = 8  # lanes that are run one by one, and differ by a rounding from those of a block
 
 
 class Trail(NamedTuple):
@@ -52,7 +53,7 @@ def iterate(scene, state, periods, slots=SLOTS):
     scene: a single one, or a lane of a batch each; state: leaves of shape (lanes,); periods: whole number >= 1, no
     compilation of its own.
     """
-    size, width = len(state.x), max(1, WIDTH * SLOTS // slots)
+    size, width = len(state.x), _width(state, slots)
     blocks = [padded((scene, state), first, width) for first in range(0, size, width)]
     runs = [_run(*block, periods, _needed(scene, slots)) for block in blocks]
     ends = jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *[run[0] for run in runs])
@@ -65,10 +66,15 @@ def iterate(scene, state, periods, slots=SLOTS):
 
 def ends(scene, state, periods):
     """(state, status) of a state's lanes so many periods later; the same compiled run as `iterate`'s."""
-    size = len(state.x)
-    blocks = [padded((scene, state), first, WIDTH) for first in range(0, size, WIDTH)]
+    size, width = len(state.x), _width(state, SLOTS)
+    blocks = [padded((scene, state), first, width) for first in range(0, size, width)]
     runs = [_run(*block, periods, _needed(scene, SLOTS))[:2] for block in blocks]
     return jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *runs)
+
+
+def _width(state, slots):
+    """Lanes of a block: a few are run one by one, which compiles and runs faster than a block of which most is idle."""
+    return 1 if len(state.x) <= FEW else max(1, WIDTH * SLOTS // slots)
 
 
 def _needed(scene, slots):

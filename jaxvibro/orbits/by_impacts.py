@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from continuation import newton
 from continuation.arrays import Array
-from continuation.persistent_jit import persistent_jit
+from continuation.persistent_jit import SOON, persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
@@ -47,11 +47,11 @@ class Solution(NamedTuple):
     determinant: Float[Array, ""]
 
 
-@persistent_jit
+@persistent_jit(compiler_options=SOON)
 def solution(scene, guess):
     """The `Solution` that Newton's method reaches from a cycle."""
     solved = one_kernel(impact_equations.solved, scene, guess)
-    return _measured(scene, impact_equations.ordered(scene, guess, solved.unknowns), solved)
+    return one_kernel(_measured, scene, impact_equations.ordered(scene, guess, solved.unknowns), solved)
 
 
 def _measured(scene, found, solved):
@@ -135,7 +135,7 @@ def _read(scene, times, speeds, sides, phase, periods, residual):
     return _described(scene, jax.device_get(_known(scene, given, solved)), len(times), length)
 
 
-_known = persistent_jit(_measured)
+_known = persistent_jit(_measured, compiler_options=SOON)
 
 
 def _described(scene, found, count, length):
