@@ -46,14 +46,14 @@ def persistent_jit(**options: Any) -> Callable[[Callable[Given, Found]], Callabl
 def persistent_jit(function: Callable[..., Any] | None = None, **options: Any) -> Callable[..., Any]:
     """`jax.jit` for a function of a module that the host calls, its options the same; its module is kept.
 
-    Under a transformation it is the jitted function: what has been exported has no derivatives and no lanes. Nothing is
-    kept where jax has no compile cache, of anything but one processor, or for an argument that is known to this process
-    alone, as a user's function.
+    Under a transformation it is the jitted function, without options of the compiler, which jax takes for a whole
+    program alone: what has been exported has no derivatives and no lanes. Nothing is kept where jax has no compile
+    cache, of anything but one processor, or for an argument that is known to this process alone, as a user's function.
     """
     if function is None:
         return partial(persistent_jit, **options)
     _ours.add(function.__module__.split(".")[0])
-    plain = jax.jit(function, **options)
+    plain = jax.jit(function, **{key: each for key, each in options.items() if key != "compiler_options"})
 
     @wraps(function)
     def traced(*args, **named):
@@ -66,7 +66,7 @@ def persistent_jit(function: Callable[..., Any] | None = None, **options: Any) -
     def call(*args, **named):
         return (plain if _numbers((args, named)) else stored)(*args, **named)
 
-    call.lower = plain.lower  # type: ignore[attr-defined]  # a function takes any attribute
+    call.lower = jax.jit(function, **options).lower  # type: ignore[attr-defined]  # a function takes any attribute
     return call
 
 
