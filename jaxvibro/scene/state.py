@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Real
 
@@ -56,18 +55,15 @@ class Impacts:
 
 
 def real_state(scene, state):
-    """The state with every number an array of the scene's type; refused where it is none, or fits no batch."""
+    """The state with every number an array of the scene's type, NumPy's but where it is traced; refused where it is
+    none, or fits no batch."""
     for key, given, kind in (("scene", scene, Scene), ("state", state, State)):
         if not isinstance(given, kind):
             raise check.ArgumentError(key, f"must be a {kind.__name__}", given)
-    keys = ("x", "v", "phase", "contact")
-    found = [jnp.asarray(check.real(f"state.{key}", getattr(state, key), scene.dtype)) for key in keys]
-    leaves = [
-        ("scene", jnp.zeros(scene.shape)),
-        *((f"state.{key}", each) for key, each in zip(keys, found, strict=True)),
-    ]
-    check.shapes_agree(leaves)
-    return State(*found)
+    dtype = scene.dtype
+    found = {key: check.real(f"state.{key}", getattr(state, key), dtype) for key in ("x", "v", "phase", "contact")}
+    check.shapes_agree([("scene", np.empty(scene.shape)), *((f"state.{key}", each) for key, each in found.items())])
+    return State(**found)
 
 
 def check_start(scene, state, when="at its phase"):
