@@ -61,9 +61,9 @@ for name in ("amplitude", "frequency", "damping", "restitution"):
 # %% [markdown]
 # ## One drive period
 #
-# `strobe` takes a state at phase 0 of the drive one period further, and records every impact on the way. It takes many
-# states as easily as one, and what comes back has the shape of what went in. Here: from the middle, with velocities
-# from -3 to 3.
+# `strobe` takes a state at phase 0 of the drive one period further, counts the impacts on the way, and records four of
+# them, or as many as `slots` asks for. It takes many states as easily as one, and what comes back has the shape of what
+# went in. Here: from the middle, with velocities from -3 to 3.
 
 # %%
 speeds = np.linspace(-3.0, 3.0, 201)
