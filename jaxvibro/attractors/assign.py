@@ -14,7 +14,7 @@ from jaxtyping import Float
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import OPTIONS, WIDTH
-from ..maps import one_period
+from ..maps import two_tiers
 from ..maps.iterate import iterate
 from ..maps.phase_shift import shift_phase
 from ..scene.codes import Status
@@ -107,7 +107,7 @@ def _round(scene, x, v, contact, phase, blocks):
     def block(k, carry):
         start = k * WIDTH
         given = [lax.dynamic_slice_in_dim(each, start, WIDTH) for each in carry[:3]]
-        end, impacts = one_period.strobe(scene, State(given[0], given[1], phase, given[2]), ROUND, 0, WIDTH)
+        end, impacts = two_tiers.strobe(scene, State(given[0], given[1], phase, given[2]), ROUND, 0, WIDTH)
         new = (end.x, end.v, end.contact, impacts.status)
         return [lax.dynamic_update_slice_in_dim(old, part, start, 0) for old, part in zip(carry, new, strict=True)]
 

@@ -18,7 +18,7 @@ from numpy.polynomial import chebyshev
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import OPTIONS, WIDTH
-from ..maps import one_period
+from ..maps import two_tiers
 from ..maps.inverse import backward
 from ..scene.codes import Status
 from ..scene.state import State
@@ -68,7 +68,7 @@ def _run(scene, x, v, phase, steps, blocks, back):
     def one(_, carry):
         x, v, contact, count, status = carry
         state = State(x, v, phase, contact)
-        end, impacts = backward(scene, state, WIDTH) if back else one_period.strobe(scene, state, 1, 0, WIDTH)
+        end, impacts = backward(scene, state, WIDTH) if back else two_tiers.strobe(scene, state, 1, 0, WIDTH)
         return end.x, end.v, end.contact, count + impacts.count, jnp.maximum(status, impacts.status)
 
     def block(k, whole):

@@ -131,6 +131,15 @@ def newton(progress, time):
     return time - value / slope
 
 
+def rising(progress, far):
+    """A lower bound on the slope of G for times up to far."""
+    g = progress.terms
+    rise = negative(6.0 * g[6]) - 7.0 * progress.remainder
+    for k in (5, 4, 3, 2):
+        rise = rise * far + negative(float(k) * g[k])
+    return rise * far + g[1]
+
+
 def slack(progress, guess, root):
     """A bound on the error of a root that is the first contact, -1 where that is not certain.
 
@@ -139,10 +148,7 @@ def slack(progress, guess, root):
     """
     g, remainder = progress.terms, progress.remainder
     far = root * MARGIN
-    rise = negative(6.0 * g[6]) - 7.0 * remainder
-    for k in (5, 4, 3, 2):
-        rise = rise * far + negative(float(k) * g[k])
-    rise = rise * far + g[1]
+    rise = rising(progress, far)
     cube, (left, _) = root * root * root, horner(g, root)
     noise = NOISE * rounding(remainder.dtype) * (g[1] * root - g[0])
     error = (remainder * (cube * cube) + positive(lax.abs(left) - noise)) / lax.abs(rise)

@@ -8,78 +8,58 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, mask, merge, stage
-from ..scene.codes import Contact
-from .soft_contact import is_inside
 
 RECENT = 4  # impacts kept at hand; the slots are touched only where a lane has more, and at the end
 
 
 class Log(NamedTuple):
     """times, speeds: of the recent impacts, the speed with its wall's sign; held: how many of them; count: of all
-    (floats like the rest, as mixed types are slow); freed: when the mass was last released from a wall, -1 if never;
-    end: when the time to go is used up; steps: taken so far, one number for all lanes."""
+    (floats like the rest, as mixed types are slow); end: when the time to go is used up."""
 
     times: tuple[Float[jax.Array, "*lanes"], ...]
     speeds: tuple[Float[jax.Array, "*lanes"], ...]
     held: Float[jax.Array, "*lanes"]
     count: Float[jax.Array, "*lanes"]  # type: ignore[assignment]  # a tuple has a method of this name
     least_speed: Float[jax.Array, "*lanes"]
-    freed: Float[jax.Array, "*lanes"]
     end: Float[jax.Array, "..."]
-    steps: Float[jax.Array, ""]
 
 
 class Slots(NamedTuple):
-    """Times and speeds of all impacts, lanes first, slots last."""
+    """Times and signed speeds of all impacts, slots first, lanes last."""
 
-    times: Float[jax.Array, "*lanes slots"]
-    speeds: Float[jax.Array, "*lanes slots"]
+    times: Float[jax.Array, "slots ..."]
+    speeds: Float[jax.Array, "slots ..."]
 
 
 def empty(lanes, slots, end):
     """(log, slots) of no impacts for lanes like these."""
     none, never = jnp.zeros_like(lanes), jnp.full_like(lanes, jnp.inf)
     recent = min(RECENT, slots)
-    log = Log((never,) * recent, (none,) * recent, none, none, never, none - 1.0, end, jnp.zeros((), lanes.dtype))
-    shape = (*lanes.shape, slots)
+    log = Log((never,) * recent, (none,) * recent, none, none, never, end)
+    shape = (slots, *lanes.shape)
     return log, Slots(jnp.full(shape, jnp.inf, lanes.dtype), jnp.zeros(shape, lanes.dtype))
 
 
-def write(log, side, contact, strike, rest):
-    """The log with one step more: the `impact.Strike` of each lane with a side, with so much time to go.
+def write(log, side, speed, slowest, rest):
+    """The log with one step more: an impact of each lane with a side, at a speed, with so much time to go.
 
-    contact: before it. A side is no impact where the mass rested on a wall, or was within one: it is set free.
+    slowest: the least speed that comes of it.
     """
-    freed, side = stage(_freed, side, contact), stage(_struck, side, contact)
-    time, signed, slower, *places = stage(_due, log, side, strike, rest)
+    time, signed, slower, *places = stage(_due, log, side, speed, slowest, rest)
     return log._replace(
         times=tuple(merge(*each) for each in zip(places, [time] * RECENT, log.times, strict=False)),
         speeds=tuple(merge(*each) for each in zip(places, [signed] * RECENT, log.speeds, strict=False)),
         held=log.held + lax.abs(side),
         count=log.count + lax.abs(side),
         least_speed=slower,
-        freed=merge(freed, time, log.freed),
-        steps=log.steps + 1.0,
     )
 
 
-def _freed(side, contact):
-    return mask((lax.abs(contact) == Contact.STUCK) & (side != 0), side)
-
-
-def _struck(side, contact):
-    return choose((lax.abs(contact) == Contact.STUCK) | is_inside(contact), 0.0, side)
-
-
-def _due(log, side, strike, rest):
+def _due(log, side, speed, slowest, rest):
     hit = side != 0
     places = [mask(hit & (log.held == k), rest) for k in range(len(log.times))]
-    return (
-        log.end - rest,
-        side * strike.speed,
-        choose(hit, least(strike.least, log.least_speed), log.least_speed),
-        *places,
-    )
+    least_speed = choose(hit, least(slowest, log.least_speed), log.least_speed)
+    return log.end - rest, side * speed, least_speed, *places
 
 
 def is_full(log):
@@ -89,14 +69,19 @@ def is_full(log):
 
 def pour(log, slots):
     """(log, slots) with the impacts at hand put into their slots, and nothing into those that follow."""
-    last = slots.times.ndim - 1
-    place = lax.broadcasted_iota(log.count.dtype, slots.times.shape, last)
-    place = place - lax.expand_dims(log.count - log.held, [last])
+    place = lax.broadcasted_iota(log.count.dtype, slots.times.shape, 0) - lax.expand_dims(log.count - log.held, [0])
 
     def put(recent, empty, old):
         for k, each in enumerate(recent):
-            old = choose(place == k, lax.expand_dims(choose(log.held > k, each, empty), [last]), old)
+            old = choose(place == k, lax.expand_dims(choose(log.held > k, each, empty), [0]), old)
         return old
 
     slots = Slots(put(log.times, jnp.inf, slots.times), put(log.speeds, 0.0, slots.speeds))
     return log._replace(held=jnp.zeros_like(log.held)), slots
+
+
+def rows(slots):
+    """(times, sides, speeds) of the impacts, lanes first, as `Impacts` has them."""
+    order = (*range(1, slots.times.ndim), 0)
+    sides = (slots.speeds > 0).astype(jnp.int8) - (slots.speeds < 0).astype(jnp.int8)
+    return [lax.transpose(each, order) for each in (slots.times, sides, lax.abs(slots.speeds))]

@@ -12,7 +12,8 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, stage
+from ..compiled.compiler_hints import choose, mask, merge, stage
+from ..scene.codes import Contact
 from . import impact_log, soft_long_step, turning_points
 from .flight_state import CAPPED, Path
 from .soft_contact import is_inside
@@ -28,6 +29,7 @@ GOING, FULL, CROWDED, WAITING = 1, 2, 4, 8
 class Journey(NamedTuple):
     """Where the lanes are, their impacts, their closest calls (None where not asked for, or without a wall).
 
+    freed: when the mass was last released from a wall, -1 if never; steps: taken so far, one number for all lanes;
     wait: steps taken within a soft wall since it was entered, or a long one tried; None where there is no soft wall.
     """
 
@@ -35,6 +37,8 @@ class Journey(NamedTuple):
     log: impact_log.Log
     slots: impact_log.Slots
     calls: turning_points.Calls | None
+    freed: Float[jax.Array, "..."]
+    steps: Float[jax.Array, ""]
     wait: Float[jax.Array, "..."] | None = None
 
 
@@ -48,7 +52,9 @@ class Cap(NamedTuple):
 def begin(frame, path, slots, end, clearance=False):
     """A `Journey` that has not begun; end: when the time to go is used up; clearance: with closest calls."""
     calls = turning_points.nothing(path.x) if frame.walls and clearance else None
-    return Journey(path, *impact_log.empty(path.x, slots, end), calls, jnp.zeros_like(path.x) if frame.soft else None)
+    none = jnp.zeros_like(path.x)
+    steps = jnp.zeros((), path.x.dtype)
+    return Journey(path, *impact_log.empty(path.x, slots, end), calls, none - 1.0, steps, none if frame.soft else None)
 
 
 def cap(frame, periods):
@@ -66,13 +72,17 @@ def run(frame, journey, cap, again=None):
 
     def turn(journey):
         step = micro(frame, journey.path)
-        book = impact_log.write(journey.log, step.side, journey.path.contact, step.strike, step.path.to_go)
+        rest, contact = step.path.to_go, journey.path.contact
+        freed = merge(stage(_freed, step.side, contact), stage(_ended, journey.log, rest), journey.freed)
+        side = stage(_struck, step.side, contact)
+        book = impact_log.write(journey.log, side, step.strike.speed, step.strike.least, rest)
         calls = turning_points.note(frame, journey.path, step, journey.calls) if watched else None
         wait = stage(_waited, journey.wait, step.path.contact) if frame.soft else None
-        journey = journey._replace(path=step.path, log=book, calls=calls, wait=wait)
+        journey = journey._replace(path=step.path, log=book, calls=calls, freed=freed, wait=wait)
+        journey = journey._replace(steps=journey.steps + 1.0)
         journey = again(journey) if again else journey
         path = journey.path
-        over = ((journey.log.count >= cap.impacts) | (journey.log.steps > cap.steps)) & (path.to_go > 0)
+        over = ((journey.log.count >= cap.impacts) | (journey.steps > cap.steps)) & (path.to_go > 0)
         # with a low part left, the next step would round CAPPED to a time that has been used up
         to_go, low = choose(over, CAPPED, path.to_go), choose(over, 0.0, path.to_go_low)
         return journey._replace(path=path._replace(to_go=to_go, to_go_low=low))
@@ -102,6 +112,20 @@ def run(frame, journey, cap, again=None):
         return jnp.any(journey.path.to_go > 0)
 
     return lax.while_loop(pending if watched else going, leg if walls else turn, journey)
+
+
+def _freed(side, contact):
+    return mask((lax.abs(contact) == Contact.STUCK) & (side != 0), side)
+
+
+def _struck(side, contact):
+    """The sides of impacts: those of a mass that rested on a wall, or was within one, set it free."""
+    return choose((lax.abs(contact) == Contact.STUCK) | is_inside(contact), 0.0, side)
+
+
+def _ended(log, rest):
+    """The time of an event, with so much to go."""
+    return log.end - rest
 
 
 def _waited(wait, contact):

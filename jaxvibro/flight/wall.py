@@ -65,13 +65,18 @@ def course(wall, frequency, cosine, sine, order):
     """
     if wall.swing is None:
         return [wall.position] + [None] * order
-    c, s = _power(cosine, sine, wall.harmonic)
-    c, s = c * wall.cosine - s * wall.sine, s * wall.cosine + c * wall.sine
+    c, s = wave(wall, cosine, sine)
     rate = frequency * float(wall.harmonic)
     found = [wall.swing * c, -(wall.swing * s) * rate]
     for k in range(2, order + 1):
         found.append(found[k - 2] * -(rate * rate))
     return [wall.position + found[0], *found[1:]]
+
+
+def wave(wall, cosine, sine):
+    """Cosine and sine of the angle that a wall swings by."""
+    c, s = _power(cosine, sine, wall.harmonic)
+    return c * wall.cosine - s * wall.sine, s * wall.cosine + c * wall.sine
 
 
 def _power(cosine, sine, harmonic):

@@ -19,7 +19,7 @@ from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
 from ..scene.codes import Contact, Status
 from ..scene.state import State
-from . import one_period
+from . import two_tiers
 from .one_period import SLOTS
 from .replay import KnownImpacts, replay
 
@@ -50,7 +50,7 @@ def strobe(scene, state, periods, slots, clearance):
 def _strobe(task):
     """(State, Impacts), all real, of the numbers of scene and state."""
     asked = {"periods": task.periods, "slots": task.slots, "clearance": task.clearance}
-    inner = jax.jit(partial(one_period.strobe, **asked, least=1))
+    inner = jax.jit(partial(two_tiers.strobe, **asked, least=1))
     run = jax.custom_jvp(batched(lambda *leaves: _real(inner(*task.tree.unflatten(leaves)))))
 
     def rule(primals, tangents):
@@ -66,7 +66,7 @@ def _recorded(task):
     """The same, and what a replay has to know, whose derivatives are not asked for."""
     slots = max(task.slots, SLOTS * task.periods)
     asked = {"periods": task.periods, "slots": slots, "clearance": task.clearance}
-    inner = jax.jit(partial(one_period.recorded, **asked, least=1))
+    inner = jax.jit(partial(two_tiers.recorded, **asked, least=1))
 
     def found(*leaves):
         (end, impacts), freed = _real(inner(*task.tree.unflatten(leaves)))

@@ -13,6 +13,7 @@ from ..flight import integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
 from ..flight.flight_state import CAPPED, absolute
+from ..flight.impact_log import rows
 from ..flight.soft_contact import is_inside
 from ..scene.codes import Contact, Status
 from ..scene.state import Impacts, State
@@ -60,7 +61,7 @@ def through(scene, state, periods, slots, clearance=False):
     limit = integrate.cap(built, periods)
     again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
     told = integrate.run(built, integrate.begin(built, path, slots, end, clearance), limit, again)
-    return finish(built, told, state, fault, clearance), told.log.freed
+    return finish(built, told, state, fault, clearance), told.freed
 
 
 def _again(frame, start, last, told):
@@ -81,7 +82,7 @@ def finish(frame, told, state, fault, clearance=False):
     """(State, Impacts) of a journey at its end, with its least clearance where that was asked for."""
     path, book, slots, calls = told[:4]
     x, v = absolute(frame, path)
-    full = (book.count > slots.times.shape[-1]) | (book.least_speed < 0)
+    full = (book.count > len(slots.times)) | (book.least_speed < 0)
     status = choose(full, lax.full_like(book.count, Status.FULL), Status.OK)
     status = choose(path.to_go == CAPPED, Status.CAP, status)
     finite = jnp.isfinite(x) & jnp.isfinite(v) & jnp.isfinite(path.cosine)
@@ -92,11 +93,12 @@ def finish(frame, told, state, fault, clearance=False):
     contact = jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, kind)
     phase = jnp.broadcast_to(state.phase, status.shape)
     end = State(choose(good, x, jnp.nan), choose(good, v, jnp.nan), phase, choose(good, contact, 0.0))
+    times, sides, speeds = rows(slots)
     closest = jnp.full_like(path.x, jnp.inf) if calls is None else calls.least
     return end, Impacts(
-        time=slots.times,
-        side=(slots.speeds > 0).astype(jnp.int8) - (slots.speeds < 0).astype(jnp.int8),
-        speed=abs(slots.speeds),
+        time=times,
+        side=sides,
+        speed=speeds,
         count=book.count.astype(jnp.int32),
         least_speed=positive(book.least_speed),
         least_clearance=closest if clearance else None,

@@ -1,5 +1,7 @@
 """The stroboscopic map: the state one or more drive periods later, and the impacts on the way."""
 
+from functools import partial
+
 import jax
 import numpy as np
 
@@ -10,12 +12,54 @@ from ..compiled.compiler_hints import OPTIONS
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import Impacts, State, real_state
-from . import derivatives, one_period
+from . import derivatives, one_period, two_tiers
+
+CHUNK = 256  # lanes that lean steps have given up are done so many at a time
 
 
 @persistent_jit(static_argnums=(2, 3, 4), compiler_options=OPTIONS)
 def _at_once(scene, state, periods, slots, clearance):
-    return one_period.strobe(scene, state, periods, slots, LEAST, clearance)
+    return two_tiers.strobe(scene, state, periods, slots, LEAST, clearance)
+
+
+@persistent_jit(static_argnums=2, compiler_options=OPTIONS)
+def _lean(scene, state, slots):
+    return two_tiers.lean_alone(scene, state, slots, LEAST)
+
+
+@persistent_jit(static_argnums=2, compiler_options=OPTIONS)
+def _full(scene, state, slots):
+    return one_period.strobe(scene, state, 1, slots, LEAST)
+
+
+@partial(jax.jit, donate_argnums=0)
+def _put(whole, places, part):
+    """The results with those of some lanes replaced, in place."""
+    return jax.tree.map(lambda old, new: old.at[places].set(new), whole, part)
+
+
+def _at(tree, places, shape):
+    """The lanes at some places of numbers that broadcast to a shape."""
+    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape)[places] if leaf.ndim else leaf, tree)
+
+
+def _from_host(scene, state, periods, slots, clearance):
+    """The strobe of numbers that are known: what the lean tier does not need is not compiled."""
+    if periods > 1 or clearance or not two_tiers.takes(scene):
+        return _at_once(scene, state, periods, slots, clearance)
+    found, given_up = _lean(scene, state, slots)
+    due, shape = np.flatnonzero(given_up), np.shape(given_up)
+    if not due.size:
+        return found
+    if not shape:
+        return _full(scene, state, slots)
+    given = jax.tree.map(np.asarray, (scene, state))
+    width = min(CHUNK, np.size(given_up))
+    for first in range(0, due.size, width):
+        places = np.pad(due[first : first + width], (0, max(0, first + width - due.size)), mode="edge")
+        places = np.unravel_index(places, shape)
+        found = _put(found, places, _full(*_at(given, places, shape), slots))
+    return found
 
 
 def strobe(
@@ -29,9 +73,9 @@ def strobe(
     time. The state's phase comes back unchanged. An impact at the end belongs to the period that ends: the state is the
     one after it, and its contact says so. A start on a wall and moving into it rebounds at time 0. A flight that turns
     back within 8 ulp of its largest length (x, v, A, the walls') of a wall may count as a contact or as none. n periods
-    in one call are n strobes but for roundings, which it carries on: they differ by less than
-    16 eps (1 + T) s (1 + the sum of abs M), T = 2 pi / omega, s the largest length or speed, M the derivative from each
-    strobe on to the end (docs/numbers.md).
+    in one call are n strobes: between rigid walls in double precision, without the clearance, bit for bit; elsewhere
+    but for roundings, which it carries on: they differ by less than 16 eps (1 + T) s (1 + the sum of abs M), T = 2 pi /
+    omega, s the largest length or speed, M the derivative from each strobe on to the end (docs/numbers.md).
 
     jax.grad, jacfwd, jacrev, hessian and the rest go through it, at any order: by x, v, phase and every number of the
     scene; of the state, the impacts' times and speeds and the least speed. The rest of `Impacts` counts as constant.
@@ -46,4 +90,4 @@ def strobe(
         raise check.ArgumentError("clearance", "must be True or False", clearance)
     state = real_state(scene, state)
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, state)))
-    return (derivatives.strobe if traced else _at_once)(scene, state, periods, slots, bool(clearance))
+    return (derivatives.strobe if traced else _from_host)(scene, state, periods, slots, bool(clearance))

@@ -1,0 +1,56 @@
+"""The lean tier decides nothing that the full one decides otherwise, and which tier a lane takes changes no bit."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from jaxvibro.maps import two_tiers
+from tests.status_proof import RIGID, draw
+from tests.tiers_proof import bits, chatter, compared, grazing, lean, usual
+
+MOST = 4_000  # lanes of a test
+KINDS = [RIGID[k] for k in (1, 4)]
+
+
+@pytest.mark.parametrize(("make", "most"), [(usual, 0.2), (draw, 0.9)])
+@pytest.mark.parametrize("kind", KINDS)
+def test_random_scenes_end_as_by_full_steps(kind, make, most):
+    found = compared(*make(np.random.default_rng(5), MOST, kind))
+    assert found.wrong == 0 and found.error < 1
+    assert found.given_up < most * MOST  # so that there is something to compare
+
+
+def test_what_turns_back_near_a_wall_is_given_up():
+    scene, start = grazing(np.random.default_rng(6), MOST)
+    found = compared(scene, start)
+    assert found.given_up == found.lanes > MOST // 4 and found.wrong == 0
+    top = scene.right.position
+    for far, given_up in ((1e-3, 0.0), (1e-8, 0.0), (1e-11, 1.0)):
+        wide = scene.replace(**{"right.position": top + far * np.maximum(1.0, abs(top))})
+        assert np.mean(np.asarray(lean(wide, start)[1])) == pytest.approx(given_up, abs=0.05)
+
+
+def test_masses_that_hop_and_rest_end_as_by_full_steps():
+    scene, start = chatter(np.random.default_rng(7), MOST)
+    found = compared(scene, start)
+    assert found.wrong == 0 and found.error < 1 and 0 < found.given_up < found.lanes
+    (_, impacts), given_up = jax.device_get(lean(scene, start))
+    after = np.asarray(scene.restitution) * np.nan_to_num(impacts.least_speed)
+    assert after[~given_up & (impacts.count > 0)].min() > 2e-3  # a slower impact is not theirs to decide
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_no_bit_depends_on_the_batch(kind):
+    wrong, given_up = bits(np.random.default_rng(8), 400, kind)
+    assert wrong == [] and given_up > 0
+
+
+def test_the_tier_of_a_scene():
+    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    assert two_tiers.takes(scene)
+    single = jax.tree.map(jnp.float32, scene)
+    assert not two_tiers.takes(single)
+    assert not two_tiers.takes(jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, None)))
+    assert not two_tiers.takes(jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, stiffness=50.0))))
