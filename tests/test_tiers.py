@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.maps import two_tiers
+from jaxvibro.maps import iterate, two_tiers
 from tests.status_proof import RIGID, draw
 from tests.tiers_proof import bits, chatter, compared, grazing, lean, usual
 
@@ -54,3 +54,28 @@ def test_the_tier_of_a_scene():
     assert not two_tiers.takes(single)
     assert not two_tiers.takes(jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, None)))
     assert not two_tiers.takes(jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, stiffness=50.0))))
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)),
+        jv.make_scene(2.0, 2.1, 0.05, 0.0, (-1.0, 1.0)),
+        jv.make_scene(3.0, 0.1, 0.05, 0.8, (-1.0, 0.5)),
+        jv.make_scene(1.5, 1.3, 0.2, 0.6, (None, 0.4)),
+        jv.make_scene(1.5, 1.3, 0.2, 0.6, (None, None)),
+    ],
+)
+def test_a_few_lanes_strobed_from_the_host_are_those_of_the_compiled_run(scene, monkeypatch):
+    state = jv.State(np.array([0.1, -0.3, 0.35]), np.array([1.0, 2.0, -0.5]), np.zeros(3), np.zeros(3))
+    for periods in (3, iterate.KEEP + 2):
+        found = []
+        for short in (iterate.SHORT, 0):
+            monkeypatch.setattr(iterate, "SHORT", short)
+            found.append(iterate.iterate(scene, state, periods))
+        monkeypatch.undo()
+        host, run = (jax.tree.leaves(each) for each in found)
+        assert [each.dtype for each in host] == [each.dtype for each in run]
+        for one, other in zip(host, run, strict=True):
+            np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11)
+    assert (found[0].status == (1 if scene.left is not None and scene.frequency < 1 else 0)).all()

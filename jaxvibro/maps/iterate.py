@@ -13,11 +13,13 @@ from continuation.persistent_jit import persistent_jit
 from ..compiled.compiler_hints import OPTIONS, WIDTH
 from ..scene.codes import Status
 from ..scene.state import State
-from .strobe import strobe
+from .strobe import from_host, strobe
 
 KEEP = 64  # periods kept, of however many have been run
 SLOTS = 16  # impacts recorded in a period
 FEW = 8  # lanes that are run one by one, and differ by a rounding from those of a block
+SHORT = 1024  # periods of a few lanes, in all, up to which they are strobed from the host: no compiled run is made
+RECORDED = 4  # impacts that the host's strobe records, where no period has more: as many as `strobe` by itself
 
 
 class Trail(NamedTuple):
@@ -55,7 +57,8 @@ def iterate(scene, state, periods, slots=SLOTS):
     """
     size, width = len(state.x), _width(state, slots)
     blocks = [padded((scene, state), first, width) for first in range(0, size, width)]
-    runs = [_run(*block, periods, _needed(scene, slots)) for block in blocks]
+    run = _strobed if width == 1 and size * periods <= SHORT else _run
+    runs = [run(*block, periods, _needed(scene, slots)) for block in blocks]
     ends = jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *[run[0] for run in runs])
     worst = np.concatenate([run[1] for run in runs])[:size]
     count = min(periods, KEEP)
@@ -91,6 +94,29 @@ def padded(lanes, first, width):
         return np.pad(some, (0, width - len(some)), mode="edge")
 
     return jax.tree.map(part, lanes)
+
+
+def _strobed(scene, state, periods, slots):
+    """As `_run`, of one lane, by strobes from the host."""
+    scene, state = jax.tree.map(lambda leaf: np.reshape(leaf, ()), (scene, state))
+    worst, few = int(Status.OK), min(RECORDED, slots)
+    ring = [np.zeros((KEEP, 1), state.x.dtype) for _ in range(3)]
+    empty = (np.inf, state.x.dtype), (0, np.int32), (0.0, state.x.dtype)  # time, side and speed of no impact
+    ring += [np.full((KEEP, 1, slots), *each) for each in empty]
+    for k in range(periods):
+        kept = k >= periods - KEEP
+        end, impacts = from_host(scene, state, 1, few, False)
+        if kept and impacts.status == Status.FULL and few < slots:
+            end, impacts = from_host(scene, state, 1, slots, False)
+        told = int(impacts.status)
+        if worst < Status.CAP and (kept or told >= Status.CAP):
+            worst = max(worst, told)
+        state = end
+        if kept:
+            row = (end.x, end.v, end.contact, impacts.time, impacts.side, impacts.speed)
+            for old, part in zip(ring, row, strict=True):
+                old[(k % KEEP, 0, *(slice(size) for size in part.shape))] = part
+    return jax.tree.map(lambda leaf: np.reshape(leaf, 1), state), np.array([worst], np.int32), tuple(ring)
 
 
 @persistent_jit(static_argnames="slots", compiler_options=OPTIONS)

@@ -43,7 +43,7 @@ def _at(tree, places, shape):
     return jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape)[places] if leaf.ndim else leaf, tree)
 
 
-def _from_host(scene, state, periods, slots, clearance):
+def from_host(scene, state, periods, slots, clearance):
     """The strobe of numbers that are known: what the lean tier does not need is not compiled."""
     if periods > 1 or clearance or not two_tiers.takes(scene):
         return _at_once(scene, state, periods, slots, clearance)
@@ -90,4 +90,4 @@ def strobe(
         raise check.ArgumentError("clearance", "must be True or False", clearance)
     state = real_state(scene, state)
     traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, state)))
-    return (derivatives.strobe if traced else _from_host)(scene, state, periods, slots, bool(clearance))
+    return (derivatives.strobe if traced else from_host)(scene, state, periods, slots, bool(clearance))
