@@ -49,7 +49,7 @@ def oriented(slopes, scale, along=None):
     return sign * filled / np.linalg.norm(scale * filled)
 
 
-@persistent_jit(static_argnums=(0, 4))
+@persistent_jit(static_argnums=(0, 4), numpy_first=True)
 def _track(problem, place, control, args, count):
     return problem.run(_tracked, place, control, args, problem=problem, count=count)
 
@@ -137,7 +137,7 @@ def _of_lane(controls, args, lane):
     return jax.tree.map(lambda leaf: leaf[lane], (controls, args))
 
 
-@persistent_jit(static_argnums=(0, 4))
+@persistent_jit(static_argnums=(0, 4), numpy_first=True)
 def _track_lanes(problem, places, controls, args, count):
     def one(*lane):
         return arclength.track(problem.function, problem.solve, *lane, count)
@@ -158,7 +158,7 @@ def _kept(start, points):
     return jax.tree.map(lambda first, rest: np.concatenate([np.asarray(first)[None], rest]), start, kept)
 
 
-@persistent_jit(static_argnums=(0, 1))
+@persistent_jit(static_argnums=(0, 1), numpy_first=True)
 def _values(problem, test, zs, args):
     return jax.vmap(lambda z: jnp.linalg.det(test.matrix(z, args)))(zs)
 

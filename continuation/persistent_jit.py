@@ -24,6 +24,8 @@ import numpy as np
 from jax import export
 from jax.core import Tracer
 
+from . import in_numpy
+
 FOLDER = "modules"  # within jax's cache
 GENERATIONS = 3  # of sources, whose modules are kept
 DIGEST = hashlib.sha256().digest_size
@@ -43,15 +45,20 @@ class Unknown(Exception):
 def persistent_jit(function: Callable[Given, Found], **options: Any) -> Callable[Given, Found]: ...
 @overload
 def persistent_jit(**options: Any) -> Callable[[Callable[Given, Found]], Callable[Given, Found]]: ...
-def persistent_jit(function: Callable[..., Any] | None = None, **options: Any) -> Callable[..., Any]:
+def persistent_jit(
+    function: Callable[..., Any] | None = None, numpy_first: bool | Callable[..., Any] = False, **options: Any
+) -> Callable[..., Any]:
     """`jax.jit` for a function of a module that the host calls, its options the same; its module is kept.
 
     Under a transformation it is the jitted function, without options of the compiler, which jax takes for a whole
     program alone: what has been exported has no derivatives and no lanes. Nothing is kept where jax has no compile
     cache, of anything but one processor, or for an argument that is known to this process alone, as a user's function.
+
+    numpy_first: whether it is evaluated in NumPy (`in_numpy`) until that has cost what compiling does; a function that
+    gives the same is evaluated in its place. It then takes no arguments by name.
     """
     if function is None:
-        return partial(persistent_jit, **options)
+        return partial(persistent_jit, numpy_first=numpy_first, **options)
     _ours.add(function.__module__.split(".")[0])
     plain = jax.jit(function, **{key: each for key, each in options.items() if key != "compiler_options"})
 
@@ -61,10 +68,15 @@ def persistent_jit(function: Callable[..., Any] | None = None, **options: Any) -
         return function(*args, **named) if module is None else module(*_numbers((args, named)))
 
     stored = jax.jit(traced, **options)
+    static = np.atleast_1d(options.get("static_argnums", ())).astype(int).tolist()
+    tried = in_numpy.Tried(numpy_first if callable(numpy_first) else function, static, {}) if numpy_first else None
 
     @wraps(function)
     def call(*args, **named):
-        return (plain if _numbers((args, named)) else stored)(*args, **named)
+        if _numbers((args, named)):
+            return plain(*args, **named)
+        found = None if tried is None else tried(args, **named)
+        return stored(*args, **named) if found is None else found
 
     call.lower = jax.jit(function, **options).lower  # type: ignore[attr-defined]  # a function takes any attribute
     return call

@@ -98,7 +98,7 @@ def padded(lanes, first, width):
 
 def _strobed(scene, state, periods, slots):
     """As `_run`, of one lane, by strobes from the host."""
-    scene, state = jax.tree.map(lambda leaf: np.reshape(leaf, ()), (scene, state))
+    scene, state = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf).reshape(()), (scene, state)))
     worst, few = int(Status.OK), min(RECORDED, slots)
     ring = [np.zeros((KEEP, 1), state.x.dtype) for _ in range(3)]
     empty = (np.inf, state.x.dtype), (0, np.int32), (0.0, state.x.dtype)  # time, side and speed of no impact
@@ -106,7 +106,7 @@ def _strobed(scene, state, periods, slots):
     for k in range(periods):
         kept = k >= periods - KEEP
         end, impacts = from_host(scene, state, 1, few, False)
-        if kept and impacts.status == Status.FULL and few < slots:
+        if kept and few < slots and int(impacts.status) == Status.FULL:
             end, impacts = from_host(scene, state, 1, slots, False)
         told = int(impacts.status)
         if worst < Status.CAP and (kept or told >= Status.CAP):
@@ -116,7 +116,7 @@ def _strobed(scene, state, periods, slots):
             row = (end.x, end.v, end.contact, impacts.time, impacts.side, impacts.speed)
             for old, part in zip(ring, row, strict=True):
                 old[(k % KEEP, 0, *(slice(size) for size in part.shape))] = part
-    return jax.tree.map(lambda leaf: np.reshape(leaf, 1), state), np.array([worst], np.int32), tuple(ring)
+    return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(1), state), np.array([worst], np.int32), tuple(ring)
 
 
 @persistent_jit(static_argnames="slots", compiler_options=OPTIONS)

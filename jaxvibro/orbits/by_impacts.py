@@ -47,7 +47,7 @@ class Solution(NamedTuple):
     determinant: Float[Array, ""]
 
 
-@persistent_jit(compiler_options=SOON)
+@persistent_jit(compiler_options=SOON, numpy_first=True)
 def solution(scene, guess):
     """The `Solution` that Newton's method reaches from a cycle."""
     solved = one_kernel(impact_equations.solved, scene, guess)
@@ -135,7 +135,7 @@ def _read(scene, times, speeds, sides, phase, periods, residual):
     return _described(scene, jax.device_get(_known(scene, given, solved)), len(times), length)
 
 
-_known = persistent_jit(_measured, compiler_options=SOON)
+_known = persistent_jit(_measured, compiler_options=SOON, numpy_first=True)
 
 
 def _described(scene, found, count, length):

@@ -50,7 +50,7 @@ def _parameter_scale(marks, k, length):
     return length if any(mark == k for mark in lengths) else 1.0
 
 
-@persistent_jit(compiler_options=SOON)
+@persistent_jit(compiler_options=SOON, numpy_first=True)
 def _contact(y, along, row, wall):
     return one_kernel(_met, y, along, row, wall)
 
@@ -150,7 +150,7 @@ def stays(along, z):
     return np.asarray(_times(along, z)[1]) if rows and along.scene.soft_sides else np.zeros(max(1, rows))
 
 
-@persistent_jit(compiler_options=SOON)
+@persistent_jit(compiler_options=SOON, numpy_first=True)
 def _times(along, z):
     found = impact_equations.flights(frame(there(along, z)), cycle_at(along, z))
     return found.time, 0.0 * found.time if found.met.stay is None else found.met.stay

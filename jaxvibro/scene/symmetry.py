@@ -16,7 +16,7 @@ def is_symmetric(scene):
         return True
     if left is None or right is None:
         return False
-    if left.position != -right.position or left.soft != right.soft:
+    if float(left.position) != -float(right.position) or left.soft != right.soft:
         return False
     own = ("stiffness", "damping") if left.soft else ("restitution",)
     if any(scene.parameter(f"left.{name}") != scene.parameter(f"right.{name}") for name in own):
