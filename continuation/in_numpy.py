@@ -176,6 +176,10 @@ def _kept(on, new, old):
     return np.where(on.reshape(on.shape + (1,) * (new.ndim - on.ndim)), new, old)
 
 
+def _kind(leaf):
+    return type(leaf) if type(leaf) in (bool, int, float) else (leaf.shape, leaf.dtype)
+
+
 def _chosen(branches):
     return lambda which, *values: branches[min(max(int(which), 0), len(branches) - 1)](*values)
 
@@ -192,24 +196,15 @@ class Tried(NamedTuple):
         """The function's result; None, which it never is, where it is to be compiled."""
         numbers = [each for place, each in enumerate(args) if place not in self.static]
         leaves, form = jax.tree.flatten(numbers)
-        values = [np.asarray(leaf)[()] for leaf in leaves]
-        plain = [
-            (each.shape, each.dtype, type(leaf) in (bool, int, float))
-            for each, leaf in zip(values, leaves, strict=True)
-        ]
-        kind = (
-            form,
-            tuple(plain),
-            tuple(args[place] for place in self.static),
-            jax.dtypes.canonicalize_dtype(np.float64),
-        )
+        static = tuple(args[place] for place in self.static)
+        kind = form, tuple(map(_kind, leaves)), static, jax.dtypes.canonicalize_dtype(np.float64)
         if kind not in self.known:
             self.known[kind] = self.traced(args)
         evaluator, result = self.known[kind] or (None, None)
         if evaluator is None or evaluator.spent >= PATIENCE * evaluator.size:
             return None
         with np.errstate(all="ignore"):
-            return jax.tree.unflatten(result, evaluator.run(*values))
+            return jax.tree.unflatten(result, evaluator.run(*[np.asarray(leaf)[()] for leaf in leaves]))
 
     def traced(self, args: tuple[Any, ...]) -> tuple[Evaluator, Any] | None:
         """(`Evaluator`, form of the result) for arguments like these; None where an equation has no rule."""

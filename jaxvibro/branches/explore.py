@@ -12,7 +12,7 @@ import numpy as np
 
 from ..orbits.orbit_comparison import is_same_orbit
 from ..problem import same_orbit
-from ..problem.equations import there
+from ..problem.equations import number_there
 from ..problem.orbit_on_branch import impacts
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
@@ -190,5 +190,5 @@ def _is_orbit(probe, along, z):
     if not len(along.cycle.sides):
         return not len(probe.spot.times) and abs(z[:2] - probe.points[0]).max() < ON * max(1.0, abs(probe.points).max())
     pace = probe.spot.speeds.max(initial=0.0)
-    theirs = impacts(probe.spot, float(there(along, z).frequency), pace)
+    theirs = impacts(probe.spot, number_there(along, z, "frequency"), pace)
     return is_same_orbit(same_orbit.impacts(along, z, pace), theirs, ON)

@@ -56,6 +56,12 @@ def there(along, z):
     return jax.tree.map(put, along.scene, along.which)
 
 
+def number_there(along, z, name):
+    """A number of the scene at z, of the scene itself, as the host asks for it: a float."""
+    place = int(getattr(along.which, name))
+    return float(z[(2 * len(along.cycle.sides) or 2) + place - 1] if place else getattr(along.scene, name))
+
+
 def cycle_at(along, z):
     """The `Cycle` with these unknowns."""
     rows = len(along.cycle.sides)
@@ -99,7 +105,7 @@ def _flip(z, along):
 def _hits(z, along):
     """Whether each impact has a speed: where one has none, the equations are singular, and every test is zero."""
     speeds = z[len(along.cycle.sides) :][along.hits]
-    return bool((speeds > NONE * abs(float(there(along, z).amplitude))).all())
+    return bool((speeds > NONE * abs(number_there(along, z, "amplitude"))).all())
 
 
 @jax.jit

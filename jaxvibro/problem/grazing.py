@@ -41,8 +41,10 @@ def each_choice(along, z, met, length):
     """What `leave` finds in both directions along the orbits of each itinerary that the touches give."""
     for included in _distinct(along, z, met):
         new, start, out = with_touches(along, z, met, included)
+        tangent = event_search.tangent(problem(new), start, scales(new, length), new)
+        rates = opened(new, start, tangent, out)
         for sign in (1.0, -1.0):
-            yield leave(new, start, out, sign, length, included)
+            yield leave(new, start, sign * tangent, sign * rates, length, included)
 
 
 def exits(along, z, length, ways=each_choice):
@@ -161,17 +163,20 @@ def opening(along, z, direction, row, wall, late):
     return float(np.subtract(*ends) / (2.0 * locate.APART))
 
 
-def leave(along, z, out, sign, length, included):
-    """(the `GrazingExit` in one direction of a branch, None where it is none; whether that is sure). out: the touches
-    left out."""
-    tangent = sign * event_search.tangent(problem(along), z, scales(along, length), along)
+def opened(along, z, tangent, out):
+    """How fast the speeds that are zero, and the distances of the touches left out, grow along a tangent."""
     rows = len(along.cycle.sides)
-    rates = [tangent[rows + k] for k in along.hits if z[rows + k] == 0.0]
-    rates += [opening(along, z, tangent, *each) for each in out]
-    if any(rate < -FLAT for rate in rates):
+    slow = [tangent[rows + k] for k in along.hits if z[rows + k] == 0.0]
+    return np.array(slow + [opening(along, z, tangent, *each) for each in out])
+
+
+def leave(along, z, tangent, rates, length, included):
+    """(the `GrazingExit` along a tangent of a branch, None where it is none; whether that is sure). rates: as `opened`
+    gives them."""
+    if (rates < -FLAT).any():
         return None, True
     way, met = stepped(along, z, tangent, length, included, SURE if any(included) else LOOSE, ASIDE)
-    return way, met or min(rates, default=0.0) <= 0
+    return way, met or rates.min(initial=0.0) <= 0
 
 
 def stepped(along, z, tangent, length, included, tolerance, asides):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..orbits.orbit_comparison import meetings, times_round
-from .equations import there
+from .equations import number_there
 
 REPEATED = 1e-6  # times and speeds as near are one
 
@@ -41,7 +41,7 @@ def turns(along, z, times, sides):
     one so many times: (times round, touches), the first row being each itself."""
     periods = int(along.cycle.periods)
     rounds = times_round(impacts(along, z), periods, REPEATED)
-    span = periods * 2.0 * np.pi / float(there(along, z).frequency)
+    span = periods * 2.0 * np.pi / number_there(along, z, "frequency")
     late = times - times[:, None] - span / rounds * np.arange(rounds)[:, None, None]
     apart = abs(late - span * np.round(late / span)) + span * (sides != sides[:, None])
     return apart.argmin(axis=2)
@@ -52,4 +52,4 @@ def impacts(along, z, length=None):
     rows = len(along.cycle.sides)
     times, speeds = z[:rows], z[rows : 2 * rows]
     length = length or speeds.max(initial=0.0) or 1.0
-    return meetings(float(there(along, z).frequency), times, along.cycle.sides, speeds, length)
+    return meetings(number_there(along, z, "frequency"), times, along.cycle.sides, speeds, length)

@@ -101,7 +101,8 @@ def _ways(along, z, met, length):
         pull[k] = -touches.settled_near(bare, start, *one)[2]
     for sign in (1.0, -1.0):
         if (sign * opening > -FLAT).all():
-            yield grazing.leave(bare, start, out, sign, length, none)
+            rates = sign * grazing.opened(bare, start, tangent, out)
+            yield grazing.leave(bare, start, sign * tangent, rates, length, none)
         else:
             falls = {k: Fall(-sign * opening[k], pull[k]) for k in order if sign * opening[k] <= -FLAT}
             yield _entering(along, z, met, falls, sign * tangent, length)

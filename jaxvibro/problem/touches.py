@@ -14,7 +14,7 @@ from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
 from ..orbits import flight_clearance, impact_equations
 from .diagnostics import diagnose, flight
-from .equations import cycle_at, problem, there
+from .equations import cycle_at, number_there, problem, there
 
 TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
 ENDS = 1e-5  # of a flight: a touch as near to its ends is that of the impact there
@@ -134,7 +134,7 @@ def is_pressed(along, z, there_are):
 
 def span(along, z):
     """How long the orbit is."""
-    return float(along.cycle.periods) * 2.0 * np.pi / float(there(along, z).frequency)
+    return float(along.cycle.periods) * 2.0 * np.pi / number_there(along, z, "frequency")
 
 
 def flight_times(along, z):
