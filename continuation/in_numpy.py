@@ -186,11 +186,13 @@ def _chosen(branches):
 
 class Tried(NamedTuple):
     """How a function is evaluated for each kind of arguments that it has met. static: places of arguments that are no
-    numbers; known: {kind: (`Evaluator`, form of the result), None where there is no rule}."""
+    numbers; known: {kind: (`Evaluator`, form of the result), None where there is no rule or what is compiled is kept};
+    is_kept: whether it is, for arguments like these."""
 
     function: Callable[..., Any]
     static: Sequence[int]
     known: dict[Any, Any]
+    is_kept: Callable[[tuple[Any, ...]], bool] = lambda args: False
 
     def __call__(self, args: tuple[Any, ...]) -> Any:
         """The function's result; None, which it never is, where it is to be compiled."""
@@ -199,7 +201,7 @@ class Tried(NamedTuple):
         static = tuple(args[place] for place in self.static)
         kind = form, tuple(map(_kind, leaves)), static, jax.dtypes.canonicalize_dtype(np.float64)
         if kind not in self.known:
-            self.known[kind] = self.traced(args)
+            self.known[kind] = None if self.is_kept(args) else self.traced(args)
         evaluator, result = self.known[kind] or (None, None)
         if evaluator is None or evaluator.spent >= PATIENCE * evaluator.size:
             return None

@@ -22,7 +22,8 @@ import jax
 import jaxlib
 import numpy as np
 from jax import export
-from jax.core import Tracer
+from jax.api_util import shaped_abstractify
+from jax.core import ShapedArray, Tracer
 
 from . import in_numpy
 
@@ -54,8 +55,9 @@ def persistent_jit(
     program alone: what has been exported has no derivatives and no lanes. Nothing is kept where jax has no compile
     cache, of anything but one processor, or for an argument that is known to this process alone, as a user's function.
 
-    numpy_first: whether it is evaluated in NumPy (`in_numpy`) until that has cost what compiling does; a function that
-    gives the same is evaluated in its place. It then takes no arguments by name.
+    numpy_first: whether it is evaluated in NumPy (`in_numpy`) until that has cost what compiling does, unless its
+    module is kept already; a function that gives the same is evaluated in its place. It then takes no arguments by
+    name.
     """
     if function is None:
         return partial(persistent_jit, numpy_first=numpy_first, **options)
@@ -69,7 +71,8 @@ def persistent_jit(
 
     stored = jax.jit(traced, **options)
     static = np.atleast_1d(options.get("static_argnums", ())).astype(int).tolist()
-    tried = in_numpy.Tried(numpy_first if callable(numpy_first) else function, static, {}) if numpy_first else None
+    evaluated = numpy_first if callable(numpy_first) else function
+    tried = in_numpy.Tried(evaluated, static, {}, partial(_is_kept, function, static)) if numpy_first else None
 
     @wraps(function)
     def call(*args, **named):
@@ -90,12 +93,9 @@ def _numbers(tree):
 def _module(function, args, named):
     """(numbers) -> the function's result, by its module, found or made; None where there can be none."""
     try:
-        folder = _folder()
-        if folder is None:
+        place = _place(function, args, named)
+        if place is None:
             return None
-        told = [_named(function), _described((args, named)), bool(jax.config.jax_enable_x64)]
-        told.append(str(jax.config.jax_default_matmul_precision))
-        place = folder / hashlib.sha256(json.dumps(told).encode()).hexdigest()
         form, content = _read(place) or _made(function, args, named, place)
         module, tree = export.deserialize(bytearray(content)), jax.tree.structure(_built(form))
     except Exception:  # a full disk, another's file, what jax cannot export: the function itself does without
@@ -103,9 +103,34 @@ def _module(function, args, named):
     return lambda *numbers: tree.unflatten(module.call(*numbers))
 
 
+def _is_kept(function, static, args):
+    """Whether there is a module of a function of the host for arguments like these."""
+    try:
+        kinds = (each if k in static else jax.tree.map(shaped_abstractify, each) for k, each in enumerate(args))
+        place = _place(function, tuple(kinds), {})
+        return place is not None and place.is_file()
+    except Exception:  # as where it is called
+        return False
+
+
+def _place(function, args, named):
+    """The file of a function's module for arguments of a kind, be it there or not; None where nothing is to be kept."""
+    folder = _folder()
+    if folder is None:
+        return None
+    told = [_named(function), _described((args, named)), bool(jax.config.jax_enable_x64)]
+    told.append(str(jax.config.jax_default_matmul_precision))
+    return folder / hashlib.sha256(json.dumps(told).encode()).hexdigest()
+
+
+def cache_folder():
+    """Where jax keeps what it compiles, a text; None or an empty one where it does not."""
+    return jax.config.jax_compilation_cache_dir
+
+
 def _folder():
     """Where the modules of these sources are, made where it is missing; None where nothing is to be kept."""
-    place = jax.config.jax_compilation_cache_dir
+    place = cache_folder()
     if not place or "://" in place or jax.default_backend() != "cpu" or jax.device_count() > 1:
         return None
     folder = Path(place) / FOLDER / _stamp(tuple(sorted(_ours)))
@@ -182,7 +207,7 @@ def _described(value):
     """A value's form as lists and texts: of numbers under a transformation their kind, of all else what it is."""
     if value is NUMBER:
         return NUMBER
-    if isinstance(value, Tracer):
+    if isinstance(value, Tracer | ShapedArray):
         return {"number": [str(value.dtype), list(value.shape), bool(value.weak_type)]}
     if value is None or type(value) in (bool, int, float, str):
         return {"is": value}

@@ -54,6 +54,7 @@ _HOMES = {
     "manifold": "attractors.manifold",
     "run": "studies.run",
     "paper": "reproduction.run",
+    "warm": "studies.warm",
 }
 
 __all__ = ["__version__", "plot", *_HOMES]

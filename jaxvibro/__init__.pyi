@@ -48,5 +48,6 @@ from .scene.state import State as State
 from .studies.run import run as run
 from .studies.scene_file import load_scene as load_scene
 from .studies.scene_file import save_scene as save_scene
+from .studies.warm import warm as warm
 
 __version__: str

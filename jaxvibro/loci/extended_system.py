@@ -11,6 +11,7 @@ first derivatives by times and speeds, which are exact. A touch of a soft wall t
 is an impact that does nothing, as at speed zero the equations with a stay are singular.
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -165,19 +166,20 @@ def _bordered(slopes, row, right):
     return cyclic_system.bordered(closed, jnp.stack([more, row]), right)
 
 
-def _plain(function):
-    def plain(z, curve):
-        """(F, dF/dz); an empty row's unknowns are to be zero."""
-        value, (slopes, more) = function(z, curve)
-        empty = jnp.tile(curve.cycle.sides == 0, 2)
-        orbit = jnp.where(empty, z[: len(empty)], value[:-1])
-        return _with(orbit, value[-1]), jnp.concatenate([cyclic_system.dense(slopes), more[None]])
-
-    return plain
+def _plain(function, z, curve):
+    """(F, dF/dz) of one of these systems; an empty row's unknowns are to be zero."""
+    value, (slopes, more) = function(z, curve)
+    empty = jnp.tile(curve.cycle.sides == 0, 2)
+    orbit = jnp.where(empty, z[: len(empty)], value[:-1])
+    return _with(orbit, value[-1]), jnp.concatenate([cyclic_system.dense(slopes), more[None]])
 
 
-GRAZING = Problem(_grazing, _bordered, _plain(_grazing), (), one_kernel)
-SINGULAR = Problem(_singular, _bordered, _plain(_singular), (), one_kernel)
+def _problem(function):
+    return Problem(function, _bordered, partial(_plain, function), (), one_kernel)
+
+
+GRAZING, SINGULAR = _problem(_grazing), _problem(_singular)
+SOFT_GRAZING, SOFT_SINGULAR = _problem(_soft_grazing), _problem(_soft_singular)
 
 
 @grazing.recut.register
@@ -188,7 +190,5 @@ def _(curve: Grazing, cycle, rows):
     return curve._replace(cycle=cycle._replace(still=pick if still else None), pick=pick)
 
 
-SOFT_GRAZING = Problem(_soft_grazing, _bordered, _plain(_soft_grazing), (), one_kernel)
-SOFT_SINGULAR = Problem(_soft_singular, _bordered, _plain(_soft_singular), (), one_kernel)
 problem.register(Grazing, lambda curve: SOFT_GRAZING if curve.scene.soft_sides else GRAZING)
 problem.register(Singular, lambda curve: SOFT_SINGULAR if curve.scene.soft_sides else SINGULAR)

@@ -17,10 +17,11 @@ NAMES = ("vendor_id", "model name", "flags", "Features", "CPU implementer", "CPU
 def prepare():
     """Set jax up through its environment variables; those that the user has set stay. No jax is loaded here.
 
-    Where jax is loaded already, as in a test, its settings are those of whoever loaded it.
+    Where jax is loaded already, as in a test, its settings are those of whoever loaded it. Returns what is now set, of
+    those that are asked for here: {name: text}.
     """
     if "jax" in sys.modules:
-        return
+        return {}
     asked = {"JAX_ENABLE_X64": "1", "JAX_PLATFORMS": "cpu", "TF_CPP_MIN_LOG_LEVEL": "3"}
     if place := folder():
         asked |= {
@@ -30,6 +31,7 @@ def prepare():
         }
         warnings.filterwarnings("ignore", message="Error (reading|writing) persistent compilation cache")
     os.environ.update({name: value for name, value in asked.items() if name not in os.environ})
+    return {name: os.environ[name] for name in asked}
 
 
 def folder():

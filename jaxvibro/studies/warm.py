@@ -1,0 +1,86 @@
+"""`warm`: jax's compile cache filled with what the first questions about a scene compile."""
+
+from collections.abc import Callable
+from pathlib import Path
+from time import process_time
+from typing import NamedTuple
+
+import jax
+
+from continuation import in_numpy
+from continuation.persistent_jit import cache_folder
+
+from ..branches.follow import follow
+from ..branches.switch import switch
+from ..loci.locus import locus
+from ..maps.initial_conditions import random_starts
+from ..maps.strobe import strobe
+from ..orbits.find import find_orbit
+from ..orbits.orbit import OrbitError
+from ..scene import check
+from ..scene.scene import Scene, make_scene
+
+LEFT, TRACED = ("SB", "BP", "PD"), ("SN", "SB", "PD", "GR")  # kinds of points: left by `switch`, followed by `locus`
+WIDE = 3.0  # times the amplitude, or 1 where that is less: its upper bound
+
+
+class Warmed(NamedTuple):
+    """What was done. folder: of the cache; done: (what was asked, processor seconds) in order; left: what could not be
+    asked of this scene, and why."""
+
+    folder: Path
+    done: tuple[tuple[str, float], ...]
+    left: tuple[str, ...]
+
+
+@check.host("call strobe or monodromy")
+def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = None) -> Warmed:
+    """Ask of a scene what is asked first, all of it compiled, so that jax's compile cache keeps it: a `Warmed`.
+
+    scene: a single one, None that of the README; progress: called with what is asked next. Asked are a strobe, the
+    orbit it settles on, the branch through that along the amplitude, the branches that leave its special points, and a
+    locus of each kind of these in amplitude and frequency. Scenes of the same kind of walls then compile nothing for
+    these in a later process with this cache, for orbits with as many impacts, up to a power of two. jax keeps what took
+    longer to compile than its jax_persistent_cache_min_compile_time_secs, a second: 0 is meant here.
+
+    Raises ArgumentError for a batch of scenes, and where jax has no compile cache.
+    """
+    folder = cache_folder()
+    if not folder:
+        raise check.ArgumentError("jax_compilation_cache_dir", "must be set: there is no cache to fill", folder)
+    scene = make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)) if scene is None else scene
+    check.require_single(scene)
+    done, left = [], []
+
+    def asked(what, function, *given):
+        begun = process_time()
+        if progress is not None:
+            progress(what)
+        try:
+            found = function(*given)
+        except (OrbitError, check.ArgumentError, ArithmeticError) as error:
+            left.append(f"{what}: {error}")
+            return None
+        done.append((what, process_time() - begun))
+        return found
+
+    before, in_numpy.PATIENCE = in_numpy.PATIENCE, 0
+    try:
+        _ask(scene, asked)
+    finally:
+        in_numpy.PATIENCE = before
+    return Warmed(Path(folder), tuple(done), tuple(left))
+
+
+def _ask(scene, asked):
+    amplitude, frequency = (float(scene.parameter(name)) for name in ("amplitude", "frequency"))
+    bounds = {"amplitude": (0.0, WIDE * max(1.0, amplitude)), "frequency": (0.7 * frequency, 1.4 * frequency)}
+    start = jax.tree.map(lambda leaf: leaf[0], random_starts(scene, 1, (0,)))
+    met = asked("strobe", strobe, scene, start)
+    orbit = met and asked("find_orbit", find_orbit, scene, met[0])
+    branch = orbit and asked("follow", follow, orbit, "amplitude", bounds["amplitude"])
+    kinds = {one.kind: one for one in branch.special} if branch else {}
+    for kind in (each for each in LEFT if each in kinds):
+        asked(f"switch at {kind}", switch, kinds[kind])
+    for kind in (each for each in TRACED if each in kinds):
+        asked(f"locus of {kind}", locus, kinds[kind], ("amplitude", "frequency"), bounds)
