@@ -79,3 +79,26 @@ def test_a_few_lanes_strobed_from_the_host_are_those_of_the_compiled_run(scene, 
         for one, other in zip(host, run, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-11)
     assert (found[0].status == (1 if scene.left is not None and scene.frequency < 1 else 0)).all()
+
+
+@pytest.mark.parametrize("place", ["anywhere", "middle"])
+def test_a_start_without_speed_goes_as_its_mirror_image(place):
+    """Full steps (the clearance asks for them) aim at one of two walls: of the mirror image at the other one."""
+    rng = np.random.default_rng(3)
+    lanes = 4096
+    low, high = -rng.uniform(0.02, 1.2, lanes), rng.uniform(0.02, 1.2, lanes)
+    share = rng.random(lanes) if place == "anywhere" else np.full(lanes, 0.5)
+    if place == "middle":
+        low = -high
+    x, none, phase = low + share * (high - low), np.zeros(lanes), rng.uniform(0.0, 6.0, lanes)
+    numbers = rng.uniform(0.1, 5.0, lanes), rng.uniform(0.3, 6.0, lanes), rng.uniform(0.0, 2.0, lanes), 0.5
+
+    def told(sign, walls):
+        scene = jv.make_scene(sign * numbers[0], *numbers[1:], walls)
+        end, impacts = jv.strobe(scene, jv.State(sign * x, none, phase), clearance=True)
+        return sign * end.x, sign * end.v, impacts.time, sign * impacts.side, impacts.speed, impacts.status
+
+    here, mirrored = told(1.0, (jv.Wall(low), jv.Wall(high))), told(-1.0, (jv.Wall(-high), jv.Wall(-low)))
+    assert np.asarray(here[5] <= 1).mean() > 0.95 and np.asarray(here[3] != 0).any(axis=1).mean() > 0.3
+    for one, other in zip(here, mirrored, strict=True):
+        np.testing.assert_array_equal(one, other)

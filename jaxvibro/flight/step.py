@@ -64,17 +64,22 @@ def micro(frame, path):
 
 
 def _side(frame, path, pull, jerk):
-    """The wall to aim at: the nearer if it holds the mass (`_holds`), else that reached first at the present speed."""
+    """The wall to aim at: the nearer if it holds the mass (`_holds`), else that reached first at the present speed;
+    without one the nearer, and of two as near that to which the mass is pulled: a mirror image aims at the other."""
     found = []
     for wall in frame.walls:
         where, speed, bend, change = course(wall, frame.frequency, path.cosine, path.sine, 3)
         clear, closing = wall.sign * ((where - path.x) + path.x_low), wall.sign * less(path.v, speed)
         bend, change = wall.sign * less(pull, bend), less(jerk, change)
-        found.append((clear, closing, _holds(frame, path.contact * wall.sign, clear, closing, bend, change)))
+        held = _holds(frame, path.contact * wall.sign, clear, closing, bend, change)
+        found.append((clear, closing, bend, held))
     if len(found) == 1:
         return lax.full_like(path.x, float(frame.walls[0].sign))
-    (clear, closing, held), (other_clear, other_closing, other_held) = found
-    nearer, sooner = other_clear < clear, other_closing * clear > closing * other_clear
+    (clear, closing, bend, held), (other_clear, other_closing, other_bend, other_held) = found
+    quick, other_quick = closing * other_clear, other_closing * clear
+    drawn = (other_quick > quick) | ((other_quick == quick) & (other_bend > bend))
+    nearer = (other_clear < clear) | ((other_clear == clear) & drawn)
+    sooner = (other_quick > quick) | ((other_quick == quick) & nearer)
     right = choose(nearer, other_held | sooner, sooner & ~held)
     if frame.soft:
         inside = is_inside(path.contact)
