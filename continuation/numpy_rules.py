@@ -154,6 +154,18 @@ def _convert_element_type(new_dtype, **_):
     return lambda x: x.astype(kind)
 
 
+@rule("bitcast_convert_type")
+def _bitcast_convert_type(new_dtype, **_):
+    kind = np.dtype(new_dtype)
+
+    def run(x):
+        if x.dtype.itemsize != kind.itemsize:  # parts of numbers would be an axis of their own
+            raise Unknown("bitcast_convert_type")
+        return np.asarray(x).view(kind)[()]
+
+    return run
+
+
 @rule("select_n")
 def _select_n(**_):
     def select(which, *cases):

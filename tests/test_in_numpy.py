@@ -51,6 +51,15 @@ CASES = {
     "neighbours": (lambda x, y: (jnp.nextafter(x, y), jnp.isfinite(x / 0.0)), ROW, OTHER),
     "logic": (lambda a, x: (a & (x > 0), a | (x > 0.5), ~a, a ^ (x > 0), ~jnp.arange(3)), YES, OTHER),
     "whole numbers": (lambda k: (k // 2, -k // 3, k % 3, k * k, lax.div(-k, 3), k.astype(jnp.float32)), PLACES),
+    "bits": (
+        lambda x, y: [
+            lax.bitcast_convert_type(lax.bitcast_convert_type(each, whole) & ~whole(255), x.dtype)
+            for each in (x, y[0], x[None] * y[:, None])
+            for whole in [jnp.int64 if x.dtype == jnp.float64 else jnp.int32]
+        ],
+        ROW,
+        OTHER,
+    ),
     "where": (
         lambda a, x, y: (jnp.where(a, x, y), jnp.where(a[0], x, y), lax.select_n(PLACES[:1] % 3, *[x[:1]] * 3)),
         YES,
