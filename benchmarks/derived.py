@@ -11,6 +11,7 @@ from jaxvibro.orbits import impact_equations
 from jaxvibro.orbits.by_impacts import padded
 
 ORBITS, REPEATS = 10_000, 501
+OTHERS = ("restitution", "damping", "frequency")  # besides x, v and A
 
 
 def compare(states, rounds):
@@ -18,15 +19,23 @@ def compare(states, rounds):
     x, v, amplitude = given = tuple(jnp.asarray(states.T))
     base, many, start = ours.scene(1.0), ours.scene(amplitude), jaxvibro.State(x, v)
 
-    def end(x, v, amplitude):
-        done, _ = jaxvibro.strobe(base.replace(amplitude=amplitude), jaxvibro.State(x, v))
-        return done.x, done.v
+    def end(x, v, amplitude, **numbers):
+        done, _ = jaxvibro.strobe(base.replace(amplitude=amplitude, **numbers), jaxvibro.State(x, v))
+        return jnp.stack([done.x, done.v], -1)
 
     def weighed(x, v, amplitude):
-        x, v = end(x, v, amplitude)
-        return jnp.sum(x + 0.3 * v)
+        return jnp.sum(end(x, v, amplitude) @ jnp.array([1.0, 0.3]))
 
-    plain = ours.prepare_batch(states)
+    def slopes(x, v, amplitude):
+        of = jax.jacfwd(lambda six: end(*six[:3], **dict(zip(OTHERS, six[3:], strict=True))))
+        return of(jnp.stack([x, v, amplitude, *(getattr(base, name) for name in OTHERS)]))
+
+    def curves(x, v, amplitude):
+        return jax.hessian(lambda z: end(*z, amplitude)[0])(jnp.stack([x, v]))
+
+    def plain():
+        jax.block_until_ready(jaxvibro.strobe(many, start))
+
     plain()
     return [
         *over(plain, rounds, "M = P Q, its strobe included", "at most 1.6", jaxvibro.monodromy, many, start),

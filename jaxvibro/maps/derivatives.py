@@ -1,4 +1,4 @@
-"""The strobe with derivatives of any order, forward and reverse: simulate, then replay.
+"""The strobe with derivatives of any order, forward and reverse: simulate, then replay, or carry the first along.
 
 The derivatives of one order are a function of their own, a replay of the impacts that a strobe has recorded; its own
 derivative is the next order's, contracted with the tangents. That is linear in them, so reverse mode transposes it and
@@ -12,16 +12,17 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 from ..compiled.blocks import batched, in_blocks
-from ..compiled.compiler_hints import one_kernel
-from ..flight.coefficients import frame
-from ..scene.codes import Contact, Status
+from ..compiled.compiler_hints import WIDTH, one_kernel
+from ..scene import check
 from ..scene.state import State
 from . import two_tiers
 from .one_period import SLOTS
-from .replay import KnownImpacts, replay
+from .replay import KnownImpacts
+from .replayed_slopes import cut, known_impacts, replayed_slopes
 
 
 class Request(NamedTuple):
@@ -54,8 +55,45 @@ def _strobe(task):
     run = jax.custom_jvp(batched(lambda *leaves: _real(inner(*task.tree.unflatten(leaves)))))
 
     def rule(primals, tangents):
+        moving = _moving(tangents)
+        if moving and _carries(task, primals):
+            out, slopes = _sloped(task._replace(chosen=moving))(*primals)
+            return out, _pushed(task, out, _recorded(task)(*primals)[1], primals, tangents, slopes)
         out, known = _recorded(task)(*primals)
         return out, _pushed(task, out, known, primals, tangents)
+
+    run.defjvp(rule, symbolic_zeros=True)
+    return run
+
+
+def _carries(task, leaves):
+    """Whether derivatives of these numbers are carried along: not those of a few known lanes, as the replay, which the
+    impacts' derivatives need, is compiled sooner than both."""
+    few = not check.is_traced(*leaves) and max(map(np.size, leaves)) <= WIDTH
+    return not (few or task.clearance) and two_tiers.takes(task.tree.unflatten(leaves)[0])
+
+
+@cache
+def _sloped(task):
+    """((State, Impacts), derivatives of x and v at the end by the chosen numbers, an axis for these, last).
+
+    By lean steps, which carry them along; its own derivatives are those of the replay.
+    """
+    asked = {"periods": task.periods, "slots": task.slots, "chosen": task.chosen}
+    inner = jax.jit(partial(two_tiers.sloped, task.tree, **asked, least=1))
+    run = jax.custom_jvp(batched(lambda *leaves: _real(inner(*leaves))))
+
+    def rule(primals, tangents):
+        moving = _moving(tangents)
+
+        def again(*numbers):
+            leaves = list(primals)
+            for place, number in zip(moving, numbers, strict=True):
+                leaves[place] = number
+            out, known = _recorded(task._replace(chosen=()))(*leaves)
+            return out, _replayed(task, known, leaves, of_state=True)
+
+        return jax.jvp(again, *([each[place] for place in moving] for each in (primals, tangents)))
 
     run.defjvp(rule, symbolic_zeros=True)
     return run
@@ -70,13 +108,7 @@ def _recorded(task):
 
     def found(*leaves):
         (end, impacts), freed = _real(inner(*task.tree.unflatten(leaves)))
-        rests = jnp.where(abs(end.contact) >= Contact.STUCK, end.contact, 0.0)
-        lost = (impacts.status >= Status.CAP) | ((impacts.count > slots) & (abs(rests) != Contact.STUCK))
-        count = jnp.where(lost, -1.0, impacts.count)
-        known = KnownImpacts(impacts.time, impacts.side, count, freed, rests, _slowest(impacts))
-        full = (impacts.status == Status.OK) & (impacts.count > task.slots)
-        rows = {name: getattr(impacts, name)[..., : task.slots] for name in ("time", "side", "speed")}
-        return (end, replaced(impacts, status=jnp.where(full, 1.0 * Status.FULL, impacts.status), **rows)), known
+        return (end, cut(impacts, task.slots)), known_impacts(end, impacts, freed)
 
     run = jax.custom_jvp(batched(found))
 
@@ -86,13 +118,6 @@ def _recorded(task):
 
     run.defjvp(rule, symbolic_zeros=True)
     return run
-
-
-def _slowest(impacts):
-    """The place of the slowest impact, -1 where it is not among those recorded, or has no speed."""
-    speeds = jnp.where(impacts.side != 0, impacts.speed, jnp.inf)
-    known = jnp.isfinite(impacts.least_speed) & (jnp.min(speeds, axis=-1) == impacts.least_speed)
-    return jnp.where(known, jnp.argmin(speeds, axis=-1), -1.0)
 
 
 @cache
@@ -125,18 +150,14 @@ def _moving(tangents):
     return tuple(k for k, each in enumerate(tangents[:-1]) if not isinstance(each, SymbolicZero))
 
 
-def _pushed(task, out, known, primals, tangents):
-    """The tangents of (State, Impacts)."""
+def _pushed(task, out, known, primals, tangents, slopes=None):
+    """The tangents of (State, Impacts); slopes: those of x and v by what moves, where they are known."""
     (end, impacts), moving = out, _moving(tangents)
     if not moving:
         return jax.tree.map(jnp.zeros_like, out)
-    told = (known.count, known.freed, known.rests, known.times, known.sides)
-
-    def slopes(of_state):
-        (first,) = _tensors(task._replace(of_state=of_state, chosen=moving))(*primals, *told)
-        return _contracted(first, primals, tangents)
-
-    (x, v), (time, speed) = slopes(True), slopes(False)
+    task = task._replace(chosen=moving)
+    x, v = _contracted(slopes or _replayed(task, known, primals, of_state=True), primals, tangents)
+    time, speed = _contracted(_replayed(task, known, primals, of_state=False), primals, tangents)
     place = jnp.maximum(known.slowest, 0.0).astype(int)[..., None]
     slowest = jnp.take_along_axis(speed, place, -1)[..., 0]
     turned = 0.0 if isinstance(tangents[-2], SymbolicZero) else tangents[-2]
@@ -147,6 +168,12 @@ def _pushed(task, out, known, primals, tangents):
         speed=speed[..., : task.slots],
         least_speed=jnp.where(known.slowest < 0, 0.0, slowest),
     )
+
+
+def _replayed(task, known, leaves, of_state):
+    """The first derivatives by the chosen numbers: of x and v at the end, or of the impacts' times and speeds."""
+    told = known.count, known.freed, known.rests, known.times, known.sides
+    return _tensors(task._replace(of_state=of_state))(*leaves, *told)[0]
 
 
 def _contracted(tensors, primals, tangents):
@@ -193,45 +220,7 @@ def _blocks(task, *given):
     def run(tree, times, sides):
         leaves, (count, freed, rests) = tree
         known = KnownImpacts(jnp.moveaxis(times, -1, 0), jnp.moveaxis(sides, -1, 0), count, freed, rests)
-        tensors = one_kernel(_replayed, leaves, known, task=task)
-        if not task.of_state:
-            tensors = jax.tree.map(lambda part: jnp.moveaxis(part, 0, count.ndim), tensors)
-        return jax.tree.map(lambda part: jnp.where(_wide(count < 0, part), jnp.nan, part), tensors)
+        asked = {name: getattr(task, name) for name in ("tree", "chosen", "periods", "order", "of_state")}
+        return one_kernel(replayed_slopes, leaves, known, **asked)
 
     return in_blocks(run, (leaves, (count, freed, rests)), blank, 1, (times, sides))
-
-
-def _wide(lanes, like):
-    """Lanes with axes of length 1 after theirs, to go with an array that has more."""
-    return jnp.reshape(lanes, (*lanes.shape, *[1] * (like.ndim - lanes.ndim)))
-
-
-def _replayed(leaves, known, task):
-    """The replay's derivatives of orders 1, 2, ... by the chosen numbers."""
-
-    def function(*numbers):
-        full = list(leaves)
-        for place, number in zip(task.chosen, numbers, strict=True):
-            full[place] = number
-        scene, state = task.tree.unflatten(full)
-        end, times, speeds = replay(frame(scene), state, known, task.periods, task.order)
-        return end if task.of_state else (times, speeds)
-
-    return _towered(function, task.order)(*(leaves[place] for place in task.chosen))[1:]
-
-
-def _towered(function, order):
-    """The function's values and derivatives up to an order, each lane's by its own numbers."""
-    if order == 0:
-        return lambda *numbers: (function(*numbers),)
-    below = _towered(function, order - 1)
-
-    def upper(*numbers):
-        def along(direction):
-            ways = zip(direction, numbers, strict=True)
-            return jax.jvp(below, numbers, tuple(jnp.broadcast_to(each, jnp.shape(number)) for each, number in ways))
-
-        values, rates = jax.vmap(along, out_axes=(None, -1))(jnp.eye(len(numbers), dtype=numbers[0].dtype))
-        return (*values, rates[-1])
-
-    return upper

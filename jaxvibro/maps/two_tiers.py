@@ -13,12 +13,14 @@ from jax import lax
 
 from ..compiled.blocks import in_blocks
 from ..compiled.compiler_hints import WIDTH, choose, one_kernel
-from ..flight import impact_log, lean, lean_numbers
+from ..flight import impact_log, lean, lean_numbers, lean_tangent
 from ..flight.coefficients import frame
 from ..flight.entry import enter
+from ..flight.lean_tangent import Tangent
 from ..scene.codes import Status
 from ..scene.state import Impacts, State
 from . import one_period
+from .replayed_slopes import cut, known_impacts, replayed_slopes
 
 
 def strobe(scene, state, periods, slots, least, clearance=False):
@@ -31,17 +33,44 @@ def recorded(scene, state, periods, slots, least, clearance=False):
     if clearance or not takes(scene):
         return one_period.recorded(scene, state, periods, slots, least, clearance)
     scene, state, shape = _flat(scene, state)
-    out = _tried(scene, state, slots, least)
+    out, freed, _ = _periods(scene, state, (), periods, slots, least, ())
+    return _shaped((out, freed), shape)
+
+
+def sloped(tree, *leaves, periods, slots, least, chosen):
+    """((State, Impacts), (those of x, of v)): with derivatives by the chosen ones of the leaves of (scene, state).
+
+    An axis for each choice, last. The scene is one that the lean tier `takes`.
+    """
+    scene, state, shape = _flat(*tree.unflatten(leaves))
+    none, one = jnp.zeros_like(state.x), jnp.ones_like(state.x)
+    start = tuple(Tangent(*(one if place == k else none for k in _own(tree))) for place in chosen)
+    out, _, tangents = _periods(scene, state, start, periods, slots, least, chosen)
+    slopes = tuple(jnp.stack(ways, axis=-1) for ways in zip(*tangents, strict=True))
+    return _shaped((out, slopes), shape)
+
+
+def _own(tree):
+    """The places of x and v among the leaves of (scene, state)."""
+    return tree.num_leaves - 4, tree.num_leaves - 3
+
+
+def _periods(scene, state, start, periods, slots, least, chosen):
+    out = _tried(scene, state, start, slots, least, chosen)
     if periods > 1:
-        out = lax.fori_loop(1, periods, partial(_again, scene, slots, least), out)
-    return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]) if shape else leaf, out)
+        out = lax.fori_loop(1, periods, partial(_again, scene, slots, least, chosen), out)
+    return out
+
+
+def _shaped(tree, shape):
+    return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]) if shape else leaf, tree)
 
 
 def lean_alone(scene, state, slots, least):
     """((State, Impacts), whether a lane was given up: then the rest of what is said of it is of no meaning)."""
     scene, state, shape = _flat(scene, state)
-    out = _in_blocks(scene, state, slots, least)
-    return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]) if shape else leaf, out)
+    out, _, given_up = _in_blocks(scene, state, (), slots, least, ())
+    return _shaped((out, given_up), shape)
 
 
 def takes(scene):
@@ -61,23 +90,26 @@ def _flat(scene, state):
     return *jax.tree.map(flat, (scene, state)), shape
 
 
-def _in_blocks(scene, state, slots, least):
+def _in_blocks(scene, state, start, slots, least, chosen):
     def run(given):
-        return one_kernel(_lean, *given, slots=slots)
+        return one_kernel(_lean, *given, slots=slots, chosen=chosen)
 
     def empty(count):
-        return one_period.blank(count, slots, scene.dtype), jnp.zeros(count, bool)
+        none = jnp.zeros(count, scene.dtype)
+        return one_period.blank(count, slots, scene.dtype), (Tangent(none, none),) * len(chosen), jnp.zeros(count, bool)
 
-    return in_blocks(run, (scene, state), empty, least)
+    return in_blocks(run, (scene, state, start), empty, least)
 
 
-def _lean(scene, state, slots):
-    """((State, Impacts), whether a lane was given up) of a period by lean steps."""
+def _lean(scene, state, start, slots, chosen):
+    """((State, Impacts), tangents by the chosen numbers, whether a lane was given up) of a period by lean steps."""
     built = frame(scene)
     numbers = lean_numbers.numbers(built)
     path, fault = enter(built, state)
     lanes = lean.begin(numbers, path, fault == Status.OK)
-    lanes, log, rows = lean.run(numbers, lanes, *impact_log.empty(state.x, slots, built.period))
+    shifts = tuple(_shift(numbers, scene, state, place) for place in chosen)
+    start = tuple(Tangent(x, v * numbers.reach) for x, v in start)
+    lanes, log, rows, ways = lean.run(numbers, lanes, *impact_log.empty(state.x, slots, built.period), shifts, start)
     times, sides, speeds = impact_log.rows(rows)
     good = fault == Status.OK
     full = choose(log.count > slots, lax.full_like(fault, Status.FULL), Status.OK)
@@ -92,36 +124,67 @@ def _lean(scene, state, slots):
         status=choose(good, full, fault).astype(jnp.int32),
     )
     end = State(x, v, jnp.broadcast_to(state.phase, x.shape), jnp.zeros_like(x))
-    return (end, impacts), lanes.left == lean_numbers.GIVEN_UP
+    ways = tuple(Tangent(choose(good, x, jnp.nan), choose(good, v * numbers.pace, jnp.nan)) for x, v in ways)
+    return (end, impacts), ways, lanes.left == lean_numbers.GIVEN_UP
 
 
-def _tried(scene, state, slots, least):
-    """As `recorded`, of one period, of flat numbers: by lean steps, then by full ones where those give up."""
-    out, given_up = _in_blocks(scene, state, slots, least)
-    again = partial(_full, scene, state, slots, given_up)
-    return lax.cond(jnp.any(given_up), again, lambda same: same, (out, jnp.full_like(state.x, -1.0)))
+def _shift(numbers, scene, state, place):
+    """The `lean_tangent.Shift` where one number of scene and state moves."""
+    leaves, tree = jax.tree.flatten((scene, state))
+    rates = [jnp.ones_like(leaf) if k == place else None for k, leaf in enumerate(leaves)]
+    rates, start = tree.unflatten(rates)
+    return lean_tangent.shift(numbers, scene, rates, start.phase)
 
 
-def _full(scene, state, slots, due, out):
+def _tried(scene, state, start, slots, least, chosen):
+    """((State, Impacts), last release, tangents) of one period, of flat numbers: by lean steps, else by full ones."""
+    out, tangents, given_up = _in_blocks(scene, state, start, slots, least, chosen)
+    again = partial(_full, (scene, state, start), slots, chosen, given_up)
+    return lax.cond(jnp.any(given_up), again, lambda same: same, (out, jnp.full_like(state.x, -1.0), tangents))
+
+
+def _full(given, slots, chosen, due, out):
     """The results with those of some lanes replaced, a block at a time."""
-    run = partial(one_kernel, one_period.through, periods=1, slots=slots)
+    run = partial(_through, slots=slots, chosen=chosen)
     if not due.shape:
-        return run(scene, state)
+        return run(*given)
     count, width = len(due), min(WIDTH, len(due))
     places = jnp.append(jnp.nonzero(due, size=count, fill_value=count)[0], jnp.full(width, count))
 
     def block(k, out):
         some = lax.dynamic_slice_in_dim(places, k * width, width)
-        lanes = jax.tree.map(lambda leaf: leaf.at[some].get(mode="clip") if jnp.ndim(leaf) else leaf, (scene, state))
+        lanes = jax.tree.map(lambda leaf: leaf.at[some].get(mode="clip") if jnp.ndim(leaf) else leaf, given)
         return jax.tree.map(lambda all, new: all.at[some].set(new, mode="drop"), out, run(*lanes))
 
     return lax.fori_loop(0, -(-jnp.sum(due) // width), block, out)
 
 
-def _again(scene, slots, least, k, past):
+def _through(scene, state, start, slots, chosen):
+    """As `_tried`, by full steps; derivatives by a replay."""
+    few = max(slots, one_period.SLOTS) if chosen else slots
+    (end, impacts), freed = one_kernel(one_period.through, scene, state, periods=1, slots=few)
+    if not chosen:
+        return (end, impacts), freed, ()
+    leaves, tree = jax.tree.flatten((scene, state))
+    known = known_impacts(end, impacts, freed)
+    known = known._replace(times=jnp.moveaxis(known.times, -1, 0), sides=jnp.moveaxis(known.sides, -1, 0))
+    own = _own(tree)
+    moving = tuple(sorted({*chosen, *own}))
+    ((x, v),) = one_kernel(replayed_slopes, leaves, known, tree=tree, chosen=moving, periods=1, order=1, of_state=True)
+    by = {place: (x[..., k], v[..., k]) for k, place in enumerate(moving)}
+
+    def later(place, tangent):
+        way = [sum(by[k][row] * rate for k, rate in zip(own, tangent, strict=True)) for row in (0, 1)]
+        return Tangent(*way) if place in own else Tangent(*(a + b for a, b in zip(way, by[place], strict=True)))
+
+    tangents = tuple(later(*each) for each in zip(chosen, start, strict=True))
+    return (end, cut(impacts, slots)), freed, tangents
+
+
+def _again(scene, slots, least, chosen, k, past):
     """The results with those of one period more, the k-th from 0."""
-    (state, seen), freed = past
-    (end, new), late = _tried(scene, state, slots, least)
+    (state, seen), freed, tangents = past
+    (end, new), late, tangents = _tried(scene, state, tangents, slots, least, chosen)
     begun = k * frame(scene).period
     lost = seen.status >= Status.CAP
     status = jnp.where(lost, seen.status, jnp.maximum(seen.status, new.status))
@@ -139,4 +202,4 @@ def _again(scene, slots, least, k, past):
         least_clearance=None,
         status=jnp.where((status == Status.OK) & (seen.count + new.count > slots), Status.FULL, status),
     )
-    return (end, impacts), jnp.where(late >= 0, late + begun, freed)
+    return (end, impacts), jnp.where(late >= 0, late + begun, freed), tangents
