@@ -49,13 +49,17 @@ def oriented(slopes, scale, along=None):
     return sign * filled / np.linalg.norm(scale * filled)
 
 
-@persistent_jit(static_argnums=(0, 4), numpy_first=True)
-def _track(problem, place, control, args, count):
-    return problem.run(_tracked, place, control, args, problem=problem, count=count)
-
-
-def _tracked(place, control, args, problem, count):
+def _tracked(problem, place, control, args, count):
     return arclength.track(problem.function, problem.solve, place, control, args, count)
+
+
+@persistent_jit(static_argnums=(0, 4), numpy_first=_tracked)
+def _track(problem, place, control, args, count):
+    return problem.run(_track_as_run, place, control, args, problem=problem, count=count)
+
+
+def _track_as_run(place, control, args, problem, count):
+    return _tracked(problem, place, control, args, count)
 
 
 def fetched(results):

@@ -28,7 +28,11 @@ class Located(NamedTuple):
     residual: float
 
 
-@persistent_jit(static_argnums=0, compiler_options=SOON, numpy_first=True)
+def _evaluated(problem, z, args):
+    return problem.plain(z, args)
+
+
+@persistent_jit(static_argnums=0, compiler_options=SOON, numpy_first=_evaluated)
 def evaluated(problem, z, args):
     """(F, dF/dz) of a `problem.Problem`."""
     return problem.run(problem.plain, z, args)
@@ -61,7 +65,11 @@ def differences(function, z):
     return np.stack([along(k) for k in range(len(z))], axis=-1)
 
 
-@persistent_jit(static_argnums=(0, 1), compiler_options=SOON, numpy_first=True)
+def _of_each(problem, test, zs, args):
+    return _each(zs, args, test)
+
+
+@persistent_jit(static_argnums=(0, 1), compiler_options=SOON, numpy_first=_of_each)
 def _matrices(problem, test, zs, args):
     return problem.run(_each, zs, args, test=test)
 

@@ -120,6 +120,52 @@ CASES = {
     "sort": (sorted_by, ROW, OTHER),
     "slopes": (jax.jacfwd(lambda x: jnp.sum(jnp.where(x > 0, jnp.sin(x), x**2)) * x), ROW),
     "slopes back": (jax.grad(lambda x: jnp.sum(jnp.sort(x)[PLACES] ** 3) + jnp.max(x)), ROW),
+    "few": (
+        lambda x: ((x @ x.T).sum(), x.prod(), x.max(1), x.min(), x.argmax(), jnp.cumsum(x, 1), x.T[::-1], x[:1] @ x.T),
+        ROW.reshape(2, 3),
+    ),
+    "few taken": (
+        lambda x, k: (x[k], x[k[:1]], x.at[k].set(2.0), x[jnp.array([5, 0])], lax.dynamic_slice_in_dim(x, k[0], 2)),
+        ROW,
+        PLACES,
+    ),
+    "few beyond": (lambda x: (x.at[jnp.array([7, 1])].get(mode="fill"), x.at[jnp.array([7, 1])].get(mode="clip")), ROW),
+    "what is no number": (
+        lambda x, y: (
+            [f(x) for f in (jnp.sqrt, jnp.log, jnp.exp, jnp.sin, jnp.cos, jnp.sign, jnp.isfinite, lax.rsqrt)],
+            [f(x, y) for f in (jnp.maximum, jnp.minimum, lax.div, jnp.less, jnp.equal)],
+            [x**-3, x.max(), x.min(), jnp.where(x > y, x, y), jnp.clip(x, -1.0, y), x[0] * y],
+        ),
+        np.array([np.nan, np.inf, -np.inf, 0.0, -2.0, 1.0, 800.0]),
+        np.array([1.0, np.nan, 0.0, 0.0, 0.0, np.inf, -0.0]),
+    ),
+    "whole numbers beyond": (
+        lambda k: (k + k, k * k, -k, k - 7, (k + k) > 0, k.astype(jnp.int64) + k, k.astype(bool), k * 1.5),
+        np.array([2**31 - 1, -(2**31), 5], np.int32),
+    ),
+    "changed about": (lambda x: lax.fori_loop(0, 7, lambda _, c: (c[1], c[0] + c[2], c[2]), (x[0], x[1], 0.5)), ROW),
+    "what no turn needs": (
+        lambda x: lax.fori_loop(0, 9, lambda k, c: (c[0] * x[1], c[1] + c[0], k), (x[0], 0.0, 0))[1],
+        ROW,
+    ),
+    "loop in a loop": (
+        lambda x: lax.while_loop(
+            lambda c: c.max() < 9.0, lambda c: lax.fori_loop(0, 3, lambda k, d: d * 1.1 + abs(x[:2]), c), x[:2] * 0.0
+        ),
+        ROW,
+    ),
+    "rows of few": (lambda x: lax.scan(lambda c, row: (c + row, (c[0], row > c)), x[0], x), TABLE[:, :2]),
+    "branch that is known": (lambda x: [chosen(jnp.sum(jnp.arange(k)), x) for k in (2, 3, 7)], ROW),
+    "windows beyond": (
+        lambda x: lax.gather(
+            x,
+            jnp.array([[7], [1]]),
+            lax.GatherDimensionNumbers((), (0,), (0,)),
+            (1,),
+            mode=lax.GatherScatterMode.FILL_OR_DROP,
+        ),
+        ROW,
+    ),
     "numbers alone": (lambda x: (x * 2, x > 0, jnp.full(3, x), jnp.arange(4) * x), 0.5),
 }
 

@@ -15,6 +15,7 @@ from jaxtyping import Float
 from continuation import newton
 from continuation.arrays import Array
 from continuation.persistent_jit import SOON, persistent_jit
+from continuation.problem import plainly
 
 from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import frame
@@ -42,16 +43,21 @@ class Solution(NamedTuple):
     solved: newton.Solved
     flights: impact_equations.Flights
     start: tuple[Float[Array, " periods"], Float[Array, " periods"]]
+    halfway: tuple[Float[Array, " rows"], Float[Array, " rows"]]
     calls: tuple[Float[Array, "rows walls"], Float[Array, "rows walls"]]
     trace: Float[Array, ""]
     determinant: Float[Array, ""]
 
 
-@persistent_jit(compiler_options=SOON, numpy_first=True)
+def _solution(scene, guess, run=plainly):
+    solved = run(impact_equations.solved, scene, guess)
+    return run(_measured, scene, impact_equations.ordered(scene, guess, solved.unknowns), solved)
+
+
+@persistent_jit(compiler_options=SOON, numpy_first=_solution)
 def solution(scene, guess):
     """The `Solution` that Newton's method reaches from a cycle."""
-    solved = one_kernel(impact_equations.solved, scene, guess)
-    return one_kernel(_measured, scene, impact_equations.ordered(scene, guess, solved.unknowns), solved)
+    return _solution(scene, guess, one_kernel)
 
 
 def _measured(scene, found, solved):
@@ -59,7 +65,10 @@ def _measured(scene, found, solved):
     flown = impact_equations.flights(built, found)
     start = impact_equations.at(built, found, flown, built.period * jnp.arange(KEEP, dtype=found.times.dtype))
     calls = flight_clearance.clearances(built, flown, flight_clearance.samples(built, flown))
-    return Solution(found, solved, flown, start, calls, *impact_equations.invariants(built, flown, found.sides))
+    halfway = flight_clearance.place(built, flown, 0.5 * flown.time)[:2]
+    return Solution(
+        found, solved, flown, start, halfway, calls, *impact_equations.invariants(built, flown, found.sides)
+    )
 
 
 def padded(scene, times, speeds, sides, phase, periods):
@@ -191,24 +200,23 @@ def _refuse_passing(scene, found, count):
 
 
 def _refuse_uncertain(scene, found, count, length):
-    """Refuse what certified flights from each impact do not confirm."""
+    """Refuse what certified flights do not confirm: one from halfway along each flight to the end of the next, so that
+    none begins or ends on a wall."""
     times, _, sides, phase = found.cycle[:4]
     flights, follows = found.flights, found.flights.follows[:count]
-    leaves = times[:count] if flights.met.stay is None else times[:count] + flights.met.stay[:count]
-    starts = State(
-        flights.x[:count],
-        flights.v[:count],
-        phase + np.asarray(scene.frequency) * leaves,
-        sides[:count],
-    )
+    stays = np.zeros(count) if flights.met.stay is None else flights.met.stay[:count]
     spans = flights.time[:count]
-    kept = iterate(scene, starts, max(1, int(np.ceil(spans.max() / length + TIMELY))))
+    begin = phase + np.asarray(scene.frequency) * (times[:count] + stays + 0.5 * spans)
+    starts = State(found.halfway[0][:count], found.halfway[1][:count], begin, np.zeros_like(begin))
+    ends = 0.5 * spans
+    ends = np.stack([ends, ends + (stays + spans)[follows]], axis=1)
+    kept = iterate(scene, starts, max(1, int(np.ceil(ends.max() / length + TIMELY))))
     after = kept.time + length * np.arange(len(kept.time))[:, None, None]
     after = np.where(kept.side != 0, after, np.inf).transpose(1, 0, 2).reshape(count, -1)
-    first = after.argmin(axis=1)
-    met = kept.side.transpose(1, 0, 2).reshape(count, -1)[np.arange(count), first]
-    early = abs(after[np.arange(count), first] - spans) > TIMELY * length
-    wrong = np.flatnonzero(early | (met != sides[follows]))
+    first = after.argsort(axis=1)[:, :2]
+    met = np.take_along_axis(kept.side.transpose(1, 0, 2).reshape(count, -1), first, 1)
+    late = abs(np.take_along_axis(after, first, 1) - ends) > TIMELY * length
+    wrong = np.flatnonzero((late | (met != sides[np.stack([follows, follows[follows]], axis=1)])).any(axis=1))
     if wrong.size:
         told = f"the flight after impact {wrong[0] + 1} of {count} meets another wall, or none, or not then"
         raise OrbitError(f"not admissible: {told}", float(found.solved.residual), "start nearer to an orbit")

@@ -60,11 +60,16 @@ def clearances(frame, found, samples):
     return jnp.where(jnp.isfinite(crest) & real, distance, jnp.inf).T, time.T
 
 
-def relative(frame, found, time):
-    """For each wall: the distance to it, speed and acceleration towards it, a time after each flight's start."""
+def place(frame, found, time):
+    """(x, v, the drive's cosine and sine) a time after each flight's start."""
     free, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, time)
     x, v = flow.flown((free, forced), frame.force * found.cosine, frame.force * found.sine, found.x, found.v)
-    return _towards(frame, x, v, *flow.turn(found.cosine, found.sine, *angle))
+    return x, v, *flow.turn(found.cosine, found.sine, *angle)
+
+
+def relative(frame, found, time):
+    """For each wall: the distance to it, speed and acceleration towards it, a time after each flight's start."""
+    return _towards(frame, *place(frame, found, time))
 
 
 def _towards(frame, x, v, cosine, sine):
@@ -85,14 +90,14 @@ def _nearest(frame, found, span, samples):
     def advance(k, carry):
         (x, v, cosine, sine), before, best = carry
         x, v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v)
-        place = x, v, *flow.turn(cosine, sine, versed, sined)
-        after = _towards(frame, *place)
+        there = x, v, *flow.turn(cosine, sine, versed, sined)
+        after = _towards(frame, *there)
         best = [_better(k, span, *each) for each in zip(before, after, best, strict=True)]
-        return place, after, best
+        return there, after, best
 
-    place = found.x, found.v, found.cosine, found.sine
+    start = found.x, found.v, found.cosine, found.sine
     best = [(none + jnp.inf, none, none) for _ in frame.walls]
-    return lax.fori_loop(0, samples, advance, (place, _towards(frame, *place), best))[2]
+    return lax.fori_loop(0, samples, advance, (start, _towards(frame, *start), best))[2]
 
 
 def _better(k, span, before, after, best):

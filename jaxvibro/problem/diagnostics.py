@@ -56,11 +56,11 @@ def each_of(one, along, zs, periods):
     return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
 
 
-def _abreast(one, along, zs, count, periods):
-    return jax.vmap(lambda z: one(along, z, periods))(zs)
+def _in_turn(one, along, zs, count, periods):
+    return _each(along, zs, count, jax.jit(one, static_argnums=2), periods)
 
 
-@persistent_jit(static_argnums=(0, 4), numpy_first=_abreast)
+@persistent_jit(static_argnums=(0, 4), numpy_first=_in_turn)
 def _seen(one, along, zs, count, periods):
     """Point by point in one kernel: as fast here as many lanes at once, and compiled in half the time."""
     return one_kernel(_each, along, zs, count, one=one, periods=periods)
@@ -71,7 +71,7 @@ def _each(along, zs, count, one, periods):
         new = one(along, lax.dynamic_index_in_dim(zs, k, keepdims=False), periods)
         return jax.tree.map(lambda whole, part: lax.dynamic_update_index_in_dim(whole, part, k, 0), found, new)
 
-    shapes = jax.eval_shape(lambda z: one(along, z, periods), zs[0])
+    shapes = jax.eval_shape(lambda along, z: one(along, z, periods), along, zs[0])
     blank = jax.tree.map(lambda leaf: jnp.zeros((len(zs), *leaf.shape), leaf.dtype), shapes)
     return lax.fori_loop(0, count, look, blank)
 

@@ -117,9 +117,11 @@ def _free(z, along):
         span = turns.periods * 2.0 * jnp.pi / scene.frequency
         force = scene.amplitude * jnp.cos(turns.phase), scene.amplitude * jnp.sin(turns.phase)
         x, v = flow.flown(flow.responses(scene.frequency, scene.damping, span), *force, z[0], z[1])
-        return jnp.stack([x - z[0], v - z[1]])
+        left = jnp.stack([x - z[0], v - z[1]])
+        return left, left
 
-    return values(z), jax.jacfwd(values)(z)
+    slopes, left = jax.jacfwd(values, has_aux=True)(z)
+    return left, slopes
 
 
 IMPACTS = Problem(impacts, cyclic_system.bordered, _plain, (Test("PD", _flip),), one_kernel, _hits)

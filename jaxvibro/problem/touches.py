@@ -50,11 +50,6 @@ def _parameter_scale(marks, k, length):
     return length if any(mark == k for mark in lengths) else 1.0
 
 
-@persistent_jit(compiler_options=SOON, numpy_first=True)
-def _contact(y, along, row, wall):
-    return one_kernel(_met, y, along, row, wall)
-
-
 def _met(y, along, row, wall):
     """(distance, speed, acceleration) towards a wall of the flight after a row; y = (z, the time since its start)."""
     z, late = y[:-1], y[-1]
@@ -65,6 +60,11 @@ def _met(y, along, row, wall):
         built, found = flight(along, z)
     every = flight_clearance.relative(built, found, jnp.full_like(found.time, late))
     return jnp.stack([jnp.stack([one[k] for one in every])[wall, row] for k in range(3)])
+
+
+@persistent_jit(compiler_options=SOON, numpy_first=_met)
+def _contact(y, along, row, wall):
+    return one_kernel(_met, y, along, row, wall)
 
 
 def bearing(along, row, wall, y):
