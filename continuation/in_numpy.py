@@ -18,6 +18,7 @@ from .numpy_rules import Rule, rules
 
 PATIENCE = 2000  # times that all equations of a function are evaluated before it is compiled, which costs as much
 
+PLAIN = {bool, int, float}  # types of numbers that jax takes for weak ones
 SEVERAL = {"cond", "optimization_barrier", "scan", "sort", "split", "unstack", "while"}  # their functions give lists
 CALLS = {"closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "jit", "pjit", "checkpoint"}
 CALLED = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # names for the function that these call
@@ -176,8 +177,12 @@ def _kept(on, new, old):
     return np.where(on.reshape(on.shape + (1,) * (new.ndim - on.ndim)), new, old)
 
 
-def _kind(leaf):
-    return type(leaf) if type(leaf) in (bool, int, float) else (leaf.shape, leaf.dtype)
+def kind_of(args, static):
+    """(the numbers of a function's arguments in a row; what decides how it is traced, a key). static: places of
+    arguments that are no numbers."""
+    leaves, form = jax.tree.flatten([each for place, each in enumerate(args) if place not in static])
+    kinds = [type(leaf) if type(leaf) in PLAIN else (leaf.shape, leaf.dtype) for leaf in leaves]
+    return leaves, (form, tuple(kinds), tuple([args[place] for place in static]), jax.config.jax_enable_x64)
 
 
 def _chosen(branches):
@@ -196,10 +201,10 @@ class Tried(NamedTuple):
 
     def __call__(self, args: tuple[Any, ...]) -> Any:
         """The function's result; None, which it never is, where it is to be compiled."""
-        numbers = [each for place, each in enumerate(args) if place not in self.static]
-        leaves, form = jax.tree.flatten(numbers)
-        static = tuple(args[place] for place in self.static)
-        kind = form, tuple(map(_kind, leaves)), static, jax.dtypes.canonicalize_dtype(np.float64)
+        return self.of_kind(args, *kind_of(args, self.static))
+
+    def of_kind(self, args: tuple[Any, ...], leaves: Sequence[Any], kind: Any) -> Any:
+        """The same of arguments with these numbers and of this kind (`kind_of`)."""
         if kind not in self.known:
             self.known[kind] = None if self.is_kept(args) else self.traced(args)
         evaluator, result = self.known[kind] or (None, None)
