@@ -19,7 +19,7 @@ class Layout:
     """How arrays lie in one row for each type. like: what has their shapes and types."""
 
     def __init__(self, like):
-        self.shapes = [np.shape(each) for each in like]
+        shapes = [np.shape(each) for each in like]
         groups, found = {}, {}
         for place, each in enumerate(like):
             groups.setdefault(np.dtype(each.dtype), []).append(place)
@@ -27,10 +27,10 @@ class Layout:
         for row, group in enumerate(self.order):
             first = 0
             for place in group:
-                size = math.prod(self.shapes[place])
-                found[place] = row, first, first + size
+                size = math.prod(shapes[place])
+                found[place] = row, first, first + size, shapes[place]
                 first += size
-        self.places = [found[place] for place in range(len(self.shapes))]  # of each array: (which row, from, up to)
+        self.places = [found[place] for place in range(len(shapes))]  # of each array: (which row, from, up to, shape)
 
     def rows(self, arrays: Sequence[Any]) -> list[np.ndarray]:
         """The rows, of NumPy's arrays."""
@@ -38,10 +38,7 @@ class Layout:
 
     def arrays(self, rows: Sequence[np.ndarray]) -> list[np.ndarray]:
         """The arrays in NumPy's rows."""
-        return [
-            rows[row][first:last].reshape(shape)
-            for (row, first, last), shape in zip(self.places, self.shapes, strict=True)
-        ]
+        return [rows[row][first:last].reshape(shape) for row, first, last, shape in self.places]
 
     def traced_rows(self, arrays: Sequence[Any]) -> list[jax.Array]:
         """The rows, of jax's arrays."""
@@ -50,10 +47,7 @@ class Layout:
 
     def traced_arrays(self, rows: Sequence[jax.Array]) -> list[jax.Array]:
         """The arrays in jax's rows."""
-        return [
-            lax.reshape(lax.slice(rows[row], (first,), (last,)), shape)
-            for (row, first, last), shape in zip(self.places, self.shapes, strict=True)
-        ]
+        return [lax.reshape(lax.slice(rows[row], (first,), (last,)), shape) for row, first, last, shape in self.places]
 
 
 class PackedCall:
@@ -78,8 +72,8 @@ class PackedCall:
         return layout.traced_rows(results)
 
     def __call__(self, leaves: Sequence[Any]) -> Any:
-        rows = self.given.rows([leaves[place] for place in self.packed])
-        results = self.run(rows, [leaves[place] for place in self.plain])
+        arrays = [leaves[place] for place in self.packed] if self.plain else leaves
+        results = self.run(self.given.rows(arrays), [leaves[place] for place in self.plain])
         assert self.found is not None  # it has been traced
         layout, form = self.found
         return form.unflatten(layout.arrays([np.asarray(each) for each in results]))

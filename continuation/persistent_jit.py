@@ -91,9 +91,9 @@ def _from_host(function, numpy_first, plain, traced, options):
     evaluated = numpy_first if callable(numpy_first) else function
     tried = in_numpy.Tried(evaluated, static, {}, partial(_is_kept, function, static))
     further = {key: each for key, each in options.items() if key != "static_argnums"}
-    known: dict[Any, PackedCall] = {}
+    compiled: dict[Any, PackedCall] = {}  # of each kind of arguments that has come so far
 
-    def compiled(args, form, leaves):
+    def packed(args, form, leaves):
         @wraps(function)
         def of_leaves(*leaves):
             rest = iter(form.unflatten(leaves))
@@ -105,12 +105,13 @@ def _from_host(function, numpy_first, plain, traced, options):
         leaves, kind = in_numpy.kind_of(args, static)
         if not HOSTS.issuperset(map(type, leaves)) and _numbers(leaves):
             return plain(*args)
-        found = tried.of_kind(args, leaves, kind)
-        if found is None:
-            if kind not in known:
-                known[kind] = compiled(args, kind[0], leaves)
-            found = known[kind](leaves)
-        return found
+        own = compiled.get(kind)
+        if own is None:
+            found = tried.of_kind(args, leaves, kind)
+            if found is not None:
+                return found
+            own = compiled[kind] = packed(args, kind[0], leaves)
+        return own(leaves)
 
     return call
 

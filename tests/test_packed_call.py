@@ -60,7 +60,7 @@ def turned(pair, times, by):
     return Pair(jnp.roll(pair.second, times), by * pair.first)
 
 
-@pytest.mark.parametrize("patience", [0, np.inf])
+@pytest.mark.parametrize("patience", [np.inf, 0])
 def test_calls_of_other_kinds_are_told_apart(patience, monkeypatch):
     """Of another length, type, static argument or form; with a number of the host's own; and under transformations."""
     monkeypatch.setattr(in_numpy, "PATIENCE", patience)
