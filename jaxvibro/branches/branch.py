@@ -189,7 +189,9 @@ def frequency_at(scene, name, value):
 def scene_at(scene, name, value):
     """The scene where a parameter has a value that a branch came to: checked when it was followed, and not again."""
     new = changed(scene, {name: value})
-    return jax.tree.map(lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(leaf, scene.dtype), new)
+    return jax.tree.map(
+        lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(np.asarray(leaf, scene.dtype)), new
+    )
 
 
 def row_of(data, place):
