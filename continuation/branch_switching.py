@@ -1,7 +1,5 @@
 """Where branches meet: the directions in which they leave."""
 
-from functools import partial
-
 import numpy as np
 
 from . import locate
@@ -19,8 +17,7 @@ def directions(problem, z, scale, args):
     left, _, right = np.linalg.svd(slopes[:, used] / scale[used])
     plane = np.zeros((2, len(z)))
     plane[:, used] = right[-2:] / scale[used]
-    task = partial(locate.slopes_of, problem, args=args)
-    rows = [locate.bent(task, z, left[:, used.sum() - 2], one) for one in plane]
+    rows = locate.bends(problem, z, args, left[:, used.sum() - 2], list(plane))
     form = np.stack(rows) @ plane.T
     (a, b), (_, c) = 0.5 * (form + form.T)
     inside = b * b - a * c

@@ -12,8 +12,9 @@ import numpy as np
 
 from . import arclength, event_search
 from .arclength import ON, OUT, Control, Place, Point
-from .points import at, cut_at, pointed, put, to_value, upto
+from .points import cut_at, pointed, to_value
 from .problem import Problem
+from .rows import at, by_field, put, upto
 from .stretch import Mark, Stretch, glued
 
 MOST = 20_000  # points of a branch
@@ -153,7 +154,7 @@ def _part(task, points, status):
     points, view = watch.look(task, points)
     good = watch.good(points.z, view)
     good[0] = True
-    size, bad = len(points.z), int(np.argmin(np.append(good, False)))
+    size, bad, seen = len(points.z), int(np.argmin(np.append(good, False))), points.z
     jump, known = event_search.jump(task.problem, upto(points, bad + 1), task.control, task.args)
     met = watch.before(task, upto(points, bad if jump is None else jump))
     if met is None and jump is not None:
@@ -168,15 +169,33 @@ def _part(task, points, status):
     if loop is not None:
         points, met, end, again = cut_at(task, points, *loop), None, End.CLOSED, None
     if len(points.z) != size or met is not None or loop is not None:
-        view = watch.view(points.z)
+        seen, view = points.z, _viewed(watch, points.z, seen, view)
     events = sorted(watch.events(task, points, view, known, met), key=lambda one: (one.after, one.length))
     points, marks = _inserted(task, points, events)
     if met is not None:
         marks.append(met.mark._replace(place=len(points.z) - 1))
     points, marks, halt = _stopped(task, points, marks)
-    view = watch.view(points.z) if events or halt else view
+    view = _viewed(watch, points.z, seen, view) if events or halt else view
     value = float(points.z[-1, which])
     return Stretch(task.args, points, view, tuple(marks), halt or end, which, value), None if halt else again
+
+
+def _viewed(watch, zs, before, view):
+    """What a watch knows of points, some of which it has seen before: a view of a point depends on that alone."""
+    if view is None:
+        return None
+    places = {z.tobytes(): k for k, z in enumerate(before)}
+    known = np.array([places.get(z.tobytes(), -1) for z in zs])
+    if (known >= 0).all():
+        return by_field(lambda leaf: leaf[known], view)
+    new = known < 0
+
+    def filled(leaf, more):
+        found = leaf[known]
+        found[new] = more
+        return found
+
+    return by_field(filled, view, watch.view(zs[new]))
 
 
 def _within(task, points, end):

@@ -10,6 +10,7 @@ from jaxtyping import Float
 from . import arclength, locate
 from .arclength import ON, OUT, Place, Point
 from .persistent_jit import persistent_jit
+from .rows import at, by_field
 
 CHUNK = 128  # steps attempted in a compiled call
 POLISHED = 1e-10  # a length: from a step as short the next leaves rounding alone
@@ -62,16 +63,11 @@ def _track_as_run(place, control, args, problem, count):
     return _tracked(problem, place, control, args, count)
 
 
-def fetched(results):
-    """Results of compiled code as NumPy's arrays: `jax.device_get` takes some 15 microseconds a leaf, this one."""
-    return jax.tree.map(np.asarray, results)
-
-
 def step(problem, point, length, control, args):
     """The branch's `Point` a length away along the tangent of one: `met` says whether Newton's method came there."""
     place = Place(point.z, point.tangent, np.float64(length), np.int32(ON))
     once = control._replace(smallest=np.float64(np.inf))  # the same compiled code, which ends after one step
-    return jax.tree.map(lambda leaf: leaf[0], fetched(_track(problem, place, once, args, CHUNK)[1]))
+    return at(_track(problem, place, once, args, CHUNK)[1], 0)
 
 
 def pinned(problem, z, index, value, control, args):
@@ -95,12 +91,12 @@ def stretches(problem, place, control, args):
     """
     start = _first(problem, place, control, args)
     while True:
-        place, points = fetched(_track(problem, place, control, args, CHUNK))
+        place, points = _track(problem, place, control, args, CHUNK)
         kept = _kept(start, points)
         yield kept, int(place.status)
         if place.status != ON:
             return
-        start = jax.tree.map(lambda leaf: leaf[-1], kept)
+        start = at(kept, -1)
 
 
 def together(problem, places, controls, args, goes_on):
@@ -117,11 +113,11 @@ def together(problem, places, controls, args, goes_on):
     controls, args = (jax.tree.map(lambda *e: np.stack(e), *each, *each[-1:] * more) for each in (controls, args))
     while (places.status == ON).any():
         lanes = np.flatnonzero(places.status == ON)
-        places, points = fetched(_track_lanes(problem, places, controls, args, CHUNK))
+        places, points = _track_lanes(problem, places, controls, args, CHUNK)
         status = np.array(places.status)
         for lane in lanes:
             kept = _kept(starts[lane], jax.tree.map(lambda leaf, lane=lane: leaf[lane], points))
-            starts[lane] = jax.tree.map(lambda leaf: leaf[-1], kept)
+            starts[lane] = at(kept, -1)
             onwards = goes_on(int(lane), kept, int(status[lane]))
             if isinstance(onwards, Place):
                 places = jax.tree.map(lambda leaf, new, lane=lane: _with(leaf, lane, new), places, onwards)
@@ -158,8 +154,7 @@ def _first(problem, place, control, args):
 
 def _kept(start, points):
     """A start and the points of a chunk that were kept, in a row."""
-    kept = jax.tree.map(lambda leaf: leaf[points.kept], points)
-    return jax.tree.map(lambda first, rest: np.concatenate([np.asarray(first)[None], rest]), start, kept)
+    return by_field(lambda first, leaf: np.concatenate([np.asarray(first)[None], leaf[points.kept]]), start, points)
 
 
 @persistent_jit(static_argnums=(0, 1), numpy_first=True)
@@ -218,7 +213,7 @@ def _signs(values):
 
 def _located(problem, kind, points, after, values, control, args, halvings=HALVINGS):
     """The event between two points, None where Newton's method leads to none there."""
-    here = jax.tree.map(lambda leaf: leaf[after], points)
+    here = at(points, after)
     low, high = 0.0, float(points.step[after + 1])
     guess = high * values[after] / (values[after] - values[after + 1])
     for halving in range(halvings):
@@ -306,7 +301,7 @@ def meets(points, marks, control):
 def passes_mark(problem, points, marks, control, args):
     """(place of the point before, length from it) where a row of points first passes through one of some marks."""
     for after, length, k in meets(points, marks, control):
-        here = jax.tree.map(lambda leaf, after=after: leaf[after], points)
+        here = at(points, after)
         there = step(problem, here, length, control, args)
         if there.met and np.linalg.norm(control.scale * (there.z - marks[k])) < SAME:
             return after, length

@@ -19,10 +19,15 @@ from .numpy_indexing import Unknown
 from .python_program import Program
 
 PATIENCE = 10_000  # times that all lines of a function are run before it is compiled, which costs as much
+PLAIN = {bool, int, float}  # types of numbers that jax takes for weak ones
 
 
-def _kind(leaf):
-    return type(leaf) if type(leaf) in (bool, int, float) else (leaf.shape, leaf.dtype)
+def kind_of(args, static):
+    """(the numbers of a function's arguments in a row; what decides how it is traced, a key). static: places of
+    arguments that are no numbers."""
+    leaves, form = jax.tree.flatten([each for place, each in enumerate(args) if place not in static])
+    kinds = [type(leaf) if type(leaf) in PLAIN else (leaf.shape, leaf.dtype) for leaf in leaves]
+    return leaves, (form, tuple(kinds), tuple([args[place] for place in static]), jax.config.jax_enable_x64)
 
 
 @contextmanager
@@ -59,10 +64,10 @@ class Tried(NamedTuple):
 
     def __call__(self, args: tuple[Any, ...]) -> Any:
         """The function's result; None, which it never is, where it is to be compiled."""
-        numbers = [each for place, each in enumerate(args) if place not in self.static]
-        leaves, form = jax.tree.flatten(numbers)
-        static = tuple(args[place] for place in self.static)
-        kind = form, tuple(map(_kind, leaves)), static, jax.dtypes.canonicalize_dtype(np.float64)
+        return self.of_kind(args, *kind_of(args, self.static))
+
+    def of_kind(self, args: tuple[Any, ...], leaves: Sequence[Any], kind: Any) -> Any:
+        """The same of arguments with these numbers and of this kind (`kind_of`)."""
         if kind not in self.known:
             self.known[kind] = None if self.is_kept(args) else self.traced(args)
         way = self.known[kind]

@@ -6,9 +6,9 @@ Dynamical Equilibria, 3.3). A handful of points of a branch are special: the lin
 is by differences, and nothing is compiled but the problem's own functions.
 """
 
-from functools import partial
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jaxtyping import Float
@@ -18,6 +18,7 @@ from .persistent_jit import SOON, persistent_jit
 ROUNDS = 12  # of Newton's steps
 APART = 1e-5  # of 1 + abs z: the points of a difference
 WIDE = 3e-4  # the same where the points are four
+MANY = 8  # points at which slopes are asked for at once
 SMALL = 1e-9  # of 1 + abs z: a step from which the next leaves rounding alone
 
 
@@ -43,12 +44,32 @@ def slopes_of(problem, z, args):
     return np.asarray(evaluated(problem, z, args)[1])
 
 
-def bent(slopes, z, left, right):
-    """The gradient of left @ F'(z) @ right, F' a derivative: that of left @ F' in the direction of right, as second
-    derivatives commute; by differences over four points."""
-    step = WIDE * (1.0 + abs(z).max()) / abs(right).max()
-    near, far = (slopes(z + k * step * right) - slopes(z - k * step * right) for k in (1, 2))
-    return left @ (8.0 * near - far) / (12.0 * step)
+@persistent_jit(static_argnums=0, compiler_options=SOON, numpy_first=True)
+def _several(problem, zs, count, args):
+    return problem.run(_in_turn, zs, count, args, problem=problem)
+
+
+def _in_turn(zs, count, args, problem):
+    """dF/dz at the first so many of some points."""
+
+    def look(k, found):
+        slopes = problem.plain(lax.dynamic_index_in_dim(zs, k, keepdims=False), args)[1]
+        return lax.dynamic_update_index_in_dim(found, slopes, k, 0)
+
+    shape = len(zs), zs.shape[1] - 1, zs.shape[1]
+    return lax.fori_loop(0, count, look, jnp.zeros(shape, zs.dtype))
+
+
+def bends(problem, z, args, left, rights):
+    """The gradients of left @ F'(z) @ right, F' a derivative, of one or two rights: those of left @ F' in the direction
+    of right, as second derivatives commute; by differences over four points each, all in one call."""
+    steps = [WIDE * (1.0 + abs(z).max()) / abs(right).max() for right in rights]
+    aside = [k * step * right for step, right in zip(steps, rights, strict=True) for k in (1.0, -1.0, 2.0, -2.0)]
+    zs = z + np.stack(aside + [np.zeros(len(z))] * (MANY - len(aside)))
+    found = np.asarray(_several(problem, zs, np.int32(len(aside)), args))
+    each = left @ found[: len(aside)]
+    parts = zip(steps, each.reshape(-1, 4, len(z)), strict=True)
+    return [(8.0 * (a - b) - (c - d)) / (12.0 * step) for step, (a, b, c, d) in parts]
 
 
 def differences(function, z):
@@ -92,8 +113,8 @@ def fold(problem, z, args):
     def system(z):
         value, slopes = _plain(problem, z, args)
         left, gap, right, _ = _nulls(slopes[:, :-1], border)
-        more = -bent(partial(slopes_of, problem, args=args), z, left, np.append(right, 0.0))
-        return np.append(value, gap), np.vstack([slopes, more])
+        (more,) = bends(problem, z, args, left, [np.append(right, 0.0)])
+        return np.append(value, gap), np.vstack([slopes, -more])
 
     border = _border(_plain(problem, z, args)[1][:, :-1])
     return newton(system, z)
@@ -111,10 +132,9 @@ def branch_point(problem, z, args):
         value, slopes = _plain(problem, z, args)
         left, gap, right, solve = _nulls(slopes[:, :-1], border)
         across = np.append(-solve(slopes[:, -1]), 1.0)
-        rows = [-bent(partial(slopes_of, problem, args=args), z, left, np.append(right, 0.0))]
-        rows.append(bent(partial(slopes_of, problem, args=args), z, left, across))
+        bend, other = bends(problem, z, args, left, [np.append(right, 0.0), across])
         matrix = np.zeros((size + 2, size + 2))
-        matrix[:size, :-1], matrix[:size, -1], matrix[size:, :-1] = slopes, border[0], rows
+        matrix[:size, :-1], matrix[:size, -1], matrix[size:, :-1] = slopes, border[0], [-bend, other]
         return np.concatenate([value + y[-1] * border[0], [gap, left @ slopes[:, -1]]]), matrix
 
     border = _border(_plain(problem, z, args)[1][:, :-1])

@@ -26,12 +26,14 @@ from jax.api_util import shaped_abstractify
 from jax.core import ShapedArray, Tracer
 
 from . import in_numpy
+from .packed_call import PackedCall
 
 FOLDER = "modules"  # within jax's cache
 GENERATIONS = 3  # of sources, whose modules are kept
 DIGEST = hashlib.sha256().digest_size
 NUMBER = "number"
 SOON = {"xla_backend_optimization_level": 0}  # for what the host calls a few times: compiled in half the time
+HOSTS = {np.ndarray, np.float64, np.float32, np.int32, np.int64, np.bool_, bool, int, float}  # types of no tracer
 _ours = {__name__.split(".")[0]}  # packages whose sources decide what a traced function is
 
 Given = ParamSpec("Given")
@@ -57,7 +59,7 @@ def persistent_jit(
 
     numpy_first: whether it is evaluated in NumPy (`in_numpy`) until that has cost what compiling does, unless its
     module is kept already; a function that gives the same is evaluated in its place. It then takes no arguments by
-    name.
+    name, and its results are NumPy's arrays, as it is asked by the host (`packed_call`).
     """
     if function is None:
         return partial(persistent_jit, numpy_first=numpy_first, **options)
@@ -69,19 +71,48 @@ def persistent_jit(
         module = _module(function, args, named)
         return function(*args, **named) if module is None else module(*_numbers((args, named)))
 
+    call = _from_host(function, numpy_first, plain, traced, options) if numpy_first else _called(plain, traced, options)
+    call = wraps(function)(call)
+    call.lower = jax.jit(function, **options).lower  # type: ignore[attr-defined]  # a function takes any attribute
+    return call
+
+
+def _called(plain, traced, options):
     stored = jax.jit(traced, **options)
+
+    def call(*args, **named):
+        return plain(*args, **named) if _numbers((args, named)) else stored(*args, **named)
+
+    return call
+
+
+def _from_host(function, numpy_first, plain, traced, options):
     static = np.atleast_1d(options.get("static_argnums", ())).astype(int).tolist()
     evaluated = numpy_first if callable(numpy_first) else function
-    tried = in_numpy.Tried(evaluated, static, {}, partial(_is_kept, function, static)) if numpy_first else None
+    tried = in_numpy.Tried(evaluated, static, {}, partial(_is_kept, function, static))
+    further = {key: each for key, each in options.items() if key != "static_argnums"}
+    compiled: dict[Any, PackedCall] = {}  # of each kind of arguments that has come so far
 
-    @wraps(function)
-    def call(*args, **named):
-        if _numbers((args, named)):
-            return plain(*args, **named)
-        found = None if tried is None else tried(args, **named)
-        return stored(*args, **named) if found is None else found
+    def packed(args, form, leaves):
+        @wraps(function)
+        def of_leaves(*leaves):
+            rest = iter(form.unflatten(leaves))
+            return traced(*[each if place in static else next(rest) for place, each in enumerate(args)])
 
-    call.lower = jax.jit(function, **options).lower  # type: ignore[attr-defined]  # a function takes any attribute
+        return PackedCall(of_leaves, leaves, further)
+
+    def call(*args):
+        leaves, kind = in_numpy.kind_of(args, static)
+        if not HOSTS.issuperset(map(type, leaves)) and _numbers(leaves):
+            return plain(*args)
+        own = compiled.get(kind)
+        if own is None:
+            found = tried.of_kind(args, leaves, kind)
+            if found is not None:
+                return found
+            own = compiled[kind] = packed(args, kind[0], leaves)
+        return own(leaves)
+
     return call
 
 

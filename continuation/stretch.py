@@ -4,7 +4,7 @@ from enum import Enum
 from typing import Any, NamedTuple
 
 from .arclength import Point
-from .points import joined, turned
+from .rows import joined, turned
 
 
 class Mark(NamedTuple):

@@ -13,7 +13,7 @@ from ..output.units import LENGTH, SPEED, TIME
 from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, is_own_image, itinerary
 from ..scene.symmetry import is_symmetric
-from .branch import Branch, Segment, frequency_at, row_of, special_of, spot_of
+from .branch import Branch, Segment, frequency_at, special_of, spot_of
 from .impossible import require_damped, require_possible
 
 START = End.START.reason()
@@ -68,29 +68,33 @@ def _told(scene, name, bounds, pieces):
     parts = [_columns(one, name, widest, k) for k, one in enumerate(pieces)]
     whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
     about = _about(name)
-    data = xr.Dataset({key: (about[key][0], each, about[key][1]) for key, each in whole.items()})
+    data = {key: xr.Variable(about[key][0], each, about[key][1]) for key, each in whole.items()}
+
+    def row_at(place):
+        return {key: each[place] for key, each in whole.items()}
+
     segments, special, first = [], [], 0
     marked = set()
     for one in pieces:
-        row, size = row_of(data, first), len(one.points.z)
+        row, size = row_at(first), len(one.points.z)
         walls = itinerary(spot_of(row, name), frequency_at(scene, name, float(row[name])))
         segments.append(Segment(first, first + size - 1, words.label(walls), walls))
         for mark in one.marks:
             place = first + mark.place
             known = mark.kind == "GR" and place - 1 in marked  # the same grazing, met from the other piece
             if not known:
-                special.append(_special(scene, name, bounds, mark, place, row_of(data, place)))
+                special.append(_special(scene, name, bounds, mark, place, row_at(place)))
             if mark.kind == "GR":
                 marked.add(place)
         first += size
     for place in (0, first - 1):
         if not any(one.place == place for one in special):
-            row = row_of(data, place)
+            row = row_at(place)
             special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
     special = tuple(sorted(special, key=lambda one: one.place))
     require_damped(name, whole[name], whole["multiplier_real"] + 1j * whole["multiplier_imag"])
     require_possible(special)
-    return data.assign_attrs(parameter=name), tuple(segments), special
+    return xr.Dataset(data, attrs={"parameter": name}), tuple(segments), special
 
 
 def _columns(one, name, widest, place):

@@ -6,6 +6,8 @@ from functools import cached_property
 from os import PathLike
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import msgspec
 import numpy as np
 import xarray as xr
@@ -20,7 +22,7 @@ from ..output.table_text import columns, pair
 from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
 from ..problem.orbit_rows import OrbitRows, SpecialOrbit
-from ..scene.scene import Scene
+from ..scene.scene import Scene, changed
 from ..scene.scene_table import table_of
 
 NUMBERS = ("first_step", "largest_step", "tolerance")  # of the settings
@@ -122,7 +124,7 @@ class Branch(OrbitRows[Special]):
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
         """(the scene at a point, its `OrbitPoint`)."""
         spot = spot_of(row_of(self.data, place), self.name)
-        return self.scene.replace(**{self.name: spot.value}), spot
+        return scene_at(self.scene, self.name, spot.value), spot
 
     def save(self, path: str | PathLike[str], force: bool = False) -> None:
         """Write the branch to a NetCDF file, from which `load_branch` reads the same numbers.
@@ -184,6 +186,14 @@ def frequency_at(scene, name, value):
     return value if name == "frequency" else float(scene.frequency)
 
 
+def scene_at(scene, name, value):
+    """The scene where a parameter has a value that a branch came to: checked when it was followed, and not again."""
+    new = changed(scene, {name: value})
+    return jax.tree.map(
+        lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(np.asarray(leaf, scene.dtype)), new
+    )
+
+
 def row_of(data, place):
     """The numbers of one point of a branch's data, {name: array}."""
     return {name: each.values[place] for name, each in data.variables.items()}
@@ -201,7 +211,7 @@ def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=
     """The `Special` at a `row_of` a branch's data."""
     spot = spot_of(row, name)
     found = row["multiplier_real"] + 1j * row["multiplier_imag"]
-    scene = scene.replace(**{name: spot.value})
+    scene = scene_at(scene, name, spot.value)
     walls = itinerary(spot, float(scene.frequency))
     hit = row["side"] != 0
     slopes = np.concatenate([row["time_slope"][hit], row["speed_slope"][hit], [row["value_slope"]]])

@@ -8,7 +8,7 @@ import numpy as np
 from continuation import driver, event_search
 from continuation.arclength import Control
 from continuation.driver import Met, Task
-from continuation.points import at, put, upto
+from continuation.rows import at, put, upto
 from continuation.stretch import Mark
 
 from ..orbits.impact_equations import Cycle
@@ -65,7 +65,7 @@ class BranchWatch(OrbitWatch):
     def before(self, task, points):
         """Where contacts with soft walls are about to lose their speed: before it is lost in rounding."""
         along, size = self.equations, len(self.equations.cycle.sides)
-        for k in range(1, len(points.z)):
+        for k in range(1, len(points.z) if along.scene.soft_sides else 0):
             z, tangent = points.z[k], points.tangent[k]
             rows = [row for row in soft_grazing.slow(along, z, self.length) if tangent[size + row] < 0]
             found = soft_grazing.located(along, z, rows, self.length) if rows else None

@@ -6,8 +6,9 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from continuation.event_search import Event
-from continuation.points import at, between
+from continuation.points import between
 from continuation.roots import sign_change
+from continuation.rows import at
 
 from ..orbits.orbit import multipliers
 from ..problem.diagnostics import diagnose

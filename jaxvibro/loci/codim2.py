@@ -17,7 +17,7 @@ from jaxtyping import Float
 
 from continuation import locate
 from continuation.arrays import Array
-from continuation.event_search import Event, fetched
+from continuation.event_search import Event
 from continuation.linear import solve
 from continuation.persistent_jit import persistent_jit
 from continuation.points import between
@@ -168,7 +168,7 @@ def _bent(curve, zs, order, fine, reference=None):
     for first in range(0, len(zs), LANES):
         some = zs[first : first + LANES]
         padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
-        found = fetched(_bending(curve, padded, reference, np.int32(len(some)), order, fine))
+        found = jax.tree.map(np.asarray, _bending(curve, padded, reference, np.int32(len(some)), order, fine))
         parts.append([each[: len(some)] for each in found])
     return _Bend(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 

@@ -9,7 +9,6 @@ from jax import lax
 from jaxtyping import Float
 
 from continuation.arrays import Array
-from continuation.event_search import fetched
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
@@ -51,7 +50,7 @@ def each_of(one, along, zs, periods):
     for first in range(0, len(zs), LANES):
         some = zs[first : first + LANES]
         padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
-        found = fetched(_seen(one, along, padded, np.int32(len(some)), periods))
+        found = _seen(one, along, padded, np.int32(len(some)), periods)
         parts.append([each[: len(some)] for each in found])
     return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
 

@@ -5,7 +5,8 @@ import numpy as np
 from continuation import event_search
 from continuation.driver import Watch
 from continuation.locate import Located
-from continuation.points import at, between, pointed, put, upto
+from continuation.points import between, pointed
+from continuation.rows import at, put, upto
 
 from . import soft_grazing
 from .diagnostics import diagnose

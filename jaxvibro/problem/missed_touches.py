@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from continuation.points import between, put
+from continuation.points import between
+from continuation.rows import put
 
 from .diagnostics import diagnose
 from .touches import admissible

@@ -54,8 +54,10 @@ def marked(scene, *names):
     """(the scene with numbers of its own at the parameters, the same tree with 1 at the first, 2 at the second, else
     0). A parameter may be several that have one value, a tuple of their names.
 
-    The hardness of soft walls gets a leaf, whatever the parameters are: what is compiled is then the same for all.
+    The hardness of soft walls gets a leaf, whatever the parameters are: what is compiled is then the same for all. The
+    numbers are NumPy's, as the host asks for each of them again and again.
     """
+    scene = jax.tree.map(np.asarray, scene)
     for name in flat(names):
         scene = changed(scene, {name: 0.0 if name == "hardness" else scene.parameter(name)})
     if scene.soft_sides:

@@ -1,0 +1,110 @@
+"""Rows of points in tuples of arrays, against lists of rows; what is known of points, asked of the new ones alone."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from continuation import driver, locate, rows
+from continuation.arclength import Point
+from continuation.driver import Watch
+from continuation.problem import Given, equilibria, problem_of
+from jaxvibro.branches.branch import scene_at
+
+rng = np.random.default_rng(11)
+
+
+class Seen(NamedTuple):
+    size: np.ndarray
+    turned: np.ndarray
+
+
+class Counting(Watch):
+    def __init__(self):
+        self.asked = 0
+
+    def view(self, zs):
+        self.asked += len(zs)
+        return Seen((zs * zs).sum(axis=1), zs[:, ::-1, None] * np.arange(2.0))
+
+
+def listed(points):
+    return [tuple(np.asarray(leaf[k]).tolist() for leaf in points) for k in range(len(points[0]))]
+
+
+def drawn(count):
+    z, tangent = rng.normal(size=(2, count, 3))
+    step, residual, determinant = rng.normal(size=(3, count))
+    met, kept = rng.random((2, count)) < 0.5
+    return Point(z, tangent, step, residual, determinant, met, kept)
+
+
+def test_rows_are_those_of_lists():
+    points, one = drawn(5), rows.at(drawn(1), 0)
+    plain = listed(points)
+    assert listed(rows.upto(points, 3)) == plain[:3] and listed(rows.turned(points)) == plain[::-1]
+    assert tuple(np.asarray(leaf).tolist() for leaf in rows.at(points, -2)) == plain[-2]
+    assert listed(rows.joined([points, points, rows.upto(points, 2)])) == plain + plain[1:] + plain[1:2]
+    for place in range(1, 6):
+        found = listed(rows.put(points, place, one))
+        expected = [*plain[:place], tuple(np.asarray(leaf).tolist() for leaf in one), *plain[place:]]
+        if place < 5:  # what is left of the step to the row after it
+            after = list(expected[place + 1])
+            after[2] -= float(one.step)
+            expected[place + 1] = tuple(after)
+        assert found == expected
+    assert listed(points) == plain
+    assert rows.at(None, 0) is None and rows.joined([None, None]) is None
+
+
+@pytest.mark.parametrize("kept, new", [([0, 1, 2, 3], 0), ([0, 2, 3], 1), ([], 3), ([0, 1], 0), ([3], 2)])
+def test_what_is_known_is_asked_of_new_points_alone(kept, new):
+    watch, before = Counting(), rng.normal(size=(4, 3))
+    view = watch.view(before)
+    held = [leaf.copy() for leaf in view]
+    zs = rng.permutation(np.concatenate([before[kept], rng.normal(size=(new, 3))]), axis=0)
+    watch.asked = 0
+    found = driver._viewed(watch, zs, before, view)
+    assert watch.asked == new
+    for one, other in zip(found, watch.view(zs), strict=True):
+        np.testing.assert_array_equal(one, other)
+    for one, other in zip(view, held, strict=True):
+        np.testing.assert_array_equal(one, other)
+
+
+def curved(u, p, args):
+    x, y = u
+    return jnp.stack([x * x * y - 3.0 * p["p"] * x, y**3 + x * y * p["p"] ** 2])
+
+
+def test_bends_are_second_derivatives():
+    problem, given = problem_of(equilibria(curved), ("p",)), Given({}, None)
+    for _ in range(5):
+        (x, y, p), left = rng.normal(size=3), rng.normal(size=2)
+        first = np.array([[2 * y, 2 * x, -3.0], [2 * x, 0.0, 0.0], [-3.0, 0.0, 0.0]])
+        second = np.array([[0.0, p * p, 2 * y * p], [p * p, 6 * y, 2 * x * p], [2 * y * p, 2 * x * p, 2 * x * y]])
+        form, rights = left[0] * first + left[1] * second, list(rng.normal(size=(2, 3)))
+        for some in (rights, rights[:1]):
+            found = locate.bends(problem, np.array([x, y, p]), given, left, some)
+            assert len(found) == len(some)
+            for one, right in zip(found, some, strict=True):
+                np.testing.assert_allclose(one, form @ right, rtol=1e-9, atol=1e-9)
+
+
+def test_the_scene_on_a_branch_is_the_one_with_another_value():
+    rigid = jv.make_scene(
+        2.0, 2.1, 0.05, 0.7, (jv.Wall(-1.0, motion=jv.Motion(0.1, 0.5, 2)), jv.Wall(1.2, restitution=0.6))
+    )
+    soft = jv.make_scene(2.0, 1.7, 0.1, 0.7, (jv.Wall(-1.0, stiffness=300.0, damping=2.0), None))
+    for scene in (rigid, soft):
+        for name in scene.names:
+            value = 1.07 * float(scene.parameter(name)) if name != "restitution" else 0.4
+            found, expected = scene_at(scene, name, value), scene.replace(**{name: value})
+            assert found.names == expected.names
+            for one in expected.names:
+                assert found.parameter(one).dtype == expected.parameter(one).dtype
+                assert float(found.parameter(one)) == float(expected.parameter(one)), (name, one)
+            assert type(found.amplitude) is type(expected.amplitude)
+            assert type(found.parameter(name)) is type(expected.parameter(name))
