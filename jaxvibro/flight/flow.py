@@ -199,7 +199,7 @@ def doubled(series, frequency, damping, time, stiffness=None):
 
     def double(carry):
         left, now = carry
-        new = _double(stiffness, *now)
+        new = twice(stiffness, *now)
         return left - 1.0, jax.tree.map(lambda new, old: choose(left > 0, new, old), new, now)
 
     start = (count, _short(series, frequency, damping, time * jnp.exp2(-count)))
@@ -210,7 +210,7 @@ def redoubled(series, frequency, damping, time, stiffness, count):
     """As `doubled`, the time at most 2^count of the longest steps."""
     now = _short(series, frequency, damping, time * 0.5**count)
     for _ in range(count):
-        now = _double(stiffness, *now)
+        now = twice(stiffness, *now)
     return now
 
 
@@ -222,7 +222,7 @@ def _short(series, frequency, damping, time):
     return free, forced, (step.versed, step.sined)
 
 
-def _double(stiffness, free, forced, angle):
+def twice(stiffness, free, forced, angle):
     (p00, p01, p11), (u, w), (versed, sined) = free, forced, angle
     cosine = 1.0 + versed
 

@@ -13,16 +13,14 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, stage
 from ..flight import flow, soft_contact, soft_long_step, taylor
-from ..flight.flight_state import Path, SlowMotion, accelerations
+from ..flight.flight_state import Path, SlowMotion
 from ..flight.soft_contact import is_inside
 from ..flight.step import micro
 from ..flight.taylor import Now
 from ..scene.codes import Contact
 
-LONGEST = 8.0  # drive periods that a stay is searched for
 ROUNDS = 6  # of Newton's steps to a short stay from a parabola's guess
 QUICK = 8.0  # longest steps: of a stay whose start its end has not forgotten
-ORDER = 3  # of the derivatives that the equations of the impacts need
 
 
 class StayEnd(NamedTuple):
@@ -96,11 +94,11 @@ def product(left, right):
     return a * e + b * g, a * f + b * h, c * e + d * g, c * f + d * h
 
 
-def leave(frame, side, cosine, sine, speed, found, order=ORDER):
+def leave(frame, side, cosine, sine, speed, found, order):
     """The `StayEnd` of lanes that meet a soft wall on a side with a speed; side 0: of none, any numbers.
 
     Smooth in all numbers, also where the speed goes through zero: the stay goes through zero with it, and from there on
-    is a negative time. found: its time by `guess`; order: of the derivatives that are right.
+    is a negative time. found: its time; order: of the derivatives that are right.
     """
     rounds = math.ceil(math.log2(order + 1))
     touch = side * Contact.ENTERED
@@ -112,24 +110,6 @@ def leave(frame, side, cosine, sine, speed, found, order=ORDER):
     far = stage(_long, here, touch, v, cosine, sine, choose(short, 0.1 * reach, found), order=order)
     time, after = (choose(short, *each) for each in zip(near, far, strict=True))
     return StayEnd(time, after, *flow.rotated(cosine, sine, frame.frequency * time))
-
-
-def guess(frame, side, cosine, sine, speed):
-    """The time of a stay: the first return, or, with no speed into the wall, what a parabola says. No derivatives.
-
-    nan where the mass does not leave for `LONGEST`.
-    """
-    frame, side, cosine, sine, speed = lax.stop_gradient((frame, side, cosine, sine, speed))
-    touch, v = side * Contact.ENTERED, side * speed
-    here = soft_contact.feeling(frame, touch)
-    bias = soft_contact.biases(frame, touch, cosine, sine, 1)
-    pull, _ = accelerations(here, 0.0 * v, v, cosine, sine, bias)
-    enters = touch * v > 0
-    longest = LONGEST * frame.period + 0.0 * v
-    first = duration(frame, choose(enters, touch, 0.0), 0.0 * v, v, cosine, sine, longest)
-    guess = -2.0 * v / choose(pull == 0, 1.0, pull)
-    guess = lax.clamp(-here.reach, guess, here.reach)
-    return choose(enters, choose(first < longest, first, jnp.nan), guess)
 
 
 def _short(here, touch, v, cosine, sine, time, rounds):

@@ -17,8 +17,9 @@ from ..compiled.compiler_hints import choose
 from ..flight import flow, soft_contact
 from ..flight.flight_state import accelerations
 from ..flight.wall import course, picked
-from ..maps.contact_duration import carried, guess, leave, share
+from ..maps.contact_duration import carried, share
 from ..scene.codes import Contact
+from .stay import guess, leave
 
 
 class Meeting(NamedTuple):
