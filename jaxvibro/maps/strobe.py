@@ -22,14 +22,14 @@ def _at_once(scene, state, periods, slots, clearance):
     return two_tiers.strobe(scene, state, periods, slots, LEAST, clearance)
 
 
-@persistent_jit(static_argnums=2, compiler_options=OPTIONS)
-def _lean(scene, state, slots):
-    return two_tiers.lean_alone(scene, state, slots, LEAST)
+@persistent_jit(static_argnums=(2, 3), compiler_options=OPTIONS)
+def _lean(scene, state, slots, clearance):
+    return two_tiers.lean_alone(scene, state, slots, LEAST, clearance)
 
 
-@persistent_jit(static_argnums=2, compiler_options=OPTIONS)
-def _full(scene, state, slots):
-    return one_period.strobe(scene, state, 1, slots, LEAST)
+@persistent_jit(static_argnums=(2, 3), compiler_options=OPTIONS)
+def _full(scene, state, slots, clearance):
+    return one_period.strobe(scene, state, 1, slots, LEAST, clearance)
 
 
 @partial(jax.jit, donate_argnums=0)
@@ -45,20 +45,20 @@ def _at(tree, places, shape):
 
 def from_host(scene, state, periods, slots, clearance):
     """The strobe of numbers that are known: what the lean tier does not need is not compiled."""
-    if periods > 1 or clearance or not two_tiers.takes(scene):
+    if periods > 1 or not two_tiers.takes(scene):
         return _at_once(scene, state, periods, slots, clearance)
-    found, given_up = _lean(scene, state, slots)
+    found, given_up = _lean(scene, state, slots, clearance)
     due, shape = np.flatnonzero(given_up), np.shape(given_up)
     if not due.size:
         return found
     if not shape:
-        return _full(scene, state, slots)
+        return _full(scene, state, slots, clearance)
     given = jax.tree.map(np.asarray, (scene, state))
     width = min(CHUNK, np.size(given_up))
     for first in range(0, due.size, width):
         places = np.pad(due[first : first + width], (0, max(0, first + width - due.size)), mode="edge")
         places = np.unravel_index(places, shape)
-        found = _put(found, places, _full(*_at(given, places, shape), slots))
+        found = _put(found, places, _full(*_at(given, places, shape), slots, clearance))
     return found
 
 
