@@ -73,7 +73,7 @@ def strobe(
     time. The state's phase comes back unchanged. An impact at the end belongs to the period that ends: the state is the
     one after it, and its contact says so. A start on a wall and moving into it rebounds at time 0. A flight that turns
     back within 8 ulp of its largest length (x, v, A, the walls') of a wall may count as a contact or as none. n periods
-    in one call are n strobes: between rigid walls in double precision, without the clearance, bit for bit; elsewhere
+    in one call are n strobes: between rigid walls in double precision bit for bit; elsewhere
     but for roundings, which it carries on: they differ by less than 16 eps (1 + T) s (1 + the sum of abs M), T = 2 pi /
     omega, s the largest length or speed, M the derivative from each strobe on to the end (docs/numbers.md).
 
