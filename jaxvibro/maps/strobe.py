@@ -28,14 +28,14 @@ def _lean(scene, state, slots, clearance):
 
 
 @persistent_jit(static_argnums=(2, 3), compiler_options=OPTIONS)
-def _full(scene, state, slots, clearance):
-    return one_period.strobe(scene, state, 1, slots, LEAST, clearance)
+def _full(scene, state, slots, clearance, due):
+    return one_period.strobe(scene, state, 1, slots, LEAST, clearance, due)
 
 
 @partial(jax.jit, donate_argnums=0)
 def _put(whole, places, part):
-    """The results with those of some lanes replaced, in place."""
-    return jax.tree.map(lambda old, new: old.at[places].set(new), whole, part)
+    """The results with those of some lanes replaced, in place; a place beyond the end is none."""
+    return jax.tree.map(lambda old, new: old.at[places].set(new, mode="drop"), whole, part)
 
 
 def _at(tree, places, shape):
@@ -52,13 +52,16 @@ def from_host(scene, state, periods, slots, clearance):
     if not due.size:
         return found
     if not shape:
-        return _full(scene, state, slots, clearance)
+        return _full(scene, state, slots, clearance, None)
     given = jax.tree.map(np.asarray, (scene, state))
     width = min(CHUNK, np.size(given_up))
     for first in range(0, due.size, width):
-        places = np.pad(due[first : first + width], (0, max(0, first + width - due.size)), mode="edge")
-        places = np.unravel_index(places, shape)
-        found = _put(found, places, _full(*_at(given, places, shape), slots, clearance))
+        some = due[first : first + width]
+        spare = width - some.size
+        lanes = np.unravel_index(np.pad(some, (0, spare), mode="edge"), shape)
+        part = _full(*_at(given, lanes, shape), slots, clearance, np.int32(some.size))
+        places = (np.where(np.arange(width) < some.size, lanes[0], shape[0]), *lanes[1:])
+        found = _put(found, places, part)
     return found
 
 
