@@ -9,6 +9,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight.flow import fly
+from jaxvibro.maps import one_period
 from tests.proof import STRUCTURES, first_flights, strobe_errors
 from tests.reference import closed, orbit
 from tests.reference.scene import Motion, Scene, Wall
@@ -16,7 +17,7 @@ from tests.reference.search import Discard
 
 WALLS = (-1.0, 1.0)
 recorded = partial(jv.strobe, slots=32)
-measured = partial(recorded, clearance=True)  # by full steps
+measured = partial(recorded, clearance=True)
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +25,7 @@ def scene():
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS)
 
 
-@pytest.fixture(scope="module", params=[recorded, measured], ids=["two tiers", "full"])
+@pytest.fixture(scope="module", params=[recorded, measured], ids=["plain", "measured"])
 def lanes(scene, request):
     """130 states, three blocks of lanes, the last one part full, some of them starting into a wall, which lean steps
     give up: (scene, start, end, impacts, the function that has run them)."""
@@ -98,6 +99,16 @@ def test_the_least_clearance_of_a_flight_that_turns_back_from_both_walls_within_
         count += 1
         assert found[k] == pytest.approx(true, rel=0.0, abs=1e-12)
     assert count > 40
+
+
+def test_a_speed_that_falls_nearly_to_zero_is_no_turning_point():
+    """Of full steps: Halley's step is short where the pull is zero, though the speed is not."""
+    scene = jv.make_scene(4.80168422825537, 2.1, 0.05, 0.7, WALLS)
+    start = jv.State(-0.15317286635469873, 0.882185742781255)
+    run = jax.jit(partial(one_period.strobe, periods=1, slots=4, least=1, clearance=True))
+    impacts = run(scene, jax.tree.map(jnp.asarray, start))[1]
+    assert impacts.count == 2 and np.isinf(impacts.least_clearance)
+    assert np.isinf(measured(scene, start)[1].least_clearance)
 
 
 def test_forced_response_comes_back():

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from jaxvibro.flight.wall_positions import places
 from jaxvibro.maps import iterate, two_tiers
 from tests.status_proof import RIGID, draw
-from tests.tiers_proof import bits, chatter, compared, grazing, lean, usual
+from tests.tiers_proof import bits, chatter, compared, full, grazing, lean, measured, usual
 
 MOST = 4_000  # lanes of a test
 KINDS = [RIGID[k] for k in (1, 4)]
@@ -19,6 +20,7 @@ KINDS = [RIGID[k] for k in (1, 4)]
 def test_random_scenes_end_as_by_full_steps(kind, make, most):
     found = compared(*make(np.random.default_rng(5), MOST, kind))
     assert found.wrong == 0 and found.error < 1
+    assert found.clearance < 1 and found.nearer <= 1e-3 * MOST and found.bits == 0
     assert found.given_up < most * MOST  # so that there is something to compare
 
 
@@ -45,6 +47,25 @@ def test_masses_that_hop_and_rest_end_as_by_full_steps():
 def test_no_bit_depends_on_the_batch(kind):
     wrong, given_up = bits(np.random.default_rng(8), 400, kind)
     assert wrong == [] and given_up > 0
+
+
+def test_turning_points_are_those_of_a_motion_sampled_densely():
+    """Of walls that move, and of one that does beside one that stands still; full steps lose some of these."""
+    for kind in ((False, 2), (False, 3)), ((False, 0), (False, 1)):
+        scene, start = usual(np.random.default_rng(3), 1 << 12, kind)
+        (_, impacts), given_up = jax.device_get(measured(scene, start))
+        calm = np.flatnonzero(~given_up & (impacts.count == 0))[:12]
+        assert len(calm) == 12
+        for k in calm:
+            one = jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k] if np.ndim(leaf) else leaf, (scene, start))
+            path = jv.simulate(*one, samples=4000)
+            x, time, least = np.asarray(path.x), np.asarray(path.time), np.inf
+            walls = places(one[0], one[1].phase + one[0].frequency * time)
+            for sign, (place, _) in zip((-1.0, 1.0), walls, strict=True):
+                clear = sign * (np.asarray(place) - x)
+                turns = (clear[1:-1] < clear[:-2]) & (clear[1:-1] <= clear[2:])
+                least = min(least, clear[1:-1][turns].min(initial=np.inf))
+            assert impacts.least_clearance[k] == pytest.approx(least, rel=0, abs=1e-4), k
 
 
 def test_the_tier_of_a_scene():
@@ -83,7 +104,7 @@ def test_a_few_lanes_strobed_from_the_host_are_those_of_the_compiled_run(scene, 
 
 @pytest.mark.parametrize("place", ["anywhere", "middle"])
 def test_a_start_without_speed_goes_as_its_mirror_image(place):
-    """Full steps (the clearance asks for them) aim at one of two walls: of the mirror image at the other one."""
+    """Full steps aim at one of two walls: of the mirror image at the other one."""
     rng = np.random.default_rng(3)
     lanes = 4096
     low, high = -rng.uniform(0.02, 1.2, lanes), rng.uniform(0.02, 1.2, lanes)
@@ -95,7 +116,7 @@ def test_a_start_without_speed_goes_as_its_mirror_image(place):
 
     def told(sign, walls):
         scene = jv.make_scene(sign * numbers[0], *numbers[1:], walls)
-        end, impacts = jv.strobe(scene, jv.State(sign * x, none, phase), clearance=True)
+        end, impacts = full(scene, jv.State(sign * x, none, phase, none))
         return sign * end.x, sign * end.v, impacts.time, sign * impacts.side, impacts.speed, impacts.status
 
     here, mirrored = told(1.0, (jv.Wall(low), jv.Wall(high))), told(-1.0, (jv.Wall(-high), jv.Wall(-low)))

@@ -12,11 +12,11 @@ from .compiler_hints import WIDTH
 LEAST = 16  # lanes of a block: fewer are compiled in another way, and differ by a rounding
 
 
-def in_blocks(run, tree, blank, least=LEAST, rows=()):
+def in_blocks(run, tree, blank, least=LEAST, rows=(), due=None):
     """run(tree, *rows) for numbers of any shapes that broadcast; run takes scalars and lanes of one block.
 
     blank: from a number of lanes to the results' first content, lanes first. least: lanes that a block has at least.
-    rows: arrays of all lanes with an axis more, the last.
+    rows: arrays of all lanes with an axis more, the last. due: of so many lanes alone, the first ones, None: of all.
     """
     leaves, form = jax.tree.flatten(tree)
     shape = jnp.broadcast_shapes(*map(jnp.shape, leaves))
@@ -40,7 +40,7 @@ def in_blocks(run, tree, blank, least=LEAST, rows=()):
         done = run(form.unflatten(some), *(lax.dynamic_slice_in_dim(row, start, width) for row in rows))
         return jax.tree.map(lambda whole, part: lax.dynamic_update_slice_in_dim(whole, part, start, 0), out, done)
 
-    out = lax.fori_loop(0, -(-total // width), put, blank(total))
+    out = lax.fori_loop(0, -(-(total if due is None else due) // width), put, blank(total))
     return jax.tree.map(lambda part: part[:count].reshape(*shape, *part.shape[1:]), out)
 
 

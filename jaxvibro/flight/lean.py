@@ -13,7 +13,7 @@ from jax import lax
 
 from ..compiled.compiler_hints import choose, least, most, positive, stage
 from ..scene.codes import Contact
-from . import flow, impact_log, lean_event, lean_motion, lean_tangent
+from . import flow, impact_log, lean_event, lean_motion, lean_tangent, lean_turns
 from .lean_event import MARGIN
 from .lean_numbers import GIVEN_UP, Lanes
 from .wall import course, less
@@ -42,44 +42,66 @@ def _begun(numbers, x, v, cosine, sine, contact, goes):
     return lanes._replace(left=choose(goes, choose(sure, numbers.period, GIVEN_UP), 0.0))
 
 
-def run(numbers, lanes, log, slots, shifts=(), tangents=()):
-    """(lanes, log, slots, tangents) when no lane has time left; one that needs too many steps is given up.
+def run(numbers, lanes, log, slots, shifts=(), tangents=(), clearance=False):
+    """(lanes, log, slots, tangents, the least clearance, None where it was not asked for) when no lane has time left;
+    one that needs too many steps is given up.
 
     shifts, tangents: the directions in which `lean_tangent` carries derivatives along, and how those begin.
     """
+    few = len(slots.times) <= impact_log.RECENT
+    calls = lean_turns.nothing(lanes.x) if clearance else None
+    if clearance:
+        lanes = lean_turns.starts(numbers, lanes)
 
     def step(carry):
-        lanes, log, turns, tangents = carry
-        lanes, tangents, side, speed = turn(numbers, lanes, turns, shifts, tangents)
+        lanes, log, turns, tangents, calls = carry
+        lanes, tangents, calls, side, speed = turn(numbers, lanes, turns, shifts, tangents, calls)
         log = impact_log.write(log, side, speed, speed, stage(_rest, numbers, lanes.left))
-        return lanes, log, turns + 1.0, tangents
+        return lanes, log, turns + 1.0, tangents, calls
 
     def going(carry):
         return jnp.any(carry[0].left > 0)
 
-    start = lanes, log, jnp.zeros((), lanes.x.dtype), tangents
-    if len(slots.times) <= impact_log.RECENT:
-        lanes, log, _, tangents = lax.while_loop(going, step, start)
-        return lanes, *impact_log.pour(log, slots), lean_tangent.ended(numbers, shifts, tangents, lanes)
+    def runs(carry):
+        stops = lax.full_like(carry[0].left, False, dtype=bool) if few else impact_log.is_full(carry[1])
+        if clearance:
+            stops |= lean_turns.is_crowded(carry[4])
+        return going(carry) & ~jnp.any(stops)
 
     def leg(carry):
-        now, slots = carry
-        now = lax.while_loop(lambda now: going(now) & ~jnp.any(impact_log.is_full(now[1])), step, now)
-        log, slots = impact_log.pour(now[1], slots)
-        return (now[0], log, *now[2:]), slots
+        (lanes, log, turns, tangents, calls), slots = lax.while_loop(runs, step, carry[0]), carry[1]
+        if not few:
+            log, slots = impact_log.pour(log, slots)
+        if clearance:
+            calls, left = lean_turns.measure(numbers, lanes.left, calls)
+            lanes = lanes._replace(left=left)
+        return (lanes, log, turns, tangents, calls), slots
 
-    (lanes, log, _, tangents), slots = lax.while_loop(lambda carry: going(carry[0]), leg, (start, slots))
-    return lanes, log, slots, lean_tangent.ended(numbers, shifts, tangents, lanes)
+    def pending(carry):
+        due = carry[0][0].left > 0
+        return jnp.any(due | lean_turns.is_due(carry[0][4])) if clearance else jnp.any(due)
+
+    start = lanes, log, jnp.zeros((), lanes.x.dtype), tangents, calls
+    if few and not clearance:
+        now = lax.while_loop(going, step, start)
+    else:
+        now, slots = lax.while_loop(pending, leg, (start, slots))
+    lanes, log, _, tangents, calls = now
+    if few:
+        log, slots = impact_log.pour(log, slots)
+    return lanes, log, slots, lean_tangent.ended(numbers, shifts, tangents, lanes), calls.least if clearance else None
 
 
-def turn(numbers, lanes, turns, shifts=(), tangents=()):
-    """(lanes, tangents) a step later, the side of the impact at its end, 0: none, the speed against its wall, over t.
+def turn(numbers, lanes, turns, shifts=(), tangents=(), calls=None):
+    """(lanes, tangents, calls) a step later, the side of the impact at its end, 0: none, the speed against its wall,
+    over t.
 
-    turns: the period's steps before this one. A lane that has no time left, or was given up, stays as it is.
+    turns: the period's steps before this one; calls: the closest calls, None where they are not asked for. A lane that
+    has no time left, or was given up, stays as it is.
     """
-    lanes = lanes._replace(largest=stage(_largest, numbers, lanes))
+    before = lanes = lanes._replace(largest=stage(_largest, numbers, lanes))
     forces = stage(lean_motion.forces, numbers, lanes.cosine, lanes.sine)
-    hit, root, short = lean_event.ahead(numbers, lanes, forces)
+    hit, root, short, remainder = lean_event.ahead(numbers, lanes, forces)
     time = stage(_time, lanes, hit, root, short)
     gains = stage(flow.gains, numbers.series, numbers.frequency, time)
     x, v = stage(lean_motion.flown, numbers, lanes.x, lanes.v, forces, gains)
@@ -93,7 +115,10 @@ def turn(numbers, lanes, turns, shifts=(), tangents=()):
     flown = x, v, *drive, late
     x, v = stage(lean_motion.rebounded, numbers, x, v, (cosine, sine), hit, speed)
     lanes = Lanes(x, v, cosine, sine, left, lanes.largest)
-    return lanes, lean_tangent.rebounded(numbers, shifts, tangents, lanes, flown, hit, speed), hit, closing
+    if calls is not None:
+        calls, left = lean_turns.note(numbers, before, lanes, speed, time, late, hit, remainder, calls)
+        lanes = lanes._replace(left=left)
+    return lanes, lean_tangent.rebounded(numbers, shifts, tangents, lanes, flown, hit, speed), calls, hit, closing
 
 
 def _largest(numbers, lanes):

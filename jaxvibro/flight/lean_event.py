@@ -20,27 +20,33 @@ JUMP = 0.9375  # of the way to an event that is certain, but too far to land on
 
 
 def ahead(numbers, lanes, drive):
-    """(the side of the wall that is met, 0: none, when, how long there is no contact else, GIVEN_UP: too short)."""
-    waves = [
-        None if swing is None else stage(wave, wall, lanes.cosine, lanes.sine)
-        for wall, swing in zip(numbers.walls, numbers.swings, strict=True)
-    ]
-    side = stage(_side, numbers, lanes, drive, waves)
+    """(the side of the wall that is met, 0: none, when, how long there is no contact else, GIVEN_UP: too short; a bound
+    on what the Taylor polynomial of x leaves out)."""
+    swung = waves(numbers, lanes)
+    side = stage(_side, numbers, lanes, drive, swung)
     remainder = stage(_remainder, numbers, lanes, drive)
-    aimed = _progress(numbers, lanes, drive, waves, side, remainder)
+    aimed = _progress(numbers, lanes, drive, swung, side, remainder)
     behind = None
     if len(numbers.walls) == 2:
         if numbers.still:
             behind = stage(_behind, numbers, aimed, stage(_tail, aimed, way=-1.0), lanes.largest)
         else:
-            other = _progress(numbers, lanes, drive, waves, -side, remainder)
+            other = _progress(numbers, lanes, drive, swung, -side, remainder)
             behind = stage(_away, other, stage(_tail, other, way=1.0), lanes.largest)
     guess = stage(_guess, aimed)
     root = stage(_root, aimed, guess)
     known = stage(_known, aimed, guess, root)
     hit = stage(_hits, lanes, root, known, side, behind)
     short = stage(_short, lanes, aimed, stage(_tail, aimed, way=1.0), lanes.largest, guess, root, known, behind)
-    return hit, root, short
+    return hit, root, short, remainder
+
+
+def waves(numbers, lanes):
+    """Cosine and sine of the angle that each wall swings by, None of one that stands still."""
+    return [
+        None if swing is None else stage(wave, wall, lanes.cosine, lanes.sine)
+        for wall, swing in zip(numbers.walls, numbers.swings, strict=True)
+    ]
 
 
 def _free(numbers, lanes, drive, k):
@@ -66,7 +72,8 @@ def _ways(numbers, waves, side, k):
     return chosen(side, numbers.walls, [_way(*each, k) for each in walls])
 
 
-def _term(numbers, lanes, drive, waves, side, k):
+def term(numbers, lanes, drive, waves, side, k):
+    """The k-th Taylor coefficient of the progress towards the wall on a side."""
     return side * less(_free(numbers, lanes, drive, k), _ways(numbers, waves, side, k))
 
 
@@ -78,7 +85,7 @@ def _remainder(numbers, lanes, drive):
 
 def _progress(numbers, lanes, drive, waves, side, remainder):
     """The `event.Progress` towards the wall on a side."""
-    terms = tuple(stage(_term, numbers, lanes, drive, waves, side, k=k) for k in range(TERMS))
+    terms = tuple(stage(term, numbers, lanes, drive, waves, side, k=k) for k in range(TERMS))
     if not numbers.still:
         remainder = stage(_swaying, numbers, side, remainder)
     return Progress(terms, remainder)

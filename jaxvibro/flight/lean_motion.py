@@ -38,11 +38,15 @@ def pull(numbers, x, v, drive):
     return numbers.force * drive[0] - numbers.stiffness * x - numbers.drag * v
 
 
+def jerk(numbers, v, pulled, sine):
+    """The change of the acceleration."""
+    return -(numbers.frequency * numbers.force) * sine - numbers.stiffness * v - numbers.drag * pulled
+
+
 def met(numbers, x, v, drive, late):
     """The speed at an event so much later than the end of a step."""
     pulled = pull(numbers, x, v, drive)
-    jerk = -(numbers.frequency * numbers.force) * drive[1] - numbers.stiffness * v - numbers.drag * pulled
-    return v + late * (pulled + 0.5 * late * jerk)
+    return v + late * (pulled + 0.5 * late * jerk(numbers, v, pulled, drive[1]))
 
 
 def turned(numbers, drive, late):

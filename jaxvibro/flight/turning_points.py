@@ -92,7 +92,9 @@ def measure(frame, calls):
     step = stage(_halley, *near[1:])
     found = -side * (near[0] + step * (near[1] + step * (0.5 * near[2] + step * (near[3] / 6.0))))
     time, edge = time + step, frame.reach * event.rounding(time.dtype) ** 0.5
-    real = (mark != 0) & (lax.abs(step) <= frame.reach * NEAR) & (side * near[2] < 0)
+    close = lax.abs(step) <= frame.reach * NEAR  # short beside a pull of zero too, where the speed is not
+    real = (mark != 0) & close & (lax.abs(near[1]) <= 2.0 * frame.reach * NEAR * lax.abs(near[2]))
+    real &= side * near[2] < 0
     real &= (time >= -edge) & (time <= span + edge)
     twin, fresh = Turn(motion, span, other), calls.fresh
     noted = jax.tree.map(lambda new, old: choose(both, new, old), twin, fresh)

@@ -21,9 +21,9 @@ from ..scene.state import Impacts, State
 SLOTS = 32  # impacts of a period whose derivatives can be told
 
 
-def strobe(scene, state, periods, slots, least, clearance=False):
-    """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least."""
-    return _in_blocks(_seen, scene, state, periods, slots, least, clearance)
+def strobe(scene, state, periods, slots, least, clearance=False, due=None):
+    """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least; due: see `in_blocks`."""
+    return _in_blocks(_seen, scene, state, periods, slots, least, clearance, due)
 
 
 def recorded(scene, state, periods, slots, least, clearance=False):
@@ -31,7 +31,7 @@ def recorded(scene, state, periods, slots, least, clearance=False):
     return _in_blocks(through, scene, state, periods, slots, least, clearance)
 
 
-def _in_blocks(function, scene, state, periods, slots, least, clearance):
+def _in_blocks(function, scene, state, periods, slots, least, clearance, due=None):
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
 
     def run(given):
@@ -41,7 +41,7 @@ def _in_blocks(function, scene, state, periods, slots, least, clearance):
         out = blank(count, slots, scene.dtype, clearance)
         return out if function is _seen else (out, jnp.zeros(count, scene.dtype))
 
-    return in_blocks(run, (scene, replace(state, x=jnp.broadcast_to(state.x, shape))), empty, least)
+    return in_blocks(run, (scene, replace(state, x=jnp.broadcast_to(state.x, shape))), empty, least, due=due)
 
 
 def _seen(scene, state, periods, slots, clearance):

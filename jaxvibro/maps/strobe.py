@@ -22,20 +22,20 @@ def _at_once(scene, state, periods, slots, clearance):
     return two_tiers.strobe(scene, state, periods, slots, LEAST, clearance)
 
 
-@persistent_jit(static_argnums=2, compiler_options=OPTIONS)
-def _lean(scene, state, slots):
-    return two_tiers.lean_alone(scene, state, slots, LEAST)
+@persistent_jit(static_argnums=(2, 3), compiler_options=OPTIONS)
+def _lean(scene, state, slots, clearance):
+    return two_tiers.lean_alone(scene, state, slots, LEAST, clearance)
 
 
-@persistent_jit(static_argnums=2, compiler_options=OPTIONS)
-def _full(scene, state, slots):
-    return one_period.strobe(scene, state, 1, slots, LEAST)
+@persistent_jit(static_argnums=(2, 3), compiler_options=OPTIONS)
+def _full(scene, state, slots, clearance, due):
+    return one_period.strobe(scene, state, 1, slots, LEAST, clearance, due)
 
 
 @partial(jax.jit, donate_argnums=0)
 def _put(whole, places, part):
-    """The results with those of some lanes replaced, in place."""
-    return jax.tree.map(lambda old, new: old.at[places].set(new), whole, part)
+    """The results with those of some lanes replaced, in place; a place beyond the end is none."""
+    return jax.tree.map(lambda old, new: old.at[places].set(new, mode="drop"), whole, part)
 
 
 def _at(tree, places, shape):
@@ -45,20 +45,23 @@ def _at(tree, places, shape):
 
 def from_host(scene, state, periods, slots, clearance):
     """The strobe of numbers that are known: what the lean tier does not need is not compiled."""
-    if periods > 1 or clearance or not two_tiers.takes(scene):
+    if periods > 1 or not two_tiers.takes(scene):
         return _at_once(scene, state, periods, slots, clearance)
-    found, given_up = _lean(scene, state, slots)
+    found, given_up = _lean(scene, state, slots, clearance)
     due, shape = np.flatnonzero(given_up), np.shape(given_up)
     if not due.size:
         return found
     if not shape:
-        return _full(scene, state, slots)
+        return _full(scene, state, slots, clearance, None)
     given = jax.tree.map(np.asarray, (scene, state))
     width = min(CHUNK, np.size(given_up))
     for first in range(0, due.size, width):
-        places = np.pad(due[first : first + width], (0, max(0, first + width - due.size)), mode="edge")
-        places = np.unravel_index(places, shape)
-        found = _put(found, places, _full(*_at(given, places, shape), slots))
+        some = due[first : first + width]
+        spare = width - some.size
+        lanes = np.unravel_index(np.pad(some, (0, spare), mode="edge"), shape)
+        part = _full(*_at(given, lanes, shape), slots, clearance, np.int32(some.size))
+        places = (np.where(np.arange(width) < some.size, lanes[0], shape[0]), *lanes[1:])
+        found = _put(found, places, part)
     return found
 
 
@@ -73,7 +76,7 @@ def strobe(
     time. The state's phase comes back unchanged. An impact at the end belongs to the period that ends: the state is the
     one after it, and its contact says so. A start on a wall and moving into it rebounds at time 0. A flight that turns
     back within 8 ulp of its largest length (x, v, A, the walls') of a wall may count as a contact or as none. n periods
-    in one call are n strobes: between rigid walls in double precision, without the clearance, bit for bit; elsewhere
+    in one call are n strobes: between rigid walls in double precision bit for bit; elsewhere
     but for roundings, which it carries on: they differ by less than 16 eps (1 + T) s (1 + the sum of abs M), T = 2 pi /
     omega, s the largest length or speed, M the derivative from each strobe on to the end (docs/numbers.md).
 

@@ -6,6 +6,7 @@ period of many begins with the state that the one before has ended with: it is a
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +24,15 @@ from . import one_period
 from .replayed_slopes import cut, known_impacts, replayed_slopes
 
 
+class Asked(NamedTuple):
+    """What is asked for, static: how many slots, whether the least clearance, and derivatives by which leaves of
+    (scene, state)."""
+
+    slots: int
+    clearance: bool = False
+    chosen: tuple[int, ...] = ()
+
+
 def strobe(scene, state, periods, slots, least, clearance=False):
     """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least."""
     return recorded(scene, state, periods, slots, least, clearance)[0]
@@ -30,10 +40,10 @@ def strobe(scene, state, periods, slots, least, clearance=False):
 
 def recorded(scene, state, periods, slots, least, clearance=False):
     """((State, Impacts), when the mass was last released from a wall, -1: never), as `strobe`."""
-    if clearance or not takes(scene):
+    if not takes(scene):
         return one_period.recorded(scene, state, periods, slots, least, clearance)
     scene, state, shape = _flat(scene, state)
-    out, freed, _ = _periods(scene, state, (), periods, slots, least, ())
+    out, freed, _ = _periods(scene, state, (), periods, Asked(slots, clearance), least)
     return _shaped((out, freed), shape)
 
 
@@ -45,7 +55,7 @@ def sloped(tree, *leaves, periods, slots, least, chosen):
     scene, state, shape = _flat(*tree.unflatten(leaves))
     none, one = jnp.zeros_like(state.x), jnp.ones_like(state.x)
     start = tuple(Tangent(*(one if place == k else none for k in _own(tree))) for place in chosen)
-    out, _, tangents = _periods(scene, state, start, periods, slots, least, chosen)
+    out, _, tangents = _periods(scene, state, start, periods, Asked(slots, chosen=chosen), least)
     slopes = tuple(jnp.stack(ways, axis=-1) for ways in zip(*tangents, strict=True))
     return _shaped((out, slopes), shape)
 
@@ -55,10 +65,10 @@ def _own(tree):
     return tree.num_leaves - 4, tree.num_leaves - 3
 
 
-def _periods(scene, state, start, periods, slots, least, chosen):
-    out = _tried(scene, state, start, slots, least, chosen)
+def _periods(scene, state, start, periods, asked, least):
+    out = _tried(scene, state, start, asked, least)
     if periods > 1:
-        out = lax.fori_loop(1, periods, partial(_again, scene, slots, least, chosen), out)
+        out = lax.fori_loop(1, periods, partial(_again, scene, asked, least), out)
     return out
 
 
@@ -66,10 +76,10 @@ def _shaped(tree, shape):
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]) if shape else leaf, tree)
 
 
-def lean_alone(scene, state, slots, least):
+def lean_alone(scene, state, slots, least, clearance=False):
     """((State, Impacts), whether a lane was given up: then the rest of what is said of it is of no meaning)."""
     scene, state, shape = _flat(scene, state)
-    out, _, given_up = _in_blocks(scene, state, (), slots, least, ())
+    out, _, given_up = _in_blocks(scene, state, (), Asked(slots, clearance), least)
     return _shaped((out, given_up), shape)
 
 
@@ -90,29 +100,31 @@ def _flat(scene, state):
     return *jax.tree.map(flat, (scene, state)), shape
 
 
-def _in_blocks(scene, state, start, slots, least, chosen):
+def _in_blocks(scene, state, start, asked, least):
     def run(given):
-        return one_kernel(_lean, *given, slots=slots, chosen=chosen)
+        return one_kernel(_lean, *given, asked=asked)
 
     def empty(count):
         none = jnp.zeros(count, scene.dtype)
-        return one_period.blank(count, slots, scene.dtype), (Tangent(none, none),) * len(chosen), jnp.zeros(count, bool)
+        out = one_period.blank(count, asked.slots, scene.dtype, asked.clearance)
+        return out, (Tangent(none, none),) * len(asked.chosen), jnp.zeros(count, bool)
 
     return in_blocks(run, (scene, state, start), empty, least)
 
 
-def _lean(scene, state, start, slots, chosen):
+def _lean(scene, state, start, asked):
     """((State, Impacts), tangents by the chosen numbers, whether a lane was given up) of a period by lean steps."""
     built = frame(scene)
     numbers = lean_numbers.numbers(built)
     path, fault = enter(built, state)
     lanes = lean.begin(numbers, path, fault == Status.OK)
-    shifts = tuple(_shift(numbers, scene, state, place) for place in chosen)
+    shifts = tuple(_shift(numbers, scene, state, place) for place in asked.chosen)
     start = tuple(Tangent(x, v * numbers.reach) for x, v in start)
-    lanes, log, rows, ways = lean.run(numbers, lanes, *impact_log.empty(state.x, slots, built.period), shifts, start)
+    empty = impact_log.empty(state.x, asked.slots, built.period)
+    lanes, log, rows, ways, clear = lean.run(numbers, lanes, *empty, shifts, start, asked.clearance)
     times, sides, speeds = impact_log.rows(rows)
     good = fault == Status.OK
-    full = choose(log.count > slots, lax.full_like(fault, Status.FULL), Status.OK)
+    full = choose(log.count > asked.slots, lax.full_like(fault, Status.FULL), Status.OK)
     x, v = choose(good, lanes.x, jnp.nan), choose(good, lanes.v * numbers.pace, jnp.nan)
     impacts = Impacts(
         time=times,
@@ -120,7 +132,7 @@ def _lean(scene, state, start, slots, chosen):
         speed=speeds,
         count=log.count.astype(jnp.int32),
         least_speed=log.least_speed,
-        least_clearance=None,
+        least_clearance=clear,
         status=choose(good, full, fault).astype(jnp.int32),
     )
     end = State(x, v, jnp.broadcast_to(state.phase, x.shape), jnp.zeros_like(x))
@@ -136,16 +148,16 @@ def _shift(numbers, scene, state, place):
     return lean_tangent.shift(numbers, scene, rates, start.phase)
 
 
-def _tried(scene, state, start, slots, least, chosen):
+def _tried(scene, state, start, asked, least):
     """((State, Impacts), last release, tangents) of one period, of flat numbers: by lean steps, else by full ones."""
-    out, tangents, given_up = _in_blocks(scene, state, start, slots, least, chosen)
-    again = partial(_full, (scene, state, start), slots, chosen, given_up)
+    out, tangents, given_up = _in_blocks(scene, state, start, asked, least)
+    again = partial(_full, (scene, state, start), asked, given_up)
     return lax.cond(jnp.any(given_up), again, lambda same: same, (out, jnp.full_like(state.x, -1.0), tangents))
 
 
-def _full(given, slots, chosen, due, out):
+def _full(given, asked, due, out):
     """The results with those of some lanes replaced, a block at a time."""
-    run = partial(_through, slots=slots, chosen=chosen)
+    run = partial(_through, asked=asked)
     if not due.shape:
         return run(*given)
     count, width = len(due), min(WIDTH, len(due))
@@ -159,10 +171,13 @@ def _full(given, slots, chosen, due, out):
     return lax.fori_loop(0, -(-jnp.sum(due) // width), block, out)
 
 
-def _through(scene, state, start, slots, chosen):
+def _through(scene, state, start, asked):
     """As `_tried`, by full steps; derivatives by a replay."""
+    chosen, slots = asked.chosen, asked.slots
     few = max(slots, one_period.SLOTS) if chosen else slots
-    (end, impacts), freed = one_kernel(one_period.through, scene, state, periods=1, slots=few)
+    (end, impacts), freed = one_kernel(
+        one_period.through, scene, state, periods=1, slots=few, clearance=asked.clearance
+    )
     if not chosen:
         return (end, impacts), freed, ()
     leaves, tree = jax.tree.flatten((scene, state))
@@ -181,10 +196,11 @@ def _through(scene, state, start, slots, chosen):
     return (end, cut(impacts, slots)), freed, tangents
 
 
-def _again(scene, slots, least, chosen, k, past):
+def _again(scene, asked, least, k, past):
     """The results with those of one period more, the k-th from 0."""
+    slots = asked.slots
     (state, seen), freed, tangents = past
-    (end, new), late, tangents = _tried(scene, state, tangents, slots, least, chosen)
+    (end, new), late, tangents = _tried(scene, state, tangents, asked, least)
     begun = k * frame(scene).period
     lost = seen.status >= Status.CAP
     status = jnp.where(lost, seen.status, jnp.maximum(seen.status, new.status))
@@ -199,7 +215,7 @@ def _again(scene, slots, least, chosen, k, past):
         speed=put(seen.speed, new.speed),
         count=seen.count + new.count,
         least_speed=jnp.minimum(seen.least_speed, new.least_speed),
-        least_clearance=None,
+        least_clearance=jnp.minimum(seen.least_clearance, new.least_clearance) if asked.clearance else None,
         status=jnp.where((status == Status.OK) & (seen.count + new.count > slots), Status.FULL, status),
     )
     return (end, impacts), jnp.where(late >= 0, late + begun, freed), tangents
