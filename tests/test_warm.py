@@ -40,10 +40,16 @@ def cache(tmp_path):
     jax.config.update("jax_compilation_cache_dir", before)
 
 
-def test_what_is_kept_comes_before_numpy(cache, monkeypatch):
+@pytest.fixture
+def placed():
+    """(equations, z) of a motion without impacts."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     none = np.zeros(0)
-    along, z = place_orbit(scene, "amplitude", OrbitPoint(2.0, none, none, none, 1, 0.0, 0.0, 0.0))
+    return place_orbit(scene, "amplitude", OrbitPoint(2.0, none, none, none, 1, 0.0, 0.0, 0.0))
+
+
+def test_what_is_kept_comes_before_numpy(placed, cache, monkeypatch):
+    along, z = placed
     asked, plain = [], in_numpy.Tried.traced
     monkeypatch.setattr(in_numpy.Tried, "traced", lambda self, args: asked.append(1) or plain(self, args))
 

@@ -204,8 +204,8 @@ def _refuse_uncertain(scene, found, count, length):
     none begins or ends on a wall."""
     times, _, sides, phase = found.cycle[:4]
     flights, follows = found.flights, found.flights.follows[:count]
-    stays = np.zeros(count) if flights.met.stay is None else flights.met.stay[:count]
     spans = flights.time[:count]
+    stays = np.zeros_like(spans) if flights.met.stay is None else flights.met.stay[:count]
     begin = phase + np.asarray(scene.frequency) * (times[:count] + stays + 0.5 * spans)
     starts = State(found.halfway[0][:count], found.halfway[1][:count], begin, np.zeros_like(begin))
     ends = 0.5 * spans
