@@ -1,7 +1,7 @@
 """A stay within a soft wall, as the equations of the impacts ask for it: time and again for few lanes.
 
 The same as `contact_duration` says, by `soft_polynomial`: arrays that the kernels of a replay, whose results are stages
-on many lanes, do not take, and which make a twentieth of the operations.
+on many lanes, do not take, and which make fewer operations.
 """
 
 import math
