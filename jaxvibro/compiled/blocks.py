@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
 
-from .compiler_hints import WIDTH
+from .compiler_hints import NARROW, WIDTH
 
 LEAST = 16  # lanes of a block: fewer are compiled in another way, and differ by a rounding
 
@@ -23,7 +23,7 @@ def in_blocks(run, tree, blank, least=LEAST, rows=(), due=None):
     if not shape:
         return run(tree, *rows)
     count = math.prod(shape)
-    width = min(WIDTH, max(least, 1 << (count - 1).bit_length()))
+    width = min(WIDTH if due is None else NARROW, max(least, 1 << (count - 1).bit_length()))
     total = max(count, width)
 
     def spread(leaf, *more):

@@ -13,6 +13,7 @@ from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 
 WIDTH = 64  # lanes of a block: its arrays stay in the first-level cache, and few lanes wait for the slowest
+NARROW = 32  # the same of lanes that lean steps have given up: few, and slow ones among them
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 

@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ..compiled.blocks import in_blocks
-from ..compiled.compiler_hints import WIDTH, choose, one_kernel
+from ..compiled.compiler_hints import NARROW, choose, one_kernel
 from ..flight import impact_log, lean, lean_numbers, lean_tangent
 from ..flight.coefficients import frame
 from ..flight.entry import enter
@@ -86,7 +87,7 @@ def lean_alone(scene, state, slots, least, clearance=False):
 def takes(scene):
     """Whether the lean tier knows such a scene: rigid walls, in double precision."""
     walls = [wall for wall in (scene.left, scene.right) if wall is not None]
-    return bool(walls) and not any(wall.soft for wall in walls) and scene.dtype == jnp.float64
+    return bool(walls) and not any(wall.soft for wall in walls) and scene.dtype == np.float64
 
 
 def _flat(scene, state):
@@ -160,7 +161,7 @@ def _full(given, asked, due, out):
     run = partial(_through, asked=asked)
     if not due.shape:
         return run(*given)
-    count, width = len(due), min(WIDTH, len(due))
+    count, width = len(due), min(NARROW, len(due))
     places = jnp.append(jnp.nonzero(due, size=count, fill_value=count)[0], jnp.full(width, count))
 
     def block(k, out):

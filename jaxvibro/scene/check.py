@@ -187,6 +187,8 @@ def real(key, value, dtype):
     array = _plain(value)
     if array is None or array.dtype.kind not in "fiu":
         raise ArgumentError(key, "must be a real number", value)
+    if array.dtype == dtype:
+        return array.copy()
     with np.errstate(over="ignore"):
         return array.astype(dtype)
 
@@ -276,6 +278,8 @@ def path_name(path):
 
 def shapes_agree(leaves):
     """Refuse the first array that does not broadcast with those before it."""
+    if not any(leaf.shape for _, leaf in leaves):
+        return
     shape = ()
     for key, leaf in leaves:
         try:

@@ -86,7 +86,8 @@ class Scene:
     @property
     def shape(self) -> tuple[int, ...]:
         """The shape of the batch: of all the scene's numbers, broadcast together."""
-        return jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves(self)))
+        shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(self)]
+        return jnp.broadcast_shapes(*shapes) if any(shapes) else ()
 
     @property
     def names(self) -> tuple[str, ...]:
