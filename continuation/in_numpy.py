@@ -16,7 +16,7 @@ import jax
 import numpy as np
 
 from .numpy_indexing import Unknown
-from .python_program import Program
+from .python_program import Program, program
 
 PATIENCE = 10_000  # times that all lines of a function are run before it is compiled, which costs as much
 PLAIN = {bool, int, float}  # types of numbers that jax takes for weak ones
@@ -54,13 +54,14 @@ class Way:
 
 class Tried(NamedTuple):
     """How a function is evaluated for each kind of arguments that it has met. static: places of arguments that are no
-    numbers; known: {kind: `Way`, None where there is no rule or what is compiled is kept}; is_kept: whether it is, for
-    arguments like these."""
+    numbers; known: {kind: `Way`, None where there is no rule}; read, keep: the way for arguments like these that an
+    earlier process has kept, None where there is none; keeps one."""
 
     function: Callable[..., Any]
     static: Sequence[int]
     known: dict[Any, Any]
-    is_kept: Callable[[tuple[Any, ...]], bool] = lambda args: False
+    read: Callable[[tuple[Any, ...]], Way | None] = lambda args: None
+    keep: Callable[[tuple[Any, ...], Way], None] = lambda args, way: None
 
     def __call__(self, args: tuple[Any, ...]) -> Any:
         """The function's result; None, which it never is, where it is to be compiled."""
@@ -69,7 +70,7 @@ class Tried(NamedTuple):
     def of_kind(self, args: tuple[Any, ...], leaves: Sequence[Any], kind: Any) -> Any:
         """The same of arguments with these numbers and of this kind (`kind_of`)."""
         if kind not in self.known:
-            self.known[kind] = None if self.is_kept(args) else self.traced(args)
+            self.known[kind] = self.read(args) or self.traced(args)
         way = self.known[kind]
         if way is None or way.spent >= PATIENCE * way.program.size:
             return None
@@ -83,6 +84,8 @@ class Tried(NamedTuple):
         try:
             with uncollected():
                 traced = jax.jit(self.function, static_argnums=tuple(self.static)).trace(*args)
-                return Way(Program(traced.jaxpr), jax.tree.structure(traced.out_info))
+                way = Way(program(traced.jaxpr), jax.tree.structure(traced.out_info))
         except Unknown:
             return None
+        self.keep(args, way)
+        return way

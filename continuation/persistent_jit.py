@@ -1,8 +1,9 @@
 """Traced functions kept between processes, in a folder within jax's own compile cache, where that is set.
 
 jax's cache spares a process compiling, but each traces and lowers anew what it calls, which is most of a cached start.
-Here the lowered module is kept too (jax.export), and called in place of the function's body. What is kept is trusted
-like jax's cache, which lies beside it, and like the program itself: the folder is to be the user's own.
+Here the lowered module is kept too (jax.export), and called in place of the function's body; and of a function that is
+evaluated without compiling the text of its program (`python_program`). What is kept is trusted like jax's cache, which
+lies beside it, and like the program itself: the folder is to be the user's own.
 """
 
 import dataclasses
@@ -25,7 +26,7 @@ from jax import export
 from jax.api_util import shaped_abstractify
 from jax.core import ShapedArray, Tracer
 
-from . import in_numpy
+from . import in_numpy, python_program
 from .packed_call import PackedCall
 
 FOLDER = "modules"  # within jax's cache
@@ -57,9 +58,9 @@ def persistent_jit(
     program alone: what has been exported has no derivatives and no lanes. Nothing is kept where jax has no compile
     cache, of anything but one processor, or for an argument that is known to this process alone, as a user's function.
 
-    numpy_first: whether it is evaluated in NumPy (`in_numpy`) until that has cost what compiling does, unless its
-    module is kept already; a function that gives the same is evaluated in its place. It then takes no arguments by
-    name, and its results are NumPy's arrays, as it is asked by the host (`packed_call`).
+    numpy_first: whether it is evaluated by Python and NumPy (`in_numpy`) until that has cost what compiling does; a
+    function that gives the same is evaluated in its place. It then takes no arguments by name, and its results are
+    NumPy's arrays, as it is asked by the host (`packed_call`).
     """
     if function is None:
         return partial(persistent_jit, numpy_first=numpy_first, **options)
@@ -89,7 +90,9 @@ def _called(plain, traced, options):
 def _from_host(function, numpy_first, plain, traced, options):
     static = np.atleast_1d(options.get("static_argnums", ())).astype(int).tolist()
     evaluated = numpy_first if callable(numpy_first) else function
-    tried = in_numpy.Tried(evaluated, static, {}, partial(_is_kept, function, static))
+    tried = in_numpy.Tried(
+        evaluated, static, {}, partial(_read_way, evaluated, static), partial(_keep_way, evaluated, static)
+    )
     further = {key: each for key, each in options.items() if key != "static_argnums"}
     compiled: dict[Any, PackedCall] = {}  # of each kind of arguments that has come so far
 
@@ -134,14 +137,34 @@ def _module(function, args, named):
     return lambda *numbers: tree.unflatten(module.call(*numbers))
 
 
-def _is_kept(function, static, args):
-    """Whether there is a module of a function of the host for arguments like these."""
+def _text_place(function, static, args):
+    """The file of the text of a function's program for arguments like these; None where nothing is to be kept."""
+    kinds = (each if k in static else jax.tree.map(shaped_abstractify, each) for k, each in enumerate(args))
+    place = _place(function, tuple(kinds), {})
+    return place and place.with_suffix(".py")
+
+
+def _read_way(function, static, args):
+    """The `Way` of a function of the host that is kept, None where there is none."""
     try:
-        kinds = (each if k in static else jax.tree.map(shaped_abstractify, each) for k, each in enumerate(args))
-        place = _place(function, tuple(kinds), {})
-        return place is not None and place.is_file()
-    except Exception:  # as where it is called
-        return False
+        place = _text_place(function, static, args)
+        if place is None or not place.is_file():
+            return None
+        program, form = python_program.read(place)
+        return in_numpy.Way(program, jax.tree.structure(_built(form)))
+    except Exception:  # as where a module is read
+        return None
+
+
+def _keep_way(function, static, args, way):
+    with suppress(Exception):
+        place, result = (
+            _text_place(function, static, args),
+            jax.tree.unflatten(way.form, [NUMBER] * way.form.num_leaves),
+        )
+        form = _described(result)
+        if place and way.program.text and jax.tree.structure(_built(form)) == way.form:
+            _write(place, f"{way.program.text}\nform = {form!r}\n".encode())
 
 
 def _place(function, args, named):
@@ -216,18 +239,19 @@ def _made(function, args, named, place):
     module = export.export(jax.jit(flat))(*kinds)
     if any(one.weak_type for one in module.out_avals):
         raise Unknown("a number of weak type, which is not written")
-    content = bytes(module.serialize())
-    _write(place, json.dumps(*form).encode() + b"\n" + content)
-    return form[0], content
+    module = bytes(module.serialize())
+    content = json.dumps(*form).encode() + b"\n" + module
+    _write(place, hashlib.sha256(content).digest() + content)
+    return form[0], module
 
 
 def _write(place, content):
-    """A whole file or none: written beside its place and renamed into it."""
+    """A whole file or none: written beside its place and renamed into it; none where the disk is full."""
     with suppress(OSError):
         handle, part = tempfile.mkstemp(dir=place.parent)
         try:
             with os.fdopen(handle, "wb") as file:
-                file.write(hashlib.sha256(content).digest() + content)
+                file.write(content)
             os.replace(part, place)
         except BaseException:
             os.unlink(part)

@@ -6,7 +6,11 @@ what jax traces, costs nothing: the rule of a move is asked once, where the numb
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from functools import partial
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -15,6 +19,7 @@ from jax.extend import core
 from . import python_forms
 from .numpy_indexing import Unknown
 from .numpy_rules import rules
+from .python_literals import NAMED, literal, rule_text
 from .python_text import Block, Chosen, Line, Repeated, count, needed, written
 
 SMALL = 16  # numbers of an array that are written one by one
@@ -45,13 +50,41 @@ def kept_lanes(on, new, old):
     return np.where(on.reshape(on.shape + (1,) * (new.ndim - on.ndim)), new, old)
 
 
-class Program:
-    """The lines of a closed jaxpr. run: (values of the arguments) -> (the results, how many lines were run); size: the
-    lines."""
+SPACE: dict[str, Any] = {"np": np, "math": math, "nan": math.nan, "inf": math.inf, "rules": rules} | NAMED
+SPACE |= {each.__name__: each for each in (divided, wrapped, kept_lanes)}  # what a text may name
+
+
+class Program(NamedTuple):
+    """run: (values of the arguments) -> (the results, how many lines were run); size: the lines; text: Python's, which
+    gives both, None where it would need what no text holds."""
+
+    run: Callable[..., tuple[list[Any], int]]
+    size: int
+    text: str | None = None
+
+
+def program(closed: core.ClosedJaxpr) -> Program:
+    """That of a closed jaxpr. Raises Unknown where an equation has no rule."""
+    writer = Writer(closed)
+    space = SPACE | writer.held
+    exec(writer.text, space)  # the text is the writer's own, of a jaxpr
+    return Program(space["run"], space["size"], None if writer.held else writer.text)
+
+
+def read(path: Path) -> tuple[Program, Any]:
+    """(the program, what stands last: `form`) of a file with a text; Python keeps its translation beside it."""
+    module = ModuleType(path.stem)
+    vars(module).update(SPACE)
+    SourceFileLoader(path.stem, str(path)).exec_module(module)
+    return Program(module.run, module.size), module.form
+
+
+class Writer:
+    """The text of a closed jaxpr's program. held: functions and arrays that it names and cannot hold."""
 
     def __init__(self, closed):
         self.count, self.texts, self.values, self.constants = 0, {}, {}, {}
-        self.space = {"np": np, "math": math, "nan": math.nan, "inf": math.inf, "divided": divided, "wrapped": wrapped}
+        self.names, self.held = {}, {}  # {text of a function or an array: its name}, {name: what has no text}
         self.block = Block()
         arguments, given = [self.new() for _ in closed.jaxpr.invars], []
         for one, var in zip(arguments, closed.jaxpr.invars, strict=True):
@@ -59,12 +92,11 @@ class Program:
         found = self.equations(closed, given)
         results = [self.whole(*each) for each in zip(found, _kinds(closed.jaxpr.outvars), strict=True)]
         lines = needed(self.block.lines, set(results))
-        self.size = count(lines)
-        text = [f"def run({', '.join(map(self.name, arguments))}):", f"    spent = {len(lines)}"]
-        text += written(lines, self.name, "    ")
+        text = [f"{name} = {each}" for each, name in self.names.items()]
+        text += [f"size = {count(lines)}", f"def run({', '.join(map(self.name, arguments))}):"]
+        text += [f"    spent = {len(lines)}", *written(lines, self.name, "    ")]
         text.append(f"    return [{', '.join(map(self.name, results))}], spent")
-        exec("\n".join(text), self.space)  # the text is this class's own, of a jaxpr
-        self.run = self.space["run"]
+        self.text = "\n".join(text)
 
     # values
 
@@ -81,11 +113,12 @@ class Program:
         key = (type(value), repr(value)) if small else (value.shape, value.dtype, value.tobytes())
         if key not in self.constants:
             one = self.constants[key] = self.new()
-            self.values[one], self.texts[one] = value, repr(value) if small else f"c{one}"
+            self.values[one], self.texts[one] = (
+                value,
+                repr(value) if small else self.named(value, partial(literal, value)),
+            )
             if small and self.texts[one].startswith("-"):
                 self.texts[one] = f"({self.texts[one]})"
-            if not small:
-                self.space[f"c{one}"] = value
         return self.constants[key]
 
     def constants_of(self, array: Any, kind: Any) -> Value:
@@ -134,10 +167,15 @@ class Program:
             return np.array(self.line("{0}.item()", [one]))
         return np.array(self.line("{0}.ravel().tolist()", [one], math.prod(kind.shape)), int).reshape(kind.shape)
 
-    def function(self, function: Callable[..., Any]) -> str:
-        name = f"f{self.new()}"
-        self.space[name] = function
-        return name
+    def named(self, value: Any, told: Callable[[], str]) -> str:
+        """The name of a function or an array. told: gives its text, raises Unknown where it has none."""
+        try:
+            text = told()
+        except Unknown:
+            name = f"h{self.new()}"
+            self.held[name] = value
+            return name
+        return self.names.setdefault(text, f"n{len(self.names)}")
 
     # equations
 
@@ -186,7 +224,8 @@ class Program:
                 return found
         wholes = [self.whole(*each) for each in zip(given, kinds, strict=True)]
         key = (name, *sorted((key, str(each)) for key, each in params.items()))
-        text = f"{self.function(rules[name](**params))}({', '.join(f'{{{k}}}' for k in range(len(wholes)))})"
+        function = self.named(rules[name](**params), partial(rule_text, name, params))
+        text = f"{function}({', '.join(f'{{{k}}}' for k in range(len(wholes)))})"
         found = self.line(text, wholes, len(outs) if several else None, key)
         return self.taken(found if several else [found], outs)
 
@@ -225,9 +264,8 @@ class Program:
             going = int(on)
         block, after = self.within(test, params["body_jaxpr"], [*fixed, *carry])
         if on_kind.shape:
-            rule = self.function(kept_lanes)
             columns = [[self.whole(*each) for each in zip(values, kinds, strict=True)] for values in (after, carry)]
-            found = [self.line(f"{rule}({{0}}, {{1}}, {{2}})", [lanes, *pair]) for pair in zip(*columns, strict=True)]
+            found = [self.line("kept_lanes({0}, {1}, {2})", [lanes, *pair]) for pair in zip(*columns, strict=True)]
             after = self.taken(found, kinds)
         self.block = around
         loop = Repeated(_flat(carry), _flat(begin), _flat(after), block.lines, test.lines, going)

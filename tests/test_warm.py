@@ -1,4 +1,4 @@
-"""`jaxvibro warm`: what is kept comes before NumPy; a later process traces nothing of the host's questions."""
+"""`jaxvibro warm`: a later process traces nothing of the host's questions, and has the same numbers."""
 
 import os
 import subprocess
@@ -48,7 +48,7 @@ def placed():
     return place_orbit(scene, "amplitude", OrbitPoint(2.0, none, none, none, 1, 0.0, 0.0, 0.0))
 
 
-def test_what_is_kept_comes_before_numpy(placed, cache, monkeypatch):
+def test_the_text_is_read_and_the_module_made_only_where_it_is_compiled(placed, cache, monkeypatch):
     along, z = placed
     asked, plain = [], in_numpy.Tried.traced
     monkeypatch.setattr(in_numpy.Tried, "traced", lambda self, args: asked.append(1) or plain(self, args))
@@ -57,16 +57,25 @@ def test_what_is_kept_comes_before_numpy(placed, cache, monkeypatch):
         anew = persistent_jit.persistent_jit(locate.evaluated.__wrapped__, static_argnums=0, numpy_first=True)
         return [np.asarray(each) for each in anew(problem(along), z, along)]
 
+    def kept(kind):
+        return [each for each in cache.glob(f"{persistent_jit.FOLDER}/*/*") if each.is_file() and each.suffix == kind]
+
     first = found()
-    assert len(asked) == 1 and not list(cache.glob(f"{persistent_jit.FOLDER}/*/*"))
+    assert len(asked) == 1 and len(kept(".py")) == 1 and not kept("")
+    for one, other in zip(first, found(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert len(asked) == 1
     monkeypatch.setattr(in_numpy, "PATIENCE", 0)
-    found()
-    assert len(asked) == 2 and len(list(cache.glob(f"{persistent_jit.FOLDER}/*/*"))) == 1
-    monkeypatch.setattr(in_numpy, "PATIENCE", np.inf)
-    last = found()
-    assert len(asked) == 2
-    for one, other in zip(first, last, strict=True):
+    compiled = found()
+    assert len(asked) == 1 and len(kept("")) == 1
+    for one, other in zip(first, compiled, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-13)
+    (text,) = kept(".py")
+    text.write_text(text.read_text()[:-20])  # half a file
+    monkeypatch.setattr(in_numpy, "PATIENCE", np.inf)
+    for one, other in zip(first, found(), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert len(asked) == 2
 
 
 def fresh(*words, **environment):

@@ -1,0 +1,110 @@
+"""A program's text says all of it: what is read again gives the same bits; what no text holds is not kept."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+from continuation import python_program
+from continuation.numpy_indexing import Unknown
+from continuation.python_literals import literal
+
+TABLE = np.random.default_rng(3).normal(size=(9, 7))
+
+
+def rows(x, k):
+    """Arrays beyond sixteen numbers, a table, an index that is known late, loops, a choice, infinities."""
+    y = jnp.asarray(TABLE) @ x
+    y = lax.fori_loop(0, 3, lambda turn, y: y.at[turn].add(y[k]) * 0.5, y)
+    wide = jnp.sort(jnp.tile(y, 3)).reshape(3, 9)[:, ::-1]
+    found = jnp.where(wide[k] > 0.0, wide[0], -jnp.inf)
+    found = lax.cond(k > 1, lambda z: z + 1.0, lambda z: z * 0.5, found)
+    return found, jnp.take(wide, jnp.array([5, 99, k]), axis=1, mode="fill"), wide.astype(np.int32)
+
+
+def kept(tmp_path, text, form="1"):
+    place = tmp_path / "some.py"
+    place.write_text(f"{text}\nform = {form}\n")
+    return python_program.read(place)
+
+
+@pytest.mark.parametrize("k", (0, 2))
+def test_a_program_that_is_read_gives_the_same_bits(tmp_path, k):
+    given = np.arange(7.0) - 3.2, np.int64(k)
+    program = python_program.program(jax.jit(rows).trace(*given).jaxpr)
+    again, form = kept(tmp_path, program.text, "{'class': 'x'}")
+    assert form == {"class": "x"} and again.size == program.size
+    (one, spent), (other, same) = program.run(*given), again.run(*given)
+    assert spent == same
+    for first, second, true in zip(one, other, jax.jit(rows)(*given), strict=True):
+        assert first.dtype == second.dtype == true.dtype
+        np.testing.assert_array_equal(first, second)
+        np.testing.assert_allclose(first, true, rtol=1e-13, atol=1e-14)
+
+
+def test_a_file_without_its_end_is_refused(tmp_path):
+    program = python_program.program(jax.jit(rows).trace(np.arange(7.0), np.int64(1)).jaxpr)
+    place = tmp_path / "half.py"
+    place.write_text(program.text)
+    with pytest.raises(AttributeError, match="form"):
+        python_program.read(place)
+
+
+def test_what_no_text_holds_is_not_kept():
+    class Odd(int):
+        pass
+
+    with pytest.raises(Unknown):
+        literal((1, Odd(2)))
+    with pytest.raises(Unknown):
+        literal(np.array([1j]))
+    plain = python_program.literal
+    given = (np.arange(7.0), np.int64(1))
+    closed = jax.jit(rows).trace(*given).jaxpr
+
+    def refused(value):
+        if isinstance(value, np.ndarray):
+            raise Unknown(value)
+        return plain(value)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(python_program, "literal", refused)
+        program = python_program.program(closed)
+    assert program.text is None
+    for one, true in zip(program.run(*given)[0], python_program.program(closed).run(*given)[0], strict=True):
+        np.testing.assert_array_equal(one, true)
+
+
+@pytest.mark.parametrize(
+    "value",
+    (
+        np.array([[0.1, -0.0], [np.inf, 5e-324]]),
+        np.zeros((0, 3), np.int32),
+        np.float32(0.1),
+        np.array([True, False]),
+        (1, (None, "a'b"), 2.5),
+        lax.GatherDimensionNumbers((0,), (1,), (0,), (), ()),
+        lax.GatherScatterMode.CLIP,
+        np.dtype(bool),
+    ),
+)
+def test_a_literal_is_its_value(tmp_path, value):
+    _, found = kept(tmp_path, "size, run = 0, None", literal(value))
+    assert type(found) is type(value)
+    if isinstance(value, np.ndarray | np.generic):
+        assert found.dtype == value.dtype and found.shape == value.shape and found.tobytes() == value.tobytes()
+    else:
+        assert found == value
+
+
+def test_nan_is_written(tmp_path):
+    assert np.isnan(kept(tmp_path, "size, run = 0, None", literal(np.array([np.nan])))[1])
+
+
+def test_the_same_rule_is_named_once():
+    def twice(x):
+        return jnp.concatenate([lax.slice(x, (1,), (20,)), lax.slice(x * 2.0, (1,), (20,))])
+
+    text = python_program.program(jax.jit(twice).trace(np.arange(30.0)).jaxpr).text
+    assert text.count("rules['slice']") == 1
