@@ -1,8 +1,8 @@
 """The one loop along a branch, be it in one parameter or in two: chunks of steps, each cut where something ends it,
 with its special points put in, until the branch ends.
 
-What is watched besides the equations is a `Watch`; its methods are asked in this order: `look`, `good`, `before`,
-`touch`, `events`, `stops`.
+What is watched besides the equations is a `Watch`; its methods are asked in this order: `look`, `good`, `passed`,
+`before`, `touch`, `events`, `stops`.
 """
 
 from enum import Enum
@@ -58,6 +58,11 @@ class Watch:
     def good(self, zs, view):
         """Which points are solutions that are wanted, (points,)."""
         return np.ones(len(zs), bool)
+
+    def passed(self, points):
+        """Which points lie beyond a place where the equations are singular though nothing branches there, the point
+        before on this side of it, (points,)."""
+        return np.zeros(len(points.z), bool)
 
     def before(self, task, points):
         """`Met` where an end is near that is to be seen before a point is bad, else None."""
@@ -155,7 +160,8 @@ def _part(task, points, status):
     good = watch.good(points.z, view)
     good[0] = True
     size, bad, seen = len(points.z), int(np.argmin(np.append(good, False))), points.z
-    jump, known = event_search.jump(task.problem, upto(points, bad + 1), task.control, task.args)
+    tried = upto(points, bad + 1)
+    jump, known = event_search.jump(task.problem, tried, task.control, task.args, watch.passed(tried))
     met = watch.before(task, upto(points, bad if jump is None else jump))
     if met is None and jump is not None:
         points, (end, again) = upto(points, jump), _retried(points.step[jump], task.control)

@@ -188,15 +188,18 @@ def events(problem, points, values, control, args, known=None):
     return _told_apart(found, control)
 
 
-def jump(problem, points, control, args):
+def jump(problem, points, control, args, passed=None):
     """(the place of the first point that lies on another branch than the one before it, None where none does; the
     branch points up to there, {place of the point before: `Event`}).
 
-    At a jump the determinant has another sign, and no branch point is between the two.
+    At a jump the determinant has another sign, and no branch point is between the two. passed: (points,), the points
+    before which that is known, None where it is of none: these are taken for jumps.
     """
     signs, found = _signs(points.determinant), {}
     for after in np.flatnonzero((signs[:-1] * signs[1:] < 0) & (points.step[1:] > FINE)):
-        event = _located(problem, "BP", points, int(after), points.determinant, control, args)
+        event = None
+        if passed is None or not passed[after + 1]:
+            event = _located(problem, "BP", points, int(after), points.determinant, control, args)
         if event is None:
             return int(after) + 1, found
         found[int(after)] = event

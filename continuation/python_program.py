@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 from jax.extend import core
+from jax.interpreters import partial_eval
 
 from . import python_forms
 from .numpy_indexing import Unknown
@@ -22,7 +23,7 @@ from .numpy_rules import rules
 from .python_literals import NAMED, literal, rule_text
 from .python_text import Block, Chosen, Line, Repeated, count, needed, written
 
-SMALL = 16  # numbers of an array that are written one by one
+SMALL = 20  # numbers of an array that are written one by one
 KINDS = tuple(map(np.dtype, (np.float64, bool, np.int32, np.int64)))  # of which Python has the same
 CALLS = {"closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "jit", "pjit", "checkpoint"}
 CALLED = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # names for the function that these call
@@ -48,6 +49,12 @@ def wrapped(bits, x):
 def kept_lanes(on, new, old):
     """Of lanes: the new values of those that go on."""
     return np.where(on.reshape(on.shape + (1,) * (new.ndim - on.ndim)), new, old)
+
+
+def without_unused(closed):
+    """A closed jaxpr without equations that no result needs, those within the functions that it calls among them."""
+    jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
+    return closed.replace(jaxpr=jaxpr)
 
 
 SPACE: dict[str, Any] = {"np": np, "math": math, "nan": math.nan, "inf": math.inf, "rules": rules} | NAMED
@@ -89,7 +96,7 @@ class Writer:
         arguments, given = [self.new() for _ in closed.jaxpr.invars], []
         for one, var in zip(arguments, closed.jaxpr.invars, strict=True):
             given.append(self.unpacked(one, var.aval) if is_small(var.aval) else one)
-        found = self.equations(closed, given)
+        found = self.equations(without_unused(closed), given)
         results = [self.whole(*each) for each in zip(found, _kinds(closed.jaxpr.outvars), strict=True)]
         lines = needed(self.block.lines, set(results))
         text = [f"{name} = {each}" for each, name in self.names.items()]
@@ -239,7 +246,7 @@ class Writer:
     def within(self, around, closed, given):
         """(lines, values of the results) of a closed jaxpr in a block of its own."""
         self.block = Block(around)
-        found = self.equations(closed, given)
+        found = self.equations(without_unused(closed), given)
         return self.block, found
 
     def fresh(self, kinds):

@@ -297,3 +297,5 @@ def test_a_jump_to_another_branch_is_told_from_a_crossing():
     points, control = row_of(PITCHFORK, [[0.0, -0.2], [0.0, 0.2]], given(0.0), 0.4)
     place, known = event_search.jump(PITCHFORK, points, control, given(0.0))
     assert place is None and list(known) == [0] and known[0].kind == "BP" and close(known[0].z, [0, 0], 1e-12)
+    assert event_search.jump(PITCHFORK, points, control, given(0.0), np.array([True, False]))[0] is None
+    assert event_search.jump(PITCHFORK, points, control, given(0.0), np.array([False, True])) == (1, {})

@@ -9,6 +9,7 @@ from jax import lax
 import jaxvibro as jv
 from continuation import in_numpy
 from continuation.in_numpy import Tried
+from continuation.python_program import Program
 
 rng = np.random.default_rng(0)
 ROW, OTHER = rng.normal(size=(2, 6))
@@ -188,6 +189,17 @@ def test_every_rule_gives_what_the_compiler_gives(name, kind):
 def test_what_has_no_rule_is_compiled():
     assert Tried(jnp.linalg.eigh, (), {})((SQUARE + SQUARE.T,)) is None
     assert Tried(lambda x: lax.reduce_precision(x, 5, 10), (), {})((ROW,)) is None
+
+
+def test_what_no_result_needs_is_not_written():
+    def wasted(x):
+        return lax.fori_loop(0, 3, lambda _, x: (x + 1.0, jnp.sin(x) * jnp.arange(100.0))[0], x)
+
+    def plain(x):
+        return lax.fori_loop(0, 3, lambda _, x: x + 1.0, x)
+
+    written = [Program(jax.jit(each).trace(1.0).jaxpr) for each in (wasted, plain)]
+    assert written[0].count == written[1].count
 
 
 def test_it_is_compiled_once_it_has_cost_as_much(monkeypatch):

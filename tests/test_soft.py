@@ -8,6 +8,9 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.flight.coefficients import frame
 from jaxvibro.maps.contact_duration import duration
+from jaxvibro.orbits.impact_equations import Cycle
+from jaxvibro.problem import soft_grazing
+from jaxvibro.problem.equations import OrbitEquations
 from jaxvibro.scene.codes import Contact
 from tests import soft_proof
 
@@ -181,6 +184,15 @@ def test_branches_from_either_side_of_a_grazing_are_one(resonance):
     for kind in ("GR", "SN"):
         ours, theirs = (np.sort([point.value for point in one.points(kind)]) for one in (branch, other))
         assert np.allclose(ours, theirs, rtol=0, atol=1e-10)
+
+
+def test_where_a_contact_loses_its_speed_is_known():
+    walls = jv.Wall(-1.0, stiffness=30.0), jv.Wall(1.0, stiffness=30.0, damping=2.0, motion=jv.Motion(0.1, 0.3))
+    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, walls=walls)
+    cycle = Cycle(np.zeros(3), np.zeros(3), np.array([-1.0, 1.0, 0.0]), np.zeros(()), np.ones(()))
+    along = OrbitEquations(scene, scene, cycle)
+    zs = np.array([[0.1, 0.2, 0.0, left, right, 0.0, 2.0] for left, right in ((3, 1), (1, -1), (-1, -1), (-2, -1))])
+    assert soft_grazing.lost(along, zs).tolist() == [False, False, True, False]
 
 
 @pytest.mark.slow

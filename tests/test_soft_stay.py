@@ -11,10 +11,13 @@ import pytest
 import jaxvibro as jv
 from continuation.in_numpy import Tried
 from jaxvibro.compiled.compiler_hints import one_kernel
+from jaxvibro.flight import flow
 from jaxvibro.flight.coefficients import frame
+from jaxvibro.flight.flight_state import accelerations
 from jaxvibro.flight.soft_return import first_return
+from jaxvibro.flight.wall import course, picked
 from jaxvibro.maps import contact_duration
-from jaxvibro.orbits import stay
+from jaxvibro.orbits import saltation, stay
 from jaxvibro.scene.codes import Contact
 
 WALLS = {
@@ -49,15 +52,43 @@ def certified(scene, side, cosine, sine, speed):
     return contact_duration.duration(built, side * Contact.ENTERED, 0.0 * speed, side * speed, cosine, sine, longest)
 
 
-def moved(leave, scene, side, cosine, sine, speed, near):
-    """Ends of stays, and how they change with amplitude, frequency and speed at once."""
+def moved(function, scene, side, cosine, sine, speed, near):
+    """What a function of a stay gives, and how that changes with amplitude, frequency and speed at once."""
 
     def ends(amplitude, frequency, speed):
         built = frame(replace(scene, amplitude=amplitude, frequency=frequency))
-        return tuple(leave(built, side, cosine, sine, speed, near))
+        return tuple(function(built, side, cosine, sine, speed, near))[:4]
 
     given = scene.amplitude, scene.frequency, jnp.asarray(speed)
     return jax.jvp(ends, given, jax.tree.map(jnp.ones_like, given))
+
+
+def kept(built, side, cosine, sine, speed, near):
+    """How the flight after a stay changes at the time when it began, with the time and speed of the entry: by the
+    replay's stay, and back to that time."""
+
+    def before(late, faster):
+        end = contact_duration.leave(
+            built, side, *flow.rotated(cosine, sine, built.frequency * late), speed + faster, near, 2
+        )
+        ways = [course(wall, built.frequency, end.cosine, end.sine, 1) for wall in built.walls]
+        where, pace = (0.0 * speed if each is None else each for each in picked(side, built.walls, ways))
+        return late + end.time, where, pace + end.v, end.cosine, end.sine
+
+    none = 0.0 * speed
+    begin = before(none, none)[0]
+
+    def back(late, faster):
+        time, x, v, cosine, sine = before(late, faster)
+        return x + (begin - time) * v, v + (begin - time) * accelerations(built, x, v, cosine, sine)[0]
+
+    one = none + 1.0
+    return [jax.jvp(back, (none, none), way)[1] for way in ((one, none), (none, one))]
+
+
+def met(built, side, cosine, sine, speed, near):
+    found = saltation.meeting(built, side, cosine, sine, speed)
+    return [found.by_time, found.by_speed]
 
 
 def in_numpy(function, *args):
@@ -78,6 +109,15 @@ def test_ends_of_stays_and_their_changes_are_those_of_the_replay(kind):
     given = entries(kind)
     near = in_numpy(certified, *given)
     ours = in_numpy(partial(moved, stay.leave), *given, near)
-    theirs = in_numpy(partial(moved, partial(contact_duration.leave, order=stay.ORDER)), *given, near)
+    theirs = in_numpy(partial(moved, partial(contact_duration.leave, order=1)), *given, near)
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         assert np.allclose(one, other, rtol=1e-9, atol=1e-12 * abs(other).max())
+
+
+@pytest.mark.parametrize("kind", WALLS)
+def test_what_a_stay_makes_of_its_start_is_as_by_the_derivatives_of_the_replays(kind):
+    given = entries(kind)
+    near = in_numpy(certified, *given)
+    ours, theirs = (in_numpy(partial(moved, function), *given, near) for function in (met, kept))
+    for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
+        assert np.allclose(one, other, rtol=1e-8, atol=1e-10 * abs(other).max())

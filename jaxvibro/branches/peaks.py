@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..flight import flow, soft_contact
-from ..flight.coefficients import frame
+from ..flight.coefficients import framed
 from ..orbits import flight_clearance, impact_equations
 from ..orbits.orbit import Orbit
 from ..problem.diagnostics import each_of, flight
@@ -80,7 +80,7 @@ def _largest(along, zs):
 
 def _hitting(along, z, _):
     """(the largest abs x,) at one point of orbits with impacts."""
-    built, given = frame(there(along, z)), cycle_at(along, z)
+    built, given = framed(there(along, z)), cycle_at(along, z)
     found, hit = impact_equations.flights(built, given), given.sides != 0
 
     def at(time):

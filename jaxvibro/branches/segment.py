@@ -62,6 +62,10 @@ class BranchWatch(OrbitWatch):
         super().__init__(along, length)
         self.monitors = monitors
 
+    def passed(self, points):
+        """Where contacts with soft walls have lost their speed: there the determinant changes its sign with theirs."""
+        return soft_grazing.lost(self.equations, points.z)
+
     def before(self, task, points):
         """Where contacts with soft walls are about to lose their speed: before it is lost in rounding."""
         along, size = self.equations, len(self.equations.cycle.sides)

@@ -138,3 +138,6 @@ def is_valid(frame):
         left, right = frame.walls
         valid &= left.position < right.position
     return valid, finite
+
+
+framed = jax.jit(frame)  # of what is traced time and again for few lanes: once a process for scenes of a kind

@@ -105,8 +105,16 @@ def is_due(path, wait):
     return (wait >= PATIENCE) & (path.to_go > 0)
 
 
-def leap(frame, path, wait):
-    """(path, wait): lanes that wait for a long step have taken it where there is one, and begin to wait anew."""
+def by_series(frame, path, time):
+    """(y, y') a time later, from the flow's `Series` of each lane."""
+    return stage(_flown, frame, path, time)
+
+
+def leap(frame, path, wait, flown=by_series):
+    """(path, wait): lanes that wait for a long step have taken it where there is one, and begin to wait anew.
+
+    flown: (frame as the lanes feel it, path, time) -> (y, y') a time later.
+    """
     here = soft_contact.feeling(frame, path.contact)
     due = is_due(path, wait)
     time = choose(due, least(stage(_safe, here, path), path.to_go), 0.0)
@@ -114,7 +122,7 @@ def leap(frame, path, wait):
     time = choose(taken, time, 0.0)
     angle = frame.frequency * time
     turned = stage(flow.turn, path.cosine, path.sine, flow.versine(angle), flow.sinus(angle))
-    x, v = stage(_flown, here, path, time)
+    x, v = flown(here, path, time)
     none = lax.full_like(x, 0.0)
     moved = SlowMotion(x, none, v, none, *turned)
     moved = SlowMotion(*(choose(taken, new, old) for new, old in zip(moved, path.motion, strict=True)))

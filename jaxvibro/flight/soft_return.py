@@ -36,11 +36,15 @@ def first_return(frame, touch, v, cosine, sine, longest):
         given = path.x, path.v, path.cosine, path.sine
         return side * soft_polynomial.coefficients(here, touch, rows, *given)
 
+    def flown(here, path, time):
+        response = soft_polynomial.response(here, path.contact, rows, time)
+        return soft_contact.flown(here, path.contact, response, (path.x, path.v), path.cosine, path.sine)
+
     def turn(carry):
         path, share, wait, leaves = carry
         due = jnp.any(soft_long_step.is_due(path, wait) & (leaves == 0))
         path, wait = lax.cond(
-            due, lambda path, wait: soft_long_step.leap(frame, path, wait), lambda *same: same, path, wait
+            due, lambda path, wait: soft_long_step.leap(frame, path, wait, flown), lambda *same: same, path, wait
         )
         tried = jnp.minimum(share, path.to_go / here.reach)
         scaled = depth(path) * soft_polynomial.powers(tried)

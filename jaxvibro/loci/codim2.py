@@ -24,7 +24,7 @@ from continuation.points import between
 
 from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
-from ..flight.coefficients import frame
+from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations
 from ..problem.diagnostics import diagnose
 from ..problem.equations import cycle_at, problem, there
@@ -188,7 +188,7 @@ def _each(curve, zs, reference, count, order, fine):
 
 
 def _bend(curve, z, reference, order, fine):
-    built = frame(there(curve, z))
+    built = framed(there(curve, z))
     found = cyclic_system.of(impact_equations.equations(built, cycle_at(curve, z))[1])
     w, v = (each / jnp.sqrt(jnp.sum(each * each)) for each in cyclic_system.nulls(found, curve.closing))
     v, w = (jnp.where(jnp.sum(one * given) < 0, -one, one) for one, given in zip((v, w), reference, strict=True))

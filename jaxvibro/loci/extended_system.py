@@ -24,7 +24,7 @@ from continuation.arrays import Array
 from continuation.problem import Problem
 
 from ..compiled.compiler_hints import one_kernel
-from ..flight.coefficients import frame
+from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
 from ..problem import grazing
@@ -80,7 +80,7 @@ def _singular(z, curve):
     of the equations' slopes along v (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 4.1.2)."""
     value, slopes, changes = varied(z, curve)
     left, right = cyclic_system.nulls(slopes, curve.closing)
-    built, free = frame(there(curve, z)), len(left)
+    built, free = framed(there(curve, z)), len(left)
 
     def along(unknowns):
         there = cycle_at(curve, unknowns)._replace(closing=curve.closing)
@@ -120,7 +120,7 @@ def beside(z, curve, closing=None):
     def look(k, found):
         step = lax.dynamic_index_in_dim(jnp.asarray(ways, z.dtype), k, keepdims=False) * apart
         moved = jnp.concatenate([z[:free], z[free:] + step[: len(z) - free]])
-        built, given = frame(there(curve, moved)), cycle_at(curve, z)
+        built, given = framed(there(curve, moved)), cycle_at(curve, z)
         if more:  # none at the first turn, at z itself, before the null vector is known
             right = _unit(cyclic_system.nulls(_ring(found, 0, last), closing)[1])
             change = jnp.where(step[-1] == 0, 0.0, step[-1] * right)

@@ -59,28 +59,32 @@ def duration(frame, touch, y, v, cosine, sine, longest):
     return (longest - left) - low
 
 
-def carried(frame, touch, time, response, enters, leaves, whole=None):
-    """(matrix by rows, its determinant) of a stay of this `soft_contact.StayResponse`: how its end changes with its
-    start.
+def carried(frame, touch, time, free, enters, leaves):
+    """(matrix by rows, its determinant) of a stay over which the flow is free's, p00, p01, p11: how its end changes
+    with its start.
 
     Where the damping jumps from gamma to gamma2 and back, S = ((1, 0), (+-2 (gamma - gamma2) v / u, 1)), v the
-    velocity, u that against the wall; enters, leaves: v / u there, 0 where there is no jump. whole: (lanes whose stay
-    begins and ends at the wall, y', cosine, sine at its start): there p01 follows from y = 0 at the end, with all its
-    digits where it is small, and the stiff wall multiplies it.
+    velocity, u that against the wall; enters, leaves: v / u there, 0 where there is no jump.
     """
     here = soft_contact.feeling(frame, touch)
-    p00, p01, p11 = response.free
-    if whole is not None:
-        lanes, v, cosine, sine = whole
-        zero = lax.full_like(time, 0.0)
-        lanes &= (time > here.reach) & (time < QUICK * here.reach)
-        forced, _ = soft_contact.flown(here, touch, response, (zero, zero), cosine, sine)
-        p01 = choose(lanes, -forced / choose(lanes, v, 1.0), p01)
+    p00, p01, p11 = free
     less = 2.0 * (frame.damping - here.damping)
     first, last = less * enters, less * leaves
     shear = (first - last) * p00 - p01 * (2.0 * here.damping * first + here.stiffness + first * last)
     matrix = p00 + p01 * first, p01, shear, p11 - p01 * last
     return matrix, jnp.exp(-2.0 * here.damping * time)
+
+
+def from_wall_to_wall(here, touch, time, response, whole):
+    """The free flow of a `soft_contact.StayResponse`. whole: (lanes whose stay begins and ends at the wall, y', cosine,
+    sine at its start): there p01 follows from y = 0 at the end, with all its digits where it is small, and the stiff
+    wall multiplies it."""
+    p00, p01, p11 = response.free
+    lanes, v, cosine, sine = whole
+    zero = lax.full_like(time, 0.0)
+    lanes &= (time > here.reach) & (time < QUICK * here.reach)
+    forced, _ = soft_contact.flown(here, touch, response, (zero, zero), cosine, sine)
+    return p00, choose(lanes, -forced / choose(lanes, v, 1.0), p01), p11
 
 
 def share(pace, relative):

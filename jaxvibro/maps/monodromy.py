@@ -30,7 +30,7 @@ from ..scene.codes import Contact, Status
 from ..scene.scene import Scene
 from ..scene.state import State, real_state
 from . import contact_replay, one_period
-from .contact_duration import carried, duration, product, share
+from .contact_duration import carried, duration, from_wall_to_wall, product, share
 from .one_period import SLOTS
 
 
@@ -157,7 +157,8 @@ def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):
         shares.append(share(pace, speed))
     out = inside & (time < left)
     last, whole = choose(out, shares[1], 0.0), (out, v, cosine, sine)
-    new = carried(frame, touch, time, answer, shares[0] if enters else 0.0, last, whole if enters else None)[0]
+    free = from_wall_to_wall(here, touch, time, answer, whole) if enters else answer.free
+    new = carried(frame, touch, time, free, shares[0] if enters else 0.0, last)[0]
     new = product(new, matrix)
     new = tuple(choose(inside, one, old) for one, old in zip(new, matrix, strict=True))
     return past + time, *after, new

@@ -18,7 +18,7 @@ from continuation.persistent_jit import SOON, persistent_jit
 from continuation.problem import plainly
 
 from ..compiled.compiler_hints import one_kernel
-from ..flight.coefficients import frame
+from ..flight.coefficients import framed
 from ..maps import itinerary as words
 from ..maps.iterate import KEEP, iterate
 from ..scene.codes import Status
@@ -61,7 +61,7 @@ def solution(scene, guess):
 
 
 def _measured(scene, found, solved):
-    built = frame(scene)
+    built = framed(scene)
     flown = impact_equations.flights(built, found)
     start = impact_equations.at(built, found, flown, built.period * jnp.arange(KEEP, dtype=found.times.dtype))
     calls = flight_clearance.clearances(built, flown, flight_clearance.samples(built, flown))

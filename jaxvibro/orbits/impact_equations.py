@@ -17,7 +17,7 @@ from continuation.arrays import Array
 from continuation.newton import newton
 
 from ..flight import flow
-from ..flight.coefficients import frame
+from ..flight.coefficients import framed
 from ..flight.flight_state import accelerations
 from ..maps.contact_duration import product
 from .saltation import Meeting, jump, meeting, stayed
@@ -174,7 +174,7 @@ def solve(slopes, values):
 
 def solved(scene, cycle):
     """What Newton's method makes of a cycle's times and speeds: `newton.Solved`."""
-    built, rows = frame(scene), len(cycle.sides)
+    built, rows = framed(scene), len(cycle.sides)
 
     def function(unknowns):
         return equations(built, cycle._replace(times=unknowns[:rows], speeds=unknowns[rows:]))

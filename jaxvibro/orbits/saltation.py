@@ -27,7 +27,7 @@ class Meeting(NamedTuple):
     against the wall; the acceleration before. And of the start of the flight that follows: the stay before it, None
     where all walls are rigid; (x, v); the drive's (cosine, sine); how (x, v) change with the impact's time and speed,
     the flight's start being kept; the velocity against the wall. gives: whether it is a stay, None where all walls are
-    rigid."""
+    rigid; free: the free flow's matrix over it."""
 
     cosine: Float[Array, "*shape"]
     sine: Float[Array, "*shape"]
@@ -43,6 +43,7 @@ class Meeting(NamedTuple):
     by_speed: tuple[Float[Array, "*shape"], Float[Array, "*shape"]]
     opening: Float[Array, "*shape"]
     gives: Bool[Array, "*shape"] | None = None
+    free: tuple[Float[Array, "*shape"], Float[Array, "*shape"], Float[Array, "*shape"]] | None = None
 
 
 def meeting(frame, sides, cosine, sine, speed, still=None):
@@ -63,36 +64,36 @@ def _softened(frame, sides, speed, met, still):
     """The `Meeting` with stays in place of impacts where the wall is soft."""
     gives = soft_contact.gives(frame, sides)
     gives = gives if still is None else gives & (still == 0)
-    side = choose(gives, sides, 0.0)
-
-    given, none = (met.cosine, met.sine, speed), jnp.zeros_like(speed)
-    near = guess(frame, side, *given)
-
-    def left(cosine, sine, speed):
-        return leave(frame, side, cosine, sine, speed, near)
-
-    turned = (-frame.frequency * met.sine, frame.frequency * met.cosine, none), (none, none, none + 1.0)
-    along = jax.tree.map(lambda *each: jnp.stack(each), *turned)
-    out, changes = jax.vmap(lambda way: jax.jvp(left, given, way), out_axes=(None, 0))(along)
-    late, more = (jax.tree.map(lambda each, k=k: each[k], changes) for k in range(2))
-    where, pace, bend = _way(frame, sides, out.cosine, out.sine)
-    v = pace + out.v
-    after, _ = accelerations(frame, where, v, out.cosine, out.sine)
-
-    def change(time, pull):
-        return -out.v * time, pull + (bend - after) * time
-
-    soft = met._replace(
-        stay=out.time,
-        state=(where, v),
-        phasor=(out.cosine, out.sine),
-        by_time=change(1.0 + late.time, late.v),
-        by_speed=change(more.time, more.v),
-        opening=out.v,
+    side, none = choose(gives, sides, 0.0), jnp.zeros_like(speed)
+    given = met.cosine, met.sine, speed
+    out = leave(frame, side, *given, guess(frame, side, *given))
+    where, pace, _ = _way(frame, sides, out.cosine, out.sine)
+    here, (p00, p01, p11) = soft_contact.feeling(frame, side * Contact.ENTERED), out.free
+    # at the end the damping jumps back, and with it the acceleration
+    jump = 2.0 * (frame.damping - here.damping) * (pace + out.v)
+    first = p00 * met.closing + p01 * out.pull, p11 * out.pull - here.stiffness * p01 * met.closing
+    soft = (
+        (where, pace + out.v),
+        (out.cosine, out.sine),
+        (-first[0], jump * out.later - first[1]),
+        (sides * p01, sides * (p11 + jump * out.faster)),
+        out.v,
+        out.time,
     )
-    met = met._replace(stay=none)
-    met = jax.tree.map(lambda soft, hard: jnp.where(gives, soft, hard), soft, met)
-    return met._replace(gives=gives)
+    hard = met.state, met.phasor, met.by_time, met.by_speed, met.opening, none
+    state, phasor, by_time, by_speed, opening, stay = jax.tree.map(
+        lambda soft, hard: jnp.where(gives, soft, hard), soft, hard
+    )
+    return met._replace(
+        stay=stay,
+        state=state,
+        phasor=phasor,
+        by_time=by_time,
+        by_speed=by_speed,
+        opening=opening,
+        gives=gives,
+        free=out.free,
+    )
 
 
 def _way(frame, sides, cosine, sine):
@@ -113,10 +114,7 @@ def jump(frame, met, sides):
         return hard
     touch, stay = choose(met.gives, sides * float(Contact.WITHIN), 0.0), jnp.maximum(met.stay, 0.0)
     _, pace, _ = _way(frame, sides, *met.phasor)
-    whole = touch != 0, met.closing, met.cosine, met.sine
-    here = soft_contact.feeling(frame, touch)
-    response = soft_contact.response(here, touch, stay)
-    soft = carried(frame, touch, stay, response, share(met.pace, met.closing), share(pace, met.opening), whole)
+    soft = carried(frame, touch, stay, met.free, share(met.pace, met.closing), share(pace, met.opening))
     return jax.tree.map(lambda soft, hard: jnp.where(met.gives, soft, hard), soft, hard)
 
 

@@ -13,7 +13,7 @@ from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
-from ..flight.coefficients import frame
+from ..flight.coefficients import framed
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from .equations import cycle_at, there
 
@@ -77,7 +77,7 @@ def _each(along, zs, count, one, periods):
 
 def hitting(along, z, periods):
     """The `Diagnostics` at one point of orbits with impacts."""
-    built, given = frame(there(along, z)), cycle_at(along, z)
+    built, given = framed(there(along, z)), cycle_at(along, z)
     found = impact_equations.flights(built, given)
     x, v = impact_equations.at(built, given, found, built.period * jnp.arange(periods))
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
@@ -95,7 +95,7 @@ def _free(along, z, periods):
 
 def flight(along, z):
     """(`Frame`, the one flight) of an orbit without impacts: over a little more than its periods."""
-    built, turns = frame(there(along, z)), along.cycle
+    built, turns = framed(there(along, z)), along.cycle
     span = jnp.reshape(OVERLAP * turns.periods * built.period, 1)
     start = (jnp.reshape(each, 1) for each in (z[0], z[1], jnp.cos(turns.phase), jnp.sin(turns.phase)))
     return built, flight_clearance.Flight(span, *start)

@@ -17,7 +17,7 @@ from continuation.problem import Problem, Test
 
 from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
-from ..flight.coefficients import frame
+from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
 from ..scene.scene import Scene
@@ -79,7 +79,7 @@ def varied(z, along):
     given, free = cycle_at(along, z), 2 * len(along.cycle.sides)
 
     def at(values):
-        value, slopes = impact_equations.equations(frame(there(along, jnp.concatenate([z[:free], values]))), given)
+        value, slopes = impact_equations.equations(framed(there(along, jnp.concatenate([z[:free], values]))), given)
         return value, cyclic_system.of(slopes)
 
     by, more = [], []
@@ -98,7 +98,7 @@ def _plain(z, along):
 
 
 def _flip(z, along):
-    built, given = frame(there(along, z)), cycle_at(along, z)
+    built, given = framed(there(along, z)), cycle_at(along, z)
     return cyclic_system.dense(cyclic_system.of(impact_equations.equations(built, given)[1]), -1.0)
 
 

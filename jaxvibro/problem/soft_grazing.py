@@ -43,6 +43,16 @@ def slow(along, z, length):
     return [int(k) for k in along.hits if z[size + k] < NEAR * length and is_smooth(along.scene, sides[k])]
 
 
+def lost(along, zs):
+    """Which points, (points,), have a contact with a soft wall of a speed below zero that is above at the point
+    before."""
+    size, sides, found = len(along.cycle.sides), along.cycle.sides, np.zeros(len(zs), bool)
+    for k in along.hits:
+        if is_smooth(along.scene, sides[k]):
+            found[1:] |= (zs[:-1, size + k] > 0) & (zs[1:, size + k] < 0)
+    return found
+
+
 def located(along, z, rows, length):
     """The grazing near z at which contacts with soft walls, in these rows, lose their speed: a `locate.Located`."""
     size, sides = len(along.cycle.sides), along.cycle.sides

@@ -11,7 +11,7 @@ from continuation import locate
 from continuation.persistent_jit import SOON, persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
-from ..flight.coefficients import frame
+from ..flight.coefficients import framed
 from ..orbits import flight_clearance, impact_equations
 from .diagnostics import diagnose, flight
 from .equations import cycle_at, number_there, problem, there
@@ -54,7 +54,7 @@ def _met(y, along, row, wall):
     """(distance, speed, acceleration) towards a wall of the flight after a row; y = (z, the time since its start)."""
     z, late = y[:-1], y[-1]
     if len(along.cycle.sides):
-        built = frame(there(along, z))
+        built = framed(there(along, z))
         found = impact_equations.flights(built, cycle_at(along, z))
     else:
         built, found = flight(along, z)
@@ -152,7 +152,7 @@ def stays(along, z):
 
 @persistent_jit(compiler_options=SOON, numpy_first=True)
 def _times(along, z):
-    found = impact_equations.flights(frame(there(along, z)), cycle_at(along, z))
+    found = impact_equations.flights(framed(there(along, z)), cycle_at(along, z))
     return found.time, 0.0 * found.time if found.met.stay is None else found.met.stay
 
 
