@@ -2,18 +2,19 @@
 
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
+
+from .arrays import Array
 
 
 class Eliminated(NamedTuple):
     """x; worst: the least pivot over the largest, 0 where the matrix is singular, and x is not finite; determinant."""
 
-    x: Float[jax.Array, " unknowns *sides"]
-    worst: Float[jax.Array, ""]
-    determinant: Float[jax.Array, ""]
+    x: Float[Array, " unknowns *sides"]
+    worst: Float[ArrayLike, ""]
+    determinant: Float[ArrayLike, ""]
 
 
 def solve(matrix, right):

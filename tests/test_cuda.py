@@ -15,7 +15,7 @@ from jaxvibro.attractors import assign, local_manifold, sweep, tangent
 from jaxvibro.branches.follow import place_orbit
 from jaxvibro.loci import codim2
 from jaxvibro.loci.first_point import LocusStart, equations
-from jaxvibro.maps import iterate, rests, simulate
+from jaxvibro.maps import long_run, rests, simulate
 from jaxvibro.orbits import by_impacts
 from jaxvibro.problem import diagnostics, touches
 from jaxvibro.problem.equations import problem
@@ -63,7 +63,10 @@ def test_the_map_and_its_derivatives(walls):
 def test_long_runs(walls):
     one = scene(walls)
     states = [np.asarray(each) for each in (LANES.x, LANES.v, LANES.phase, LANES.contact)]
-    lowered(lambda state, periods: iterate._run.__wrapped__(one, state, periods, 16), LANES, 3)
+    begun = np.zeros(LANES.x.shape, np.int32)
+    for lean in (False, True)[: 1 + (walls == "two")]:
+        run = partial(long_run._run.__wrapped__, slots=16, lean=lean)
+        lowered(lambda *given, run=run: run(one, *given), LANES, begun, 3)
     lowered(lambda state: simulate._sampled(one, state, 1, 20), jax.tree.map(lambda leaf: leaf[0], LANES))
     values = np.linspace(1.0, 2.0, 3)[:, None] * np.ones(16)
     chunk = partial(sweep._chunk.__wrapped__, name="amplitude", keep=2)

@@ -235,3 +235,19 @@ def test_both_ways_come_to_the_same_points_and_text(walls, monkeypatch):
     assert table == other_table and special == other_special and locus == other_locus
     assert "SN" in dict(special)
     np.testing.assert_allclose(numbers, others, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("restitution, start", [(0.0, (0.9, -1.1)), (0.7, (0.0, 0.1))])
+def test_orbits_by_their_state_are_the_same_both_ways(restitution, start, monkeypatch):
+    """One whose impact leaves no speed, and one that meets no wall."""
+    scene = jv.make_scene(2.0, 2.1, 0.2, restitution, (-1.0 if restitution else -0.1, None))
+    found = []
+    for patience in (np.inf, 0):
+        monkeypatch.setattr(in_numpy, "PATIENCE", patience)
+        found.append(jv.find_orbit(scene, jv.State(*start)))
+    one, other = found
+    assert one.unknowns == other.unknowns == "state" and one.rests == other.rests
+    assert one.itinerary == other.itinerary and one.label == other.label
+    numbers = [[each.state.x, each.state.v, each.least_clearance, *each.multipliers] for each in found]
+    np.testing.assert_allclose(*numbers, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(one.impacts.time, other.impacts.time, rtol=1e-12, atol=1e-12)

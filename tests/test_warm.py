@@ -26,6 +26,7 @@ state, _ = jv.strobe(scene, jv.State({start}))
 branch = jv.follow(jv.find_orbit(scene, state), "amplitude", (0.0, 6.0))
 jv.switch(branch.points("SB")[0])
 jv.locus(branch.points("SN")[0], ("amplitude", "frequency"), dict(amplitude=(0.0, 9.0), frequency=(1.8, 2.4)))
+jv.find_attractors(scene)
 print(*traced)
 print(branch.table())
 """

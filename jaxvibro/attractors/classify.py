@@ -48,7 +48,7 @@ def periodic(scene, found, periods, settle, scale):
         return seen, lost
     starts = _chosen(found.state, [one.lanes[0] for one in known])
     rates, _ = exponents(scene, starts, scale)
-    run = iterate(scene, starts, POLISH * max(settle, KEEP))
+    run = iterate(scene, starts, POLISH * max(settle, KEEP), few=0)
     for k, (one, rate) in enumerate(zip(known, rates.tolist(), strict=True)):
         last, n = whole(scene, run.lanes([k])), len(one.points)
         apart = float(abs(last.points[-n:] - last.points[-2 * n : -n]).max())
@@ -69,7 +69,7 @@ def _told(rate, what):
 
 def watch(scene, state):
     """The trail of the state of one lane over KEEP periods, with all of its impacts."""
-    return whole(scene, iterate(scene, state, KEEP))
+    return whole(scene, iterate(scene, state, KEEP, few=0))
 
 
 def whole(scene, last):
@@ -183,7 +183,7 @@ def roam(scene, state):
     """A trail of SAMPLES times KEEP periods."""
     parts = []
     for _ in range(SAMPLES):
-        parts.append(iterate(scene, state, KEEP))
+        parts.append(iterate(scene, state, KEEP, few=0))
         state = parts[-1].state
     worst = np.max([part.status for part in parts], axis=0)
     return Trail(state, worst, *map(np.concatenate, zip(*(part[2:] for part in parts), strict=True)))

@@ -29,7 +29,7 @@ def exponents(scene, state, scale):
     for _ in range(TIMES):
         both = _beside(scene, state, apart * heading)
         before = _between(both, size)
-        both, status = ends(scene, both, EVERY)
+        both, status = ends(scene, both, EVERY, few=0)
         bad |= (status >= Status.CAP).reshape(2, size).any(axis=0)
         after = _between(both, size)
         largest = abs(after).max(axis=0)

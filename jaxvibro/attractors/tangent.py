@@ -17,7 +17,7 @@ from continuation.arrays import Array
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import OPTIONS, WIDTH, choose, one_kernel
-from ..maps.iterate import padded
+from ..maps.long_run import padded
 from ..maps.monodromy import passage
 from ..maps.one_period import SLOTS
 from ..scene.codes import Status

@@ -39,13 +39,13 @@ def settle_lanes(scene, state, settle, reach):
     """
     passed, length = max(settle, KEEP), KEEP
     patience, settles = PATIENCE * passed, False
-    found = iterate(scene, state, passed)
+    found = iterate(scene, state, passed, few=0)
     well = found.status < Status.CAP
     scale = max([reach, *abs(found.v[:, well]).ravel()])
     periods = np.zeros(len(well), int)
     before = returns(found.points)
     while (going := np.flatnonzero(well & (periods == 0))).size and passed < patience * (MORE if settles else 1):
-        later = iterate(scene, jax.tree.map(lambda leaf, going=going: leaf[going], found.state), length)
+        later = iterate(scene, jax.tree.map(lambda leaf, going=going: leaf[going], found.state), length, few=0)
         now = returns(later.points)
         periods[going] = settled_periods(now, before[:, going], length, scale, scene.dtype)
         before[:, going], settles = now, bool(periods[going].any())

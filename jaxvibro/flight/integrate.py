@@ -140,4 +140,4 @@ def _need(journey):
         need |= choose(turning_points.is_crowded(journey.calls), jnp.int8(CROWDED), jnp.int8(0))
     if journey.wait is not None:
         need |= choose(soft_long_step.is_due(journey.path, journey.wait), jnp.int8(WAITING), jnp.int8(0))
-    return lax.reduce(need, jnp.int8(0), lax.bitwise_or, tuple(range(need.ndim)))
+    return lax.reduce(need, jnp.int8(0), lax.bitwise_or, tuple(range(need.ndim))) if need.ndim else need

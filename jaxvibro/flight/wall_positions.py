@@ -11,7 +11,7 @@ from ..scene.state import State
 SIGNS = (-1.0, 1.0)
 
 
-@persistent_jit
+@persistent_jit(numpy_first=True)
 def places(scene, phase):
     """Position and velocity of the left and of the right wall at a phase: ((x, v), (x, v)).
 

@@ -3,21 +3,17 @@
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import lax
 from jaxtyping import Bool, Float, Int
 
-from continuation.persistent_jit import persistent_jit
-
-from ..compiled.compiler_hints import OPTIONS, WIDTH
+from ..compiled.compiler_hints import WIDTH
 from ..scene.codes import Status
 from ..scene.state import State
-from .strobe import from_host, strobe
+from .long_run import KEEP, in_order, joined, padded, run_on
+from .strobe import from_host
 
-KEEP = 64  # periods kept, of however many have been run
 SLOTS = 16  # impacts recorded in a period
-FEW = 8  # lanes that are run one by one, and differ by a rounding from those of a block
+FEW = 8  # lanes that are run one by one, where no more are asked for at once
 SHORT = 1024  # periods of a few lanes, in all, up to which they are strobed from the host: no compiled run is made
 RECORDED = 4  # impacts that the host's strobe records, where no period has more: as many as `strobe` by itself
 
@@ -49,51 +45,34 @@ class Trail(NamedTuple):
         return Trail(ends, self.status[chosen], *(part[:, chosen] for part in self[2:]))
 
 
-def iterate(scene, state, periods, slots=SLOTS):
+def iterate(scene, state, periods, slots=SLOTS, few=FEW):
     """Runs a state's lanes on: a `Trail` of the last periods, at most KEEP.
 
     scene: a single one, or a lane of a batch each; state: leaves of shape (lanes,); periods: whole number >= 1, no
-    compilation of its own.
+    compilation of its own. few: so many lanes are run one by one, and differ by a rounding from those of a block.
     """
-    size, width = len(state.x), _width(state, slots)
-    blocks = [padded((scene, state), first, width) for first in range(0, size, width)]
-    run = _strobed if width == 1 and size * periods <= SHORT else _run
-    runs = [run(*block, periods, _needed(scene, slots)) for block in blocks]
-    ends = jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *[run[0] for run in runs])
-    worst = np.concatenate([run[1] for run in runs])[:size]
-    count = min(periods, KEEP)
-    kept = [np.concatenate(parts, axis=1)[:, :size] for parts in zip(*(run[2] for run in runs), strict=True)]
-    kept = [np.roll(part, -(periods % KEEP) if periods > KEEP else 0, axis=0)[:count] for part in kept]
-    return Trail(ends, worst, *kept)
+    size, width = len(state.x), _width(state, slots, few)
+    if width == 1 and size * periods <= SHORT:
+        blocks = [padded((scene, state), lane, 1) for lane in range(size)]
+        runs = [_strobed(*block, periods, _needed(scene, slots)) for block in blocks]
+        end, worst, kept = joined(runs, size)
+    else:
+        end, worst, kept = run_on(scene, state, periods, _needed(scene, slots), width)
+    return Trail(end, worst, *in_order(kept, periods))
 
 
-def ends(scene, state, periods):
+def ends(scene, state, periods, few=FEW):
     """(state, status) of a state's lanes so many periods later; the same compiled run as `iterate`'s."""
-    size, width = len(state.x), _width(state, SLOTS)
-    blocks = [padded((scene, state), first, width) for first in range(0, size, width)]
-    runs = [_run(*block, periods, _needed(scene, SLOTS))[:2] for block in blocks]
-    return jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *runs)
+    return run_on(scene, state, periods, _needed(scene, SLOTS), _width(state, SLOTS, few), kept=False)[:2]
 
 
-def _width(state, slots):
+def _width(state, slots, few):
     """Lanes of a block: a few are run one by one, which compiles and runs faster than a block of which most is idle."""
-    return 1 if len(state.x) <= FEW else max(1, WIDTH * SLOTS // slots)
+    return 1 if len(state.x) <= few else max(1, WIDTH * SLOTS // slots)
 
 
 def _needed(scene, slots):
     return 0 if scene.left is None and scene.right is None else slots
-
-
-def padded(lanes, first, width):
-    """So many of a tree's lanes, the last one again where there are fewer; numbers that all share stay."""
-
-    def part(leaf):
-        if not np.shape(leaf):
-            return leaf
-        some = leaf[first : first + width]
-        return np.pad(some, (0, width - len(some)), mode="edge")
-
-    return jax.tree.map(part, lanes)
 
 
 def _strobed(scene, state, periods, slots):
@@ -117,23 +96,3 @@ def _strobed(scene, state, periods, slots):
             for old, part in zip(ring, row, strict=True):
                 old[(k % KEEP, 0, *(slice(size) for size in part.shape))] = part
     return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(1), state), np.array([worst], np.int32), tuple(ring)
-
-
-@persistent_jit(static_argnames="slots", compiler_options=OPTIONS)
-def _run(scene, state, periods, slots):
-    """(state, status, the kept periods as a ring: period i is row i modulo KEEP)."""
-    lanes = state.x.shape
-    numbers = jnp.zeros((KEEP, *lanes), state.x.dtype)
-    record = jnp.zeros((KEEP, *lanes, slots), state.x.dtype)
-    ring = (numbers, numbers, numbers, record, record.astype(jnp.int32), record)
-
-    def one(k, carry):
-        state, status, ring = carry
-        state, impacts = strobe(scene, state, slots=slots)
-        full = (impacts.status == Status.FULL) & (k >= periods - KEEP)
-        new = jnp.where(impacts.status >= Status.CAP, impacts.status, jnp.where(full, Status.FULL, Status.OK))
-        status = jnp.where(status >= Status.CAP, status, jnp.maximum(status, new))
-        row = (state.x, state.v, state.contact, impacts.time, impacts.side, impacts.speed)
-        return state, status, tuple(old.at[k % KEEP].set(part) for old, part in zip(ring, row, strict=True))
-
-    return lax.fori_loop(0, periods, one, (state, jnp.zeros(lanes, jnp.int32), ring))

@@ -80,20 +80,25 @@ def _matrices(tree, periods, slots, least, *leaves):
 
 def _block(scene, state, periods, slots):
     """M of a block of lanes, by rows."""
-    end, impacts, rests, matrix = passage(scene, state, periods, slots)
+    return with_strobe(scene, state, periods, slots)[2]
+
+
+def with_strobe(scene, state, periods, slots, clearance=False):
+    """(State, Impacts, M by rows) of a block of lanes, to be called within one kernel as `passage` is."""
+    end, impacts, rests, matrix = passage(scene, state, periods, slots, clearance)
     stays = abs(end.contact) == Contact.STUCK
     lost = (impacts.status >= Status.CAP) | ((impacts.count > slots) & ~stays)
-    return [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in matrix]
+    return end, impacts, [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in matrix]
 
 
-def passage(scene, state, periods, slots):
+def passage(scene, state, periods, slots, clearance=False):
     """(end, impacts, rests, product) of a block of lanes: where `strobe` leads, and what M is made of.
 
     rests: whether the mass is on a wall at some time, which makes M zero whatever the product is. product: of P and Q,
     four entries by rows, of no meaning with a status from CAP on, or with more impacts than slots. state.x has the
     lanes' shape, other numbers are scalars or of that shape. To be called within one kernel.
     """
-    (end, impacts), freed = one_period.through(scene, state, periods, slots)
+    (end, impacts), freed = one_period.through(scene, state, periods, slots, clearance)
     rests = (abs(end.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (freed >= 0)
     return end, impacts, rests, _product(scene, state, impacts, lax.full_like(freed, 0.0), periods, slots)
 

@@ -6,14 +6,15 @@ import numpy as np
 
 from continuation import newton
 from continuation.linear import solve
+from continuation.persistent_jit import SOON, persistent_jit
 
+from ..compiled.compiler_hints import OPTIONS, one_kernel
 from ..maps import itinerary as words
-from ..maps.monodromy import monodromy
+from ..maps.monodromy import with_strobe
 from ..maps.one_period import SLOTS
 from ..maps.rests import NO_RESTS, may_rest, rests
-from ..maps.strobe import strobe
 from ..scene.codes import Status
-from ..scene.state import Impacts, State
+from ..scene.state import Impacts, State, real_state
 from .orbit import OrbitError, described, multipliers
 
 ROUNDS = 12  # of Newton's steps
@@ -49,12 +50,26 @@ def _near(point, other, scale):
     return abs(point - other).max() <= 1e-8 * scale
 
 
+def period(scene, state):
+    """(State, Impacts with their least clearance, M) a drive period later, of a state of numbers: NumPy's."""
+    end, impacts, (a, b, c, d) = _period(scene, real_state(scene, state))
+    return end, impacts, np.array([[a, b], [c, d]])
+
+
+@persistent_jit(compiler_options=OPTIONS, numpy_first=True)
+def _period(scene, state):
+    return one_kernel(with_strobe, scene, state, periods=1, slots=SLOTS, clearance=True)
+
+
+_solved = persistent_jit(solve, compiler_options=SOON, numpy_first=True)
+
+
 def _round(scene, state, periods):
     """(points on the section, shape (periods + 1, 2); (state, impacts) of each period; the monodromy matrix)."""
     points, told, matrix = [(float(state.x), float(state.v))], [], np.eye(2)
     for _ in range(periods):
-        matrix = np.asarray(monodromy(scene, state)) @ matrix
-        state, impacts = jax.device_get(strobe(scene, state, slots=SLOTS, clearance=True))
+        state, impacts, slope = period(scene, state)
+        matrix = slope @ matrix
         if impacts.status >= Status.CAP:
             what = f"the state cannot be followed ({Status(int(impacts.status)).word})"
             raise OrbitError(what, np.nan, "start between the walls, nearer to an orbit")
@@ -67,7 +82,7 @@ def _stepped(state, end, miss, matrix):
     """(the next state, how far it is from the last): where the start is forgotten the end itself."""
     if not matrix.any():
         return end, float(abs(miss).max())
-    step, worst, _ = (np.asarray(each) for each in solve(np.eye(2) - matrix, miss))
+    step, worst, _ = _solved(np.eye(2) - matrix, miss)
     if not worst > newton.SINGULAR_BELOW * np.finfo(step.dtype).eps:
         status = newton.SINGULAR
         raise OrbitError(newton.STATUS[status], float(abs(miss).max()), newton.ADVICE[status])

@@ -1,14 +1,14 @@
 """The motion that meets no wall, in closed form: the free response to the drive, as a state and as an orbit."""
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
+from continuation.persistent_jit import SOON, persistent_jit
+
 from ..flight import flow
-from ..maps.strobe import strobe
 from ..scene.codes import Status
 from ..scene.state import State
-from .by_shooting import by_state
+from .by_shooting import by_state, period
 from .orbit import OrbitError
 
 
@@ -17,8 +17,7 @@ def free_response(scene):
 
     scene: a single one.
     """
-    period = jnp.asarray(2.0 * jnp.pi / scene.frequency)
-    (p00, p01, p11), ((x, v), _) = flow.responses(scene.frequency, scene.damping, period)
+    (p00, p01, p11), ((x, v), _) = _responses(scene)
     matrix = np.array([[1.0 - p00, -p01], [p01, 1.0 - p11]])
     force = float(scene.amplitude)
     try:
@@ -28,10 +27,16 @@ def free_response(scene):
     return State(float(state[0]), float(state[1]))
 
 
+@persistent_jit(compiler_options=SOON, numpy_first=True)
+def _responses(scene):
+    """The `flow.responses` over a drive period."""
+    return flow.responses(scene.frequency, scene.damping, jnp.asarray(2.0 * jnp.pi / scene.frequency))
+
+
 def free_orbit(scene):
     """The free response as an `Orbit`, P100, where it keeps off the walls all the way round; else None."""
     state = free_response(scene)
-    end, impacts = jax.device_get(strobe(scene, state))
+    end, impacts, _ = period(scene, state)
     near = float(np.finfo(scene.dtype).eps) ** 0.5 * max(1.0, abs(state.x), abs(state.v))
     comes_back = max(abs(end.x - state.x), abs(end.v - state.v)) <= near  # not so from within a soft wall
     if impacts.status != Status.OK or impacts.count or end.contact or not comes_back:

@@ -10,6 +10,7 @@ import jax
 from continuation import in_numpy
 from continuation.persistent_jit import cache_folder
 
+from ..attractors.find import find_attractors
 from ..branches.follow import follow
 from ..branches.switch import switch
 from ..loci.locus import locus
@@ -38,10 +39,11 @@ def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = 
     """Ask of a scene what is asked first, all of it compiled, so that jax's compile cache keeps it: a `Warmed`.
 
     scene: a single one, None that of the README; progress: called with what is asked next. Asked are a strobe, the
-    orbit it settles on, the branch through that along the amplitude, the branches that leave its special points, and a
-    locus of each kind of these in amplitude and frequency. Scenes of the same kind of walls then compile nothing for
-    these in a later process with this cache, for orbits with as many impacts, up to a power of two. jax keeps what took
-    longer to compile than its jax_persistent_cache_min_compile_time_secs, a second: 0 is meant here.
+    orbit it settles on, the branch through that along the amplitude, the branches that leave its special points, a
+    locus of each kind of these in amplitude and frequency, and what the scene settles on. Scenes of the same kind of
+    walls then compile nothing for these in a later process with this cache, for orbits with as many impacts, up to a
+    power of two. jax keeps what took longer to compile than its jax_persistent_cache_min_compile_time_secs, a second: 0
+    is meant here.
 
     Raises ArgumentError for a batch of scenes, and where jax has no compile cache.
     """
@@ -84,3 +86,4 @@ def _ask(scene, asked):
         asked(f"switch at {kind}", switch, kinds[kind])
     for kind in (each for each in TRACED if each in kinds):
         asked(f"locus of {kind}", locus, kinds[kind], ("amplitude", "frequency"), bounds)
+    asked("find_attractors", find_attractors, scene)
