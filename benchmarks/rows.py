@@ -52,7 +52,7 @@ class Size(NamedTuple):
 
     def few(self, usual):
         """All of a list, or its first and last."""
-        return list(dict.fromkeys((usual[0], usual[-1]))) if self.quick else list(usual)
+        return [usual[0], usual[-1]] if self.quick else list(usual)
 
     def rounds(self, usual):
         return 2 if self.quick else usual

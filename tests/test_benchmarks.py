@@ -36,6 +36,13 @@ def test_a_row_says_whether_what_is_asked_is_kept():
     assert most.of(np.arange(5)).found == (2.0, 1.0, 3.0)
 
 
+def test_in_small_there_is_less_of_all():
+    small, whole, lists = Size(True), Size(False), [{1: np.zeros(2)}, {2: np.zeros(2)}, {3: np.zeros(2)}]
+    assert [small.states(n) for n in (16, 1024)] == [4, 64] and small.rounds(9) == 2
+    assert small.few(lists) == [lists[0], lists[2]] and whole.few(lists) == lists
+    assert whole.states(1024) == 1024 and whole.rounds(9) == 9
+
+
 def test_what_is_not_kept_stands_in_bold():
     rows = [
         Row("fast", "s", 2.0).of([1.0, 1.5, 2.0], "as it is"),
