@@ -54,7 +54,7 @@ test-slow: $(VENV)/.dev ## the tests that take minutes
 test-long: $(VENV)/.dev ## what compiles for minutes a test
 	$(PYTEST) -m long
 
-bench: $(VENV)/.dev ## error against cost, ours and others, into docs/benchmarks.md
+bench: $(VENV)/.dev ## what answers cost, ours and others', into docs/benchmarks.md
 	$(BIN)/python -m benchmarks.run $(if $(LIMIT),--limit "$(LIMIT)")
 
 notebooks: $(VENV)/.dev ## run the notebooks as scripts, then write them as .ipynb

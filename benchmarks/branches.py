@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxvibro
-from benchmarks import harness, ours, page, scipy_arclength
+from benchmarks import harness, ours, pictures, scipy_arclength
+from benchmarks.rows import Row, Topic, spread
 from continuation import arclength
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.compiled.compiler_hints import OPTIONS
@@ -15,55 +16,42 @@ from jaxvibro.problem import diagnostics
 from jaxvibro.problem.equations import IMPACTS
 from jaxvibro.problem.touches import scales
 
-LANES, STEPS, POINTS = 1_000, 32, 8
-FINE, COARSE = 0.005, 0.1  # largest steps
-POINT = {"SN": 60, "PD": 150, "SB": 150, "GR": 40}  # microseconds asked of a point of a locus
+LANES, STEPS, POINTS, ROUNDS = 1_000, 32, 8, 9
+LARGEST = (0.1, 0.05, 0.02, 0.01, 0.005)  # steps
+POINT = {0.02: 30, 0.005: 20}  # microseconds asked of a point, at largest steps
+NOTES = (
+    "All of P111 from A = 2 to 6 at figure 4's values by `follow`, multipliers, all monitors and special points "
+    "included, over its points; warm, everything compiled, processor time. SciPy's: DOP853 at 1e-9, central "
+    f"differences, pseudo-arclength, {POINTS} points, each timed in turn with ours at the finest steps.",
+)
 
 
-def compare(rounds):
-    """Lines (what, asked, measured), all of P111 from A = 2 on, at figure 4's values."""
-    orbit = jaxvibro.find_orbit(ours.scene(2.0), jaxvibro.State(0.9, -1.1))
-    fine, coarse = (lambda step=step: followed(orbit, step) for step in (FINE, COARSE))
-    first, _ = harness.clock(coarse)
-    fine()
-    own, whole, ratios = [], [], []
-    for _ in range(rounds):
-        spent, branch = harness.clock(fine)
-        own.append(1e6 * spent / len(branch))
-        whole.append(1e3 * harness.clock(coarse)[0])
-        rival, _ = harness.clock(lambda: scipy_arclength.branch(POINTS))
-        ratios.append(1e6 * rival / POINTS / own[-1])
-    return [
-        ("a point of P111, multipliers and monitors, microseconds", "at most 20", spread(own)),
-        (f"that branch at steps of {COARSE}, specials located, milliseconds in all", "(to be printed)", spread(whole)),
-        ("SciPy's arclength shooting over ours, a point", "at least 500", spread(ratios)),
-        ("first call of follow, s", "(to be printed)", f"{first:.1f}"),
-        many(orbit, rounds),
-        *loci(orbit, rounds),
-    ]
-
-
-def loci(orbit, rounds):
-    """Lines for a point of a locus, amplitude and frequency: all of `jaxvibro.locus` over the number of its points."""
-    branch = jaxvibro.follow(orbit, "amplitude", (0.0, 6.0))
-    lopsided = jaxvibro.switch(branch.points("SB")[0])[1]
-    bounds = {"amplitude": (0.0, 12.0), "frequency": (1.2, 3.0)}
-    found = []
-    asked = [(branch, "SN"), (branch, "SB"), (branch, "GR"), (lopsided, "SN"), (lopsided, "PD"), (lopsided, "GR")]
-    for start, kind in asked:
-        (point, *_), spent = start.points(kind), []
-        locus = jaxvibro.locus(point, tuple(bounds), bounds, largest_step=FINE)
-        for _ in range(rounds):
-            seconds, locus = harness.clock(partial(jaxvibro.locus, point, tuple(bounds), bounds, largest_step=FINE))
-            spent.append(1e6 * seconds / len(locus))
-        what = f"a point of the locus of {kind} of {locus.label}, all included, microseconds"
-        found.append((what, f"at most {POINT[kind]}", spread(spent)))
-    return found
-
-
-def spread(values):
-    """Median and quartiles as text."""
-    return page.spread(harness.spread(np.array(values)))
+def measure(size):
+    """The `Topic`."""
+    rounds, orbit = size.rounds(ROUNDS), jaxvibro.find_orbit(ours.scene(2.0), jaxvibro.State(0.9, -1.1))
+    rows, curve = [], []
+    for step in LARGEST:
+        call = partial(followed, orbit, step)
+        with harness.compiled():
+            points = len(call())
+        spent = harness.alone(call, rounds)
+        per = 1e6 * spent / points
+        curve.append((step, spread(per)))
+        if step == LARGEST[0]:
+            rows.append(Row(f"whole branch, steps of {step}", "milliseconds", 10).of(1e3 * spent, f"{points} points"))
+        elif step in POINT:
+            row = Row(f"a point, steps of {step}", "microseconds", POINT[step])
+            rows.append(row.of(per, f"{points} points"))
+    scipy, ratios = harness.in_turn(call, partial(scipy_arclength.branch, POINTS), size.rounds(5))
+    together = many(orbit, size.states(LANES), rounds)
+    rows.append(Row(f"{LANES:,} branches under vmap, with monitors", "microseconds a point", 6).of(together))
+    rows.append(Row("SciPy's arclength shooting, a point", "over ours", 500, least=True).of(ratios * points / POINTS))
+    levels = {"SciPy's arclength shooting": 1e6 / POINTS * float(np.median(scipy))}
+    levels[f"{LANES:,} branches of ours under vmap"] = float(np.median(together))
+    panel = pictures.Panel("largest step (arclength)", "time per point of a branch (µs)", {"ours": curve}, levels)
+    drawn = partial(pictures.curves, panels=[panel], title="P111 of figure 4, from A = 2 to 6; one core")
+    what = "Microseconds a point of a branch against the largest step"
+    return Topic("branches", rows, notes=NOTES, pictures={"branch_points.png": (what, drawn)})
 
 
 def followed(orbit, step):
@@ -71,22 +59,23 @@ def followed(orbit, step):
     return jaxvibro.follow(orbit, "amplitude", (0.6, 6.0), "forward", step, step)
 
 
-def many(orbit, rounds):
-    """The line for branches that start at as many amplitudes, under vmap: tracked, then every point looked at."""
+def many(orbit, lanes, rounds):
+    """Microseconds a point, one number a round, of branches under vmap that start at so many amplitudes: tracked,
+    then every point looked at."""
     along, z = polish_orbit(orbit, "amplitude")
     scale = scales(along, 1.0)
     numbers = (jnp.asarray(each) for each in (1e-8, 0.1, 1e-10, 0.0, 1e3))
     control = arclength.Control(jnp.asarray(scale), *numbers)
     begun = jaxvibro.follow(orbit, "amplitude", (1.5, 2.5), "both", 0.01, 0.001)
-    places = np.linspace(0, len(begun) - 1, LANES).astype(int)
+    places = np.linspace(0, len(begun) - 1, lanes).astype(int)
     data = begun.data.isel(point=places)
 
     def columns(*names):
-        return np.concatenate([np.reshape(data[name].values, (LANES, -1)) for name in names], axis=1)
+        return np.concatenate([np.reshape(data[name].values, (lanes, -1)) for name in names], axis=1)
 
     zs, tangents = columns("time", "speed", "amplitude"), columns("time_slope", "speed_slope", "value_slope")
     assert zs.shape[1] == len(z)
-    start = arclength.Place(zs, tangents, np.full(LANES, 0.05), np.zeros(LANES, np.int32))
+    start = arclength.Place(zs, tangents, np.full(lanes, 0.05), np.zeros(lanes, np.int32))
 
     def one(place, along):
         _, points = arclength.track(IMPACTS.function, IMPACTS.solve, place, control, along, STEPS)
@@ -98,4 +87,4 @@ def many(orbit, rounds):
     for _ in range(rounds):
         seconds, (kept, _) = harness.clock(lambda: jax.block_until_ready(call(start, along)))
         spent.append(1e6 * seconds / float(kept.sum()))
-    return (f"{LANES:,} branches under vmap, with monitors, microseconds a point", "at most 6", spread(spent))
+    return np.array(spent)

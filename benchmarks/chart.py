@@ -9,15 +9,15 @@ from matplotlib import patheffects
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-from benchmarks.sides import PLAIN
+from benchmarks.sides import OURS, PLAIN, VMAP, YARDSTICK
 from benchmarks.work import words
 
 # Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey. Each picture draws those
 # of its walls. An explicit and an implicit method of one package share a hue, never a marker.
 STYLES = {
-    "jaxvibro": ("#D55E00", "*"),
-    "jaxvibro, user's vmap": ("#CC79A7", "P"),
-    "yardstick": ("#000000", "X"),
+    OURS: ("#D55E00", "*"),
+    VMAP: ("#CC79A7", "P"),
+    YARDSTICK: ("#000000", "X"),
     "heyoka, batch": ("#0072B2", "o"),
     "heyoka, scalar": ("#56B4E9", "v"),
     "paper's RK4": ("#009E73", "s"),

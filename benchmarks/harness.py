@@ -3,9 +3,13 @@
 import gc
 import time
 from collections.abc import Callable
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
+
+from benchmarks.rows import spread
+from continuation import in_numpy
 
 
 class Side(NamedTuple):
@@ -63,15 +67,14 @@ def measure(ours, rivals, states, rounds, tell=print):
         firsts[side], _ = clock(calls[side])
         tell(f"  first call of {side.method} {side.setting}: {firsts[side]:.2f} s")
     paces, answers = {side: [] for side in rivals}, {}
-    gc.collect()
-    gc.disable()
-    for turn in range(rounds):
-        for side in rivals:
-            base, answers[ours] = clock(calls[ours])
-            spent, answers[side] = clock(calls[side])
-            paces[side].append((1e9 * spent / side.states, 1e9 * base / ours.states))
-        tell(f"  round {turn + 1} of {rounds}")
-    gc.enable()
+    with undisturbed():
+        for turn in range(rounds):
+            for side in rivals:
+                before, answers[ours] = clock(calls[ours])
+                spent, answers[side] = clock(calls[side])
+                after, _ = clock(calls[ours])
+                paces[side].append((1e9 * spent / side.states, 5e8 * (before + after) / ours.states))
+            tell(f"  round {turn + 1} of {rounds}")
     base = np.array([pace[1] for side in rivals for pace in paces[side]])
     timings = {ours: Timing(base, base, firsts[ours], *ours.read(answers[ours]))}
     for side in rivals:
@@ -80,16 +83,65 @@ def measure(ours, rivals, states, rounds, tell=print):
     return timings
 
 
-def spread(values):
-    """Median and quartiles."""
-    return tuple(float(q) for q in np.quantile(values, [0.5, 0.25, 0.75]))
+def in_turn(base, call, rounds):
+    """Seconds of a call, and its time over that of a base before and after it: arrays, one number a round."""
+    call()
+    base()
+    spent, ratios = [], []
+    with undisturbed():
+        for _ in range(rounds):
+            before, _ = clock(base)
+            own, _ = clock(call)
+            after, _ = clock(base)
+            spent.append(own)
+            ratios.append(2.0 * own / (before + after))
+    return np.array(spent), np.array(ratios)
+
+
+def alone(call, rounds):
+    """Seconds of a warm call: an array, one number a round."""
+    call()
+    with undisturbed():
+        return np.array([clock(call)[0] for _ in range(rounds)])
+
+
+def repeated(call, times):
+    """A call that makes so many of them."""
+
+    def several():
+        for _ in range(times):
+            call()
+
+    return several
+
+
+@contextmanager
+def undisturbed():
+    """Python's collector waits."""
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()
+
+
+@contextmanager
+def compiled():
+    """What the host calls is compiled at once, as it is after some thousand calls or by `jaxvibro warm`."""
+    before, in_numpy.PATIENCE = in_numpy.PATIENCE, 0
+    try:
+        yield
+    finally:
+        in_numpy.PATIENCE = before
 
 
 def latency(call, repeats):
-    """Microseconds on the wall of a warm call: median and quartiles."""
+    """Microseconds on the wall of a warm call: one number a call."""
     marks = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        call()
-        marks.append(1e6 * (time.perf_counter() - start))
-    return spread(marks)
+    with undisturbed():
+        for _ in range(repeats):
+            start = time.perf_counter()
+            call()
+            marks.append(1e6 * (time.perf_counter() - start))
+    return np.array(marks)

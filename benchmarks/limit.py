@@ -18,12 +18,19 @@ UNSET = "skipped: no LIMIT=DIR was given"
 
 
 def load(directory):
-    """The yardstick's strobe, and the first line of what its file says of itself."""
+    """The yardstick's strobe, and which of its kernels that is and the first line of what its file says of itself."""
     path = pathlib.Path(directory) / "limit.py"
     spec = importlib.util.spec_from_file_location("yardstick", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module.load(), (module.__doc__ or "no description").strip().splitlines()[0]
+    kind = getattr(module, "kind", lambda: "its only")()
+    return module.load(), f"{kind} kernel. {(module.__doc__ or 'No description.').strip().splitlines()[0]}"
+
+
+def found(directory):
+    """Its strobe, None where it cannot be measured here; and a line on it."""
+    why = refusal(directory)
+    return (None, why) if why else load(directory)
 
 
 def refusal(directory):

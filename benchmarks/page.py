@@ -3,7 +3,20 @@
 import os
 import pathlib
 
-PARTS = ("measured", "soft walls measured")
+# each part's name and, on a new page, its heading
+PARTS = {
+    "machine": "Where and when",
+    "map": "The map, and other methods",
+    "yardstick": "The map, and a hand-written kernel",
+    "scenes": "What a scene needs",
+    "derivatives": "Derivatives",
+    "orbits": "Orbits",
+    "branches": "Branches",
+    "loci": "Loci",
+    "first answers": "First answers",
+    "soft walls": "Soft walls",
+}
+UNASKED = "(to be printed)"
 
 
 def marks(part):
@@ -11,49 +24,41 @@ def marks(part):
     return f"<!-- {part}: begin (written by `make bench`, do not edit) -->", f"<!-- {part}: end -->"
 
 
-EMPTY = "\n".join(["# Benchmarks\n", *("{}\n{}\n".format(*marks(part)) for part in PARTS)])
-HEAD = (
-    "| method | setting | ns per map (quartiles) | over ours (quartiles) | wrong itineraries "
-    "| error: median | 99 % | worst | first call, s | states |\n" + "| --- " * 10 + "|"
-)
+def blank():
+    """A page without results."""
+    parts = ("## {}\n\n{}\n{}\n".format(heading, *marks(part)) for part, heading in PARTS.items())
+    return "\n".join(["# Benchmarks\n", *parts])
 
 
 def short(value):
     """A number to three digits, with thousands apart."""
-    return f"{value:,.0f}" if value >= 100 else f"{value:.3g}"
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def spread(values):
-    """Median and quartiles as text."""
+    """Median and quartiles as text, the median alone where they are the same."""
     median, low, high = map(short, values)
-    return f"{median} ({low} to {high})"
+    return median if median == low == high else f"{median} ({low} to {high})"
 
 
-def row(side, timing, verdict):
-    """One line of the table; wrong itineraries in bold."""
-    wrong = f"**{verdict.wrong}** of {verdict.judged}" if verdict.wrong else f"0 of {verdict.judged}"
-    errors = " | ".join(f"{error:.1e}" for error in (verdict.median, verdict.high, verdict.worst))
-    return (
-        f"| {side.method} | {side.setting} | {spread(timing.cost)} | {spread(timing.ratio)} | {wrong} | {errors} "
-        f"| {timing.first:.2f} | {side.states:,} |"
-    )
+def bound(row):
+    """What is asked of a row, as text."""
+    return UNASKED if row.asked is None else f"at {'least' if row.least else 'most'} {row.asked:,g}"
 
 
-def asked_table(asked):
-    """Lines (what, asked, measured) as a table."""
-    head = "| what | asked | measured (quartiles) |\n| --- | --- | --- |"
-    return "\n".join([head, *(f"| {what} | {bound} | {measured} |" for what, bound, measured in asked)])
+def asked_table(rows):
+    """Rows as a table, in bold where what is asked is not kept."""
+    lines = []
+    for row in rows:
+        number = "not measured" if row.found is None else spread(row.found)
+        number = f"**{number}**" if row.kept is False else number
+        lines.append((row.what, row.unit, bound(row), f"{number}, {row.remark}" if row.remark else number))
+    return table(("what", "unit", "asked", "measured (quartiles)"), lines)
 
 
-def table(rows):
-    """Rows (side, timing, verdict) as a table."""
-    return "\n".join([HEAD, *(row(*entry) for entry in rows)])
-
-
-def body(picture, machine, asked, tables, notes):
-    """A measured part of the page, in Markdown. picture: (what it shows, its file); machine, notes: lines."""
-    parts = ("![{}]({})".format(*picture), listed(machine), asked_table(asked), *tables, listed(notes))
-    return "\n\n".join(parts)
+def table(head, lines):
+    """Markdown of a head and lines of cells."""
+    return "\n".join(f"| {' | '.join(map(str, cells))} |" for cells in (head, ["---"] * len(head), *lines))
 
 
 def listed(lines):
@@ -61,18 +66,26 @@ def listed(lines):
     return "\n".join(f"- {line}" for line in lines)
 
 
-def write(path, text, part):
-    """Put text between the marks of a part of the page at path, or of a new page; written beside, then renamed.
+def body(topic):
+    """A `Topic` in Markdown."""
+    shown = [f"![{what}]({file})" for file, (what, _) in topic.pictures.items()]
+    parts = *shown, asked_table(topic.rows) if topic.rows else "", *topic.tables, listed(topic.notes)
+    return "\n\n".join(filter(None, parts))
 
-    Raises ValueError where the page is there and has lost those marks: nothing is overwritten then.
+
+def write(path, texts):
+    """Put texts {part: Markdown} between the marks of the page at path, or of a new one; written beside, then renamed.
+
+    Raises ValueError where the page is there and has lost marks: nothing is overwritten then.
     """
-    begin, end = marks(part)
     path = pathlib.Path(path)
-    page = path.read_text(encoding="utf-8") if path.exists() else EMPTY
-    if page.count(begin) != 1 or page.count(end) != 1:
-        raise ValueError(f"{path}: the marks {begin!r} and {end!r} must each be there once")
-    head, rest = page.split(begin)
-    tail = rest.split(end)[1]
+    page = path.read_text(encoding="utf-8") if path.exists() else blank()
+    for part, text in texts.items():
+        begin, end = marks(part)
+        if page.count(begin) != 1 or page.count(end) != 1:
+            raise ValueError(f"{path}: the marks {begin!r} and {end!r} must each be there once")
+        head, rest = page.split(begin)
+        page = f"{head}{begin}\n\n{text}\n\n{end}{rest.split(end)[1]}"
     beside = path.with_suffix(".part.md")
-    beside.write_text(f"{head}{begin}\n\n{text}\n\n{end}{tail}", encoding="utf-8")
+    beside.write_text(page, encoding="utf-8")
     os.replace(beside, path)

@@ -4,16 +4,17 @@ import functools
 from collections.abc import Callable
 from typing import NamedTuple
 
-from benchmarks import diffrax_event, heyoka_batch, heyoka_scalar, limit, ours, rk4, scipy_ivp
+from benchmarks import diffrax_event, heyoka_batch, heyoka_scalar, ours, rk4, scipy_ivp
 from benchmarks.harness import Side
-from benchmarks.work import held
+from benchmarks.work import CAP, held
 
 FINE, COARSE = (1e-6, 1e-9, 1e-12, 1e-15), (1e-4, 1e-6, 1e-8, 1e-10)
 OURS = "jaxvibro"
 VMAP = "jaxvibro, user's vmap"
 YARDSTICK = "yardstick"
 PLAIN = "SciPy LSODA, no events"
-STATES = 100_000
+STATES = 98_304
+SLOTS = (0, 4, CAP)  # recorded by ours; the first stands beside the rivals
 BESIDE = 32_768  # ours, beside the rivals between soft walls
 
 
@@ -52,41 +53,43 @@ def read(answer):
     return answer.ends, answer.sides
 
 
-def rivals(table, share, **walls):
-    """The Sides of a table's rivals, each at its settings. share: the part of the usual states to give; walls: the
-    stiffness of soft ones."""
+def rivals(table, size, **walls):
+    """The Sides of a table's rivals, each at its settings. size: a `Size`; walls: the stiffness of soft ones."""
 
     def side(method, rival, setting):
         def prepare(rows):
             return functools.partial(rival.strobe, rows, setting, **walls)
 
-        return Side(method, rival.words.format(setting), rival.states // share, prepare, read)
+        return Side(method, rival.words.format(setting), size.states(rival.states), prepare, read)
 
     return [side(method, rival, setting) for method, rival in table.items() for setting in rival.settings]
 
 
-def own(method, prepare, states):
+def own(method, setting, prepare, states):
     """A Side for a way to call our own strobe."""
-    return Side(method, "", states, prepare, lambda answer: read(ours.read(answer)))
+    return Side(method, setting, states, prepare, ours.read)
 
 
-def yardstick(directory, states):
-    """A Side for the yardstick in a directory, and how it describes itself."""
-    strobe, words = limit.load(directory)
-    return Side(YARDSTICK, "", states, lambda rows: functools.partial(strobe, rows), lambda ends: (ends, None)), words
+def recording(slots):
+    """The setting with so many impacts recorded, in words."""
+    return f"{slots} impacts recorded" if slots else "nothing recorded"
 
 
-def rigid(directory, share):
-    """Ours, the others (a list), and a line on the yardstick. share: as in `rivals`."""
-    line = limit.refusal(directory)
-    others = [own(VMAP, ours.prepare_vmap, STATES // share)]
-    if line is None:
-        side, line = yardstick(directory, STATES // share)
-        others.append(side)
-    return own(OURS, ours.prepare_batch, STATES // share), others + rivals(RIGID, share), line
+def rigid(yardstick, size):
+    """Ours with nothing recorded, and the others (a list), the yardstick's strobe among them unless it is None."""
+    states = size.states(STATES)
+    us, *more = (own(OURS, recording(s), functools.partial(ours.prepare_batch, slots=s), states) for s in SLOTS)
+    others = [*more, own(VMAP, recording(0), ours.prepare_vmap, states)]
+    if yardstick:
+
+        def prepare(rows):
+            return functools.partial(yardstick, rows)
+
+        others.append(Side(YARDSTICK, "", states, prepare, lambda ends: (ends, None)))
+    return us, others + rivals(RIGID, size)
 
 
-def soft(stiffness, share):
-    """Ours and the others (a list) at a stiffness. share: as in `rivals`."""
+def soft(stiffness, size):
+    """Ours and the others (a list) at a stiffness."""
     prepare = functools.partial(ours.prepare_batch, stiffness=stiffness, damping=held(stiffness))
-    return own(OURS, prepare, BESIDE // share), rivals(SOFT, share, stiffness=stiffness)
+    return own(OURS, "", prepare, size.states(BESIDE)), rivals(SOFT, size, stiffness=stiffness)

@@ -1,30 +1,32 @@
-"""Measures our strobe and the others between soft walls, and writes that part of the page and its picture."""
+"""Measures our strobe and the others between soft walls."""
+
+from functools import partial
 
 import numpy as np
 
-from benchmarks import chart, harness, machine, page, sides, soft_rigid, truth
+from benchmarks import chart, harness, page, sides, soft_rigid, truth
+from benchmarks.rows import Row, Topic
 from benchmarks.sides import OURS
 from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, SHARE, STIFFNESSES, draw, words
 
-JUDGED = sides.SOFT["heyoka, batch"].states
-ROUNDS = 5
+JUDGED = 1024
+ROUNDS = 3
 FAR = 1e-2  # An end this far off, where no itinerary is told, is a contact missed and not the error of a step.
 STIFF, LEVELS = STIFFNESSES[-1], (1e-6, 1e-11)
-PICTURE = "soft_walls.png"
 TITLE = (
     f"Strobe between soft walls at -1 and 1: omega {OMEGA}, gamma {GAMMA}, gamma2 such that a contact leaves "
     f"R = {RESTITUTION}, A in [0, 6]"
 )
 
 
-def compare(states, rounds, share):
+def compare(states, rounds, size):
     """{stiffness: rows (side, timing, verdict)}, ours first."""
     panels = {}
     for stiffness in STIFFNESSES:
         print(f"stiffness {stiffness:g}")
-        us, others = sides.soft(stiffness, share)
+        us, others = sides.soft(stiffness, size)
         timings = harness.measure(us, others, states, rounds)
-        true = truth.find(states[: JUDGED // share], stiffness)
+        true = truth.find(states[: size.states(JUDGED)], stiffness)
         panels[stiffness] = [(side, t, truth.judge(t.ends, t.sides, true, FAR)) for side, t in timings.items()]
     return panels
 
@@ -35,36 +37,40 @@ def fastest(rows, level, but=()):
     return min(fair, key=lambda row: row[1].ratio[0], default=None)
 
 
-def asked(panels, ratios):
-    """Lines (what, asked, measured)."""
+def rows(panels, ratios):
+    """What is asked."""
     most, (stiffness, damping) = soft_rigid.worst(ratios)
-    where = f", at k2 = {words(stiffness)}, gamma2 = {damping:.3g}"
-    lines = [("soft strobe over rigid strobe, same batch, the largest", "at most 2.5", page.spread(most) + where)]
+    where = f"at k2 = {words(stiffness)}, gamma2 = {damping:.3g}"
+    found = [Row("soft strobe, same batch, the slowest", "over rigid strobe", 2.5).of(most, where)]
     heyoka = [method for method in sides.SOFT if method.startswith("heyoka")]
     for level in LEVELS:
-        for but, beside, bound in (([], "", "at least 100"), (heyoka, " but heyoka", "(to be printed)")):
-            found = fastest(panels[STIFF], level, but)
-            what = f"k2 = {words(STIFF)}: fastest rival{beside} with 99 % of errors below {level:g}, over ours"
-            measured = f"{page.spread(found[1].ratio)}, {found[0].method} {found[0].setting}" if found else "none"
-            lines.append((what, bound, measured))
-    for stiffness, rows in panels.items():
-        (_, timing, verdict), *others = rows
+        for but, beside, bound in (([], "", 100), (heyoka, " but heyoka", None)):
+            rival = fastest(panels[STIFF], level, but)
+            what = f"k2 = {words(STIFF)}: fastest rival{beside} with 99 % of errors below {level:g}"
+            row = Row(what, "over ours", bound, least=True)
+            if rival:
+                row = row.of(rival[1].own / rival[1].ours, f"{rival[0].method} {rival[0].setting}")
+            found.append(row if rival else row._replace(remark="no rival is as exact"))
+    for stiffness, judged in panels.items():
+        (_, timing, verdict), *others = judged
         least = min(others, key=lambda row: row[2].median)
-        what = f"k2 = {words(stiffness)}: our median error; the least of a rival"
-        lines.append((what, "(to be printed)", f"{verdict.median:.1e}; {least[2].median:.1e}, {least[0].method}"))
-        lines.append((f"k2 = {words(stiffness)}: ours, ns per map", "(to be printed)", page.spread(timing.cost)))
-    return lines
+        what = f"k2 = {words(stiffness)}: our median error"
+        said = f"the least of a rival {least[2].median:.1e}, {least[0].method}"
+        found.append(Row(what, "dimensionless").of(verdict.median, said))
+        found.append(Row(f"k2 = {words(stiffness)}: ours", "ns per map").of(timing.own))
+    return found
 
 
 def table(panels):
     """One line a method and setting: for each stiffness the time over ours, the error, and what went wrong."""
-    each = "k2 = {}: over ours | error: median, 99 % | wrong, no end"
-    head = ["method", "setting", "states", *(each.format(words(stiffness)) for stiffness in panels)]
-    lines = [f"| {' | '.join(head)} |", "| --- " * (3 + 3 * len(panels)) + "|"]
-    for rows in zip(*panels.values(), strict=True):
-        side = rows[0][0]
-        lines.append(f"| {side.method} | {side.setting} | {side.states:,} | {' | '.join(map(cells, rows))} |")
-    return "\n".join(lines)
+    head = ["method", "setting", "states"]
+    for name in map(words, panels):
+        head += [f"k2 = {name}: over ours", "error: median, 99 %", "wrong, no end"]
+    lines = []
+    for one in zip(*panels.values(), strict=True):
+        side = one[0][0]
+        lines.append((side.method, side.setting, f"{side.states:,}", *map(cells, one)))
+    return page.table(head, lines)
 
 
 def cells(row):
@@ -91,15 +97,12 @@ def notes(rounds, panels):
     )
 
 
-def main(quick, out):
-    """Measure and write the part of out/benchmarks.md and out/soft_walls.png."""
-    share, rounds = (16, 2) if quick else (1, ROUNDS)
-    states = draw(soft_rigid.STATES // share)
+def measure(size):
+    """The `Topic`."""
+    rounds, states = size.rounds(ROUNDS), draw(size.states(soft_rigid.STATES))
     ratios = soft_rigid.compare(states, rounds)
-    panels = compare(states, rounds, share)
-    chart.save_panels(out / PICTURE, panels, TITLE)
-    picture = "Error against time per map between soft walls, for each method", PICTURE
+    panels = compare(states, rounds, size)
+    what = "Error against time per map between soft walls, for each method"
+    pictures = {"soft_walls.png": (what, partial(chart.save_panels, panels=panels, title=TITLE))}
     tables = soft_rigid.table(ratios), table(panels)
-    text = page.body(picture, machine.describe(), asked(panels, ratios), tables, notes(rounds, panels))
-    page.write(out / "benchmarks.md", text, "soft walls measured")
-    print(f"{text}\n\nwritten: {out / 'benchmarks.md'}, {out / PICTURE}")
+    return Topic("soft walls", rows(panels, ratios), tables, notes(rounds, panels), pictures)

@@ -3,13 +3,14 @@
 import numpy as np
 
 from benchmarks import ours, page
-from benchmarks.harness import clock, spread
+from benchmarks.harness import clock
+from benchmarks.rows import spread
 from benchmarks.work import held, words
 
 STATES = 98_304
 STIFFNESSES = (1.0, 10.0, 1e2, 1e4, 1e6, 1e8, 1e10)
 DAMPING = 0.1  # gamma2 where R is not held
-HEAD = "| k2 | gamma2 at R = 0.7 held | soft over rigid | gamma2 | soft over rigid |\n| --- | --- | --- | --- | --- |"
+HEAD = ("k2", "gamma2 at R = 0.7 held", "soft over rigid", "gamma2", "soft over rigid")
 
 
 def compare(states, rounds):
@@ -31,15 +32,15 @@ def compare(states, rounds):
 
 def table(ratios):
     """Those as Markdown, medians and quartiles."""
-    lines = [HEAD]
+    lines = []
     for stiffness in STIFFNESSES:
         damping = held(stiffness)
         own, same = (page.spread(spread(ratios[stiffness, each])) for each in (damping, DAMPING))
-        lines.append(f"| {words(stiffness)} | {damping:.4g} | {own} | {DAMPING:g} | {same} |")
-    return "\n".join(lines)
+        lines.append((words(stiffness), f"{damping:.4g}", own, f"{DAMPING:g}", same))
+    return page.table(HEAD, lines)
 
 
 def worst(ratios):
-    """Median and quartiles where the median is the largest, and the stiffness and damping there."""
+    """The ratios whose median is the largest, and the stiffness and damping there."""
     each = max(ratios, key=lambda one: np.median(ratios[one]))
-    return spread(ratios[each]), each
+    return ratios[each], each

@@ -1,0 +1,83 @@
+"""Measures first answers: of a process in which nothing is compiled, and of one with a filled compile cache."""
+
+import json
+import tempfile
+from functools import partial
+
+from benchmarks import fresh, pictures
+from benchmarks.rows import Row, Topic
+
+ROUNDS = 3
+COLD, FILLING, WARM = "nothing compiled, no cache set", "nothing compiled, cache being filled", "cache filled"
+README = "readme"
+# what is asked, one after the other in one process, and the most that is asked: at first, and with a filled cache
+ASKED = {
+    README: (
+        ("strobe", 1, 0.4),
+        ("find_orbit", 1.5, 0.6),
+        ("branch table", 2.5, 1),
+        ("switch", 3, 1.3),
+        ("locus", 4, 2),
+    ),
+    "attractors": (("find_attractors", 5, 1.5),),
+    "soft": (("soft walls: branch table", 8, None), ("soft walls: locus", 15, None)),
+}
+NOTES = (
+    "Each of a process of its own: processor seconds since `import jax` was done, loading jaxvibro included. README's "
+    "lines are summed up, in this order; `find_attractors` has one process, the lines between soft walls (k2 = 400, "
+    "gamma2 = 2) another. Python's own compiled files are there.",
+    "A cache that is being filled is jax's, in a new folder; writing is what it costs. The filled one is what "
+    "`jaxvibro warm` leaves, and, for what that does not ask, one process that asked the same.",
+)
+
+
+def measure(size):
+    """The `Topic`."""
+    rounds = 1 if size.quick else ROUNDS
+    asked = {README: ASKED[README]} if size.quick else ASKED
+    found = {COLD: [], FILLING: [], WARM: []}
+    for what, answers in asked.items():
+        if what == README:
+            told(what)  # compiles Python's files
+        seconds = {COLD: [told(what) for _ in range(rounds)], WARM: of_full_cache(what, rounds, size)}
+        if what == README:
+            seconds[FILLING] = [of_empty_cache(what) for _ in range(rounds)]
+        for state, runs in seconds.items():
+            for name, most, less in answers:
+                bound = {COLD: most, WARM: less}.get(state)
+                found[state].append(Row(name, f"seconds; {state}", bound).of([run[name] for run in runs]))
+    title = "First answers, each with all before it: README's lines, and two other processes"
+    drawn = partial(pictures.bars, groups=found, unit="processor time since import jax was done (s)", title=title)
+    what = "Seconds to the first answers of a fresh process, with nothing compiled and with a filled compile cache"
+    return Topic(
+        "first answers",
+        [row for rows in found.values() for row in rows],
+        notes=NOTES,
+        pictures={"first_answers.png": (what, drawn)},
+    )
+
+
+def told(what, **environment):
+    """{what was asked: seconds} of a process."""
+    seconds = dict(json.loads(fresh.ask("benchmarks.fresh", what, **environment)))
+    print(f"  {what}: {', '.join(f'{name} {spent:.2f}' for name, spent in seconds.items())}")
+    return seconds
+
+
+def of_empty_cache(what):
+    """What a process tells that fills a cache."""
+    with tempfile.TemporaryDirectory() as folder:
+        return told(what, JAX_COMPILATION_CACHE_DIR=folder)
+
+
+def of_full_cache(what, rounds, size):
+    """What processes tell that find a filled cache."""
+    with tempfile.TemporaryDirectory() as folder:
+        settings = {"JAX_COMPILATION_CACHE_DIR": folder}
+        if what == README and not size.quick:
+            lines = fresh.ask("jaxvibro", "warm", XDG_CACHE_HOME=folder).splitlines()
+            settings = dict(line.removeprefix("export ").split("=", 1) for line in lines if line.startswith("export "))
+        else:
+            settings |= {"JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0"}
+            told(what, **settings)
+        return [told(what, **settings) for _ in range(rounds)]

@@ -1,0 +1,35 @@
+"""What a point of a locus costs, amplitude and frequency: all of `jaxvibro.locus` over the number of its points."""
+
+from functools import partial
+
+import jaxvibro
+from benchmarks import harness, ours, pictures
+from benchmarks.rows import Row, Topic
+
+ROUNDS, STEP = 7, 0.005
+ASKED = {"SN": 60, "PD": 150, "SB": 150, "GR": 40}  # microseconds, at most, of a point
+BOUNDS = {"amplitude": (0.0, 12.0), "frequency": (1.2, 3.0)}
+NOTES = (
+    f"All of `locus` at steps of {STEP}, figure 4's values, A from 0 to 12 and omega from 1.2 to 3, codimension two "
+    "and ends included, over its points; warm, everything compiled, processor time.",
+)
+
+
+def measure(size):
+    """The `Topic`."""
+    orbit = jaxvibro.find_orbit(ours.scene(2.0), jaxvibro.State(0.9, -1.1))
+    branch = jaxvibro.follow(orbit, "amplitude", (0.0, 6.0))
+    lopsided = jaxvibro.switch(branch.points("SB")[0])[1]
+    asked = [(branch, "SN"), (branch, "SB"), (branch, "GR"), (lopsided, "SN"), (lopsided, "PD"), (lopsided, "GR")]
+    rows = []
+    for start, kind in size.few(asked):
+        call = partial(jaxvibro.locus, start.points(kind)[0], tuple(BOUNDS), BOUNDS, largest_step=STEP)
+        with harness.compiled():
+            locus = call()
+        per = 1e6 * harness.alone(call, size.rounds(ROUNDS)) / len(locus)
+        row = Row(f"{kind} of {locus.label}", "microseconds a point", ASKED[kind])
+        rows.append(row.of(per, f"{len(locus)} points"))
+    title = f"Loci in amplitude and frequency, steps of {STEP}, with all that is looked for along them"
+    drawn = partial(pictures.bars, groups={"locus": rows}, unit="time per point of a locus (µs)", title=title)
+    what = "Microseconds a point of a locus, by kind"
+    return Topic("loci", rows, notes=NOTES, pictures={"loci.png": (what, drawn)})

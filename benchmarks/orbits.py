@@ -1,0 +1,61 @@
+"""What orbits cost: by Newton's method, one and many, and all of `find_orbit`."""
+
+from functools import partial
+
+import jax
+import numpy as np
+
+import jaxvibro
+from benchmarks import harness, ours, pictures
+from benchmarks.rows import Row, Topic, spread
+from jaxvibro.compiled.compiler_hints import one_kernel
+from jaxvibro.orbits import impact_equations
+from jaxvibro.orbits.by_impacts import padded
+
+MANY, REPEATS, ROUNDS = 10_000, 501, 7
+NOTES = (
+    "P111 at A = 2 of figure 4, from times of impact that are about 0.01 off; `find_orbit` from its own state, all "
+    "checks included. One orbit on the wall's clock, many in processor time.",
+)
+
+
+def measure(size):
+    """The `Topic`."""
+    scene = ours.scene(2.0)
+    orbit = jaxvibro.find_orbit(scene, jaxvibro.State(0.9, -1.1))
+    guess = padded(scene, orbit.impacts.time + 0.01, orbit.impacts.speed, orbit.impacts.side, 0.0, 1)
+    kernel = jax.jit(lambda scene, guess: one_kernel(impact_equations.solved, scene, guess))
+    seconds, one = harness.clock(lambda: kernel.lower(scene, guess).compile())
+    newton = harness.latency(lambda: jax.block_until_ready(one(scene, guess)), size.rounds(REPEATS))
+    with harness.compiled():
+        jaxvibro.find_orbit(scene, orbit.state, 1, settle=0)
+    whole = harness.latency(lambda: jaxvibro.find_orbit(scene, orbit.state, 1, settle=0), size.rounds(101))
+    counts = [size.states(n) for n in size.few((100, 1000, MANY))]
+    many = [(n, *together(scene, guess, n, size.rounds(ROUNDS))) for n in counts]
+    rows = [
+        Row("one orbit by Newton's method", "microseconds", 200).of(newton),
+        Row("find_orbit, nothing to settle", "microseconds").of(whole),
+        Row(f"{MANY:,} orbits under vmap", "microseconds each", 5).of(many[-1][1]),
+        Row("one orbit", "seconds, tracing and compiling").of(seconds),
+        Row(f"{MANY:,} orbits", "seconds, tracing and compiling").of(many[-1][2]),
+    ]
+    curve = [(1, spread(newton)), *((n, spread(each)) for n, each, _ in many)]
+    panel = pictures.Panel(
+        "orbits at once",
+        "time per orbit (µs)",
+        {"ours, Newton's method on the impacts": curve},
+        {"find_orbit, one, with its checks": spread(whole)[0], f"asked of {MANY:,}: at most 5": 5.0},
+    )
+    drawn = partial(pictures.curves, panels=[panel], title="P111 of figure 4, A = 2; one core")
+    picture = "Microseconds an orbit against how many are solved at once", drawn
+    return Topic("orbits", rows, notes=NOTES, pictures={"orbits.png": picture})
+
+
+def together(scene, guess, count, rounds):
+    """Microseconds an orbit, one number a round, and seconds to compile: so many orbits at once from nearby guesses."""
+    off = 0.01 * np.random.default_rng(0).normal(size=(count, 2))
+    guesses = jax.tree.map(lambda each: np.broadcast_to(each, (count, *np.shape(each))).copy(), guess)
+    guesses = guesses._replace(times=guesses.times + off)
+    batch = jax.jit(jax.vmap(impact_equations.solved, in_axes=(None, 0)))
+    seconds, many = harness.clock(lambda: batch.lower(scene, guesses).compile())
+    return 1e6 / count * harness.alone(lambda: jax.block_until_ready(many(scene, guesses)), rounds), seconds

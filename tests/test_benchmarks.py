@@ -1,0 +1,208 @@
+"""The benchmarks: rows and their page, the yardstick's trial, and all of `make bench` in small."""
+
+import os
+import re
+import subprocess
+import sys
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from benchmarks import harness, kernel, limit, ours, page, pictures, scenes, truth
+from benchmarks.rows import Row, Size, Topic
+from benchmarks.work import draw
+from continuation import in_numpy
+from jaxvibro.scene.codes import Status
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+YARDSTICK = '''"""A stand-in for a yardstick."""
+import numpy as np
+
+
+def load():
+    return lambda states, periods=1: np.full((len(states), 2), {value})
+'''
+
+
+def test_a_row_says_whether_what_is_asked_is_kept():
+    most, least = Row("one", "s", 2.0), Row("other", "over ours", 30, least=True)
+    assert most.of([1, 2, 3]).kept and not most.of([2, 3, 4]).kept
+    assert least.of([29, 30, 31]).kept and not least.of([10, 20, 40]).kept
+    assert most.kept is None and Row("third", "s").of(1.0).kept is None
+    assert most.of(np.arange(5)).found == (2.0, 1.0, 3.0)
+
+
+def test_in_small_there_is_less_of_all():
+    small, whole, lists = Size(True), Size(False), [{1: np.zeros(2)}, {2: np.zeros(2)}, {3: np.zeros(2)}]
+    assert [small.states(n) for n in (16, 1024)] == [4, 64] and small.rounds(9) == 2
+    assert small.few(lists) == [lists[0], lists[2]] and whole.few(lists) == lists
+    assert whole.states(1024) == 1024 and whole.rounds(9) == 9
+
+
+def test_what_is_not_kept_stands_in_bold():
+    rows = [
+        Row("fast", "s", 2.0).of([1.0, 1.5, 2.0], "as it is"),
+        Row("slow", "over ours", 8000, least=True).of(7000.0),
+        Row("none", "s", 1),
+        Row("free", "s").of(0.25),
+    ]
+    assert page.asked_table(rows).splitlines()[2:] == [
+        "| fast | s | at most 2 | 1.5 (1.25 to 1.75), as it is |",
+        "| slow | over ours | at least 8,000 | **7,000** |",
+        "| none | s | at most 1 | not measured |",
+        "| free | s | (to be printed) | 0.25 |",
+    ]
+
+
+def test_only_what_is_between_the_marks_is_written(tmp_path):
+    path = tmp_path / "page.md"
+    page.write(path, {})
+    path.write_text(path.read_text().replace("## Orbits\n", "## Orbits\n\nWords of ours.\n"))
+    before = path.read_text()
+    page.write(path, {"orbits": "first", "loci": "other"})
+    page.write(path, {"orbits": "second"})
+    begin, end = page.marks("orbits")
+    assert path.read_text() == before.replace(f"{begin}\n{end}", f"{begin}\n\nsecond\n\n{end}").replace(
+        "\n".join(page.marks("loci")), "\n\nother\n\n".join(page.marks("loci"))
+    )
+    path.write_text(before.replace(end, ""))
+    with pytest.raises(ValueError, match="must each be there once"):
+        page.write(path, {"orbits": "third"})
+    assert "third" not in path.read_text()
+
+
+def test_the_page_has_all_parts_and_pictures_and_names_no_folder():
+    text = (DOCS / "benchmarks.md").read_text()
+    assert [part for part in page.PARTS if not all(text.count(mark) == 1 for mark in page.marks(part))] == []
+    drawn = re.findall(r"^!\[[^\]]+\]\((.+)\)$", text, re.M)
+    assert len(drawn) == len(set(drawn)) >= 8
+    assert [file for file in drawn if not (DOCS / file).is_file()] == []
+    assert re.findall(r"(?:^|[\s`(])/(?:home|tmp|work|root|usr|var)/\S*", text) == []
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        (YARDSTICK.format(value="0.5"), None),
+        (YARDSTICK.format(value="np.nan"), "it returned no finite numbers"),
+        ("import os\nos.kill(os.getpid(), 4)\n", "stopped by SIGILL"),
+    ],
+)
+def test_a_yardstick_is_tried_in_a_process_of_its_own(tmp_path, monkeypatch, body, told):
+    monkeypatch.setattr(limit.shutil, "which", lambda name: name)
+    (tmp_path / "limit.py").write_text(body)
+    strobe, line = limit.found(str(tmp_path))
+    assert str(tmp_path) not in line
+    if told:
+        assert strobe is None and told in line
+    else:
+        assert line == "its only kernel. A stand-in for a yardstick." and np.all(strobe(np.zeros((3, 3))) == 0.5)
+
+
+def test_without_a_yardstick_it_is_said():
+    assert limit.found(None) == (None, limit.UNSET)
+    assert limit.found("nowhere")[0] is None
+    row = Row("nothing recorded", kernel.YARD, 3.5)
+    assert kernel.compared(row, kernel.Work(), None, None, Size(True)).found is None
+
+
+def test_calls_in_turn_are_told_apart(monkeypatch):
+    """On a clock that only calls move."""
+    now = [0.0]
+    monkeypatch.setattr(harness.time, "process_time", lambda: now[0])
+
+    def lasting(seconds):
+        return lambda: now.__setitem__(0, now[0] + seconds)
+
+    spent, ratios = harness.in_turn(lasting(0.5), harness.repeated(lasting(0.25), 6), 4)
+    np.testing.assert_allclose(spent, [1.5] * 4)
+    np.testing.assert_allclose(ratios, [3.0] * 4)
+    np.testing.assert_allclose(harness.alone(lasting(2.0), 3), [2.0] * 3)
+
+
+def test_compiled_is_for_a_while():
+    before = in_numpy.PATIENCE
+    with pytest.raises(KeyError), harness.compiled():
+        assert in_numpy.PATIENCE == 0
+        raise KeyError
+    assert in_numpy.PATIENCE == before > 0
+
+
+def test_our_own_sides_map_as_the_reference_does():
+    states = draw(24)
+    true = truth.find(states)
+    for call, sides in (
+        (ours.prepare_batch(states), True),
+        (ours.prepare_batch(states, slots=0), False),
+        (ours.prepare_vmap(states), False),
+    ):
+        ends, recorded = ours.read(call())
+        assert (recorded is not None) == sides
+        verdict = truth.judge(ends, recorded, true)
+        assert verdict.wrong == 0 and verdict.worst < 1e-11 and verdict.judged > 12
+
+
+@pytest.mark.parametrize("work", [kernel.Work(8), kernel.Work(8, walls=1), kernel.Work(8, moving=True)])
+def test_work_is_what_it_is_called(work):
+    scene, state = work.given
+    assert (scene.left is None) == (work.walls == 1) and state.x.shape == (8,)
+    assert (scene.right.motion is not None) == work.moving
+    _, impacts = jv.strobe(scene, state)
+    assert np.all(np.asarray(impacts.status) < Status.CAP)
+
+
+def test_the_share_done_in_full_is_that_of_all_periods(monkeypatch):
+    given_up = iter([[0, 0, 0, 1], [0, 1, 1, 1], [0, 0, 0, 0]])
+    met = []
+
+    def lean(scene, state):
+        met.append(np.asarray(state.x))
+        return None, np.array(next(given_up), bool)
+
+    monkeypatch.setattr(kernel.tiers_proof, "lean", lean)
+    work = kernel.Work(4, periods=3)
+    assert kernel.in_full(work) == pytest.approx(4 / 12)
+    last, _ = jv.strobe(*work.given, periods=2)
+    np.testing.assert_array_equal(met[2], last.x)
+
+
+@pytest.mark.parametrize("kind", scenes.KINDS)
+def test_the_scenes_are_of_all_kinds(kind):
+    walls, moving, soft = kind
+    scene, state = scenes.given(*kind, 8)
+    there = list(scene.walls.values())
+    assert len(there) == walls and all(wall.soft == bool(soft) for wall in there)
+    assert all((wall.motion is not None) == bool(moving) for wall in there)
+    assert np.all(np.abs(state.x) <= (0.8 if moving else 1.0))
+
+
+def test_pictures_are_drawn(tmp_path):
+    rows = [Row("one", "s", 2.0).of([1.0, 1.5, 2.0]), Row("other", "s").of(3.0), Row("none", "s", 1)]
+    pictures.bars(tmp_path / "bars.png", {"cold": rows, "warm": rows[:1]}, "time (s)", "title")
+    panel = pictures.Panel("n", "ns", {"ours": [(1, (3.0, 2.0, 4.0)), (10, (1.0, 1.0, 1.0))]}, {"asked": 2.0})
+    pictures.curves(tmp_path / "curves.png", [panel, panel._replace(scale="linear")], "title")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bars.png", "curves.png"]
+    topic = Topic("orbits", rows, ("| a |",), ("said",), {"bars.png": ("what", partial(print))})
+    assert page.body(topic).startswith("![what](bars.png)\n\n| what |") and page.body(topic).endswith("| a |\n\n- said")
+
+
+@pytest.mark.slow
+def test_all_of_it_runs_in_small(tmp_path):
+    (tmp_path / "limit.py").write_text(YARDSTICK.format(value="0.5"))
+    plain = {name: text for name, text in os.environ.items() if not name.startswith("JAX_")}
+    words = ["-m", "benchmarks.run", "--quick", "--limit", str(tmp_path), "--out", str(tmp_path / "out")]
+    done = subprocess.run([sys.executable, *words], cwd=ROOT, env=plain, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    text = (tmp_path / "out" / "benchmarks.md").read_text()
+    for part in page.PARTS:
+        begin, end = page.marks(part)
+        assert len(text.split(begin)[1].split(end)[0]) > 100, part
+    drawn = re.findall(r"^!\[[^\]]+\]\((.+)\)$", text, re.M)
+    kept = re.findall(r"^!\[[^\]]+\]\((.+)\)$", (DOCS / "benchmarks.md").read_text(), re.M)
+    assert drawn == kept and all((tmp_path / "out" / file).stat().st_size > 10_000 for file in drawn)
+    assert str(tmp_path) not in text and "not measured" not in text
+    assert set(re.findall(r"^\| ([^|]+) \|", text, re.M)) >= {row.what for row in kernel.ASKED}
