@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from jaxvibro.flight import flow, lean_motion, lean_numbers
+from jaxvibro.flight.coefficients import frame
 from jaxvibro.flight.flow import fly
 from tests.proof import flow_errors
 from tests.reference import ball
@@ -33,3 +35,19 @@ def test_flow_has_derivatives_where_textbook_forms_have_none(damping):
     by_damping = (-3 * at[0] + 4 * at[1] - at[2]) / (2 * step)
     low, high = (float(ball.flow(damping, 1.0 + k * step, 1.5, 0.0, 0.3, -0.2, 2.0)[0]) for k in (-1, 1))
     assert np.allclose(slopes, (by_damping, (high - low) / (2 * step)), rtol=0, atol=1e-8)
+
+
+def test_a_flight_with_fewer_powers_rounds_by_what_the_lean_tier_proves():
+    count, rng = 300, np.random.default_rng(4)
+    damping, omega = rng.choice([0.0, 0.05, 0.5, 1.0, 5.0], count), rng.choice([0.05, 0.5, 1.0, 2.1, 20.0], count)
+    amplitude, phase, (x, v) = rng.uniform(0, 10, count), rng.uniform(0, 6.3, count), rng.normal(0, 2, (2, count))
+    numbers = lean_numbers.numbers(frame(jv.make_scene(amplitude, omega, damping, 1.0, (-1.0, 1.0))))
+    reach, part = np.asarray(numbers.reach), rng.choice([0.01, 0.3, 0.7, 1.0], count)
+    gains = flow.gains(numbers.flight, numbers.frequency, part)
+    forces = lean_motion.forces(numbers, np.cos(phase), np.sin(phase))
+    ends = map(np.asarray, lean_motion.flown(numbers, x, v * reach, forces, gains))
+    rows = zip(damping, omega, amplitude, phase, x, v, reach * part, strict=True)
+    true = np.array([[float(each) for each in ball.flow(*map(float, row))] for row in rows]).T * [np.ones(count), reach]
+    largest = abs(x) + abs(v) * reach + amplitude
+    for end, exact in zip(ends, true, strict=True):
+        assert (abs(end - exact) / largest).max() < 8 * 2.0**-53

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from jaxvibro.compiled.compiler_hints import WIDTH
 from jaxvibro.flight.wall_positions import places
 from jaxvibro.maps import iterate, two_tiers
 from tests.status_proof import RIGID, draw
-from tests.tiers_proof import bits, chatter, compared, full, grazing, lean, measured, usual
+from tests.tiers_proof import bits, chatter, compared, full, grazing, lean, measured, same, usual
 
 MOST = 4_000  # lanes of a test
 KINDS = [RIGID[k] for k in (1, 4)]
@@ -47,6 +48,19 @@ def test_masses_that_hop_and_rest_end_as_by_full_steps():
 def test_no_bit_depends_on_the_batch(kind):
     wrong, given_up = bits(np.random.default_rng(8), 400, kind)
     assert wrong == [] and given_up > 0
+
+
+@pytest.mark.parametrize("count", [two_tiers.STRIP * WIDTH + 1, 2 * two_tiers.STRIP * WIDTH - 30])
+def test_lanes_in_strips_are_those_in_blocks(count):
+    scene, start = usual(np.random.default_rng(9), count, RIGID[4])
+
+    def part(lanes):
+        return jax.tree.map(lambda leaf: np.asarray(leaf)[lanes] if np.ndim(leaf) else leaf, (scene, start))
+
+    whole = lean(scene, start)
+    for first in (0, count // 2, count - WIDTH):
+        lanes = slice(first, first + WIDTH)
+        assert same(lean(*part(lanes)), jax.tree.map(lambda leaf, lanes=lanes: leaf[lanes], whole))
 
 
 def test_turning_points_are_those_of_a_motion_sampled_densely():

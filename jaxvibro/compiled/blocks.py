@@ -12,11 +12,12 @@ from .compiler_hints import NARROW, WIDTH
 LEAST = 16  # lanes of a block: fewer are compiled in another way, and differ by a rounding
 
 
-def in_blocks(run, tree, blank, least=LEAST, rows=(), due=None):
+def in_blocks(run, tree, blank, least=LEAST, rows=(), due=None, strip=1):
     """run(tree, *rows) for numbers of any shapes that broadcast; run takes scalars and lanes of one block.
 
     blank: from a number of lanes to the results' first content, lanes first. least: lanes that a block has at least.
     rows: arrays of all lanes with an axis more, the last. due: of so many lanes alone, the first ones, None: of all.
+    strip: run takes the lanes of so many blocks at most, in full ones where there is more than one block.
     """
     leaves, form = jax.tree.flatten(tree)
     shape = jnp.broadcast_shapes(*map(jnp.shape, leaves))
@@ -24,6 +25,9 @@ def in_blocks(run, tree, blank, least=LEAST, rows=(), due=None):
         return run(tree, *rows)
     count = math.prod(shape)
     width = min(WIDTH if due is None else NARROW, max(least, 1 << (count - 1).bit_length()))
+    if count > WIDTH:
+        blocks = -(-count // WIDTH)
+        width *= -(-blocks // -(-blocks // strip))  # as many in each strip, so that few are done twice
     total = max(count, width)
 
     def spread(leaf, *more):

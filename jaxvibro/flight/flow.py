@@ -7,6 +7,8 @@ products alone and so is right at resonance, at critical damping and beyond. Any
 """
 
 import math
+from fractions import Fraction
+from functools import lru_cache
 from typing import NamedTuple
 
 import jax
@@ -18,6 +20,7 @@ from ..compiled.compiler_hints import choose
 
 STEP = 1.0  # longest step, in units of 1 / rate
 ORDER = 18  # STEP^19 / 19! < 1e-17
+SPARED = 5  # of the degrees of a `Series`, by `shortened`
 
 
 Number = Float[jax.Array, "..."]
@@ -89,6 +92,40 @@ def series(frequency, damping, stiffness=None):
         over(forced, 0)[2:],
         frequency * over(forced, 1)[2:-1],
     )
+
+
+def shortened(series):
+    """The `Series` with polynomials of `SPARED` degrees less, for times from 0 to a longest step, which is to be 1.
+
+    They are the old ones without Chebyshev's polynomials beyond the degree (economisation): less than 1e-16 of the
+    first coefficient, as those of a flow fall like 1 / k!.
+    """
+    return Series(*(rows if rows is None else _shortened(rows) for rows in series))
+
+
+def _shortened(rows):
+    kept = len(rows) - SPARED
+    total = rows[:kept]
+    for shares, row in zip(_shares(kept), rows[kept:], strict=True):
+        total = total + jnp.array(shares, rows.dtype).reshape(-1, *[1] * row.ndim) * row
+    return total
+
+
+@lru_cache(8)
+def _shares(kept):
+    """For each power of t that is spared, what it adds to the coefficients that are kept."""
+    chebyshev = [[1], [-1, 2]]  # in t from 0 to 1
+    for _ in range(kept - 2):
+        last, before = chebyshev[-1], [*chebyshev[-2], 0, 0]
+        chebyshev.append([4 * a - 2 * b - c for a, b, c in zip([0, *last], [*last, 0], before, strict=True)])
+    found = []
+    for power in range(kept, kept + SPARED):
+        total = [Fraction(0)] * kept
+        for j, own in enumerate(chebyshev):
+            part = Fraction(math.comb(2 * power, power - j) * (2 if j else 1), 4**power)
+            total[: j + 1] = [old + part * each for old, each in zip(total, own, strict=False)]
+        found.append([float(each) for each in total])
+    return found
 
 
 def gains(series, frequency, time):

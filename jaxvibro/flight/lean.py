@@ -103,7 +103,7 @@ def turn(numbers, lanes, turns, shifts=(), tangents=(), calls=None):
     forces = stage(lean_motion.forces, numbers, lanes.cosine, lanes.sine)
     hit, root, short, remainder = lean_event.ahead(numbers, lanes, forces)
     time = stage(_time, lanes, hit, root, short)
-    gains = stage(flow.gains, numbers.series, numbers.frequency, time)
+    gains = stage(flow.gains, numbers.flight, numbers.frequency, time)
     x, v = stage(lean_motion.flown, numbers, lanes.x, lanes.v, forces, gains)
     tangents = lean_tangent.carried(numbers, shifts, tangents, lanes, forces, gains, time)
     drive = stage(flow.turn, lanes.cosine, lanes.sine, gains.versed, gains.sined)

@@ -150,10 +150,20 @@ def _guess(progress):
 
 def _root(progress, guess):
     """A root from the quadratic's, by one of Halley's steps and one of Newton's with the slope of before."""
-    value, slope = event.horner(progress.terms, guess)
-    inverse = slope / (slope * slope - 0.5 * value * event.bend(progress, guess))
+    value, slope, half = _bent(progress.terms, guess)
+    inverse = slope / (slope * slope - value * half)
     root = guess - value * inverse
     return root - event.horner(progress.terms, root)[0] * inverse
+
+
+def _bent(g, time):
+    """The polynomial with these coefficients, its slope and half its second derivative at a time."""
+    value, slope, half = g[-1] * time + g[-2], g[-1], lax.full_like(time, 0.0)
+    for coefficient in g[-3::-1]:
+        half = half * time + slope
+        slope = slope * time + value
+        value = value * time + coefficient
+    return value, slope, half
 
 
 def _known(progress, guess, root):

@@ -18,11 +18,11 @@ MOST_TURNS = 256.0  # of a period: so few that roundings cannot add up to `lean_
 class Numbers(NamedTuple):
     """What lean steps need of a scene, in longest steps of time; each number a scalar or one for each lane.
 
-    Of x'' = force cos - stiffness x - drag x': these, and the drive's frequency; series: of its flow; walls: the
-    frame's; swings: for each, its swing's Taylor coefficients but for cos and sin, None where it stands still; sway:
-    what the swings add to the remainder; forcing: what the drive adds, inertia: the sixth derivative's share in it;
-    gap: between still walls; size: the walls' distances and the drive's amplitude together; turns: of one period, the
-    most; reach: the longest step (t).
+    Of x'' = force cos - stiffness x - drag x': these, and the drive's frequency; series: of its flow, flight: that
+    `flow.shortened`; walls: the frame's; swings: for each, its swing's Taylor coefficients but for cos and sin, None
+    where it stands still; sway: what the swings add to the remainder; forcing: what the drive adds, inertia: the sixth
+    derivative's share in it; gap: between still walls; size: the walls' distances and the drive's amplitude together;
+    turns: of one period, the most; reach: the longest step (t).
     """
 
     force: Float[jax.Array, "..."]
@@ -30,6 +30,7 @@ class Numbers(NamedTuple):
     drag: Float[jax.Array, "..."]
     stiffness: Float[jax.Array, "..."]
     series: flow.Series
+    flight: flow.Series
     walls: tuple[Lane, ...]
     swings: tuple[tuple[Float[jax.Array, "..."], ...] | None, ...]
     sway: tuple[Float[jax.Array, "..."], ...]
@@ -65,6 +66,7 @@ def numbers(frame):
     reach = frame.reach
     frequency, damping, stiffness = frame.frequency * reach, frame.damping * reach, reach * reach
     force, period = frame.force * stiffness, frame.period * frame.pace
+    series = flow.series(frequency, damping, stiffness)
     swings = tuple(_swings(wall, frequency) for wall in frame.walls)
     none = jnp.zeros_like(reach)
     gap = frame.walls[-1].position - frame.walls[0].position
@@ -73,7 +75,8 @@ def numbers(frame):
         frequency=frequency,
         drag=2.0 * damping,
         stiffness=stiffness,
-        series=flow.series(frequency, damping, stiffness),
+        series=series,
+        flight=flow.shortened(series),
         walls=frame.walls,
         swings=swings,
         sway=tuple(none if swing is None else abs(swing[TERMS]) for swing in swings),

@@ -55,20 +55,20 @@ def shift(numbers, scene, rates, phase):
         force=force,
         frequency=frequency,
         drag=drag,
-        series=_series(numbers, frequency, drag),
+        flight=_flight(numbers, frequency, drag),
         walls=tuple(_wall(side, wall, rate, rates.restitution) for side, wall, rate in given if wall is not None),
     )
     period = None if frequency is None else -(numbers.period / numbers.frequency) * frequency
     return Shift(moving, phase, period)
 
 
-def _series(numbers, frequency, drag):
+def _flight(numbers, frequency, drag):
     """The rates of the flow's coefficients; the free flow's do not know the drive."""
     if frequency is None and drag is None:
         return None
     half = None if drag is None else 0.5 * drag
     values = numbers.frequency, 0.5 * numbers.drag, numbers.stiffness
-    moved = pushed(flow.series, values, (frequency, half, None))
+    moved = flow.shortened(pushed(flow.series, values, (frequency, half, None)))
     return moved if drag is not None else moved._replace(stay=None, move=None)
 
 
@@ -137,7 +137,7 @@ def _carried(numbers, shift, tangent, x, v, cosine, sine, forces, gains, time, e
     force = None, None
     if moving.force is not None or drive[0] is not None:
         force = pushed(lean_motion.forces, (numbers, cosine, sine), (moving, *drive))
-    gain = _gains(moving.series, time)
+    gain = _gains(moving.flight, time)
     return Tangent(
         *pushed(lean_motion.flown, (numbers, x, v, forces, gains), (moving, tangent.x, tangent.v, force, gain))
     )

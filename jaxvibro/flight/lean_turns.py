@@ -167,7 +167,7 @@ def measure(numbers, left, calls):
     time = stage(_crossed, speeds, turn.span)
     for _ in range(2):
         time = stage(_halley_on, speeds, time, turn.span)
-    gains = stage(flow.gains, numbers.series, numbers.frequency, time)
+    gains = stage(flow.gains, numbers.flight, numbers.frequency, time)
     x, v = stage(lean_motion.flown, numbers, turn.x, turn.v, forces, gains)
     drive = stage(flow.turn, turn.cosine, turn.sine, gains.versed, gains.sined)
     near = [stage(_derivative, numbers, x, v, drive, side, k=k) for k in range(6)]

@@ -14,7 +14,7 @@ from ..scene.scene import Scene
 from ..scene.state import Impacts, State, real_state
 from . import derivatives, one_period, two_tiers
 
-CHUNK = 256  # lanes that lean steps have given up are done so many at a time
+CHUNK = 1024  # lanes that lean steps have given up are done so many at a time
 
 
 @persistent_jit(static_argnums=(2, 3, 4), compiler_options=OPTIONS)

@@ -24,6 +24,8 @@ from ..scene.state import Impacts, State
 from . import one_period
 from .replayed_slopes import cut, known_impacts, replayed_slopes
 
+STRIP = 8  # blocks of one kernel: what is launched around a kernel takes a tenth of a block's time
+
 
 class Asked(NamedTuple):
     """What is asked for, static: how many slots, whether the least clearance, and derivatives by which leaves of
@@ -103,14 +105,21 @@ def _flat(scene, state):
 
 def _in_blocks(scene, state, start, asked, least):
     def run(given):
-        return one_kernel(_lean, *given, asked=asked)
+        return one_kernel(_strip, *given, asked=asked, least=least)
 
-    def empty(count):
-        none = jnp.zeros(count, scene.dtype)
-        out = one_period.blank(count, asked.slots, scene.dtype, asked.clearance)
-        return out, (Tangent(none, none),) * len(asked.chosen), jnp.zeros(count, bool)
+    return in_blocks(run, (scene, state, start), partial(_empty, scene.dtype, asked), least, strip=STRIP)
 
-    return in_blocks(run, (scene, state, start), empty, least)
+
+def _empty(dtype, asked, count):
+    none = jnp.zeros(count, dtype)
+    out = one_period.blank(count, asked.slots, dtype, asked.clearance)
+    return out, (Tangent(none, none),) * len(asked.chosen), jnp.zeros(count, bool)
+
+
+def _strip(scene, state, start, asked, least):
+    """`_lean`, a block after the other."""
+    empty = partial(_empty, scene.dtype, asked)
+    return in_blocks(lambda given: _lean(*given, asked), (scene, state, start), empty, least)
 
 
 def _lean(scene, state, start, asked):
