@@ -9,7 +9,7 @@ from jax import lax
 import jaxvibro as jv
 from continuation import in_numpy
 from continuation.in_numpy import Tried
-from continuation.python_program import Program
+from continuation.python_program import program
 
 rng = np.random.default_rng(0)
 ROW, OTHER = rng.normal(size=(2, 6))
@@ -198,8 +198,8 @@ def test_what_no_result_needs_is_not_written():
     def plain(x):
         return lax.fori_loop(0, 3, lambda _, x: x + 1.0, x)
 
-    written = [Program(jax.jit(each).trace(1.0).jaxpr) for each in (wasted, plain)]
-    assert written[0].count == written[1].count
+    written = [program(jax.jit(each).trace(1.0).jaxpr) for each in (wasted, plain)]
+    assert written[0].text == written[1].text
 
 
 def test_it_is_compiled_once_it_has_cost_as_much(monkeypatch):
