@@ -132,6 +132,7 @@ def test_compiled_is_for_a_while():
     assert in_numpy.PATIENCE == before > 0
 
 
+@pytest.mark.slow
 def test_our_own_sides_map_as_the_reference_does():
     states = draw(24)
     true = truth.find(states)
@@ -155,6 +156,7 @@ def test_work_is_what_it_is_called(work):
     assert np.all(np.asarray(impacts.status) < Status.CAP)
 
 
+@pytest.mark.slow
 def test_the_share_done_in_full_is_that_of_all_periods(monkeypatch):
     given_up = iter([[0, 0, 0, 1], [0, 1, 1, 1], [0, 0, 0, 0]])
     met = []

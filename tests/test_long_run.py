@@ -17,6 +17,7 @@ SCENES = {
     "many impacts": jv.make_scene(3.0, 0.1, 0.05, 0.8, (-1.0, 0.5)),
     "moving": jv.make_scene(1.5, 1.3, 0.4, 0.3, (jv.Wall(-0.6, motion=jv.Motion(0.1, 0.5)), 0.4)),
 }
+MIXED = (("slow impacts", 3_000), ("no speed left", 9_000), ("many impacts", 9_000))
 
 
 def strobed(scene, state, periods):
@@ -52,9 +53,10 @@ def counted(monkeypatch):
 @pytest.mark.parametrize(
     "kind, patience",
     [
-        *((kind, 0) for kind in SCENES),
+        ("chatter", 0),
+        *(pytest.param(kind, 0, marks=pytest.mark.slow) for kind in SCENES if kind != "chatter"),  # compile both tiers
         *((kind, np.inf) for kind in SCENES),
-        *(("slow impacts", 3_000), ("no speed left", 9_000), ("many impacts", 9_000)),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in MIXED),
     ],
 )
 def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, counted, monkeypatch):
@@ -76,6 +78,7 @@ def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, cou
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 def test_lanes_of_a_batch_of_scenes(counted):
     rng = np.random.default_rng(5)
     scene = jv.make_scene(rng.uniform(1.0, 3.0, LANES), 2.6, 0.3, 0.33, (-1.75, 0.21))
