@@ -62,7 +62,7 @@ def wall(place, stiffness):
 def judge(ends, sides, truth, far=FAR):
     """Verdict on a side's ends (n, 2) and sides (n, CAP), or None for no itinerary, of the first n lanes of truth.
 
-    An end that is nan is wrong, as is without an itinerary one that is far off.
+    An end that is nan is wrong, as is without an itinerary one that is far off. Errors where none is right are nan.
     """
     count = min(len(ends), len(truth.ends))
     judged = truth.judged[:count]
@@ -71,5 +71,5 @@ def judge(ends, sides, truth, far=FAR):
     astray |= np.isnan(error)
     wrong = judged & astray
     error = error[judged & ~wrong]
-    median, high, worst = np.quantile(error, [0.5, 0.99, 1.0])
+    median, high, worst = np.quantile(error, [0.5, 0.99, 1.0]) if error.size else (np.nan,) * 3
     return Verdict(int(judged.sum()), int(wrong.sum()), float(median), float(high), float(worst))
