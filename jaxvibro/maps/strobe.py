@@ -1,5 +1,6 @@
 """The stroboscopic map: the state one or more drive periods later, and the impacts on the way."""
 
+import math
 from functools import partial
 
 import jax
@@ -14,6 +15,7 @@ from ..scene.scene import Scene
 from ..scene.state import Impacts, State, real_state
 from . import derivatives, one_period, two_tiers
 
+SOME = 256  # lanes of which one is nearly always given up: up to a chunk of them are done by both tiers in one call
 CHUNK = 1024  # lanes that lean steps have given up are done so many at a time
 
 
@@ -51,14 +53,16 @@ def _at(tree, places, shape):
 
 def from_host(scene, state, periods, slots, clearance):
     """The strobe of numbers that are known: what the lean tier does not need is not compiled."""
-    if periods > 1 or not two_tiers.takes(scene):
-        return _at_once(scene, state, periods, slots, clearance)
     numbers = (state.x, state.v, state.phase, state.contact)
-    if not (scene.shape or any(map(np.shape, numbers))):
+    shapes = [scene.shape, *map(np.shape, numbers)]
+    shape = np.broadcast_shapes(*shapes) if any(shapes) else ()
+    if periods > 1 or not two_tiers.takes(scene) or SOME <= math.prod(shape) <= CHUNK:
+        return _at_once(scene, state, periods, slots, clearance)
+    if not shape:
         found, given_up = _lean_of_one(scene, np.array(numbers), slots, clearance)
         return _full(scene, state, slots, clearance, None) if np.asarray(given_up) else found
     found, given_up = _lean(scene, state, slots, clearance)
-    due, shape = np.flatnonzero(given_up), np.shape(given_up)
+    due = np.flatnonzero(given_up)
     if not due.size:
         return found
     given = jax.tree.map(np.asarray, (scene, state))
