@@ -8,8 +8,11 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight.coefficients import frame
+from jaxvibro.flight.wall_positions import places
+from jaxvibro.maps import itinerary as words
 from jaxvibro.orbits import impact_equations
 from jaxvibro.orbits.by_impacts import by_impacts, padded, solution
+from jaxvibro.reproduction import closed as exact
 from tests.reference import closed, floquet, grid
 from tests.reference.scene import Motion, Scene, Wall
 
@@ -233,3 +236,35 @@ def test_orbits_of_two_periods_against_a_search_on_a_grid(scene):
     assert sorted(n for n, _ in found) == sorted(n for n, _ in other) == [1, 1, 1, 2, 2]
     for n, root in found:
         assert min(abs(root - theirs) for m, theirs in other if m == n) < 1e-9
+
+
+@pytest.mark.parametrize("right", (1.1, jv.Wall(1.1, restitution=0.6, motion=jv.Motion(0.1, 0.4))))
+@pytest.mark.parametrize("which", (0, 1))
+def test_a_round_that_begins_on_a_wall_ends_with_the_impact_there(right, which):
+    """Rounding, or an error of the start, decides whether that impact is before the end: the orbit is the same."""
+    rng, labels = np.random.default_rng(11), []
+    for _ in range(4):
+        scene = jv.make_scene(rng.uniform(2.0, 2.4), rng.uniform(1.9, 2.2), 0.05, 0.7, (-1.0, right))
+        orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
+        side, speed = int(orbit.impacts.side[which]), float(orbit.impacts.speed[which])
+        phase = float(scene.frequency) * float(orbit.impacts.time[which])
+        place, pace = (float(each) for each in places(scene, phase)[side > 0])
+        wall = scene.right if side > 0 else scene.left
+        bounce = float(scene.restitution if wall.restitution is None else wall.restitution)
+        for error in (0.0, -1e-12, 1e-12, -1e-4, 1e-4):
+            start = jv.State(place, pace - side * bounce * speed * (1.0 + error), phase)
+            found = jv.find_orbit(scene, start, periods=orbit.periods, settle=0)
+            assert words.same(found.itinerary, orbit.itinerary)
+            np.testing.assert_allclose(np.sort(found.impacts.speed), np.sort(orbit.impacts.speed), rtol=1e-11)
+        labels.append(orbit.label)
+    assert "P111" in labels
+
+
+@pytest.mark.parametrize("beyond", (0.02, 0.1, 0.3, 0.7))
+def test_an_orbit_in_a_thin_tongue_is_found_from_its_closed_form(beyond):
+    omega, gamma = 0.21709371246996997, 0.35
+    begin, speed = (float(each) for each in exact.symmetric_fold(omega, gamma, R))
+    amplitude = begin + beyond * (float(exact.grazing(omega, gamma)) - begin)
+    scene = jv.make_scene(amplitude, omega, gamma, R, (-1.0, 1.0))
+    found = jv.find_orbit(scene, exact.symmetric_start(scene), periods=1, settle=0)
+    assert found.label == "P111" and speed < found.least_speed < 3.0 * speed

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..flight.wall_positions import places
 from ..maps import itinerary as words
 from ..maps.initial_conditions import box
 from ..maps.iterate import KEEP, iterate
@@ -92,11 +93,31 @@ def _near(scene, state, periods, itinerary):
     kept = _followed(iterate(scene, state, periods))
     found = words.words(kept.side[:, 0])
     plain = State(*(float(each[0]) for each in (state.x, state.v, state.phase, state.contact)))
+    length = 2.0 * np.pi / float(scene.frequency)
+    hit = kept.side[:, 0] != 0
+    times = (kept.time[:, 0] + length * np.arange(periods)[:, None])[hit]
+    speeds, sides = kept.speed[:, 0][hit], kept.side[:, 0][hit]
+    late = _late(scene, plain, float(kept.x[-1, 0]), float(kept.v[-1, 0]), SETTLED * length)
+    if late is not None:
+        wait, speed, side = late
+        times, speeds = np.append(times, length * periods + wait), np.append(speeds, speed)
+        sides = np.append(sides, side)
+        found = (*found[:-1], found[-1] + words.LETTERS[side])
     if itinerary is not None and not words.same(found, itinerary):
         return guessed(scene, itinerary, plain, box(scene)[2])
     if not any(found) or may_rest(scene, kept.status, kept.contact):
         return by_state(scene, plain, periods)
-    length = 2.0 * np.pi / float(scene.frequency)
-    hit = kept.side[:, 0] != 0
-    times = (kept.time[:, 0] + length * np.arange(periods)[:, None])[hit]
-    return by_impacts(scene, times, kept.speed[:, 0][hit], kept.side[:, 0][hit], plain.phase, periods)
+    return by_impacts(scene, times, speeds, sides, plain.phase, periods)
+
+
+def _late(scene, begin, x, v, longest):
+    """(time after the end, speed, side) of the impact with which a round that begins on a rigid wall ends, where a
+    rounding, or a guess's error, has put it after the end; None where there is none so soon."""
+    for side, wall, (place, pace) in zip((-1, 1), (scene.left, scene.right), places(scene, begin.phase), strict=True):
+        if wall is None or wall.soft:
+            continue
+        on = abs(begin.x - place) <= 8.0 * np.finfo(scene.dtype).eps * max(1.0, abs(begin.x))
+        gap, speed = side * (float(place) - x), side * (v - float(pace))
+        if on and side * (begin.v - pace) < 0 and gap >= 0 and speed * longest > gap:
+            return gap / speed, speed, side
+    return None
