@@ -90,9 +90,8 @@ def _called(plain, traced, options):
 def _from_host(function, numpy_first, plain, traced, options):
     static = np.atleast_1d(options.get("static_argnums", ())).astype(int).tolist()
     evaluated = numpy_first if callable(numpy_first) else function
-    tried = in_numpy.Tried(
-        evaluated, static, {}, partial(_read_way, evaluated, static), partial(_keep_way, evaluated, static)
-    )
+    read, keep = partial(_read_way, evaluated, static), partial(_keep_way, evaluated, static)
+    tried = in_numpy.Tried(evaluated, static, {}, read, keep)
     further = {key: each for key, each in options.items() if key != "static_argnums"}
     compiled: dict[Any, PackedCall] = {}  # of each kind of arguments that has come so far
 
@@ -158,11 +157,8 @@ def _read_way(function, static, args):
 
 def _keep_way(function, static, args, way):
     with suppress(Exception):
-        place, result = (
-            _text_place(function, static, args),
-            jax.tree.unflatten(way.form, [NUMBER] * way.form.num_leaves),
-        )
-        form = _described(result)
+        place = _text_place(function, static, args)
+        form = _described(jax.tree.unflatten(way.form, [NUMBER] * way.form.num_leaves))
         if place and way.program.text and jax.tree.structure(_built(form)) == way.form:
             _write(place, f"{way.program.text}\nform = {form!r}\n".encode())
 

@@ -116,7 +116,7 @@ def _late(scene, begin, x, v, longest):
     for side, wall, (place, pace) in zip((-1, 1), (scene.left, scene.right), places(scene, begin.phase), strict=True):
         if wall is None or wall.soft:
             continue
-        on = abs(begin.x - place) <= 8.0 * np.finfo(scene.dtype).eps * max(1.0, abs(begin.x))
+        on = abs(begin.x - place) <= 8.0 * np.finfo(scene.dtype).eps * abs(float(place))
         gap, speed = side * (float(place) - x), side * (v - float(pace))
         if on and side * (begin.v - pace) < 0 and gap >= 0 and speed * longest > gap:
             return gap / speed, speed, side
