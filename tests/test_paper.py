@@ -343,11 +343,13 @@ def test_an_unknown_figure_is_refused(tmp_path, capsys):
         told.startswith("jaxvibro: figure: must be one of those known, perhaps fig9 (fig2, ") and told.count("\n") == 1
     )
     assert list(tmp_path.iterdir()) == []
+    with pytest.raises(jv.ArgumentError, match="workers: must be a whole number from 1 on; got 0"):
+        jv.paper(["fig9"], tmp_path, workers=0)
 
 
 @pytest.mark.slow
 def test_formulas_and_one_wall(tmp_path):
-    done = jv.paper(["formulas", "walls"], tmp_path)
+    done = jv.paper(["formulas", "walls"], tmp_path, workers=2)  # a process each
     found = {(one.figure, one.text): one for one in done.claims}
     verdicts = [one.verdict for one in done.claims if one.figure == "one wall" and "same as" in one.text]
     assert verdicts == [HOLDS, FALSE, FALSE]

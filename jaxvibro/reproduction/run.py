@@ -2,9 +2,11 @@
 
 import hashlib
 import json
+import multiprocessing
 import sys
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
@@ -12,7 +14,7 @@ from pathlib import Path
 from .. import __version__
 from ..output.atomic_write import refuse_folder, whole
 from ..output.checksums import MARKS, digest, is_sealed, netcdf, sealed
-from ..scene.check import ArgumentError, among, sequence
+from ..scene import check
 from ..studies import scene_file
 from .claim import Claim
 from .figures import JOBS
@@ -39,6 +41,7 @@ def paper(
     scenes: str | PathLike[str] | None = None,
     force: bool = False,
     progress: bool = False,
+    workers: int = 1,
 ) -> Report:
     """Recomputes figures and claims of the paper and writes them into a folder: a `Report`.
 
@@ -46,32 +49,57 @@ def paper(
     NAME.json (the claims) of each, its data as NetCDF, and report.html and report.md of all that is there. scenes: the
     folder of the scene files, by default those that come with the package. What is there already, of the same scene
     files and program, is kept unless force is given: so an interrupted run goes on where it stopped. progress: show
-    bars on stderr.
+    bars on stderr, with several workers lines alone. workers: so many figures at once, each in a process of its own
+    where it is more than one; a script that asks for them has to be one that may be imported (`multiprocessing`).
 
-    Raises ArgumentError for a name that is none and for scene files that break a rule, OSError where a file cannot be
-    read or written.
+    Raises ArgumentError for a name that is none, workers that are no whole number from 1 on and scene files that break
+    a rule, OSError where a file cannot be read or written.
     """
+    workers = check.whole("workers", workers, 1)
     out, folder = Path(out), _scenes() if scenes is None else Path(scenes)
-    names = sequence("names", names) or tuple(JOBS)
+    names = check.sequence("names", names) or tuple(JOBS)
     for name in names:
         if name not in JOBS:
-            raise ArgumentError("figure", f"must be one of those known{among(name, JOBS)}", name)
-    files = {name: [scene_file.read(folder / f"{one}.toml") for one in JOBS[name].files] for name in names}
+            raise check.ArgumentError("figure", f"must be one of those known{check.among(name, JOBS)}", name)
+    for name in names:
+        _files(folder, name)
     keys = {name: _key(folder, JOBS[name].files) for name in JOBS if _exist(folder, JOBS[name].files)}
     refuse_folder(out)
     out.mkdir(parents=True, exist_ok=True)
-    for place, name in enumerate(names, 1):
-        if force or _kept(out, name, keys[name]) is None:
-            _told(progress, f"{name} ({place} of {len(names)})")
-            began = time.perf_counter()
-            _keep(out, name, keys[name], JOBS[name].drawn(*files[name], progress=progress))
-            _told(progress, f"{name}: {time.perf_counter() - began:.1f} s")
+    due = [name for name in names if force or _kept(out, name, keys[name]) is None]
+    tasks = [(name, folder, out, keys[name], progress and workers == 1) for name in due]
+    for place, (name, seconds) in enumerate(_each(tasks, workers), 1):
+        if progress:
+            print(f"{name}: {seconds:.1f} s ({place} of {len(due)})", file=sys.stderr, flush=True)
     return _report(out, keys)
 
 
-def _told(progress, message):
+def _files(folder, name):
+    return [scene_file.read(folder / f"{one}.toml") for one in JOBS[name].files]
+
+
+def _each(tasks, workers):
+    """What `_computed` gives of each task, in this process or, as they are done, in some of their own."""
+    if workers == 1 or len(tasks) < 2:
+        yield from (_computed(*task) for task in tasks)
+        return
+    fresh = multiprocessing.get_context("spawn")  # jax's threads do not live through a fork
+    with ProcessPoolExecutor(workers, fresh) as pool:
+        running = [pool.submit(_computed, *task) for task in tasks]
+        try:
+            yield from (one.result() for one in as_completed(running))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _computed(name, folder, out, key, progress):
+    """(the name of a figure, how long it took), its files written."""
+    began = time.perf_counter()
     if progress:
-        print(message, file=sys.stderr, flush=True)
+        print(name, file=sys.stderr, flush=True)
+    _keep(out, name, key, JOBS[name].drawn(*_files(folder, name), progress=progress))
+    return name, time.perf_counter() - began
 
 
 def _scenes():

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import signal
 import sys
 
@@ -13,6 +14,7 @@ from . import jax_settings, scene_template
 
 BAD, INTERRUPTED = 2, 130
 LONGEST = 300  # characters of a complaint
+MOST_WORKERS = 4  # of `paper`: each takes a gigabyte and more
 
 _RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
 periodic [orbits], stable and unstable; a [branch] of them is followed along a parameter, with the branches that leave
@@ -80,6 +82,8 @@ def _parser():
     paper.add_argument("--scenes", metavar="DIR", help="folder of the scene files; default: those of the package")
     paper.add_argument("--out", metavar="DIR", default="out/paper", help="folder to write into; default: out/paper")
     paper.add_argument("--force", action="store_true", help="compute again what is there already")
+    told = f"figures at once; default: one for each processor core, at most {MOST_WORKERS}"
+    paper.add_argument("--workers", metavar="N", type=int, default=min(MOST_WORKERS, os.cpu_count() or 1), help=told)
     paper.set_defaults(does=_paper)
 
     warm = commands.add_parser("warm", help="fill the compile cache", description=_WARM, allow_abbrev=False)
@@ -107,7 +111,7 @@ def _run(given):
 
 def _paper(given):
     jax_settings.prepare()
-    done = _loaded("paper")(given.names, given.out, given.scenes, given.force, progress=True)
+    done = _loaded("paper")(given.names, given.out, given.scenes, given.force, progress=True, workers=given.workers)
     print(done.told)
     for kind, path in (("page", done.page), ("text", done.text)):
         print(f"{kind:8}{path}")
