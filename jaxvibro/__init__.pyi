@@ -17,6 +17,10 @@ from .branches.peaks import peak as peak
 from .branches.peaks import peaks as peaks
 from .branches.switch import extend as extend
 from .branches.switch import switch as switch
+from .design.located import Located as Located
+from .design.located import LocatedPoint as LocatedPoint
+from .design.located import LocatedStatus as LocatedStatus
+from .design.located import located as located
 from .loci.family import family as family
 from .loci.locus import Locus as Locus
 from .loci.locus import locus as locus

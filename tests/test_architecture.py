@@ -11,7 +11,7 @@ ROOT = Path(__file__).parents[1]
 FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROOT / package).rglob("*.py"))
 # A file imports only from its own room and from those before it.
 ROOMS = [
-    *("scene", "output", "compiled", "flight", "maps", "orbits", "attractors", "problem", "branches", "loci"),
+    *("scene", "output", "compiled", "flight", "maps", "orbits", "attractors", "problem", "branches", "loci", "design"),
     *("plot", "studies", "reproduction"),
 ]
 FACE = ("plot", "reproduction")  # rooms whose own file names what stands in them

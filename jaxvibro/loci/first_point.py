@@ -99,10 +99,10 @@ def named(scene, names):
     return pair
 
 
-def equations(start, names):
+def equations(start, names, whole=False):
     """(`Grazing` or `Singular`, z) at a `LocusStart`, along any number of parameters, a list of one; at a GR of one for
-    each touch, which leaves the others out. A tuple of names is one, of several that have one value. Raises
-    ArgumentError."""
+    each touch, which leaves the others out. A tuple of names is one, of several that have one value. whole: of the
+    whole orbit, be it symmetric, unless an SB asks for half of it. Raises ArgumentError."""
     scene, spot = start.scene, start.spot
     impacts = _impacts(start)
     values = [tied(scene, name) for name in names]
@@ -110,6 +110,7 @@ def equations(start, names):
     half = _is_half(start, impacts, names)
     if start.kind == "SB" and not half:
         raise check.ArgumentError("names", "must keep the scene symmetric: an SB is no point of another", names)
+    half = half and not (whole and start.kind != "SB")
     turn, periods = (-1.0, 0.5 * spot.periods) if half else (1.0, float(spot.periods))
     if half:
         impacts = impacts[: len(impacts) // 2]

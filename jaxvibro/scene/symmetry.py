@@ -1,5 +1,8 @@
 """Whether a scene is its own mirror image: (x, v, phase) -> (-x, -v, phase + pi), the walls exchanged."""
 
+from dataclasses import replace
+
+import jax.numpy as jnp
 import numpy as np
 
 from .scene import changed
@@ -38,3 +41,33 @@ def _swing(motion):
     if motion is None:
         return 1, 0.0
     return motion.harmonic, complex(motion.amplitude * np.exp(1j * float(motion.phase)))
+
+
+def symmetric_part(scene):
+    """The scene whose walls are the means of its walls and of their mirror images, itself where it is symmetric.
+
+    Both walls are of one kind; each gets its own numbers. Smooth in all of them, except where walls cease to swing.
+    """
+    left, right = scene.left, scene.right
+    own = ("stiffness", "damping") if left.soft else ("restitution",)
+    means = {name: 0.5 * (scene.parameter(f"left.{name}") + scene.parameter(f"right.{name}")) for name in own}
+    away = 0.5 * (right.position - left.position)
+    motions = _opposite(left.motion, right.motion)
+    sides = zip(("left", "right"), (left, right), (-away, away), motions, strict=True)
+    return replace(
+        scene, **{side: replace(wall, position=where, motion=motion, **means) for side, wall, where, motion in sides}
+    )
+
+
+def _opposite(left, right):
+    """The motions of two walls with which they swing oppositely, half a period apart: the means; none where one has
+    none, or another harmonic: then a symmetric scene has no swing."""
+    if left is None or right is None or left.harmonic != right.harmonic:
+        return None, None
+    late, sign = left.phase - right.phase, -((-1.0) ** right.harmonic)
+    along = 0.5 * (right.amplitude + sign * left.amplitude * jnp.cos(late))
+    across = 0.5 * sign * left.amplitude * jnp.sin(late)
+    share = across / jnp.where(along == 0, 1.0, along)
+    amplitude, turned = along * jnp.sqrt(1.0 + share * share), jnp.arctan(share)
+    phase = right.phase + turned
+    return replace(left, amplitude=sign * amplitude, phase=phase), replace(right, amplitude=amplitude, phase=phase)

@@ -1,0 +1,196 @@
+"""A special point's value as a function of its whole scene: `located`."""
+
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from functools import partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Float, Int
+
+from continuation.arrays import Array
+from continuation.implicit import JUMPED, LOST, carried, in_turn, root
+
+from ..branches.branch import Special
+from ..compiled.compiler_hints import one_kernel
+from ..flight.coefficients import framed
+from ..loci.first_point import equations, start_of
+from ..orbits import flight_clearance, impact_equations
+from ..problem.touches import TOUCH
+from ..scene import check
+from ..scene.scene import SIDES, Scene, changed
+from .point_equations import STATIC, PointEquations, at_point
+
+
+class LocatedStatus(IntEnum):
+    """What became of a special point on the straight way to another scene. OK: it was followed all the way there.
+    JUMPED: the way was lost, and Newton's method has led to a point of the kind that may be another. VIRTUAL: its orbit
+    passes through a wall, or an impact is from behind it: the boundary ends before. NONE: none was found; the value is
+    nan."""
+
+    OK = 0
+    JUMPED = 1
+    VIRTUAL = 2
+    NONE = 3
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class LocatedPoint:
+    """A special point of each scene. value: of the parameter; times: of the impacts, since the drive was at phase 0;
+    speeds: before them, 0 of the one that grazes; residual: the largest number left in the equations; status: a
+    `LocatedStatus`; sides: -1 left, 1 right, of an impact; periods: of the drive. At an SB half of the orbit, with half
+    of its periods: the other half is its mirror image."""
+
+    value: Float[Array, "..."]
+    times: Float[Array, "... impacts"]
+    speeds: Float[Array, "... impacts"]
+    residual: Float[Array, "..."]
+    status: Int[Array, "..."]
+    sides: tuple[int, ...] = field(metadata=STATIC, default=())
+    periods: float = field(metadata=STATIC, default=1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Located:
+    """A special point as a function of scenes, made by `located`: `value(scene)` is the parameter's value there,
+    `value.solve(scene)` a `LocatedPoint`.
+
+    special: the point that it was made of; name: of the parameter. A scene has the walls of the point's; a batch of
+    scenes gives arrays of its shape. Under jit, vmap and grad, forward and reverse, at any order.
+    """
+
+    special: Special
+    name: str
+    _equations: PointEquations = field(repr=False)
+    _start: Float[np.ndarray, " unknowns"] = field(repr=False)
+    _scene: Scene = field(repr=False)
+
+    def __call__(self, scene: Scene) -> Float[Array, "..."]:
+        """The parameter's value at the point, of the scene's shape; nan where there is none.
+
+        What the scene itself says of the parameter does not matter. Raises ArgumentError for a scene with other walls.
+        """
+        return self.solve(scene).value
+
+    def solve(self, scene: Scene) -> LocatedPoint:
+        """The `LocatedPoint` of the scene. Raises ArgumentError for a scene with other walls."""
+        kind = _kind(self._scene)
+        if not isinstance(scene, Scene) or _kind(scene) != kind:
+            raise check.ArgumentError("scene", f"must be a Scene with the walls of the point's, {kind}", _told(scene))
+        given = replace(self._equations, names=_names(scene, self.name))
+        begin, end = _whole(self._scene), _whole(scene)
+        shape = end.shape
+        flat = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape).reshape(-1), end)
+        found = _solved(given, self._start, begin, flat)
+        found = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
+        sides, periods = (np.asarray(each) for each in (given.cycle.sides, given.cycle.periods))
+        return replace(found, sides=tuple(int(side) for side in sides), periods=float(periods))
+
+
+@check.host("use the function that it gives")
+def located(special: Special, name: str | None = None, wall: str | None = None) -> Located:
+    """A special point's value as a JAX function of its scene: a `Located`.
+
+    special: a `Special` of a branch, SN, PD, SB or GR. name: of the parameter whose value is asked for, by default the
+    point's own. wall: "left" or "right" for a GR that touches both at once: which of them is meant.
+
+    The point is followed on the straight way from its own scene to the one given, by Newton's method on its defining
+    equations (`point_equations`), and differentiated by the implicit function theorem. An SB is that of the scene's
+    symmetric part. Where a wall has no restitution (or damping) of its own, the scene's derivative holds the wall's.
+
+    Raises ArgumentError for a point of another kind, a name that the scene lacks, and a GR that touches more than one
+    wall, or one more than once, where no wall is given.
+    """
+    start = start_of(special)
+    name = special.name if name is None else name
+    check.require_known(name, start.scene.names, name)
+    if wall not in (None, *SIDES):
+        raise check.ArgumentError("wall", 'must be "left", "right" or None', wall)
+    given, unknowns = _only(start, name, wall)
+    return Located(special, name, given, unknowns, special.scene)
+
+
+def _only(start, name, wall):
+    """(`PointEquations`, unknowns) of the one touch of a wall."""
+    names = _names(start.scene, name)
+    found = [at_point(start.kind, names, *sheet) for sheet in equations(start, (name,), whole=True)]
+    sides = [None if each.touch is None else SIDES[int(each.cycle.sides[each.touch] > 0)] for each, _ in found]
+    chosen = [one for one, side in zip(found, sides, strict=True) if wall in (None, side)]
+    if len(chosen) != 1:
+        told = ", ".join(side for side in sides if side) or "none"
+        raise check.ArgumentError("wall", f"must be one of those that are touched, {told}", wall)
+    return chosen[0]
+
+
+def _names(scene, name):
+    """The names of a parameter and of what takes its value from the scene."""
+    return (name, *(f"{side}.{name}" for side, wall in scene.walls.items() if name in wall.taken))
+
+
+def _whole(scene):
+    """The scene with all numbers of its walls their own."""
+    own = {f"{side}.{name}": scene.parameter(name) for side, wall in scene.walls.items() for name in wall.taken}
+    return jax.tree.map(jnp.asarray, changed(scene, own))
+
+
+def _kind(scene):
+    """What is static of a scene, in words."""
+    walls = []
+    for side, wall in scene.walls.items():
+        moving = "" if wall.motion is None else f", moving {wall.motion.harmonic} times a period"
+        walls.append(f"{side} {'soft' if wall.soft else 'rigid'}{moving}")
+    return "; ".join(walls)
+
+
+def _told(scene):
+    return _kind(scene) if isinstance(scene, Scene) else scene
+
+
+@jax.jit
+def _solved(given, start, begin, scenes):
+    """The `LocatedPoint`s of scenes in one axis."""
+    numbers, tree = jax.tree.flatten(begin)
+    rows = jnp.stack(jax.tree.leaves(scenes), 1)
+    find = root(partial(_left, tree), partial(_found, tree), one_kernel)
+    look = in_turn(partial(_admissible, tree), one_kernel)
+    fixed = given, jnp.asarray(start), jnp.stack(numbers)
+
+    def at(row):
+        unknowns, told = find(row, fixed)
+        return _point(given, unknowns, *told, look(given, *lax.stop_gradient((row, unknowns))))
+
+    return jax.vmap(at)(rows)
+
+
+def _left(tree, unknowns, numbers, fixed):
+    return fixed[0].left(unknowns, tree.unflatten(list(numbers)))
+
+
+def _found(tree, numbers, fixed):
+    """(unknowns, (the residual, how they were found))."""
+    _, start, begin = fixed
+    found = carried(partial(_left, tree), start, begin, numbers, fixed)
+    return found.u, (found.residual, found.kind)
+
+
+def _point(given, unknowns, residual, kind, admissible):
+    value, cycle = unknowns[given.size], given.cycle_at(unknowns)
+    status = jnp.where(admissible, LocatedStatus.OK, LocatedStatus.VIRTUAL)
+    status = jnp.where((status == LocatedStatus.OK) & (kind == JUMPED), LocatedStatus.JUMPED, status)
+    status = jnp.where(kind == LOST, LocatedStatus.NONE, status)
+    blank = jnp.where(kind == LOST, jnp.nan, 1.0)
+    return LocatedPoint(value * blank, cycle.times * blank, cycle.speeds * blank, residual, status)
+
+
+def _admissible(tree, given, numbers, unknowns):
+    """Whether the orbit keeps to its walls and hits them with positive speed, one after the other."""
+    cycle = given.cycle_at(unknowns)
+    built = framed(given.scene_at(tree.unflatten(list(numbers)), unknowns[given.size]))
+    flown = impact_equations.flights(built, cycle)
+    clear, _ = flight_clearance.clearances(built, flown, flight_clearance.samples(built, flown))
+    touching = given.touch is not None
+    hit = cycle.speeds.at[given.touch].set(1.0) > 0 if touching else cycle.speeds > 0
+    return jnp.all(hit) & jnp.all(clear >= (-TOUCH * built.size if touching else 0.0)) & jnp.all(flown.time > 0)

@@ -1,0 +1,131 @@
+"""Special points as functions of their scenes, against differences in 40 digits: `python -m tests.located_proof W N`.
+
+gradients, hessians: of a random special point of each of N random branches, by every number of its scene.
+"""
+
+import sys
+
+import jax
+import numpy as np
+from mpmath import mpf, workdps
+
+import jaxvibro as jv
+from jaxvibro.branches.follow import place_orbit
+from jaxvibro.problem.touches import touches
+from jaxvibro.scene.scale import scene_length
+from tests.branch_proof import branches, plain
+from tests.locus_proof import theirs
+from tests.reference import special as reference
+
+KINDS = ("SN", "PD", "SB", "GR")
+DIGITS, APART = 50, mpf(10) ** -12  # so far apart a central difference is right to 24 digits, a second one to 12
+MOST = 8  # impacts
+
+
+def exact(point, moved=()):
+    """The exact value of a special point in a scene whose numbers, by the references' names, are moved by so much."""
+    spot, scene = point.spot, plain(point.scene)
+    with workdps(DIGITS):
+        for name, change in moved:
+            scene = reference.with_value(scene, name, mpf(number(scene, name)) + change)
+    rows = [part.tolist() for part in (spot.times, spot.speeds)]
+    sides = [int(side) for side in spot.sides]
+    name = theirs(point.scene, point.name)
+    return reference.special(scene, name, point.kind, point.value, *rows, sides, spot.periods, touch(point), DIGITS)
+
+
+def number(scene, name):
+    """A number of a reference's scene; of several that have one name, the first."""
+    if name == "restitution":
+        return next(wall.restitution for _, wall in scene.walls())
+    for part in name.split("."):
+        scene = getattr(scene, reference.FIELDS.get(part, part))
+    return scene
+
+
+def touch(point):
+    """Where a GR touches a wall that none of its impacts is on, as the reference asks for it."""
+    if point.kind != "GR":
+        return None
+    found = touches(*place_orbit(point.scene, point.name, point.spot), scene_length(point.scene))
+    if any(one.own for one in found):
+        return None
+    one = found[0]
+    return one.row, (point.spot.times[one.row] if len(point.spot.times) else 0.0) + one.late, one.side
+
+
+def ways(point):
+    """The ways in which a point's scene can change: {name of ours: [names of the references']}; at an SB the walls
+    change together, with a sign each: [(name, sign)]."""
+    scene, found = point.scene, {}
+    for name in scene.names:
+        side, _, own = name.partition(".")
+        if name == point.name or (own == "restitution" and side in shared(scene)):
+            continue
+        if name == "restitution" and not shared(scene):
+            continue
+        if point.kind != "SB":
+            found[name] = [(theirs(scene, name), 1)]
+        elif name.startswith("right."):
+            other = name.replace("right", "left")
+            found[name] = [(name, 1), (other, -1 if name == "right.position" else 1)]
+        elif "." not in name:
+            found[name] = [(name, 1)]
+    return found
+
+
+def shared(scene):
+    """The sides of the walls that have the scene's restitution."""
+    return [side for side, wall in scene.walls.items() if wall.restitution is None]
+
+
+def owned(name, moves):
+    """Moves by our names: to us the scene's restitution is that of the walls without their own."""
+    return [("restitution", 1)] if name == "restitution" else moves
+
+
+def gradient_errors(point):
+    """{name: error of the derivative over 1 + its size}."""
+    value = jv.located(point)
+    gradient, found = jax.grad(value)(point.scene), {}
+    for name, moves in ways(point).items():
+        ends = [exact(point, [(each, way * sign * APART) for each, sign in moves]) for way in (1, -1)]
+        true = float((ends[0] - ends[1]) / (2 * APART))
+        mine = sum(sign * float(gradient.parameter(each)) for each, sign in owned(name, moves))
+        found[name] = abs(mine - true) / (1.0 + abs(true))
+    return found
+
+
+def points(count, seed):
+    """A special point each of so many random branches."""
+    rng, found = np.random.default_rng(seed), 0
+    for branch, _ in branches(rng, 100 * count):
+        some = [one for one in branch.special if one.kind in KINDS and len(one.spot.times) <= MOST]
+        if some:
+            kinds = sorted({one.kind for one in some})
+            kind = kinds[rng.integers(len(kinds))]
+            some = [one for one in some if one.kind == kind]
+            yield some[rng.integers(len(some))]
+            found += 1
+        if found == count:
+            return
+
+
+def main(what, count, seed=0):
+    """Print the errors, the worst last."""
+    jax.config.update("jax_enable_x64", True)
+    worst, kinds = 0.0, {}
+    for point in points(count, seed):
+        try:
+            errors = gradient_errors(point)
+        except (jv.ArgumentError, ArithmeticError) as error:
+            print("  skipped:", point.kind, str(error)[:120], flush=True)
+            continue
+        kinds[point.kind] = kinds.get(point.kind, 0) + 1
+        worst = max(worst, *errors.values())
+        print(point.kind, point.name, point.label, {name: f"{error:.1e}" for name, error in errors.items()}, flush=True)
+    print(f"{what}: {kinds}, largest error {worst:.3g}")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], *map(int, sys.argv[2:]))
