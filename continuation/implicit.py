@@ -18,7 +18,8 @@ from .arrays import Array
 from .linear import solve
 from .problem import plainly
 
-Vector = Float[Array, " numbers"]
+Unknowns = Float[Array, " unknowns"]
+Numbers = Float[Array, " numbers"]
 Run = Callable[..., Any]  # of (function, *arrays): its result, as the compiler likes it (`problem.Problem.run`)
 
 
@@ -28,25 +29,25 @@ def in_turn(function: Callable[..., Any], run: Run = plainly) -> Callable[..., A
     return sequential_vmap(lambda *arrays: run(function, *arrays))
 
 
-def smooth(function: Callable[[Vector, Any], Any]) -> Callable[[Vector, Any], Any]:
+def smooth(function: Callable[[Numbers, Any], Any], run: Run = plainly) -> Callable[[Numbers, Any], Any]:
     """The function of (vector, fixed) whose derivatives by the vector are whole arrays, of any order: whatever asks for
     them, and be it in reverse mode, goes through the function forward."""
-    value = jax.custom_jvp(function)
+    value = jax.custom_jvp(in_turn(function, run))
 
     @value.defjvp
     def _(primals, tangents):
         (z, fixed), (change, _) = primals, tangents
-        slopes = smooth(jax.jacfwd(function))(z, fixed)
+        slopes = smooth(jax.jacfwd(function), run)(z, fixed)
         return value(z, fixed), jax.tree.map(lambda slope: slope @ change, slopes)
 
     return value
 
 
 def root(
-    function: Callable[[Vector, Vector, Any], Vector],
-    find: Callable[[Vector, Any], tuple[Vector, Any]],
+    function: Callable[[Unknowns, Numbers, Any], Unknowns],
+    find: Callable[[Numbers, Any], tuple[Unknowns, Any]],
     run: Run = plainly,
-) -> Callable[[Vector, Any], tuple[Vector, Any]]:
+) -> Callable[[Numbers, Any], tuple[Unknowns, Any]]:
     """(p, fixed) -> (u, told), u with its derivatives by p of any order, forward and reverse.
 
     function: F of (u, p, fixed), as many numbers as u has; find: (p, fixed) -> (u, told), u a root of F where it is one
@@ -64,7 +65,7 @@ def root(
             slopes = jax.jacfwd(lambda z: function(z[:size], z[size:], fixed))(z)
             return -solve(slopes[:, :size], slopes[:, size:]).x
 
-        change = smooth(by)(jnp.concatenate([u, p]), fixed) @ change
+        change = smooth(by, run)(jnp.concatenate([u, p]), fixed) @ change
         return (u, told), (change, jax.tree.map(jnp.zeros_like, told))
 
     return solved
@@ -74,7 +75,7 @@ class Carried(NamedTuple):
     """u; residual: the largest number left in F there; kind: FOLLOWED, JUMPED: Newton's method has led to u from where
     the way was lost, so that it may be another root, or LOST: none was found."""
 
-    u: Vector
+    u: Unknowns
     residual: Float[Array, ""]
     kind: Float[Array, ""]
 
@@ -90,20 +91,20 @@ class _Way(NamedTuple):
     """u: where Newton's method is, from a guess, at the place ahead; tried, step: of its steps, the last one's size;
     base, tangent: the root at the place share, and its derivative by the place; residual, kind: as of `Carried`."""
 
-    u: Vector
-    guess: Vector
+    u: Unknowns
+    guess: Unknowns
     ahead: Float[Array, ""]
     tried: Float[Array, ""]
     step: Float[Array, ""]
-    base: Vector
-    tangent: Vector
+    base: Unknowns
+    tangent: Unknowns
     share: Float[Array, ""]
     residual: Float[Array, ""]
     kind: Float[Array, ""]
 
 
 def carried(
-    function: Callable[[Vector, Vector, Any], Vector], start: Vector, begin: Vector, end: Vector, fixed: Any
+    function: Callable[[Unknowns, Numbers, Any], Unknowns], start: Unknowns, begin: Numbers, end: Numbers, fixed: Any
 ) -> Carried:
     """The root of F at p = end that the root start at p = begin becomes on the straight way there.
 

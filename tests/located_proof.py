@@ -13,6 +13,7 @@ import jaxvibro as jv
 from jaxvibro.branches.follow import place_orbit
 from jaxvibro.problem.touches import touches
 from jaxvibro.scene.scale import scene_length
+from jaxvibro.scene.scene import SIDES
 from tests.branch_proof import branches, plain
 from tests.locus_proof import theirs
 from tests.reference import special as reference
@@ -20,18 +21,29 @@ from tests.reference import special as reference
 KINDS = ("SN", "PD", "SB", "GR")
 DIGITS, APART = 50, mpf(10) ** -12  # so far apart a central difference is right to 24 digits, a second one to 12
 MOST = 8  # impacts
+SLOW = 1e-9  # a speed of none
 
 
-def exact(point, moved=()):
-    """The exact value of a special point in a scene whose numbers, by the references' names, are moved by so much."""
+def exact(point, moved=(), wall=None):
+    """The exact value of a special point in a scene whose numbers, by the references' names, are moved by so much; wall:
+    of the touch, where there are several."""
     spot, scene = point.spot, plain(point.scene)
     with workdps(DIGITS):
         for name, change in moved:
             scene = reference.with_value(scene, name, mpf(number(scene, name)) + change)
-    rows = [part.tolist() for part in (spot.times, spot.speeds)]
-    sides = [int(side) for side in spot.sides]
+    impacts = list(zip(*(part.tolist() for part in (spot.times, spot.speeds, spot.sides)), strict=True))
+    touched = None
+    if point.kind == "GR":  # the touch alone, of others none is an impact
+        every = [(time, side) for time, speed, side in impacts if speed < SLOW]
+        impacts = [one for one in impacts if one[1] >= SLOW]
+        time, side = next(one for one in every or touches_of(point) if wall in (None, SIDES[one[1] > 0]))
+        before = [k for k, one in enumerate(impacts) if one[0] < time]
+        touched = before[-1] if before else max(0, len(impacts) - 1), time, side
+    rows = zip(*impacts, strict=True) if impacts else ([], [], [])
+    times, speeds, sides = (list(each) for each in rows)
     name = theirs(point.scene, point.name)
-    return reference.special(scene, name, point.kind, point.value, *rows, sides, spot.periods, touch(point), DIGITS)
+    given = times, speeds, [int(side) for side in sides], spot.periods, touched
+    return reference.special(scene, name, point.kind, point.value, *given, DIGITS)
 
 
 def number(scene, name):
@@ -43,15 +55,11 @@ def number(scene, name):
     return scene
 
 
-def touch(point):
-    """Where a GR touches a wall that none of its impacts is on, as the reference asks for it."""
-    if point.kind != "GR":
-        return None
+def touches_of(point):
+    """(time, side) of each touch of a GR."""
+    times = point.spot.times
     found = touches(*place_orbit(point.scene, point.name, point.spot), scene_length(point.scene))
-    if any(one.own for one in found):
-        return None
-    one = found[0]
-    return one.row, (point.spot.times[one.row] if len(point.spot.times) else 0.0) + one.late, one.side
+    return [((times[one.row] if len(times) else 0.0) + one.late, one.side) for one in found]
 
 
 def ways(point):
@@ -84,12 +92,12 @@ def owned(name, moves):
     return [("restitution", 1)] if name == "restitution" else moves
 
 
-def gradient_errors(point):
+def gradient_errors(point, wall=None):
     """{name: error of the derivative over 1 + its size}."""
-    value = jv.located(point)
+    value = jv.located(point, wall=wall)
     gradient, found = jax.grad(value)(point.scene), {}
     for name, moves in ways(point).items():
-        ends = [exact(point, [(each, way * sign * APART) for each, sign in moves]) for way in (1, -1)]
+        ends = [exact(point, [(each, way * sign * APART) for each, sign in moves], wall) for way in (1, -1)]
         true = float((ends[0] - ends[1]) / (2 * APART))
         mine = sum(sign * float(gradient.parameter(each)) for each, sign in owned(name, moves))
         found[name] = abs(mine - true) / (1.0 + abs(true))

@@ -2,7 +2,6 @@
 
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -20,8 +19,8 @@ from ..loci.first_point import equations, start_of
 from ..orbits import flight_clearance, impact_equations
 from ..problem.touches import TOUCH
 from ..scene import check
-from ..scene.scene import SIDES, Scene, changed
-from .point_equations import STATIC, PointEquations, at_point
+from ..scene.scene import SIDES, Scene
+from .point_equations import STATIC, PointEquations, at_point, mark, whole
 
 
 class LocatedStatus(IntEnum):
@@ -66,7 +65,6 @@ class Located:
     name: str
     _equations: PointEquations = field(repr=False)
     _start: Float[np.ndarray, " unknowns"] = field(repr=False)
-    _scene: Scene = field(repr=False)
 
     def __call__(self, scene: Scene) -> Float[Array, "..."]:
         """The parameter's value at the point, of the scene's shape; nan where there is none.
@@ -77,17 +75,20 @@ class Located:
 
     def solve(self, scene: Scene) -> LocatedPoint:
         """The `LocatedPoint` of the scene. Raises ArgumentError for a scene with other walls."""
-        kind = _kind(self._scene)
+        kind = _kind(self.special.scene)
         if not isinstance(scene, Scene) or _kind(scene) != kind:
             raise check.ArgumentError("scene", f"must be a Scene with the walls of the point's, {kind}", _told(scene))
-        given = replace(self._equations, names=_names(scene, self.name))
-        begin, end = _whole(self._scene), _whole(scene)
-        shape = end.shape
-        flat = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, shape).reshape(-1), end)
-        found = _solved(given, self._start, begin, flat)
+        begin, end, shape = whole(self.special.scene), whole(scene), scene.shape
+        rows = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in jax.tree.leaves(end)], 1)
+        ways = [mark(each, self.name) for each in (self.special.scene, scene)]
+        found = solved(self._equations, self._start, jnp.stack(jax.tree.leaves(begin)) * (1.0 - ways[0]), rows, ways[1])
         found = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
-        sides, periods = (np.asarray(each) for each in (given.cycle.sides, given.cycle.periods))
-        return replace(found, sides=tuple(int(side) for side in sides), periods=float(periods))
+        own = (
+            scene.parameter("hardness") if self.name == "hardness" else 0.0
+        )  # that is counted from the walls' stiffness
+        sides, periods = (np.asarray(each) for each in (self._equations.cycle.sides, self._equations.cycle.periods))
+        sides = tuple(int(side) for side in sides)
+        return replace(found, value=found.value + own, sides=sides, periods=float(periods))
 
 
 @check.host("use the function that it gives")
@@ -109,31 +110,21 @@ def located(special: Special, name: str | None = None, wall: str | None = None) 
     check.require_known(name, start.scene.names, name)
     if wall not in (None, *SIDES):
         raise check.ArgumentError("wall", 'must be "left", "right" or None', wall)
-    given, unknowns = _only(start, name, wall)
-    return Located(special, name, given, unknowns, special.scene)
+    point, unknowns = _only(start, name, wall)
+    if name == "hardness":
+        unknowns[point.size] = 0.0
+    return Located(special, name, point, unknowns)
 
 
 def _only(start, name, wall):
     """(`PointEquations`, unknowns) of the one touch of a wall."""
-    names = _names(start.scene, name)
-    found = [at_point(start.kind, names, *sheet) for sheet in equations(start, (name,), whole=True)]
+    found = [at_point(start.kind, *sheet) for sheet in equations(start, (name,), whole=True)]
     sides = [None if each.touch is None else SIDES[int(each.cycle.sides[each.touch] > 0)] for each, _ in found]
     chosen = [one for one, side in zip(found, sides, strict=True) if wall in (None, side)]
     if len(chosen) != 1:
         told = ", ".join(side for side in sides if side) or "none"
         raise check.ArgumentError("wall", f"must be one of those that are touched, {told}", wall)
     return chosen[0]
-
-
-def _names(scene, name):
-    """The names of a parameter and of what takes its value from the scene."""
-    return (name, *(f"{side}.{name}" for side, wall in scene.walls.items() if name in wall.taken))
-
-
-def _whole(scene):
-    """The scene with all numbers of its walls their own."""
-    own = {f"{side}.{name}": scene.parameter(name) for side, wall in scene.walls.items() for name in wall.taken}
-    return jax.tree.map(jnp.asarray, changed(scene, own))
 
 
 def _kind(scene):
@@ -150,34 +141,36 @@ def _told(scene):
 
 
 @jax.jit
-def _solved(given, start, begin, scenes):
-    """The `LocatedPoint`s of scenes in one axis."""
-    numbers, tree = jax.tree.flatten(begin)
-    rows = jnp.stack(jax.tree.leaves(scenes), 1)
-    find = root(partial(_left, tree), partial(_found, tree), one_kernel)
-    look = in_turn(partial(_admissible, tree), one_kernel)
-    fixed = given, jnp.asarray(start), jnp.stack(numbers)
+def solved(point, start, begin, rows, direction):
+    """The `LocatedPoint`s of scenes whose numbers are in rows, along a direction of them, value: how far.
+
+    point: the `PointEquations`; start: their unknowns where the numbers are those of begin.
+    """
+    rows = rows * (1.0 - direction)
+    find, look = root(_left, _found, one_kernel), in_turn(_admissible, one_kernel)
+    fixed = point, jnp.asarray(direction), jnp.asarray(start), jnp.asarray(begin)
 
     def at(row):
         unknowns, told = find(row, fixed)
-        return _point(given, unknowns, *told, look(given, *lax.stop_gradient((row, unknowns))))
+        return _record(point, unknowns, *told, look(point, fixed[1], *lax.stop_gradient((row, unknowns))))
 
     return jax.vmap(at)(rows)
 
 
-def _left(tree, unknowns, numbers, fixed):
-    return fixed[0].left(unknowns, tree.unflatten(list(numbers)))
+def _left(unknowns, numbers, fixed):
+    point, direction, *_ = fixed
+    return point.left(unknowns, numbers, direction)
 
 
-def _found(tree, numbers, fixed):
+def _found(numbers, fixed):
     """(unknowns, (the residual, how they were found))."""
-    _, start, begin = fixed
-    found = carried(partial(_left, tree), start, begin, numbers, fixed)
+    *_, start, begin = fixed
+    found = carried(_left, start, begin, numbers, fixed)
     return found.u, (found.residual, found.kind)
 
 
-def _point(given, unknowns, residual, kind, admissible):
-    value, cycle = unknowns[given.size], given.cycle_at(unknowns)
+def _record(point, unknowns, residual, kind, admissible):
+    value, cycle = unknowns[point.size], point.cycle_at(unknowns)
     status = jnp.where(admissible, LocatedStatus.OK, LocatedStatus.VIRTUAL)
     status = jnp.where((status == LocatedStatus.OK) & (kind == JUMPED), LocatedStatus.JUMPED, status)
     status = jnp.where(kind == LOST, LocatedStatus.NONE, status)
@@ -185,12 +178,12 @@ def _point(given, unknowns, residual, kind, admissible):
     return LocatedPoint(value * blank, cycle.times * blank, cycle.speeds * blank, residual, status)
 
 
-def _admissible(tree, given, numbers, unknowns):
+def _admissible(point, direction, numbers, unknowns):
     """Whether the orbit keeps to its walls and hits them with positive speed, one after the other."""
-    cycle = given.cycle_at(unknowns)
-    built = framed(given.scene_at(tree.unflatten(list(numbers)), unknowns[given.size]))
+    cycle = point.cycle_at(unknowns)
+    built = framed(point.scene(numbers + unknowns[point.size] * direction))
     flown = impact_equations.flights(built, cycle)
     clear, _ = flight_clearance.clearances(built, flown, flight_clearance.samples(built, flown))
-    touching = given.touch is not None
-    hit = cycle.speeds.at[given.touch].set(1.0) > 0 if touching else cycle.speeds > 0
+    touching = point.touch is not None
+    hit = cycle.speeds.at[point.touch].set(1.0) > 0 if touching else cycle.speeds > 0
     return jnp.all(hit) & jnp.all(clear >= (-TOUCH * built.size if touching else 0.0)) & jnp.all(flown.time > 0)

@@ -1,13 +1,15 @@
 """The defining equations of a special point: a regular root, as smooth as the orbit's own equations are.
 
-Unknowns are the impacts' times and speeds and the point's parameter. At a GR one speed is zero, and no unknown. At an
+Unknowns are the impacts' times and speeds, and how far the point is from a scene along a direction in the space of all
+its numbers: along one of its parameters, or any other. At a GR one speed is zero, and no unknown. At an
 SN, PD or SB a matrix J is singular, and its null vector is unknown too: F = 0, J v = 0, l v = 1 (Moore and Spence, SIAM
 J. Numer. Anal. 17, 567, 1980). J is the derivative of F by times and speeds, closed as the kind asks: at a PD what
 comes after the last impact is the opposite of what came before. An SB is one of half the orbit, whose other half is its
 mirror image; the scene is then taken by its symmetric part, as no other has an SB.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +23,7 @@ from ..flight.coefficients import framed
 from ..loci.extended_system import Grazing
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
+from ..problem.equations import there
 from ..scene.scene import changed
 from ..scene.symmetry import symmetric_part
 
@@ -31,24 +34,24 @@ STATIC = {"static": True}
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PointEquations:
-    """What is zero at a special point, a pytree. kind; names: of the parameter, and of what takes its value; touch: at
-    a GR the row of the impact without speed, else None; cycle: the impacts, of half the orbit at an SB; along: l, the
-    null vector where the point was found, None at a GR."""
+    """What is zero at a special point, a pytree. kind; touch: at a GR the row of the impact without speed, else None;
+    cycle: the impacts, of half the orbit at an SB; null: l, the null vector where the point was found, None at a GR;
+    tree: of the scene's numbers."""
 
     kind: str = field(metadata=STATIC)
-    names: tuple[str, ...] = field(metadata=STATIC)
     touch: int | None = field(metadata=STATIC)
+    tree: jax.tree_util.PyTreeDef = field(metadata=STATIC)
     cycle: Cycle
-    along: Float[Array, " unknowns"] | None
+    null: Float[Array, " unknowns"] | None
 
     @property
     def size(self) -> int:
-        """How many times and speeds are unknown: the parameter comes after them."""
+        """How many times and speeds are unknown: how far comes after them."""
         return 2 * len(self.cycle.sides) - (self.touch is not None)
 
-    def scene_at(self, scene, value):
-        """The scene where the parameter has a value."""
-        scene = changed(scene, dict.fromkeys(self.names, value))
+    def scene(self, numbers):
+        """The scene with these numbers, (numbers,), of which an SB takes the symmetric part."""
+        scene = self.tree.unflatten(list(numbers))
         return symmetric_part(scene) if self.kind == "SB" else scene
 
     def cycle_at(self, unknowns):
@@ -59,16 +62,15 @@ class PointEquations:
             speeds = jnp.concatenate([speeds[: self.touch], jnp.zeros_like(times[:1]), speeds[self.touch :]])
         return self.cycle._replace(times=times, speeds=speeds)
 
-    def left(self, unknowns, scene):
-        """What is to be zero."""
-        built = framed(self.scene_at(scene, unknowns[self.size]))
+    def left(self, unknowns, numbers, direction):
+        """What is to be zero: the point is to lie so far from a scene with these numbers, along a direction of them."""
+        built = framed(self.scene(numbers + unknowns[self.size] * direction))
         left, slopes = impact_equations.equations(built, self.cycle_at(unknowns))
         if self.touch is not None:
             return left
-        null = unknowns[self.size + 1 :]
-        return jnp.concatenate(
-            [left, _turned(slopes, null, CLOSING[self.kind]), (jnp.sum(self.along * null) - 1.0)[None]]
-        )
+        change = unknowns[self.size + 1 :]
+        away = jnp.sum(self.null * change) - 1.0
+        return jnp.concatenate([left, _turned(slopes, change, CLOSING[self.kind]), away[None]])
 
 
 def _turned(slopes, change, closing):
@@ -79,23 +81,44 @@ def _turned(slopes, change, closing):
     return jnp.concatenate([a * times + b * speeds + e * later, c * times + d * speeds + f * later - faster])
 
 
-def at_point(kind, names, curve, z):
-    """(`PointEquations`, unknowns) at a point of a curve, as a locus begins with it (`loci.first_point`)."""
+def at_point(kind, curve, z):
+    """(`PointEquations`, times and speeds, how far from a scene whose parameter is zero, null vector) at a point of a
+    curve, as a locus begins with it (`loci.first_point`), in one row."""
     rows, count = len(curve.cycle.sides), int(np.sum(curve.cycle.sides != 0))
-    parts = {"times": z[:count], "speeds": z[rows : rows + count], "sides": curve.cycle.sides[:count]}
+    times, speeds, sides = z[:count], z[rows : rows + count], curve.cycle.sides[:count]
     still = None if curve.cycle.still is None else curve.cycle.still[:count]
-    cycle = curve.cycle._replace(**parts, still=still)
+    cycle = curve.cycle._replace(times=times, speeds=speeds, sides=sides, still=still)
+    scene = whole(there(curve, z))
+    tree = jax.tree.structure(scene)
     if isinstance(curve, Grazing):
         touch = int(np.argmax(curve.pick))
-        speeds = np.delete(parts["speeds"], touch)
-        return PointEquations(kind, names, touch, cycle, None), np.concatenate([parts["times"], speeds, z[-1:]])
-    along = PointEquations(kind, names, None, cycle, None)
-    slopes = _slopes(along, along.scene_at(curve.scene, z[-1]))
+        return PointEquations(kind, touch, tree, cycle, None), np.concatenate([times, np.delete(speeds, touch), z[-1:]])
+    point = PointEquations(kind, None, tree, cycle, None)
+    slopes = _slopes(point, jnp.stack(jax.tree.leaves(scene)))
     null = locate.null(np.asarray(cyclic_system.dense(cyclic_system.of(slopes), CLOSING[kind])))
-    begun = np.concatenate([parts["times"], parts["speeds"], z[-1:], null])
-    return PointEquations(kind, names, None, cycle, null), begun
+    return replace(point, null=null), np.concatenate([times, speeds, z[-1:], null])
 
 
 @jax.jit
-def _slopes(along, scene):
-    return impact_equations.equations(framed(scene), along.cycle)[1]
+def _slopes(point, numbers):
+    return impact_equations.equations(framed(point.scene(numbers)), point.cycle)[1]
+
+
+def whole(scene):
+    """The scene with all numbers of its walls their own, and a hardness of soft walls to be added: a tree of arrays
+    that is the same for all scenes with walls of these kinds."""
+    own = {f"{side}.{name}": scene.parameter(name) for side, wall in scene.walls.items() for name in wall.taken}
+    scene = changed(scene, own)
+    if scene.soft_sides and scene.harder is None:
+        scene = replace(scene, harder=jnp.zeros_like(scene.amplitude))
+    return jax.tree.map(partial(jnp.asarray, dtype=scene.dtype), scene)
+
+
+def mark(scene, name):
+    """1 at the numbers of the `whole` scene that a parameter stands for, walls that take it from the scene among them,
+    else 0: (numbers,)."""
+    taken = [f"{side}.{name}" for side, wall in scene.walls.items() if name in wall.taken]
+    blank = jax.tree.map(lambda leaf: 0.0, whole(scene))
+    if name == "hardness":
+        return np.array(jax.tree.leaves(replace(blank, harder=1.0)))
+    return np.array(jax.tree.leaves(changed(blank, dict.fromkeys([name, *taken], 1.0))))
