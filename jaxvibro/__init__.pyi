@@ -19,7 +19,6 @@ from .branches.switch import extend as extend
 from .branches.switch import switch as switch
 from .design.located import Located as Located
 from .design.located import LocatedPoint as LocatedPoint
-from .design.located import LocatedStatus as LocatedStatus
 from .design.located import located as located
 from .loci.family import family as family
 from .loci.locus import Locus as Locus
@@ -35,10 +34,13 @@ from .orbits.find import find_orbit as find_orbit
 from .orbits.from_starts import find_orbits as find_orbits
 from .orbits.orbit import Orbit as Orbit
 from .orbits.orbit import OrbitError as OrbitError
+from .orbits.solve import OrbitSolutions as OrbitSolutions
+from .orbits.solve import solve_orbits as solve_orbits
 from .output.checksums import load_data as load_data
 from .reproduction.run import paper as paper
 from .scene.check import ArgumentError as ArgumentError
 from .scene.check import SceneError as SceneError
+from .scene.codes import SolutionStatus as SolutionStatus
 from .scene.physical import scene_from_physical as scene_from_physical
 from .scene.scene import Motion as Motion
 from .scene.scene import Scene as Scene

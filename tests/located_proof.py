@@ -25,8 +25,8 @@ SLOW = 1e-9  # a speed of none
 
 
 def exact(point, moved=(), wall=None):
-    """The exact value of a special point in a scene whose numbers, by the references' names, are moved by so much; wall:
-    of the touch, where there are several."""
+    """The exact value of a special point in a scene whose numbers, by the references' names, are moved by so much;
+    wall: of the touch, where there are several."""
     spot, scene = point.spot, plain(point.scene)
     with workdps(DIGITS):
         for name, change in moved:

@@ -2,7 +2,6 @@
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 import pytest
 from mpmath import diff, workdps
 
@@ -11,7 +10,7 @@ from tests import located_proof
 from tests.reference import closed
 
 GAMMA, OMEGA, R = 0.05, 2.1, 0.7
-OK, JUMPED, VIRTUAL, NONE = jv.LocatedStatus
+OK, JUMPED, VIRTUAL, NONE = jv.SolutionStatus
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,6 @@
 """A special point's value as a function of its whole scene: `located`."""
 
 from dataclasses import dataclass, field, replace
-from enum import IntEnum
 
 import jax
 import jax.numpy as jnp
@@ -16,23 +15,12 @@ from ..branches.branch import Special
 from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import framed
 from ..loci.first_point import equations, start_of
-from ..orbits import flight_clearance, impact_equations
-from ..problem.touches import TOUCH
+from ..orbits import impact_equations
+from ..orbits.flight_clearance import is_real
 from ..scene import check
+from ..scene.codes import SolutionStatus
 from ..scene.scene import SIDES, Scene
 from .point_equations import STATIC, PointEquations, at_point, mark, whole
-
-
-class LocatedStatus(IntEnum):
-    """What became of a special point on the straight way to another scene. OK: it was followed all the way there.
-    JUMPED: the way was lost, and Newton's method has led to a point of the kind that may be another. VIRTUAL: its orbit
-    passes through a wall, or an impact is from behind it: the boundary ends before. NONE: none was found; the value is
-    nan."""
-
-    OK = 0
-    JUMPED = 1
-    VIRTUAL = 2
-    NONE = 3
 
 
 @jax.tree_util.register_dataclass
@@ -40,8 +28,8 @@ class LocatedStatus(IntEnum):
 class LocatedPoint:
     """A special point of each scene. value: of the parameter; times: of the impacts, since the drive was at phase 0;
     speeds: before them, 0 of the one that grazes; residual: the largest number left in the equations; status: a
-    `LocatedStatus`; sides: -1 left, 1 right, of an impact; periods: of the drive. At an SB half of the orbit, with half
-    of its periods: the other half is its mirror image."""
+    `SolutionStatus`; sides: -1 left, 1 right, of an impact; periods: of the drive. At an SB half of the orbit, with
+    half of its periods: the other half is its mirror image."""
 
     value: Float[Array, "..."]
     times: Float[Array, "... impacts"]
@@ -86,9 +74,9 @@ class Located:
         own = (
             scene.parameter("hardness") if self.name == "hardness" else 0.0
         )  # that is counted from the walls' stiffness
-        sides, periods = (np.asarray(each) for each in (self._equations.cycle.sides, self._equations.cycle.periods))
-        sides = tuple(int(side) for side in sides)
-        return replace(found, value=found.value + own, sides=sides, periods=float(periods))
+        cycle = self._equations.cycle
+        sides = tuple(int(side) for side in np.asarray(cycle.sides))
+        return replace(found, value=found.value + own, sides=sides, periods=float(cycle.periods))
 
 
 @check.host("use the function that it gives")
@@ -171,9 +159,9 @@ def _found(numbers, fixed):
 
 def _record(point, unknowns, residual, kind, admissible):
     value, cycle = unknowns[point.size], point.cycle_at(unknowns)
-    status = jnp.where(admissible, LocatedStatus.OK, LocatedStatus.VIRTUAL)
-    status = jnp.where((status == LocatedStatus.OK) & (kind == JUMPED), LocatedStatus.JUMPED, status)
-    status = jnp.where(kind == LOST, LocatedStatus.NONE, status)
+    status = jnp.where(admissible, SolutionStatus.OK, SolutionStatus.VIRTUAL)
+    status = jnp.where((status == SolutionStatus.OK) & (kind == JUMPED), SolutionStatus.JUMPED, status)
+    status = jnp.where(kind == LOST, SolutionStatus.NONE, status)
     blank = jnp.where(kind == LOST, jnp.nan, 1.0)
     return LocatedPoint(value * blank, cycle.times * blank, cycle.speeds * blank, residual, status)
 
@@ -182,8 +170,4 @@ def _admissible(point, direction, numbers, unknowns):
     """Whether the orbit keeps to its walls and hits them with positive speed, one after the other."""
     cycle = point.cycle_at(unknowns)
     built = framed(point.scene(numbers + unknowns[point.size] * direction))
-    flown = impact_equations.flights(built, cycle)
-    clear, _ = flight_clearance.clearances(built, flown, flight_clearance.samples(built, flown))
-    touching = point.touch is not None
-    hit = cycle.speeds.at[point.touch].set(1.0) > 0 if touching else cycle.speeds > 0
-    return jnp.all(hit) & jnp.all(clear >= (-TOUCH * built.size if touching else 0.0)) & jnp.all(flown.time > 0)
+    return is_real(built, impact_equations.flights(built, cycle), cycle.speeds, point.touch)

@@ -18,13 +18,14 @@ from jaxtyping import Float
 
 from continuation import locate
 from continuation.arrays import Array
+from continuation.implicit import Numbers, Unknowns
 
 from ..flight.coefficients import framed
 from ..loci.extended_system import Grazing
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
 from ..problem.equations import there
-from ..scene.scene import changed
+from ..scene.scene import Scene, changed
 from ..scene.symmetry import symmetric_part
 
 CLOSING = {"SN": 1.0, "PD": -1.0, "SB": -1.0}
@@ -42,19 +43,19 @@ class PointEquations:
     touch: int | None = field(metadata=STATIC)
     tree: jax.tree_util.PyTreeDef = field(metadata=STATIC)
     cycle: Cycle
-    null: Float[Array, " unknowns"] | None
+    null: Float[Array, " speeds"] | None
 
     @property
     def size(self) -> int:
         """How many times and speeds are unknown: how far comes after them."""
         return 2 * len(self.cycle.sides) - (self.touch is not None)
 
-    def scene(self, numbers):
+    def scene(self, numbers: Numbers) -> Scene:
         """The scene with these numbers, (numbers,), of which an SB takes the symmetric part."""
         scene = self.tree.unflatten(list(numbers))
         return symmetric_part(scene) if self.kind == "SB" else scene
 
-    def cycle_at(self, unknowns):
+    def cycle_at(self, unknowns: Unknowns) -> Cycle:
         """The `Cycle` with these unknowns."""
         rows = len(self.cycle.sides)
         times, speeds = unknowns[:rows], unknowns[rows : self.size]
@@ -62,11 +63,11 @@ class PointEquations:
             speeds = jnp.concatenate([speeds[: self.touch], jnp.zeros_like(times[:1]), speeds[self.touch :]])
         return self.cycle._replace(times=times, speeds=speeds)
 
-    def left(self, unknowns, numbers, direction):
+    def left(self, unknowns: Unknowns, numbers: Numbers, direction: Numbers) -> Unknowns:
         """What is to be zero: the point is to lie so far from a scene with these numbers, along a direction of them."""
         built = framed(self.scene(numbers + unknowns[self.size] * direction))
         left, slopes = impact_equations.equations(built, self.cycle_at(unknowns))
-        if self.touch is not None:
+        if self.null is None:
             return left
         change = unknowns[self.size + 1 :]
         away = jnp.sum(self.null * change) - 1.0

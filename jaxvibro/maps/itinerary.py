@@ -6,10 +6,24 @@ the orbit one starts to read does not matter. Written is one rotation, the `cano
 
 import numpy as np
 
+from ..scene import check
+
 LETTERS = {-1: "L", 1: "R"}
 NEAR = 1e-9  # of a drive period: as little after the section's phase is an impact at it
 DIGITS = 9  # of the largest number: as near are two states one
 _MIRROR = str.maketrans("LR", "RL")
+
+
+def checked(itinerary, periods=None):
+    """The itinerary as a tuple of words; raises ArgumentError where it is none, or none of so many periods."""
+    told = 'must be words of "L" and "R", one a drive period, as ("LR",)'
+    if not isinstance(itinerary, tuple | list) or not itinerary:
+        raise check.ArgumentError("itinerary", told, itinerary)
+    if not all(isinstance(word, str) and set(word) <= {"L", "R"} for word in itinerary):
+        raise check.ArgumentError("itinerary", told, itinerary)
+    if periods not in (None, len(itinerary)):
+        raise check.ArgumentError("periods", f"must be the number of words, {len(itinerary)}, or None", periods)
+    return tuple(itinerary)
 
 
 def words(sides):

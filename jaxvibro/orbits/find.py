@@ -41,7 +41,7 @@ def find_orbit(
     state, settle = _lane(real_state(scene, state)), check.whole("settle", settle, 0)
     check_start(scene, state)
     if itinerary is not None:
-        itinerary = _checked(itinerary, periods)
+        itinerary = words.checked(itinerary, periods)
         periods = len(itinerary)
     if periods is not None and check.whole("periods", periods, 1) > KEEP:
         raise check.ArgumentError("periods", f"must be at most {KEEP}", periods)
@@ -55,17 +55,6 @@ def _lane(state):
     if np.shape(state.x + state.v + state.phase + state.contact):
         raise check.ArgumentError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
     return State(*(np.reshape(np.asarray(each), 1) for each in (state.x, state.v, state.phase, state.contact)))
-
-
-def _checked(itinerary, periods):
-    told = 'must be words of "L" and "R", one a drive period, as ("LR",)'
-    if not isinstance(itinerary, tuple | list) or not itinerary:
-        raise check.ArgumentError("itinerary", told, itinerary)
-    if not all(isinstance(word, str) and set(word) <= {"L", "R"} for word in itinerary):
-        raise check.ArgumentError("itinerary", told, itinerary)
-    if periods not in (None, len(itinerary)):
-        raise check.ArgumentError("periods", f"must be the number of words, {len(itinerary)}, or None", periods)
-    return tuple(itinerary)
 
 
 def _followed(found):

@@ -19,6 +19,7 @@ from ..flight.wall import course, less
 
 TURN = 0.1  # between samples, of the fastest angle: the drive's, a wall's, the free oscillation's, in radians
 ROUNDS = 5  # of Newton's steps from a parabola's guess
+TOUCH = 1e-8  # of the scene's size: a touch is as near to a wall
 CLOSE = 1e-3  # of the samples' distance: Newton's last step at a turning point
 
 
@@ -58,6 +59,15 @@ def clearances(frame, found, samples):
     start = (cell + past) * span, jnp.zeros_like(crest), jnp.zeros_like(crest, bool)
     time, distance, real = lax.fori_loop(0, ROUNDS, nearer, start)
     return jnp.where(jnp.isfinite(crest) & real, distance, jnp.inf).T, time.T
+
+
+def is_real(frame, found, speeds, touch=None):
+    """Whether flights keep to their walls, and hit them with positive speeds one after the other. touch: the row of an
+    impact that is to have none."""
+    clear, _ = clearances(frame, found, samples(frame, found))
+    hit = speeds if touch is None else speeds.at[touch].set(1.0)
+    slack = 0.0 if touch is None else TOUCH * frame.size
+    return jnp.all(hit > 0) & jnp.all(clear >= -slack) & jnp.all(found.time > 0)
 
 
 def place(frame, found, time):

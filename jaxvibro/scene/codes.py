@@ -31,3 +31,14 @@ class Contact(IntEnum):
     WITHIN = 3
     ENTERED = 4
     RELEASED = 5
+
+
+class SolutionStatus(IntEnum):
+    """What became of a solution that was asked for, an orbit or a special point. OK: it is there. JUMPED: what was
+    found may be another: the way from the known one was lost, and Newton's method has led to it from there. VIRTUAL:
+    its orbit passes through a wall, or hits one from behind. NONE: none was found, the numbers are nan."""
+
+    OK = 0
+    JUMPED = 1
+    VIRTUAL = 2
+    NONE = 3
