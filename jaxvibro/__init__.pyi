@@ -20,6 +20,9 @@ from .branches.switch import switch as switch
 from .design.located import Located as Located
 from .design.located import LocatedPoint as LocatedPoint
 from .design.located import located as located
+from .design.margin import Margin as Margin
+from .design.margin import NearPoint as NearPoint
+from .design.margin import margin as margin
 from .loci.family import family as family
 from .loci.locus import Locus as Locus
 from .loci.locus import locus as locus

@@ -26,10 +26,10 @@ from .point_equations import STATIC, PointEquations, at_point, mark, whole
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class LocatedPoint:
-    """A special point of each scene. value: of the parameter; times: of the impacts, since the drive was at phase 0;
-    speeds: before them, 0 of the one that grazes; residual: the largest number left in the equations; status: a
-    `SolutionStatus`; sides: -1 left, 1 right, of an impact; periods: of the drive. At an SB half of the orbit, with
-    half of its periods: the other half is its mirror image."""
+    """A special point of each scene. value: of the parameter; times: of the impacts, since the drive was at phase 0,
+    that which grazes first; speeds: before them, 0 of that one; residual: the largest number left in the equations;
+    status: a `SolutionStatus`; sides: -1 left, 1 right, of an impact; periods: of the drive. At an SB half of the
+    orbit, with half of its periods: the other half is its mirror image."""
 
     value: Float[Array, "..."]
     times: Float[Array, "... impacts"]
@@ -68,8 +68,9 @@ class Located:
             raise check.ArgumentError("scene", f"must be a Scene with the walls of the point's, {kind}", _told(scene))
         begin, end, shape = whole(self.special.scene), whole(scene), scene.shape
         rows = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in jax.tree.leaves(end)], 1)
-        ways = [mark(each, self.name) for each in (self.special.scene, scene)]
-        found = solved(self._equations, self._start, jnp.stack(jax.tree.leaves(begin)) * (1.0 - ways[0]), rows, ways[1])
+        own, way = (mark(each, self.name) for each in (self.special.scene, scene))
+        given = jnp.stack(jax.tree.leaves(begin)) * (1.0 - own), rows * (1.0 - way), way
+        found, _ = solved(self._equations, self._start, *given)
         found = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
         own = (
             scene.parameter("hardness") if self.name == "hardness" else 0.0
@@ -107,7 +108,7 @@ def located(special: Special, name: str | None = None, wall: str | None = None) 
 def _only(start, name, wall):
     """(`PointEquations`, unknowns) of the one touch of a wall."""
     found = [at_point(start.kind, *sheet) for sheet in equations(start, (name,), whole=True)]
-    sides = [None if each.touch is None else SIDES[int(each.cycle.sides[each.touch] > 0)] for each, _ in found]
+    sides = [SIDES[int(each.cycle.sides[0] > 0)] if each.grazes else None for each, _ in found]
     chosen = [one for one, side in zip(found, sides, strict=True) if wall in (None, side)]
     if len(chosen) != 1:
         told = ", ".join(side for side in sides if side) or "none"
@@ -130,17 +131,18 @@ def _told(scene):
 
 @jax.jit
 def solved(point, start, begin, rows, direction):
-    """The `LocatedPoint`s of scenes whose numbers are in rows, along a direction of them, value: how far.
+    """(the `LocatedPoint`s from scenes whose numbers are in rows, along a direction of them, value: how far; the
+    unknowns).
 
     point: the `PointEquations`; start: their unknowns where the numbers are those of begin.
     """
-    rows = rows * (1.0 - direction)
     find, look = root(_left, _found, one_kernel), in_turn(_admissible, one_kernel)
     fixed = point, jnp.asarray(direction), jnp.asarray(start), jnp.asarray(begin)
 
     def at(row):
         unknowns, told = find(row, fixed)
-        return _record(point, unknowns, *told, look(point, fixed[1], *lax.stop_gradient((row, unknowns))))
+        real = look(point, fixed[1], *lax.stop_gradient((row, unknowns)))
+        return _record(point, unknowns, *told, real), unknowns
 
     return jax.vmap(at)(rows)
 
@@ -170,4 +172,4 @@ def _admissible(point, direction, numbers, unknowns):
     """Whether the orbit keeps to its walls and hits them with positive speed, one after the other."""
     cycle = point.cycle_at(unknowns)
     built = framed(point.scene(numbers + unknowns[point.size] * direction))
-    return is_real(built, impact_equations.flights(built, cycle), cycle.speeds, point.touch)
+    return is_real(built, impact_equations.flights(built, cycle), cycle.speeds, point.grazes)

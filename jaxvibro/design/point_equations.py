@@ -35,12 +35,12 @@ STATIC = {"static": True}
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class PointEquations:
-    """What is zero at a special point, a pytree. kind; touch: at a GR the row of the impact without speed, else None;
-    cycle: the impacts, of half the orbit at an SB; null: l, the null vector where the point was found, None at a GR;
-    tree: of the scene's numbers."""
+    """What is zero at a special point, a pytree. kind; grazes: whether the first impact is one without speed, as at a
+    GR; tree: of the scene's numbers; cycle: the impacts, of half the orbit at an SB; null: l, the null vector where the
+    point was found, None at a GR."""
 
     kind: str = field(metadata=STATIC)
-    touch: int | None = field(metadata=STATIC)
+    grazes: bool = field(metadata=STATIC)
     tree: jax.tree_util.PyTreeDef = field(metadata=STATIC)
     cycle: Cycle
     null: Float[Array, " speeds"] | None
@@ -48,7 +48,7 @@ class PointEquations:
     @property
     def size(self) -> int:
         """How many times and speeds are unknown: how far comes after them."""
-        return 2 * len(self.cycle.sides) - (self.touch is not None)
+        return 2 * len(self.cycle.sides) - self.grazes
 
     def scene(self, numbers: Numbers) -> Scene:
         """The scene with these numbers, (numbers,), of which an SB takes the symmetric part."""
@@ -59,8 +59,8 @@ class PointEquations:
         """The `Cycle` with these unknowns."""
         rows = len(self.cycle.sides)
         times, speeds = unknowns[:rows], unknowns[rows : self.size]
-        if self.touch is not None:
-            speeds = jnp.concatenate([speeds[: self.touch], jnp.zeros_like(times[:1]), speeds[self.touch :]])
+        if self.grazes:
+            speeds = jnp.concatenate([jnp.zeros_like(times[:1]), speeds])
         return self.cycle._replace(times=times, speeds=speeds)
 
     def left(self, unknowns: Unknowns, numbers: Numbers, direction: Numbers) -> Unknowns:
@@ -92,16 +92,25 @@ def at_point(kind, curve, z):
     scene = whole(there(curve, z))
     tree = jax.tree.structure(scene)
     if isinstance(curve, Grazing):
-        touch = int(np.argmax(curve.pick))
-        return PointEquations(kind, touch, tree, cycle, None), np.concatenate([times, np.delete(speeds, touch), z[-1:]])
-    point = PointEquations(kind, None, tree, cycle, None)
-    slopes = _slopes(point, jnp.stack(jax.tree.leaves(scene)))
+        return grazing(tree, cycle, int(np.argmax(curve.pick)), z[-1], float(there(curve, z).frequency))
+    point = PointEquations(kind, False, tree, cycle, None)
+    slopes = slopes_at(point, jnp.stack(jax.tree.leaves(scene)))
     null = locate.null(np.asarray(cyclic_system.dense(cyclic_system.of(slopes), CLOSING[kind])))
     return replace(point, null=null), np.concatenate([times, speeds, z[-1:], null])
 
 
+def grazing(tree, cycle, touch, value, frequency):
+    """(`PointEquations`, unknowns) of a GR at which the impact in a row has no speed: it becomes the first."""
+    late = np.where(np.arange(len(cycle.sides)) < touch, float(cycle.periods) * 2.0 * np.pi / frequency, 0.0)
+    times, speeds, sides = (np.roll(each, -touch) for each in (cycle.times + late, cycle.speeds, cycle.sides))
+    still = None if cycle.still is None else np.roll(cycle.still, -touch)
+    cycle = cycle._replace(times=times, speeds=speeds, sides=sides, still=still)
+    return PointEquations("GR", True, tree, cycle, None), np.concatenate([times, speeds[1:], [value]])
+
+
 @jax.jit
-def _slopes(point, numbers):
+def slopes_at(point, numbers):
+    """The `Slopes` of the equations of its own impacts."""
     return impact_equations.equations(framed(point.scene(numbers)), point.cycle)[1]
 
 

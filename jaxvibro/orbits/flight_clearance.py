@@ -61,12 +61,12 @@ def clearances(frame, found, samples):
     return jnp.where(jnp.isfinite(crest) & real, distance, jnp.inf).T, time.T
 
 
-def is_real(frame, found, speeds, touch=None):
-    """Whether flights keep to their walls, and hit them with positive speeds one after the other. touch: the row of an
-    impact that is to have none."""
+def is_real(frame, found, speeds, grazes=False):
+    """Whether flights keep to their walls, and hit them with positive speeds one after the other. grazes:
+    whether the first is one that is to have none."""
     clear, _ = clearances(frame, found, samples(frame, found))
-    hit = speeds if touch is None else speeds.at[touch].set(1.0)
-    slack = 0.0 if touch is None else TOUCH * frame.size
+    hit = speeds[1:] if grazes else speeds
+    slack = TOUCH * frame.size if grazes else 0.0
     return jnp.all(hit > 0) & jnp.all(clear >= -slack) & jnp.all(found.time > 0)
 
 

@@ -71,27 +71,36 @@ def solve_orbits(
     walls = words.checked(itinerary, periods)
     if not isinstance(scenes, Scene):
         raise check.ArgumentError("scenes", "must be a Scene", scenes)
-    sides = np.array([LETTERS[side] for word in walls for side in word])
+    leaves, tree = jax.tree.flatten(scenes)
+    asked = Itinerary(tree, walls)
+    sides = asked.sides
     if isinstance(guesses, State):
         phase, start = _met(scenes, real_state(scenes, guesses), sides, len(walls))
     else:
         phase, start = jnp.zeros((), scenes.dtype), _given(guesses, len(sides), scenes.dtype)
     shape = jnp.broadcast_shapes(scenes.shape, jnp.shape(phase), start.shape[:-1])
-    leaves, tree = jax.tree.flatten(scenes)
     rows = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in leaves], 1)
     phase = jnp.broadcast_to(phase, shape).reshape(-1)
     start = jnp.broadcast_to(start, (*shape, start.shape[-1])).reshape(-1, start.shape[-1])
-    found = _solved(Itinerary(tree, tuple(sides), len(walls)), rows, phase, start)
-    found = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
-    return OrbitSolutions(*found, walls)
+    found = _solved(asked, rows, phase, start)
+    return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
 
 
 class Itinerary(NamedTuple):
-    """What is static of an orbit: the tree of its scene's numbers, the sides that it hits, its periods."""
+    """What is static of an orbit: the tree of its scene's numbers, and the walls that it hits, a word a period."""
 
     tree: jax.tree_util.PyTreeDef
-    sides: tuple[float, ...]
-    periods: int
+    words: tuple[str, ...]
+
+    @property
+    def sides(self) -> Float[np.ndarray, " impacts"]:
+        """-1 left, 1 right."""
+        return np.array([LETTERS[side] for word in self.words for side in word])
+
+    @property
+    def periods(self) -> int:
+        """Of the drive."""
+        return len(self.words)
 
 
 def _given(guesses, count, dtype):
@@ -125,7 +134,7 @@ def _met(scenes, guesses, sides, periods):
 
 @partial(jax.jit, static_argnums=0)
 def _solved(asked, rows, phases, starts):
-    """The fields of `OrbitSolutions` of lanes in one axis."""
+    """The `OrbitSolutions` of lanes in one axis."""
     left, find, look = (partial(each, asked) for each in (_left, _found, _is_real))
     find, look, measure = root(left, find, one_kernel), in_turn(look, one_kernel), smooth(partial(_measured, asked))
 
@@ -138,9 +147,10 @@ def _solved(asked, rows, phases, starts):
             status == newton.OK, jnp.where(real, SolutionStatus.OK, SolutionStatus.VIRTUAL), SolutionStatus.NONE
         )
         blank = jnp.where(status == SolutionStatus.NONE, jnp.nan, 1.0)
-        times, speeds = jnp.split(unknowns * blank, 2) if asked.sides else (unknowns[:0], unknowns[:0])
+        times, speeds = jnp.split(unknowns * blank, 2) if len(asked.sides) else (unknowns[:0], unknowns[:0])
         state = State(x * blank, v * blank, phase, 0.0 * phase)
-        return state, times, speeds, _multipliers(trace, determinant) * blank, residual, status
+        roots = _multipliers(trace, determinant) * blank
+        return OrbitSolutions(state, times, speeds, roots, residual, status, asked.words)
 
     return jax.vmap(lane)(rows, phases, starts)
 
@@ -153,7 +163,7 @@ def _cycle(asked, unknowns, phase):
 def _left(asked, unknowns, numbers, fixed):
     """What is to be zero."""
     scene, (phase, _) = asked.tree.unflatten(list(numbers)), fixed
-    if asked.sides:
+    if len(asked.sides):
         return impact_equations.equations(framed(scene), _cycle(asked, unknowns, phase))[0]
     return jnp.stack(_flown(asked, scene, phase, unknowns)[0]) - unknowns
 
@@ -167,7 +177,7 @@ def _flown(asked, scene, phase, state):
 
 def _found(asked, numbers, fixed):
     phase, start = fixed
-    if asked.sides:
+    if len(asked.sides):
         scene = asked.tree.unflatten(list(numbers))
         found = impact_equations.solved(scene, _cycle(asked, start, phase))
     else:
@@ -179,7 +189,7 @@ def _found(asked, numbers, fixed):
 def _is_real(asked, numbers, phase, unknowns):
     scene = asked.tree.unflatten(list(numbers))
     built = framed(scene)
-    if asked.sides:
+    if len(asked.sides):
         cycle = _cycle(asked, unknowns, phase)
         return is_real(built, impact_equations.flights(built, cycle), cycle.speeds)
     span = OVERLAP * asked.periods * built.period
@@ -191,7 +201,7 @@ def _measured(asked, joined, fixed):
     """x and v at the section, trace and determinant of the monodromy matrix, of unknowns and numbers in one row."""
     phase, start = fixed
     unknowns, scene = joined[: len(start)], asked.tree.unflatten(list(joined[len(start) :]))
-    if not asked.sides:
+    if not len(asked.sides):
         _, (p00, p01, p11) = _flown(asked, scene, phase, unknowns)
         return jnp.stack([*unknowns, p00 + p11, p00 * p11 + p01 * p01])
     built, cycle = framed(scene), _cycle(asked, unknowns, phase)
