@@ -49,6 +49,8 @@ _HOMES = {
     "margin": "design.margin",
     "Margin": "design.margin",
     "NearPoint": "design.margin",
+    "place": "design.place",
+    "Placement": "design.place",
     "locus": "loci.locus",
     "Locus": "loci.locus",
     "family": "loci.family",

@@ -23,6 +23,8 @@ from .design.located import located as located
 from .design.margin import Margin as Margin
 from .design.margin import NearPoint as NearPoint
 from .design.margin import margin as margin
+from .design.place import Placement as Placement
+from .design.place import place as place
 from .loci.family import family as family
 from .loci.locus import Locus as Locus
 from .loci.locus import locus as locus

@@ -26,6 +26,7 @@ from .rays import RayEnd, rays
 KINDS = ("SN", "PD", "SB", "GR")
 REACHES = 1.0, 4.0, 16.0, 64.0, 256.0  # units: one after the other, until a boundary is found
 MOST = 4  # starts of a kind and of touches of one wall
+ROUNDING = 1e-12  # of 1 + a number's change: so far beyond its bound it is at it
 ALIKE = 1e-6  # of 1 + the distance: two points as near are one
 SLACK = 4.0 / 1024.0  # of a way: a ray's end is so well known
 REACHED, BEHIND = "reached", "behind another"
@@ -235,8 +236,8 @@ def _foot(numbers, space, point, unknowns, offset):
         offset[~held] = found.offset
         out = np.where(held, 0.0, np.maximum(offset - space.high, space.low - offset))
         place = int(np.argmax(out))
-        if out[place] <= ALIKE * (1.0 + abs(offset[place])):
-            return found._replace(offset=offset), bound
+        if out[place] <= ROUNDING * (1.0 + abs(offset[place])):
+            return found._replace(offset=np.clip(offset, space.low, space.high)), bound
         limit = space.high[place] if offset[place] > space.high[place] else space.low[place]
         unknowns, offset, point = _brought(
             found, numbers, space, offset, place, limit, held | (np.arange(len(held)) == place)
@@ -274,12 +275,11 @@ def _near(orbit, tree, cycle, numbers, space, foot, bound):
     status = REACHED if way.share[0] * (1.0 + SLACK) >= 1.0 - SLACK else BEHIND
     if status == REACHED and way.end[0] == RayEnd.NONE:
         return None  # a boundary of another orbit
-    changes = foot.offset * [float(unit) for unit in _units(space)]
-    scene = orbit.scene
-    names = space.names
-    scene = scene.replace(
-        **{name: float(scene.parameter(name)) + change for name, change in zip(names, changes, strict=True)}
-    )
+    names, scene, changes = space.names, orbit.scene, foot.offset * abs(space.units).max(axis=1)
+    values = [float(scene.parameter(name)) + change for name, change in zip(names, changes, strict=True)]
+    ends = (domain(scene, name) for name in names)
+    values = [min(max(value, low), high) for value, (low, high) in zip(values, ends, strict=True)]  # a rounding beyond
+    scene = scene.replace(**dict(zip(names, values, strict=True)))
     there = foot.point.cycle_at(jnp.asarray(foot.unknowns))
     return NearPoint(
         kind=foot.point.kind,
@@ -295,10 +295,6 @@ def _near(orbit, tree, cycle, numbers, space, foot, bound):
         status=status,
         at_bound=tuple(name for name, is_held in zip(names, bound, strict=True) if is_held),
     )
-
-
-def _units(space):
-    return abs(space.units).max(axis=1)
 
 
 def _distinct(found):
