@@ -56,43 +56,26 @@ def by_loci(orbit, near, free):
     """|distance - that to the locus through the nearest point|; nan where that cannot be traced, or ends there."""
     point = near.points[0]
     names = tuple(free)
-    if set(names) & {"restitution"} and any(wall.restitution is not None for wall in orbit.scene.walls.values()):
-        pass
-    other = jv.solve_orbits
-    assert other is not None
     start = special_at(orbit, point, names[0])
     if start is None:
         return np.nan
     there = {name: float(point.scene.parameter(name)) for name in names}
     bounds = {name: (value - 0.3 * free[name], value + 0.3 * free[name]) for name, value in there.items()}
-    bounds = {name: (max(low, 0.0) if name in ("damping",) else low, high) for name, (low, high) in bounds.items()}
     locus = jv.locus(start, names, bounds, 0.002, 0.004)
     found = nearest_on(locus, orbit, free)
     return np.nan if found is None else abs(found - near.points[0].distance)
 
 
 def special_at(orbit, point, name):
-    """The special point of a branch along a parameter that lies at a near point: followed from an orbit beside it."""
-    scene, share = point.scene, 0.999
-    begin = {key: float(orbit.scene.parameter(key)) + share * change for key, change in point.change.items()}
-    beside = orbit.scene.replace(**begin)
-    # the orbit itself, followed along the straight way, in steps
+    """The special point of a branch along a parameter that lies at a near point; the orbit is found anew again and
+    again on the straight way there, and followed from just before it. None where there is none."""
     here = orbit
-    for part in np.linspace(0.1, 1.0, 10):
-        values = {
-            key: float(orbit.scene.parameter(key)) + part * share * change for key, change in point.change.items()
-        }
-        guess = (here.impacts.time + here.state.phase / float(here.scene.frequency), here.impacts.speed)
-        try:
-            here = jv.find_orbit(orbit.scene.replace(**values), here.state, here.periods, settle=0)
-        except (jv.OrbitError, jv.ArgumentError):
-            return None
-        del guess
-    value, unit = float(scene.parameter(name)), UNITS[name]
-    low = value - 0.05 * unit if name != "damping" else max(0.0, value - 0.05 * unit)
-    branch = jv.follow(
-        here, name, (min(low, float(beside.parameter(name)) - 1e-9), value + 0.05 * unit), "both", 1e-3, 1e-2
-    )
+    for share in np.linspace(0.0999, 0.999, 10):
+        values = {key: float(orbit.scene.parameter(key)) + share * change for key, change in point.change.items()}
+        here = jv.find_orbit(orbit.scene.replace(**values), here.state, here.periods, settle=0)
+    value, begun = float(point.scene.parameter(name)), float(here.scene.parameter(name))
+    low, high = min(begun, value) - 0.05 * UNITS[name], max(begun, value) + 0.05 * UNITS[name]
+    branch = jv.follow(here, name, (low, high), "both", 1e-3, 1e-2)
     found = [one for one in branch.special if one.kind == point.kind]
     return min(found, key=lambda one: abs(one.value - value), default=None)
 

@@ -125,14 +125,14 @@ def margin(
         raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
     if orbit.unknowns == "state" and orbit.impacts.count:
         raise OrbitError("the orbit rests on a wall, or chatters", orbit.residual, "margin takes separate impacts")
-    free, kinds = checked_free(orbit.scene, free), check.sequence("kinds", kinds)
+    units, kinds = checked_free(orbit.scene, free), check.sequence("kinds", kinds)
     if not set(kinds) <= set(KINDS) or not kinds:
         raise check.ArgumentError("kinds", f"must be some of {', '.join(KINDS)}", kinds)
-    count = check.whole("directions", directions, 2 * len(free))
-    space, cycle = _space(orbit.scene, free, bounds or {}), cycle_of(orbit)
+    count = check.whole("directions", directions, 2 * len(units))
+    space, cycle = _space(orbit.scene, units, bounds or {}), cycle_of(orbit)
     scene = whole(orbit.scene)
     numbers, tree = np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(scene)]), jax.tree.structure(scene)
-    ways = directions_of(len(free), count, seed)
+    ways = directions_of(len(units), count, seed)
     for reach in REACHES:
         ends, lengths = _ends(tree, cycle, numbers, space, ways, reach)
         starts = _starts(tree, cycle, numbers, space, ways, lengths, ends, kinds)
@@ -143,7 +143,7 @@ def margin(
     found = _distinct(sorted((one for one in found if one), key=lambda one: (one.status == BEHIND, one.distance)))
     first = [next((one for one in found if one.kind == kind), None) for kind in kinds]
     points = sorted((one for one in first if one), key=lambda one: one.distance)
-    return Margin(orbit, free, tuple(points), tuple(one for one in found if one not in points), (reach, count))
+    return Margin(orbit, units, tuple(points), tuple(one for one in found if one not in points), (reach, count))
 
 
 def checked_free(scene, free):

@@ -139,7 +139,8 @@ def _asked(scene, free, bounds, values):
 
 
 def _approached(asked, goal):
-    """(the change in units, how much of the way to the targets it is, which numbers are at a bound, the slope left)."""
+    """(the change in units, how much of the way to the targets it is, which numbers are at a bound, or stop it there,
+    the slope left)."""
     size = len(asked.names)
     change, held, force = np.zeros(size), np.zeros(size, bool), np.zeros(len(goal))
     begun = asked.sloped(_around(change))[0][0]
@@ -148,22 +149,22 @@ def _approached(asked, goal):
     share, step, slope = 0.0, 1.0, 0.0
     while share < 1.0 and step >= SHORTEST:
         ahead = min(1.0, share + step)
-        found = _within(asked, change, force, held, begun + ahead * (goal - begun))
+        found, stops = _within(asked, change, force, held, begun + ahead * (goal - begun))
         if found is None:
             step *= 0.5
         else:
             change, force, held, slope = found
             share, step = ahead, 2.0 * step
-    return change, share, held, slope
+    return change, share, held if share == 1.0 else stops, slope
 
 
 def _within(asked, change, force, held, goal):
-    """(change, multipliers, which numbers are at a bound, slope) of the least change with these values, within the
-    bounds; None where Newton's method does not converge."""
+    """((change, multipliers, which numbers are at a bound, slope) of the least change with these values, within the
+    bounds, None where Newton's method leads to none; which numbers were at a bound last)."""
     for _ in range(2 * len(change) + 1):
         found = _solved(asked, change, force, held, goal)
         if found is None:
-            return None
+            return None, held
         change, force, pull, slope = found
         out = np.where(held, 0.0, np.maximum(change - asked.high, asked.low - change))
         wrong = np.where(
@@ -176,8 +177,8 @@ def _within(asked, change, force, held, goal):
         elif wrong.max() > SHARP * (1.0 + abs(pull).max()):
             held = held & (np.arange(len(held)) != int(np.argmax(wrong)))
         else:
-            return change, force, held, slope
-    return None
+            return (change, force, held, slope), held
+    return None, held
 
 
 def _around(change):

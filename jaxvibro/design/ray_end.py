@@ -43,7 +43,7 @@ def point_at(tree, cycle, numbers, end):
 
 def _is_symmetric(tree, cycle, numbers):
     """Whether the orbit is its own mirror image."""
-    scene = tree.unflatten(list(numbers))
+    scene = tree.unflatten([np.asarray(each) for each in numbers])
     if len(cycle.sides) % 2 or not is_symmetric(scene):
         return False
     speeds = np.asarray(cycle.speeds)
@@ -58,7 +58,7 @@ def _null(point, numbers):
 
 def _grazing(tree, cycle, numbers, end):
     """The touch as an impact without speed."""
-    scene = tree.unflatten(list(numbers))
+    scene = tree.unflatten([np.asarray(each) for each in numbers])
     times, speeds, sides = (np.asarray(each) for each in (cycle.times, cycle.speeds, cycle.sides))
     if end.end == RayEnd.SLOW:
         touch, speeds = int(end.row), np.where(np.arange(len(times)) == int(end.row), 0.0, speeds)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Float
 
 from continuation.arrays import Array
 from continuation.implicit import in_turn
@@ -47,12 +47,12 @@ class Ray(NamedTuple):
     just beyond; row, wall, time: of a touch: the flight after that impact, the wall's place among the walls, the time
     since the section's phase; of an impact without speed its row."""
 
-    share: Float[Array, "*ways"]
-    unknowns: Float[Array, "*ways unknowns"]
-    end: Float[Array, "*ways"]
-    row: Float[Array, "*ways"]
-    wall: Float[Array, "*ways"]
-    time: Float[Array, "*ways"]
+    share: Float[ArrayLike, "*ways"]
+    unknowns: Float[ArrayLike, "*ways unknowns"]
+    end: Float[ArrayLike, "*ways"]
+    row: Float[ArrayLike, "*ways"]
+    wall: Float[ArrayLike, "*ways"]
+    time: Float[ArrayLike, "*ways"]
 
 
 class _Seen(NamedTuple):
