@@ -121,3 +121,31 @@ def test_what_a_stay_makes_of_its_start_is_as_by_the_derivatives_of_the_replays(
     ours, theirs = (in_numpy(partial(moved, function), *given, near) for function in (met, kept))
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         assert np.allclose(one, other, rtol=1e-8, atol=1e-10 * abs(other).max())
+
+
+@pytest.mark.parametrize("kind", WALLS)
+def test_second_derivatives_of_a_stay_are_differences_of_the_first(kind):
+    scene, side, cosine, sine, speed = entries(kind)
+    keep = speed > 1e-3  # of slower ones a difference sees nothing
+    side, cosine, sine, speed = (each[keep] for each in (side, cosine, sine, speed))
+
+    def along(s, near):
+        """All of a stay, where amplitude, frequency and speed are s times greater by one."""
+        built = frame(replace(scene, amplitude=scene.amplitude + s, frequency=scene.frequency + s))
+        found = stay.leave(built, side, cosine, sine, speed * (1.0 + s), near)
+        return jnp.stack([each for each in jax.tree.leaves(found) if jnp.shape(each)])
+
+    def first(s, near):
+        return jax.jvp(lambda s: along(s, near), (s,), (1.0,))[1]
+
+    def near_at(s):
+        there = replace(scene, amplitude=scene.amplitude + s, frequency=scene.frequency + s)
+        return jax.jit(certified)(there, side, cosine, sine, speed * (1.0 + s))
+
+    slopes, step = jax.jit(first), 1e-4
+    second = jax.jit(lambda s, near: jax.jvp(lambda s: first(s, near), (s,), (1.0,))[1])(0.0, near_at(0.0))
+    ends = [slopes(k * step, near_at(k * step)) for k in (1, -1, 2, -2)]
+    true = (8.0 * (ends[0] - ends[1]) - (ends[2] - ends[3])) / (12.0 * step)
+    size = abs(true) + abs(slopes(0.0, near_at(0.0))) + 1e-3 * abs(true).max(axis=1, keepdims=True)
+    assert np.median(abs(second - true) / size) < 1e-9
+    assert np.max(abs(second - true) / size) < 1e-5

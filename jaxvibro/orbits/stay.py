@@ -44,7 +44,7 @@ def leave(frame, side, cosine, sine, speed, found):
     """The `Stay` of lanes that meet a soft wall on a side with a speed; side 0: of none, any numbers.
 
     Smooth in all numbers, also where the speed goes through zero: the stay goes through zero with it, and from there on
-    is a negative time. First derivatives are right. found: its time by `guess`.
+    is a negative time. First and second derivatives are right. found: its time by `guess`.
     """
     touch = side * Contact.ENTERED
     here = soft_contact.feeling(frame, touch)
@@ -96,7 +96,7 @@ def _short(here, rows, path, v, pull, time):
         return new, new - share, count + 1
 
     share, *_ = lax.while_loop(going, nearer, (time / reach, lax.full_like(time, jnp.inf), 0))
-    share = _newton(path[1:], share)
+    share = _newton(path[1:], _newton(path[1:], share))  # two steps from the root: right to the third derivative
     places = soft_polynomial.powers(share)
     _, stay, move, *_ = rows
     p00, rise = 1.0 + soft_polynomial.value(stay, places), soft_polynomial.value(move[1:], places)
@@ -115,7 +115,8 @@ def _newton(path, share):
 
 
 def _long(here, touch, rows, v, pull, cosine, sine, time):
-    """As `_short`, of a longer stay, at a time that is right but for rounding: what is left changes all in proportion.
+    """As `_short`, of a longer stay, at a time that is right but for rounding: what is left changes all by the first
+    terms of its series, two, so that second derivatives are right.
 
     Where p01 is small it follows from y = 0 at the end, as in `contact_duration.from_wall_to_wall`.
     """
@@ -124,10 +125,14 @@ def _long(here, touch, rows, v, pull, cosine, sine, time):
     forced, pace = soft_contact.flown(here, touch, response, (none, none), cosine, sine)
     y, speed = forced + p01 * v, pace + p11 * v
     turned = flow.rotated(cosine, sine, here.frequency * time)
-    bend, _ = accelerations(here, y, speed, *turned, soft_contact.biases(here, touch, *turned, 1))
-    late = -y / speed
-    drag, spring = 2.0 * here.damping, here.stiffness * p01
-    after, forced, back = speed + bend * late, forced + pace * late, p01 + p11 * late
-    p00, p11 = p00 - spring * late, p11 - (spring + drag * p11) * late
+    bend, jerk = accelerations(here, y, speed, *turned, soft_contact.biases(here, touch, *turned, 1))
+    late = -(y / speed) * (1.0 + 0.5 * bend * y / (speed * speed))
+    drag, half = 2.0 * here.damping, 0.5 * late * late
+    fall = -here.stiffness * p01 - drag * p11  # p11', which is p01''
+    after = speed + bend * late + jerk * half
+    forced = forced + pace * late + (bend - v * fall) * half
+    back = p01 + p11 * late + fall * half
+    p00 = p00 - here.stiffness * (p01 * late + p11 * half)
+    p11 = p11 + fall * late - (here.stiffness * p11 + drag * fall) * half
     p01 = choose(time < QUICK * here.reach, -forced / v, back)
     return time + late, after, p00, p01, p11, (p00 * v + p01 * pull) / after, -p01 / after
