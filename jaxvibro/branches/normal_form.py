@@ -58,12 +58,12 @@ def normal_form(kind, name, scene, spot, roots, joins):
             along, z = place_orbit(scene, name, spot)
             if kind == "GR":
                 return _grazing(depths(scene, along, z, scene_length(scene)), _goes_on(name, scene, spot, joins))
-            return _unfolded(kind, UNFOLDED[kind](scene, along, z), abs(roots).min() < 1.0 - MARGIN)
+            return unfolded(kind, UNFOLDED[kind](scene, along, z), abs(roots).min() < 1.0 - MARGIN)
     except np.linalg.LinAlgError:
         return None
 
 
-def _unfolded(kind, found, stable):
+def unfolded(kind, found, stable):
     """The `NormalForm` of an `Unfolding`, if there is one; stable: whether the multiplier that is not at 1 or -1 is."""
     if not np.isfinite(found.bend):
         return None
