@@ -9,9 +9,20 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.branches import normal_form as forms
 from jaxvibro.output.checksums import netcdf
+from jaxvibro.problem.depths import depths
+from jaxvibro.problem.orbit_on_branch import place_orbit
 from jaxvibro.problem.unfolding import Unfolding
 from jaxvibro.scene.scale import scene_length
-from tests.normal_forms_proof import exact, is_right, measured, root_by_flights, slope_by_clearance, touched
+from tests.normal_forms_proof import (
+    exact,
+    extrapolated,
+    flown,
+    is_right,
+    measured,
+    root_by_flights,
+    slope_by_clearance,
+    touched,
+)
 from tests.reference import closed
 
 GAMMA, OMEGA, R = 0.05, 2.1, 0.7
@@ -183,6 +194,30 @@ def test_a_soft_wall():
         size = np.hypot(1.0 - point.value**2, 2.0 * 0.05 * point.value)
         slope = (point.value * (1.0 - point.value**2 - 2.0 * 0.05**2)) * 2.0 * 0.3 / size**3
         assert form.rate == pytest.approx(slope, rel=1e-8)
+
+
+@pytest.mark.slow
+def test_a_soft_wall_that_moves_and_pushes_at_once():
+    """Where the motion without impacts touches it, as it would a rigid one: a period that begins there with a depth, by
+    certified flights, brought back to its begin without the wall."""
+    wall = jv.Wall(1.0, motion=jv.Motion(0.2, 0.5))
+    scene = jv.make_scene(0.3, 0.7, 0.05, 0.7, (None, wall))
+    point = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.1, 2.0)).points("GR")[0]
+    wall = jv.Wall(1.0, stiffness=20.0, damping=0.6, motion=wall.motion)
+    soft = jv.make_scene(point.value, 0.7, 0.05, 0.7, (None, wall))
+    (one,) = depths(soft, *place_orbit(soft, "amplitude", point.spot), 1.0)
+    (place,) = touched(point).values()
+    phase, at, pace = place
+
+    def jump(h):
+        back = 2.0  # the period ends before the wall is touched again
+        start = flown(soft, at + h * h, pace, phase, -back)
+        end, met = jv.strobe(soft, jv.State(*start, phase - 0.7 * back))
+        assert met.count == 1
+        _, v = flown(soft, float(end.x), float(end.v), phase - 0.7 * back, back - 2.0 * np.pi / 0.7)
+        return abs(v - pace) / h
+
+    assert extrapolated([jump(0.02 * 0.5**k) for k in range(6)]) == pytest.approx(one.root, rel=1e-5)
 
 
 def test_orbits_that_are_unstable_on_both_sides_are_harmless():

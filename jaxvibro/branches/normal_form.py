@@ -77,7 +77,7 @@ def unfolded(kind, found, stable):
 
 def _grazing(found, goes_on):
     """The `NormalForm` of `Depth`s, if there are any."""
-    if not found or not all(np.isfinite(one.root) and not np.isnan(one.slope) for one in found):
+    if not found or np.isnan([(one.root, one.slope) for one in found]).any():
         return None
     first = max(found, key=lambda one: one.root)
     consequence = HARMLESS if goes_on else JUMP

@@ -27,8 +27,7 @@ APART = 0.05  # between the points of a difference, over the fastest rate
 FLIGHT = 0.05  # of a flight: more no point is moved by, and of a speed, where a wall is soft
 PLACES = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
 FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, 8 / 5, -1 / 5, 8 / 315, -1 / 560])
-MIDDLE = -205 / 72  # of the second derivative, at the point itself
+SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, 8 / 5, -1 / 5, 8 / 315, -1 / 560])  # of what is 0 at the point
 
 
 class Unfolding(NamedTuple):
@@ -107,7 +106,7 @@ def _line(scene, along, z, closing):
         rows = _ends(along)[1]
         found[:, rows] = other[:, rows]
     by = np.tensordot(FIRST, found, 1) / step
-    second = (np.tensordot(SECOND, found, 1) + MIDDLE * slopes) / step**2
+    second = np.tensordot(SECOND, found, 1) / step**2
     return _Line(along, closing, v, w, slopes, by, float(w @ _closed(along, second[None], closing)[0][:, :-1] @ v))
 
 
