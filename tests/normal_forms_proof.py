@@ -82,7 +82,7 @@ def is_right(point, form):
     low, high = max(point.value - room, point.bounds[0]), min(point.value + room, point.bounds[1])
     for branch in jv.switch(point, (low, high), step, 4.0 * step):
         gaps = branch.values - point.value
-        first = np.flatnonzero(abs(gaps) > SURE * (1.0 + abs(point.value)))[0]
+        first = int(np.argmax(abs(gaps) > SURE * (1.0 + abs(point.value)))) or len(gaps) - 1
         if np.sign(gaps[first]) != form.side or branch.stable[first] != (form.criticality == "supercritical"):
             return False
     return True
