@@ -65,11 +65,16 @@ def bends(problem, z, args, left, rights):
     of right, as second derivatives commute; by differences over four points each, all in one call."""
     steps = [WIDE * (1.0 + abs(z).max()) / abs(right).max() for right in rights]
     aside = [k * step * right for step, right in zip(steps, rights, strict=True) for k in (1.0, -1.0, 2.0, -2.0)]
-    zs = z + np.stack(aside + [np.zeros(len(z))] * (MANY - len(aside)))
-    found = np.asarray(_several(problem, zs, np.int32(len(aside)), args))
-    each = left @ found[: len(aside)]
+    each = left @ slopes_at(problem, z + np.stack(aside), args)
     parts = zip(steps, each.reshape(-1, 4, len(z)), strict=True)
     return [(8.0 * (a - b) - (c - d)) / (12.0 * step) for step, (a, b, c, d) in parts]
+
+
+def slopes_at(problem, zs, args):
+    """dF/dz at some points, `MANY` at most, in one call."""
+    zs = np.asarray(zs)
+    padded = np.concatenate([zs, np.repeat(zs[-1:], MANY - len(zs), axis=0)])
+    return np.asarray(_several(problem, padded, np.int32(len(zs)), args))[: len(zs)]
 
 
 def differences(function, z):

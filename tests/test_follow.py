@@ -66,6 +66,8 @@ def test_the_symmetric_branch(branch):
         "inf",
         "P100<",
         "P111<",
+        "jump",
+        *("5.04874", "sqrt(depth),", "+0.292701", "a", "unit"),
     ]
 
 

@@ -24,6 +24,8 @@ from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
 from ..problem.orbit_rows import OrbitRows, SpecialOrbit
 from ..scene.scene import Scene, changed
 from ..scene.scene_table import table_of
+from . import normal_form as forms
+from .normal_form import NormalForm
 
 NUMBERS = ("first_step", "largest_step", "tolerance")  # of the settings
 
@@ -58,7 +60,7 @@ class Special(SpecialOrbit):
     hit, a word a period. multipliers: the larger first, infinite at an impact without speed. residual: the largest
     error left in the point's equations. place: among the branch's points. spot: the orbit in plain numbers; slopes: its
     unit tangent (times, speeds, the parameter); joins: spots of the orbits that meet at a GR, a little on; aside: which
-    of them the branch does not go on with.
+    of them the branch does not go on with. saved: the normal form as a file had it.
     """
 
     kind: str
@@ -74,6 +76,14 @@ class Special(SpecialOrbit):
     slopes: Float[np.ndarray, " unknowns"] = field(repr=False)
     joins: tuple[OrbitPoint, ...] = field(repr=False)
     aside: tuple[bool, ...] = field(repr=False)
+    saved: NormalForm | None = field(repr=False, default=None)
+
+    @cached_property
+    def normal_form(self) -> NormalForm | None:
+        """The `NormalForm` of an SN, PD, SB or GR: on which side the others are, and the consequence. None of other
+        kinds, and where the equations are too singular to say."""
+        given = self.kind, self.name, self.scene, self.spot, self.multipliers, self.joins
+        return self.saved or forms.normal_form(*given)
 
     @cached_property
     def meets(self) -> tuple[Orbit, ...]:
@@ -148,6 +158,7 @@ class Branch(OrbitRows[Special]):
             "bounds": list(self.bounds),
             "scene": msgspec.toml.encode(table_of(self.scene)).decode(),
             "special": json.dumps(known),
+            "normal_forms": json.dumps([forms.plain(one.normal_form) for one in self.special]),
             "segments": json.dumps([[one.first, one.last, one.label, one.itinerary] for one in self.segments]),
             "reasons": json.dumps(self.reasons),
             "ends": json.dumps([one.name for one in self.ends]),
@@ -157,12 +168,12 @@ class Branch(OrbitRows[Special]):
 
     def table(self) -> str:
         """The special points as a text, a line each, and why the branch ends."""
-        rows = [("kind", self.name, "orbit", "itinerary", "multipliers", "meets")]
+        rows = [("kind", self.name, "orbit", "itinerary", "multipliers", "meets", "consequence", "normal form")]
         for one in self.special:
             walls = " ".join(word or "." for word in one.itinerary)
-            rows.append(
-                (one.kind, f"{one.value:.12g}", one.label, walls, pair(one.multipliers), " ".join(labels(one)) or "-")
-            )
+            own = (one.kind, f"{one.value:.12g}", one.label, walls, pair(one.multipliers), " ".join(labels(one)) or "-")
+            form = one.normal_form
+            rows.append((*own, *((form.consequence, str(form)) if form else ("-", "-"))))
         ends = [f"{end} point: {why}" for end, why in self.reason.items()]
         return "\n".join([columns(rows), *ends])
 
@@ -207,7 +218,7 @@ def spot_of(row, name):
     return OrbitPoint(float(row[name]), *columns, len(row["x"]), *plain, float(row["residual"]))
 
 
-def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=()):
+def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=(), saved=None):
     """The `Special` at a `row_of` a branch's data."""
     spot = spot_of(row, name)
     found = row["multiplier_real"] + 1j * row["multiplier_imag"]
@@ -215,6 +226,5 @@ def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=
     walls = itinerary(spot, float(scene.frequency))
     hit = row["side"] != 0
     slopes = np.concatenate([row["time_slope"][hit], row["speed_slope"][hit], [row["value_slope"]]])
-    return Special(
-        kind, name, spot.value, bounds, scene, walls, found, residual, place, spot, slopes, tuple(joins), tuple(aside)
-    )
+    more = tuple(joins), tuple(aside), saved
+    return Special(kind, name, spot.value, bounds, scene, walls, found, residual, place, spot, slopes, *more)

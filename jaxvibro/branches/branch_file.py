@@ -12,6 +12,7 @@ from ..problem.orbit_on_branch import OrbitPoint
 from ..scene import check
 from ..scene.scene_table import SceneTable
 from .branch import NUMBERS, Branch, Segment, row_of, special_of
+from .normal_form import of_plain
 
 AT_POINTS = ("stable", "least_speed", "least_clearance", "residual", "value_slope", "segment")
 COLUMNS = {
@@ -22,6 +23,7 @@ COLUMNS = {
 FINITE = ("x", "v", "residual", "value_slope")
 Itinerary = tuple[str, ...]
 Join = tuple[float, list[float], list[float], list[float], int, float, float, float]  # a `OrbitPoint`
+Form = tuple[float, int, float, list[float], list[tuple[int, float, float, float]], str, str]  # a `NormalForm`
 Point = tuple[str, int, float, list[Join], list[bool]]  # a special point: kind, place, residual, joins, aside
 
 
@@ -57,11 +59,12 @@ def _branch(data):
     segments = tuple(Segment(*one) for one in _field(attrs, "segments", list[tuple[int, int, str, Itinerary]]))
     ends = [-1, *(one.last for one in segments)]
     _fits("segments", ends[-1] == last and all(one.first == end + 1 for one, end in zip(segments, ends, strict=False)))
-    special = []
-    for kind, place, residual, joins, aside in _field(attrs, "special", list[Point]):
+    special, told = [], _field(attrs, "special", list[Point])
+    known = _field(attrs, "normal_forms", list[Form | None]) if "normal_forms" in attrs else [None] * len(told)
+    for (kind, place, residual, joins, aside), form in zip(told, known, strict=True):
         _fits("special", kind and 0 <= place <= last)
-        spots = [_spot(one) for one in joins]
-        special.append(special_of(scene, name, bounds, place, row_of(data, place), kind, residual, spots, aside))
+        more = [_spot(one) for one in joins], aside, of_plain(form)
+        special.append(special_of(scene, name, bounds, place, row_of(data, place), kind, residual, *more))
     reasons, settings = _field(attrs, "reasons", tuple[str, str]), _field(attrs, "settings", dict[str, float])
     _fits("settings", set(settings) == set(NUMBERS) and all(0 < each < np.inf for each in settings.values()))
     settings |= {"monitors": {}, "stop": ()}

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from ..orbits.orbit_comparison import is_same_orbit
-from ..problem.orbit_on_branch import impacts
+from ..problem.orbit_on_branch import impacts, place_orbit
 from ..problem.same_orbit import is_repeated
 from ..scene.symmetry import stays_symmetric
 from .branch import frequency_at
-from .follow import follow, place_orbit
+from .follow import follow
 from .mirror import mirrored
 from .switch import FIRST, branch_from, starts
 

@@ -10,15 +10,13 @@ from continuation.arclength import Control
 from continuation.event_search import pinned, tangent
 from continuation.points import start_point
 
-from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import Orbit, OrbitError
 from ..problem.end import End
-from ..problem.equations import OrbitEquations, problem
-from ..problem.grazing import free_start, padded
-from ..problem.orbit_on_branch import OrbitPoint
+from ..problem.equations import problem
+from ..problem.orbit_on_branch import OrbitPoint, place_orbit
 from ..problem.touches import scales
 from ..scene import check
-from ..scene.parameters import bounds_of, domain, marked
+from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
 from .assemble import assemble
 from .branch import Branch
@@ -122,17 +120,6 @@ def bring_to(along, z, value):
     """The `Point` near z at a value of the parameter, to rounding: `met` says whether there is one."""
     numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
     return pinned(problem(along), z, -1, value, Control(scales(along, 1.0), *numbers), along)
-
-
-def place_orbit(scene, name, spot):
-    """(`OrbitEquations`, z) of a `orbit_on_branch.OrbitPoint` of a scene."""
-    blank = np.zeros(0)
-    cycle = Cycle(blank, blank, blank, np.asarray(0.0), np.asarray(float(spot.periods)))
-    along = OrbitEquations(*marked(scene, name), cycle)
-    if not len(spot.times):
-        return along, free_start(along, spot.value)
-    along = along._replace(cycle=padded(along, list(zip(spot.times, spot.speeds, spot.sides, strict=True))))
-    return along, np.concatenate([along.cycle.times, along.cycle.speeds, [spot.value]])
 
 
 def check_settings(first_step, largest_step, tolerance, monitors, stop):

@@ -10,9 +10,8 @@ import numpy as np
 
 from ..maps import itinerary as words
 from ..problem.diagnostics import diagnose
-from ..problem.orbit_on_branch import itinerary
+from ..problem.orbit_on_branch import itinerary, place_orbit
 from .branch import frequency_at, row_of, special_of, spot_of
-from .follow import place_orbit
 
 
 def mirrored(branch):

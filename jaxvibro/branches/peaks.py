@@ -15,11 +15,10 @@ from ..orbits import flight_clearance, impact_equations
 from ..orbits.orbit import Orbit
 from ..problem.diagnostics import each_of, flight
 from ..problem.equations import cycle_at, there
-from ..problem.orbit_on_branch import OrbitPoint
+from ..problem.orbit_on_branch import OrbitPoint, place_orbit
 from ..scene import check
 from ..scene.codes import Contact
 from .branch import Branch, row_of, spot_of
-from .follow import place_orbit
 
 ROUNDS = 6  # of false position: x at a turning point is right to the square of its time's error
 

@@ -13,6 +13,7 @@ from continuation.points import start_point
 from ..problem.end import End, Reason
 from ..problem.equations import problem
 from ..problem.grazing import padded
+from ..problem.orbit_on_branch import place_orbit
 from ..problem.soft_grazing import exits
 from ..problem.touches import scales
 from ..scene import check
@@ -20,7 +21,7 @@ from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
 from .assemble import START, assemble, merge
 from .branch import Branch, Special, row_of, spot_of
-from .follow import Monitors, asking, check_settings, place_orbit
+from .follow import Monitors, asking, check_settings
 from .through_grazings import go_on
 
 FIRST = 0.01  # step of a branch that leaves a point

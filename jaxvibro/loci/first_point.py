@@ -9,12 +9,12 @@ from continuation.event_search import step, tangent
 from continuation.points import start_point
 
 from ..branches.branch import Special
-from ..branches.follow import SMALLEST, check_settings, place_orbit
+from ..branches.follow import SMALLEST, check_settings
 from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
 from ..problem.equations import problem
 from ..problem.grazing import padded
-from ..problem.orbit_on_branch import OrbitPoint, is_own_image
+from ..problem.orbit_on_branch import OrbitPoint, is_own_image, place_orbit
 from ..problem.touches import TOUCH, Touch, scales, touches
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, flat, marked, tied

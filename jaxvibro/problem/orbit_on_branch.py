@@ -12,9 +12,11 @@ from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import described, multipliers
 from ..orbits.orbit_comparison import is_same_orbit, meetings, mirrored
 from ..scene.codes import Status
+from ..scene.parameters import marked
 from ..scene.state import Impacts, State
 from .diagnostics import diagnose
 from .equations import OrbitEquations
+from .grazing import free_start, padded
 
 SAME = 1e-6  # of the largest speed: two impacts as near are one
 
@@ -68,3 +70,14 @@ def described_orbit(scene, spot):
 
 def _numbers(*values):
     return (np.asarray(value, float) for value in values)
+
+
+def place_orbit(scene, name, spot):
+    """(`OrbitEquations`, z) of a `orbit_on_branch.OrbitPoint` of a scene."""
+    blank = np.zeros(0)
+    cycle = Cycle(blank, blank, blank, np.asarray(0.0), np.asarray(float(spot.periods)))
+    along = OrbitEquations(*marked(scene, name), cycle)
+    if not len(spot.times):
+        return along, free_start(along, spot.value)
+    along = along._replace(cycle=padded(along, list(zip(spot.times, spot.speeds, spot.sides, strict=True))))
+    return along, np.concatenate([along.cycle.times, along.cycle.speeds, [spot.value]])
