@@ -25,6 +25,7 @@ _HOMES = {
     "strobe": "maps.strobe",
     "monodromy": "maps.monodromy",
     "simulate": "maps.simulate",
+    "sample": "maps.sample",
     "return_map": "maps.return_map",
     "Return": "maps.return_map",
     "sections": "maps.sections",

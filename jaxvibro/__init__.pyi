@@ -32,6 +32,7 @@ from .loci.sensitivity import sensitivity as sensitivity
 from .maps.monodromy import monodromy as monodromy
 from .maps.return_map import Return as Return
 from .maps.return_map import return_map as return_map
+from .maps.sample import sample as sample
 from .maps.sections import sections as sections
 from .maps.simulate import simulate as simulate
 from .maps.strobe import strobe as strobe

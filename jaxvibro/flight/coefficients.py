@@ -106,13 +106,17 @@ def _gap(walls, like):
 
 def _remainder(frequency, period):
     """2 pi - frequency period, the product taken exactly (Dekker) and 2 pi beyond its double."""
-    high, low = _split(frequency)
-    top, bottom = _split(period)
     product = frequency * period
-    error = ((high * top - product) + high * bottom + low * top) + low * bottom
+    error = product_error(frequency, period, product)
     turn = jnp.asarray(2.0 * jnp.pi, period.dtype)
     beyond = TURN_LOW if period.dtype == jnp.float64 else 2.0 * math.pi - float(np.float32(2.0 * math.pi))
     return (turn - product) - error + beyond
+
+
+def product_error(a, b, product):
+    """a b less the product rounded (Dekker)."""
+    (high, low), (top, bottom) = _split(a), _split(b)
+    return ((high * top - product) + high * bottom + low * top) + low * bottom
 
 
 def _split(a):

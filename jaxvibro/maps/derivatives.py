@@ -23,6 +23,7 @@ from . import two_tiers
 from .one_period import SLOTS
 from .replay import KnownImpacts
 from .replayed_slopes import cut, known_impacts, replayed_slopes
+from .tensors import contracted, moving_places, some
 
 
 class Request(NamedTuple):
@@ -55,7 +56,7 @@ def _strobe(task):
     run = jax.custom_jvp(batched(lambda *leaves: _real(inner(*task.tree.unflatten(leaves)))))
 
     def rule(primals, tangents):
-        moving = _moving(tangents)
+        moving = moving_places(tangents)
         if moving and _carries(task, primals):
             out, slopes = _sloped(task._replace(chosen=moving))(*primals)
             return out, _pushed(task, out, _recorded(task)(*primals)[1], primals, tangents, slopes)
@@ -84,7 +85,7 @@ def _sloped(task):
     run = jax.custom_jvp(batched(lambda *leaves: _real(inner(*leaves))))
 
     def rule(primals, tangents):
-        moving = _moving(tangents)
+        moving = moving_places(tangents)
 
         def again(*numbers):
             leaves = list(primals)
@@ -131,33 +132,28 @@ def _tensors(task):
 
     def rule(primals, tangents):
         given = tangents[: task.tree.num_leaves]
-        moving = _moving(given)
+        moving = moving_places(given)
         if not moving:
             values = run(*primals)
             return values, jax.tree.map(jnp.zeros_like, values)
         above = task._replace(order=task.order + 1, chosen=tuple(sorted({*task.chosen, *moving})))
         found = list(enumerate(_tensors(above)(*primals)))
-        values = tuple(_some(each, above, [*repeat(task.chosen, m + 1)]) for m, each in found[:-1])
-        slopes = (_some(each, above, [*repeat(task.chosen, m), moving]) for m, each in found[1:])
-        return values, tuple(_contracted(each, primals, given) for each in slopes)
+        values = tuple(some(each, above, [*repeat(task.chosen, m + 1)]) for m, each in found[:-1])
+        slopes = (some(each, above, [*repeat(task.chosen, m), moving]) for m, each in found[1:])
+        return values, tuple(contracted(each, primals, given) for each in slopes)
 
     run.defjvp(rule, symbolic_zeros=True)
     return run
 
 
-def _moving(tangents):
-    """The places of the numbers that have tangents; the contact, the last, is a constant."""
-    return tuple(k for k, each in enumerate(tangents[:-1]) if not isinstance(each, SymbolicZero))
-
-
 def _pushed(task, out, known, primals, tangents, slopes=None):
     """The tangents of (State, Impacts); slopes: those of x and v by what moves, where they are known."""
-    (end, impacts), moving = out, _moving(tangents)
+    (end, impacts), moving = out, moving_places(tangents)
     if not moving:
         return jax.tree.map(jnp.zeros_like, out)
     task = task._replace(chosen=moving)
-    x, v = _contracted(slopes or _replayed(task, known, primals, of_state=True), primals, tangents)
-    time, speed = _contracted(_replayed(task, known, primals, of_state=False), primals, tangents)
+    x, v = contracted(slopes or _replayed(task, known, primals, of_state=True), primals, tangents)
+    time, speed = contracted(_replayed(task, known, primals, of_state=False), primals, tangents)
     place = jnp.maximum(known.slowest, 0.0).astype(int)[..., None]
     slowest = jnp.take_along_axis(speed, place, -1)[..., 0]
     turned = 0.0 if isinstance(tangents[-2], SymbolicZero) else tangents[-2]
@@ -174,33 +170,6 @@ def _replayed(task, known, leaves, of_state):
     """The first derivatives by the chosen numbers: of x and v at the end, or of the impacts' times and speeds."""
     told = known.count, known.freed, known.rests, known.times, known.sides
     return _tensors(task._replace(of_state=of_state))(*leaves, *told)[0]
-
-
-def _contracted(tensors, primals, tangents):
-    """Each array's last axis, one entry for each number that moves, summed with the tangents."""
-    rank = max(map(jnp.ndim, primals))
-
-    def along(tensor):
-        total = 0.0
-        for k, place in enumerate(_moving(tangents)):
-            tangent = jnp.asarray(tangents[place])
-            shape = (*[1] * (rank - tangent.ndim), *tangent.shape, *[1] * (tensor.ndim - 1 - rank))
-            total = total + tensor[..., k] * tangent.reshape(shape)
-        return total
-
-    return jax.tree.map(along, tensors)
-
-
-def _some(tensors, task, kept):
-    """The arrays with the last axes, one for each entry of `kept`, narrowed from the task's chosen numbers to those."""
-
-    def narrow(tensor):
-        for axis, places in enumerate(reversed(kept), 1):
-            if places != task.chosen:
-                tensor = jnp.take(tensor, jnp.array([task.chosen.index(place) for place in places]), tensor.ndim - axis)
-        return tensor
-
-    return jax.tree.map(narrow, tensors)
 
 
 def _real(out):

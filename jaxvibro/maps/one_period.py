@@ -89,8 +89,7 @@ def finish(frame, told, state, fault, clearance=False):
     status = choose(finite, status, Status.NONFINITE)
     status = choose(fault == Status.OK, status, fault)
     good = status < Status.CAP
-    kind = choose(is_inside(path.contact), Contact.WITHIN, abs(jnp.sign(path.contact)))
-    contact = jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, kind)
+    contact = contact_at_end(path)
     phase = jnp.broadcast_to(state.phase, status.shape)
     end = State(choose(good, x, jnp.nan), choose(good, v, jnp.nan), phase, choose(good, contact, 0.0))
     times, sides, speeds = rows(slots)
@@ -104,6 +103,12 @@ def finish(frame, told, state, fault, clearance=False):
         least_clearance=closest if clearance else None,
         status=status.astype(jnp.int32),
     )
+
+
+def contact_at_end(path):
+    """The contact as a `State` has it: what has entered a wall is within it, what is released has landed."""
+    kind = choose(is_inside(path.contact), Contact.WITHIN, abs(jnp.sign(path.contact)))
+    return jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, kind)
 
 
 def blank(count, slots, dtype, clearance=False):

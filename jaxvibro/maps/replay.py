@@ -38,10 +38,24 @@ class KnownImpacts(NamedTuple):
 
 def replay(frame, state, known, periods, order):
     """((x, v) at the end, times, speeds of the impacts: shape (slots, lanes)), with derivatives right to an order."""
+    start, end, _, times, speeds = _replayed(frame, state, known, periods * frame.period, order)
+    last = _held(frame, start._replace(x=end.x, v=end.v), _resting(known.rests))
+    return (last.x, last.v), times, speeds
+
+
+def replay_for(frame, state, known, span, order):
+    """(x, v) after any time, likewise; a derivative by the time is that of the motion."""
+    _, end, late, _, _ = _replayed(frame, state, known, span, order)
+    cosine, sine = flow.rotated(end.cosine, end.sine, frame.frequency * late)
+    last = _held(frame, end._replace(cosine=cosine, sine=sine), _resting(known.rests))
+    return last.x, last.v
+
+
+def _replayed(frame, state, known, span, order):
+    """(where it starts, where it is after the time, how much later than a constant that is, times, speeds)."""
     zero = lax.full_like(known.freed, 0.0)
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     start = _held(frame, Now(state.x + zero, state.v + zero, cosine, sine, zero), _resting(state.contact) + zero)
-    span = periods * frame.period
     whole = lax.stop_gradient(span) + zero
     if frame.soft:
         start = contact_replay.begun(frame, start, state.contact + zero, whole, order)
@@ -50,11 +64,8 @@ def replay(frame, state, known, periods, order):
     else:
         end, times, speeds = _fly(frame, start, whole), known.times, jnp.zeros_like(known.times)
     late = span - whole
-    last = start._replace(
-        **dict(zip("xv", contact_replay.shifted(frame, end, _within(known.rests), late, order), strict=True))
-    )
-    last = _held(frame, last, _resting(known.rests))
-    return (last.x, last.v), times, speeds
+    x, v = contact_replay.shifted(frame, end, _within(known.rests), late, order)
+    return start, end._replace(x=x, v=v), late, times, speeds
 
 
 def _within(contact):

@@ -50,7 +50,7 @@ def replayed_slopes(leaves, known, tree, chosen, periods, order, of_state):
         end, times, speeds = replay(frame(scene), state, known, periods, order)
         return end if of_state else (times, speeds)
 
-    slopes = _towered(function, order)(*(leaves[place] for place in chosen))[1:]
+    slopes = towered(function, order)(*(leaves[place] for place in chosen))[1:]
     lanes = known.count.ndim
 
     def told(part):
@@ -61,11 +61,11 @@ def replayed_slopes(leaves, known, tree, chosen, periods, order, of_state):
     return jax.tree.map(told, slopes)
 
 
-def _towered(function, order):
+def towered(function, order):
     """The function's values and derivatives up to an order, each lane's by its own numbers."""
     if order == 0:
         return lambda *numbers: (function(*numbers),)
-    below = _towered(function, order - 1)
+    below = towered(function, order - 1)
 
     def upper(*numbers):
         def along(direction):

@@ -1,10 +1,11 @@
 """A trajectory at even samples, with its impacts: for pictures."""
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
-from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
@@ -12,13 +13,14 @@ from ..compiled.compiler_hints import choose
 from ..flight import integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
-from ..flight.flight_state import CAPPED, absolute
+from ..flight.flight_state import absolute
 from ..output.units import ANGLE, LENGTH, SPEED, TIME
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import Scene
 from ..scene.state import State, check_start, real_state
 from .one_period import finish
+from .stops import Stops, walk
 
 SLOTS = 1024
 
@@ -51,21 +53,23 @@ def _sampled(scene, state, periods, samples):
     built = frame(scene)
     path, fault = enter(built, state)
     span = choose(fault == Status.OK, built.period / samples, 0.0)
-    limit = integrate.cap(built, periods * samples)
     angles = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
-
-    def sample(told, step):
-        angle, end = step
-        turned = told.path.motion._replace(cosine=jnp.cos(angle), sine=jnp.sin(angle))
-        path = told.path._replace(motion=turned, to_go=choose(told.path.to_go == CAPPED, CAPPED, span))
-        return integrate.run(built, told._replace(path=path, log=told.log._replace(end=end)), limit), absolute(
-            built, path
-        )
-
     ends = span * jnp.arange(1, periods * samples + 1)
-    told, (x, v) = lax.scan(sample, integrate.begin(built, path, SLOTS, ends[0]), (angles[:-1], ends))
-    last, impacts = finish(built, told, state, fault)
-    return jnp.append(x, last.x), jnp.append(v, last.v), angles, impacts
+    stops = Stops(span + 0.0 * ends, 0.0 * ends, jnp.cos(angles[1:]), jnp.sin(angles[1:]), ends)
+    told = integrate.begin(built, path, SLOTS, ends[0])
+    cap = integrate.cap(built, periods * samples)
+    (told, _), (x, v) = walk(built, told, (), stops, cap, _kept, partial(_placed, built))
+    first = absolute(built, path)
+    x, v = (jnp.append(start, rest) for start, rest in zip(first, (x, v), strict=True))
+    return x, v, angles, finish(built, told, state, fault)[1]
+
+
+def _kept(piece, told, more):
+    return told, more
+
+
+def _placed(frame, told, more):
+    return absolute(frame, told.path)
 
 
 _trace = persistent_jit(_sampled, static_argnums=(2, 3))

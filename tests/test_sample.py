@@ -1,0 +1,139 @@
+"""States at given times: against exact motions, the strobe and closed forms; what is asked for wrongly."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from tests.sample_proof import soft_errors, state_errors
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.2, 1.0))
+
+
+def test_states_and_slopes_are_those_of_exact_motions():
+    state, forward, reverse = state_errors(6, kinds=[(1, 2)]).T
+    assert state.max() < 1e-2
+    assert max(forward.max(), reverse.max()) < 1e-12
+
+
+def test_soft_walls_against_exact_motions():
+    errors, _ = soft_errors(2, seed=3)
+    assert errors.max() < 1
+
+
+def test_whole_periods_are_strobes_whatever_times_lie_between(scene):
+    x = np.linspace(-1.1, 0.9, 5)[:, None]
+    start, period = jv.State(x, np.linspace(-2, 2, 4), 0.4), 2 * np.pi / 2.1
+    times = np.sort([*period * np.arange(4), 0.1, 0.2, 0.2, 3.3, 8.0])
+    state, status = jv.sample(scene, start, times)
+    assert state.x.shape == state.contact.shape == (5, 4, 9) and status.shape == (5, 4)
+    for periods in (1, 3):
+        end, _ = jv.strobe(scene, start, periods)
+        place = np.searchsorted(times, periods * period)
+        assert np.allclose(state.x[..., place], end.x, rtol=0, atol=1e-11)
+        assert np.allclose(state.v[..., place], end.v, rtol=0, atol=1e-11)
+    assert np.allclose(state.phase, 0.4 + 2.1 * times, rtol=1e-15)
+
+
+def test_a_long_way_in_one_stretch_is_as_many_strobes(scene):
+    # damped much, so that an attractor is reached: 40 periods have far more impacts than one of 32
+    far = scene.replace(damping=0.3, amplitude=4.0)
+    start, period = jv.State(0.5, -1.1, 0.0), 2 * np.pi / 2.1
+    state, status = jv.sample(far, start, [40 * period])
+    end, impacts = jv.strobe(far, start, 40)
+    assert status == 0 and impacts.count > 64
+    assert np.allclose([state.x[0], state.v[0]], [end.x, end.v], rtol=0, atol=1e-11)
+    slope = jax.grad(lambda a: jv.sample(far.replace(amplitude=a), start, [40 * period])[0].x[0])(4.0)
+    apart = [jv.sample(far.replace(amplitude=4.0 + step), start, [40 * period])[0].x[0] for step in (1e-6, -1e-6)]
+    assert np.isclose(slope, (apart[0] - apart[1]) / 2e-6, rtol=1e-6)
+
+
+def test_at_an_impact_it_is_the_state_after_it_and_no_slope(scene):
+    start = jv.State(1.0, 0.8)  # on the right wall and into it
+    _, impacts = jv.strobe(scene, start)
+    hits = np.asarray(impacts.time)[: int(impacts.count)]
+    times = np.append(np.insert(hits, 0, 0.0), hits[-1] + 0.3)
+    assert hits[0] == 0 and len(hits) > 1
+    state, _ = jv.sample(scene, start, times)
+    after = -0.7 * np.asarray(impacts.side * impacts.speed)[: len(hits)]
+    assert np.allclose(state.v[1:-1], after, rtol=0, atol=1e-14)
+    assert state.v[0] == state.v[1]
+    slopes = jax.jacfwd(lambda a: jv.sample(scene.replace(amplitude=a), start, times)[0].v)(2.0)
+    assert np.all(np.isnan(slopes[:-1])) and np.isfinite(slopes[-1])
+
+
+def test_a_mass_at_rest_goes_with_its_wall_at_any_time():
+    # the spring presses it on the left wall, where it sticks at once: x = x_b, v = v_b from then on
+    times = jnp.array([1.0, 2.0, 50.0])
+
+    def states(position, swing, phase, frequency, times):
+        wall = jv.Wall(position, 0.0, motion=jv.Motion(swing, phase))
+        state, _ = jv.sample(jv.make_scene(0.1, frequency, 0.1, 0.5, (wall, None)), jv.State(1.1, -1.0, -0.3), times)
+        return state.x, state.contact
+
+    given = 1.0, 0.05, 0.4, 0.5, times
+    assert np.array_equal(states(*given)[1], [-2, -2, -2])
+    found, _ = jax.jit(jax.jacfwd(states, (0, 1, 2, 3, 4), has_aux=True))(*given)
+    angle = -0.3 + 0.5 * times + 0.4
+    wave = -0.05 * np.sin(angle)
+    for each, true in zip(found, (np.ones(3), np.cos(angle), wave, wave * times, np.diag(0.5 * wave)), strict=True):
+        assert np.allclose(each, true, rtol=0, atol=1e-13)
+
+
+def test_second_derivatives(scene):
+    def x(z):
+        return jv.sample(scene.replace(amplitude=z[0]), jv.State(0.9, z[1]), jnp.stack([z[2], 2.0 + z[2]]))[0].x
+
+    z, step = jnp.array([2.0, -1.1, 0.7]), 1e-5
+    second = jax.jit(jax.hessian(x))(z)
+    slope = jax.jit(jax.jacfwd(x))
+    apart = [(slope(z.at[k].add(step)) - slope(z.at[k].add(-step))) / (2 * step) for k in range(3)]
+    assert np.allclose(second, np.stack(apart, -1), rtol=1e-7, atol=1e-7)
+
+
+def test_a_vmap_changes_nothing(scene):
+    def total(v, times):
+        return jnp.sum(jv.sample(scene, jv.State(0.5, v), times)[0].x)
+
+    v, times = jnp.array([0.3, -1.0]), jnp.array([[0.2, 4.0], [1.0, 1.5]])
+    slopes = jax.jit(jax.vmap(jax.grad(total, (0, 1))))(v, times)
+    for k in (0, 1):
+        for each, one in zip(slopes, jax.grad(total, (0, 1))(v[k], times[k]), strict=True):
+            assert np.allclose(each[k], one, rtol=1e-12)
+
+
+def test_no_times_and_no_walls():
+    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, None))
+    assert jv.sample(scene, jv.State(np.zeros(3), 0.0), [])[0].x.shape == (3, 0)
+    state, _ = jv.sample(scene, jv.State(0.3, 1.0), [0.0, 400.0])
+    forced = complex(2.0 / (1 - 2.1**2 + 2j * 0.05 * 2.1)) * np.exp(2.1j * 400.0)
+    assert state.x[0] == 0.3 and abs(state.x[1] - forced.real) < 1e-8
+
+
+def test_statuses(scene):
+    times = jnp.array([[0.5, 1.0], [1.0, 0.5], [-1.0, 2.0], [0.5, np.nan], [0.0, 1e8]])
+    state, status = jax.jit(lambda times: jv.sample(scene, jv.State(0.3, 1.0), times))(times)
+    assert np.array_equal(status, [0, 3, 3, 3, 2])
+    assert np.array_equal(np.isfinite(state.x), np.arange(5)[:, None] == [0, 0])
+    _, status = jv.sample(scene, jv.State(np.array([0.3, 7.0]), 1.0), [1.0])
+    assert np.array_equal(status, [0, 3])
+
+
+@pytest.mark.parametrize(
+    ("times", "told"),
+    [
+        ([1.0, 0.5], r"^times: must be in order.*; got 0\.5 at index \(1,\)"),
+        ([-1.0], r"^times: must not be negative; got -1\.0"),
+        ([0.0, np.nan], r"^times: must be finite; got nan"),
+        (2.0, r"^times: must have an axis"),
+        (np.zeros((4, 2)), r"^times: must have a shape \(\.\.\., n\) whose first part broadcasts with \(3,\)"),
+        ("soon", r"^times: must be a real number; got 'soon'"),
+    ],
+)
+def test_times_that_cannot_be_are_refused(scene, times, told):
+    with pytest.raises(jv.ArgumentError, match=told):
+        jv.sample(scene, jv.State(np.zeros(3), 0.0), times)
