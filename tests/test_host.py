@@ -20,6 +20,8 @@ TRACED = {
     "contact_damping": lambda x: jv.contact_damping(100.0 + x, 0.7),
     "strobe": lambda x: jv.strobe(SCENE, jv.State(x, 0.0), slots=4)[0].x,
     "monodromy": lambda x: jv.monodromy(SCENE, jv.State(x, 0.0))[0, 0],
+    "sample": lambda x: jv.sample(SCENE, jv.State(x, 0.0), jnp.array([0.5, 1.0]))[0].x[1],
+    "solve_orbits": lambda x: jv.solve_orbits(SCENE.replace(amplitude=2.0 + x), jv.State(0.0, 0.0), ("",)).state.x,
     "return_map": lambda x: jv.return_map(SCENE, "right", x, -1.0).velocity,
 }
 FILES = ("load_scene", "paper")  # take no numbers, give none back that a transformation could use

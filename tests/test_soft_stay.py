@@ -123,6 +123,7 @@ def test_what_a_stay_makes_of_its_start_is_as_by_the_derivatives_of_the_replays(
         assert np.allclose(one, other, rtol=1e-8, atol=1e-10 * abs(other).max())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", WALLS)
 def test_second_derivatives_of_a_stay_are_differences_of_the_first(kind):
     scene, side, cosine, sine, speed = entries(kind)

@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass
 from os import PathLike
 from pathlib import Path
 
+import jax
+
 from .. import __version__
 from ..output.atomic_write import refuse_folder, whole
 from ..output.checksums import MARKS, digest, is_sealed, netcdf, sealed
@@ -84,13 +86,18 @@ def _each(tasks, workers):
         yield from (_computed(*task) for task in tasks)
         return
     fresh = multiprocessing.get_context("spawn")  # jax's threads do not live through a fork
-    with ProcessPoolExecutor(workers, fresh) as pool:
+    with ProcessPoolExecutor(workers, fresh, _prepare, (jax.config.jax_enable_x64,)) as pool:
         running = [pool.submit(_computed, *task) for task in tasks]
         try:
             yield from (one.result() for one in as_completed(running))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
+
+
+def _prepare(double):
+    """A new process computes in the precision of this one."""
+    jax.config.update("jax_enable_x64", double)
 
 
 def _computed(name, folder, out, key, progress):
