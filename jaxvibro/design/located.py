@@ -68,16 +68,15 @@ class Located:
             raise check.ArgumentError("scene", f"must be a Scene with the walls of the point's, {kind}", _told(scene))
         begin, end, shape = whole(self.special.scene), whole(scene), scene.shape
         rows = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in jax.tree.leaves(end)], 1)
-        own, way = (mark(each, self.name) for each in (self.special.scene, scene))
-        given = jnp.stack(jax.tree.leaves(begin)) * (1.0 - own), rows * (1.0 - way), way
+        here, way = (mark(each, self.name) for each in (self.special.scene, scene))
+        given = jnp.stack(jax.tree.leaves(begin)) * (1.0 - here), rows * (1.0 - way), way
         found, _ = solved(self._equations, self._start, *given)
         found = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
-        own = (
-            scene.parameter("hardness") if self.name == "hardness" else 0.0
-        )  # that is counted from the walls' stiffness
+        if self.name == "hardness":  # it is counted from the walls' stiffness
+            found = replace(found, value=found.value + scene.parameter("hardness"))
         cycle = self._equations.cycle
         sides = tuple(int(side) for side in np.asarray(cycle.sides))
-        return replace(found, value=found.value + own, sides=sides, periods=float(cycle.periods))
+        return replace(found, sides=sides, periods=float(cycle.periods))
 
 
 @check.host("use the function that it gives")

@@ -17,6 +17,7 @@ from ..scene.codes import SolutionStatus
 from ..scene.parameters import domain
 from ..scene.scene import Scene
 from ..scene.symmetry import stays_symmetric
+from .free_numbers import room_of, units_of
 from .located import solved
 from .nearest import nearest
 from .point_equations import mark, whole
@@ -125,7 +126,7 @@ def margin(
         raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
     if orbit.unknowns == "state" and orbit.impacts.count:
         raise OrbitError("the orbit rests on a wall, or chatters", orbit.residual, "margin takes separate impacts")
-    units, kinds = checked_free(orbit.scene, free), check.sequence("kinds", kinds)
+    units, kinds = units_of(orbit.scene, free), check.sequence("kinds", kinds)
     if not set(kinds) <= set(KINDS) or not kinds:
         raise check.ArgumentError("kinds", f"must be some of {', '.join(KINDS)}", kinds)
     count = check.whole("directions", directions, 2 * len(units))
@@ -146,34 +147,10 @@ def margin(
     return Margin(orbit, units, tuple(points), tuple(one for one in found if one not in points), (reach, count))
 
 
-def checked_free(scene, free):
-    """{name: unit} of free numbers of a scene. Raises ArgumentError."""
-    if not isinstance(free, Mapping) or not free:
-        raise check.ArgumentError("free", "must be {name: unit}, one number at least", free)
-    for name, unit in free.items():
-        check.require_known(name, scene.names, name)
-        if not (np.ndim(unit) == 0 and np.isfinite(unit) and unit > 0):
-            raise check.ArgumentError(f"free.{name}", "must be a unit, a positive number", unit)
-    if len(free) > 1:
-        check.require_apart(*free)
-    return {name: float(unit) for name, unit in free.items()}
-
-
 def _space(scene, free, bounds):
-    low, high = [], []
-    for name in bounds:
-        if name not in free:
-            raise check.ArgumentError(f"bounds.{name}", f"must be of a free number{check.among(name, free)}", name)
-    for name, unit in free.items():
-        value, own = float(scene.parameter(name)), domain(scene, name)
-        given = bounds.get(name, own)
-        if np.shape(given) != (2,) or not given[0] <= value <= given[1]:
-            raise check.ArgumentError(f"bounds.{name}", f"must be (low, high) about the scene's {value:.12g}", given)
-        ends = max(given[0], own[0]), min(given[1], own[1])
-        low, high = [*low, (ends[0] - value) / unit], [*high, (ends[1] - value) / unit]
     units = np.stack([mark(scene, name) * unit for name, unit in free.items()])
     symmetric = np.array([float(stays_symmetric(scene, name)) for name in free])
-    return _Space(tuple(free), units, np.array(low), np.array(high), symmetric)
+    return _Space(tuple(free), units, *room_of(scene, free, bounds), symmetric)
 
 
 def cycle_of(orbit):
@@ -239,21 +216,19 @@ def _foot(numbers, space, point, unknowns, offset):
         if out[place] <= ROUNDING * (1.0 + abs(offset[place])):
             return found._replace(offset=np.clip(offset, space.low, space.high)), bound
         limit = space.high[place] if offset[place] > space.high[place] else space.low[place]
-        unknowns, offset, point = _brought(
-            found, numbers, space, offset, place, limit, held | (np.arange(len(held)) == place)
-        )
+        held[place], fixed[place], bound[place] = True, limit, True
+        unknowns, offset = _brought(found, numbers, space, offset, place, limit, held)
         if unknowns is None:
             return None
-        held[place], fixed[place], bound[place] = True, limit, True
     return None
 
 
 def _brought(foot, numbers, space, offset, place, limit, held):
-    """(unknowns, offset, point) on the boundary where one number is at its bound; None where there is none."""
+    """(unknowns, offset) on the boundary where one number is at its bound; None where there is none."""
     rest = np.where(held, 0.0, offset)
     size = np.linalg.norm(rest)
     if size == 0:
-        return None, offset, foot.point
+        return None, offset
     direction = rest / size @ space.units
     start = np.array(foot.unknowns)
     start[foot.point.size] = size
@@ -263,8 +238,8 @@ def _brought(foot, numbers, space, offset, place, limit, held):
     end = numbers + np.where(held, offset, 0.0) @ space.units
     found, seen = jax.device_get(solved(foot.point, start, begin, end[None], direction))
     if found.status[0] in (SolutionStatus.NONE, SolutionStatus.JUMPED):
-        return None, offset, foot.point
-    return seen[0], np.where(held, offset, rest / size * found.value[0]), foot.point
+        return None, offset
+    return seen[0], np.where(held, offset, rest / size * found.value[0])
 
 
 def _near(orbit, tree, cycle, numbers, space, foot, bound):

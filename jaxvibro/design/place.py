@@ -13,10 +13,9 @@ from ..branches.branch import Special
 from ..output.table_text import columns
 from ..scene import check
 from ..scene.codes import SolutionStatus
-from ..scene.parameters import domain
 from ..scene.scene import Scene
+from .free_numbers import room_of, units_of
 from .located import Located, located
-from .margin import checked_free
 
 ROUNDS = 30  # of Newton's steps
 APART = 1e-5  # units: the points of a difference
@@ -101,28 +100,20 @@ def place(
         raise check.ArgumentError("scene", "must be a Scene, where no Special is given", scene)
     if not all(callable(each) for each in values):
         raise check.ArgumentError("what", "must be a Special, or a function of a scene", what)
-    free = checked_free(begin, free)
+    free = units_of(begin, free)
     own = {each.name for each in values if isinstance(each, Located)}
     for key in own & set(free):
         raise check.ArgumentError(f"free.{key}", "must be none of the parameters that have the target", free[key])
     if goal.shape != (len(values),) or not np.isfinite(goal).all() or len(goal) > len(free):
         rule = f"must be a finite number for each of {len(values)} values, and no more than free numbers, {len(free)}"
         raise check.ArgumentError("target", rule, target)
-    asked = _asked(begin, free, dict(bounds or {}), values)
+    asked = _asked(begin, free, bounds or {}, values)
     return _result(begin, asked, goal, values, *_approached(asked, goal))
 
 
 def _asked(scene, free, bounds, values):
-    names = tuple(free)
-    units, now = np.array(list(free.values())), np.array([float(scene.parameter(name)) for name in names])
-    low, high = [], []
-    for name, value in zip(names, now, strict=True):
-        own, given = domain(scene, name), bounds.pop(name, (-np.inf, np.inf))
-        if np.shape(given) != (2,) or not given[0] <= value <= given[1]:
-            raise check.ArgumentError(f"bounds.{name}", f"must be (low, high) about the scene's {value:.12g}", given)
-        low, high = [*low, max(own[0], given[0]) - value], [*high, min(own[1], given[1]) - value]
-    for name in bounds:
-        raise check.ArgumentError(f"bounds.{name}", f"must be of a free number{check.among(name, names)}", name)
+    names, units = tuple(free), np.array(list(free.values()))
+    now = np.array([float(scene.parameter(name)) for name in names])
 
     def value(change):
         there = scene.replace(**dict(zip(names, jnp.asarray(now) + change * units, strict=True)))
@@ -135,7 +126,7 @@ def _asked(scene, free, bounds, values):
         slopes, found = jax.device_get(sloped(places))
         return found, slopes
 
-    return _Asked(names, units, now, np.array(low) / units, np.array(high) / units, both)
+    return _Asked(names, units, now, *room_of(scene, free, bounds), both)
 
 
 def _approached(asked, goal):
@@ -167,9 +158,8 @@ def _within(asked, change, force, held, goal):
             return None, held
         change, force, pull, slope = found
         out = np.where(held, 0.0, np.maximum(change - asked.high, asked.low - change))
-        wrong = np.where(
-            held, np.where(change >= asked.high, -pull, pull), 0.0
-        )  # a bound that holds what would leave it
+        leaves = np.where(change >= asked.high, -pull, pull)
+        wrong = np.where(held, leaves, 0.0)  # a bound that holds what would leave it
         if out.max() > SHARP:
             place = int(np.argmax(out))
             held = held | (np.arange(len(held)) == place)
@@ -208,7 +198,7 @@ def _solved(asked, change, force, held, goal):
         table[:-count, :-count] = block if np.linalg.eigvalsh(block).min() > small else np.eye(loose.sum())
         table[-count:, :-count], table[:-count, -count:] = here[:, loose], here[:, loose].T
         try:
-            move = -np.linalg.solve(table, np.concatenate([change[loose] + 0.0 * pull[loose], miss]))
+            move = -np.linalg.solve(table, np.concatenate([change[loose], miss]))
         except np.linalg.LinAlgError:
             return None
         way, new = np.zeros(size), move[-count:]
@@ -222,14 +212,10 @@ def _result(scene, asked, goal, values, change, share, held, slope):
     there = scene.replace(**dict(zip(asked.names, asked.now + change * asked.units, strict=True)))
     found = asked.sloped(_around(change))[0][0]
     names = tuple(name for name, each in zip(asked.names, held, strict=True) if each)
-    why = ""
-    if share < 1.0:
-        why = f"the way ends after {share:.3g} of it: {_obstacle(values, there, names)}"
-    else:
-        bad = [
-            each for each in values if isinstance(each, Located) and each.solve(there).status == SolutionStatus.VIRTUAL
-        ]
-        why = "an orbit there passes through a wall: the boundary ends before" if bad else ""
+    virtual = [
+        each for each in values if isinstance(each, Located) and each.solve(there).status == SolutionStatus.VIRTUAL
+    ]
+    why = _why(share, [each.special.kind for each in virtual], names)
     return Placement(
         scene=there,
         change=dict(zip(asked.names, map(float, change * asked.units), strict=True)),
@@ -243,13 +229,14 @@ def _result(scene, asked, goal, values, change, share, held, slope):
     )
 
 
-def _obstacle(values, scene, names):
-    """What stands in the way beyond a scene."""
-    virtual = [
-        each for each in values if isinstance(each, Located) and each.solve(scene).status == SolutionStatus.VIRTUAL
-    ]
+def _why(share, virtual, names):
+    """What stands in the way to the targets; "" where they are met. virtual: kinds of points whose orbits pass through
+    a wall at the end; names: of numbers at a bound."""
+    if share == 1.0:
+        return "an orbit there passes through a wall: the boundary ends before" if virtual else ""
+    what = "the point cannot be followed on (it meets another, or the value has an extreme there)"
     if virtual:
-        return f"the {virtual[0].special.kind}'s orbit passes through a wall there"
-    if names:
-        return f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} at a bound"
-    return "the point cannot be followed on (it meets another, or the value has an extreme there)"
+        what = f"the {virtual[0]}'s orbit passes through a wall there"
+    elif names:
+        what = f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} at a bound"
+    return f"the way ends after {share:.3g} of it: {what}"

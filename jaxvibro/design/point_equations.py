@@ -94,8 +94,7 @@ def at_point(kind, curve, z):
     if isinstance(curve, Grazing):
         return grazing(tree, cycle, int(np.argmax(curve.pick)), z[-1], float(there(curve, z).frequency))
     point = PointEquations(kind, False, tree, cycle, None)
-    slopes = slopes_at(point, jnp.stack(jax.tree.leaves(scene)))
-    null = locate.null(np.asarray(cyclic_system.dense(cyclic_system.of(slopes), CLOSING[kind])))
+    null = null_at(point, jnp.stack(jax.tree.leaves(scene)))
     return replace(point, null=null), np.concatenate([times, speeds, z[-1:], null])
 
 
@@ -108,10 +107,15 @@ def grazing(tree, cycle, touch, value, frequency):
     return PointEquations("GR", True, tree, cycle, None), np.concatenate([times, speeds[1:], [value]])
 
 
+def null_at(point, numbers):
+    """The null vector of J, or what comes nearest to one, where its own impacts are in a scene with these numbers."""
+    return locate.null(np.asarray(_closed(point, jnp.asarray(numbers))))
+
+
 @jax.jit
-def slopes_at(point, numbers):
-    """The `Slopes` of the equations of its own impacts."""
-    return impact_equations.equations(framed(point.scene(numbers)), point.cycle)[1]
+def _closed(point, numbers):
+    slopes = impact_equations.equations(framed(point.scene(numbers)), point.cycle)[1]
+    return cyclic_system.dense(cyclic_system.of(slopes), CLOSING[point.kind])
 
 
 def whole(scene):

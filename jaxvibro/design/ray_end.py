@@ -5,13 +5,10 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
-from continuation import locate
-
-from ..orbits import cyclic_system
 from ..orbits.orbit_comparison import is_same_orbit, meetings, mirrored
 from ..problem import soft_grazing
 from ..scene.symmetry import is_symmetric
-from .point_equations import CLOSING, PointEquations, grazing, slopes_at
+from .point_equations import PointEquations, grazing, null_at
 from .rays import RayEnd
 
 SAME = 1e-6  # of the largest speed: two impacts as near are one
@@ -27,16 +24,14 @@ def point_at(tree, cycle, numbers, end):
         return _grazing(tree, cycle, numbers, end)
     kind = "SN" if end.end == RayEnd.FOLD else "PD"
     if kind == "SN" and _is_symmetric(tree, cycle, numbers):
-        null = _null(PointEquations("SN", False, tree, cycle, None), numbers)
-        first, second = (
-            np.concatenate(half) for half in zip(*(np.split(each, 2) for each in np.split(null, 2)), strict=True)
-        )
-        if first @ second < 0:
+        null = null_at(PointEquations("SN", False, tree, cycle, None), numbers)
+        halves = null.reshape(2, 2, -1)  # times and speeds, of the first half and of the second
+        if np.sum(halves[:, 0] * halves[:, 1]) < 0:
             kind, half = "SB", count // 2
             parts = {"times": cycle.times[:half], "speeds": cycle.speeds[:half], "sides": cycle.sides[:half]}
             cycle = cycle._replace(**parts, periods=0.5 * cycle.periods, turn=jnp.asarray(-1.0))
     point = PointEquations(kind, False, tree, cycle, None)
-    null = _null(point, numbers)
+    null = null_at(point, numbers)
     start = np.concatenate([np.asarray(cycle.times), np.asarray(cycle.speeds), [0.0], null])
     return kind, replace(point, null=jnp.asarray(null)), start
 
@@ -49,11 +44,6 @@ def _is_symmetric(tree, cycle, numbers):
     speeds = np.asarray(cycle.speeds)
     points = meetings(float(scene.frequency), np.asarray(cycle.times), np.asarray(cycle.sides), speeds, speeds.max())
     return is_same_orbit(points, mirrored(points), SAME)
-
-
-def _null(point, numbers):
-    slopes = slopes_at(point, jnp.asarray(numbers))
-    return locate.null(np.asarray(cyclic_system.dense(cyclic_system.of(slopes), CLOSING[point.kind])))
 
 
 def _grazing(tree, cycle, numbers, end):

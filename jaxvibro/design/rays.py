@@ -25,7 +25,6 @@ from ..flight import flow
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from ..orbits.impact_equations import LONGEST
-from ..orbits.solve import OVERLAP
 
 STEPS = 32.0  # at least, to the end of a way
 FINE = 2.0**-10  # of the way: so near is the end known
@@ -81,8 +80,7 @@ def _ray(tree, cycle, numbers, way):
     def built(share):
         return framed(tree.unflatten(list(numbers + share * way)))
 
-    def solved(share, unknowns):
-        frame = built(share)
+    def solved(frame, unknowns):
         if not hits:
             return _response(frame, cycle)
 
@@ -94,9 +92,10 @@ def _ray(tree, cycle, numbers, way):
     def advance(carry):
         share, step, unknowns, rate, seen, _ = carry
         ahead = jnp.minimum(1.0, share + step)
-        found = solved(ahead, unknowns + (ahead - share) * rate)
+        frame = built(ahead)
+        found = solved(frame, unknowns + (ahead - share) * rate)
         change = jnp.max(abs(found.unknowns - unknowns))
-        new = see(built(ahead), _at(cycle, found.unknowns) if hits else cycle, found.unknowns)
+        new = see(frame, _at(cycle, found.unknowns) if hits else cycle, found.unknowns)
         good = (found.status == OK) & (change <= STRAY * (1.0 + jnp.max(abs(unknowns))))
         end = jnp.where(
             new.fold * seen.fold < 0, RayEnd.FOLD, jnp.where(new.flip * seen.flip < 0, RayEnd.FLIP, new.end)
@@ -158,8 +157,7 @@ def _response(frame, cycle):
 
 
 def _free(frame, cycle, unknowns):
-    span = OVERLAP * cycle.periods * frame.period
-    start = (jnp.reshape(each, 1) for each in (span, *unknowns, jnp.cos(cycle.phase), jnp.sin(cycle.phase)))
-    least, row, wall, time = _least(frame, flight_clearance.Flight(*start), jnp.zeros(1, unknowns.dtype))
+    found = flight_clearance.without_impacts(frame, cycle.phase, cycle.periods, *unknowns)
+    least, row, wall, time = _least(frame, found, jnp.zeros(1, unknowns.dtype))
     one = jnp.ones_like(least)
     return _Seen(one, one, jnp.where(least < 0, RayEnd.TOUCH, RayEnd.NONE) + 0.0 * one, row, wall, time)

@@ -56,6 +56,11 @@ def around(time, side, periods, length):
     return canonical(tuple("".join(LETTERS[int(one)] for one in sides[place == k]) for k in range(periods)))
 
 
+def sides(itinerary):
+    """-1 for each impact on the left wall, 1 on the right, in order: (impacts,)."""
+    return np.array([1.0 if letter == "R" else -1.0 for letter in "".join(itinerary)])
+
+
 def label(itinerary, endless=""):
     """P n p q: n drive periods, p impacts on the left wall, q on the right; P8-8-16 once a number has two digits.
 

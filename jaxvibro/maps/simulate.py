@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import xarray as xr
+from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
@@ -55,7 +56,9 @@ def _sampled(scene, state, periods, samples):
     span = choose(fault == Status.OK, built.period / samples, 0.0)
     angles = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
     ends = span * jnp.arange(1, periods * samples + 1)
-    stops = Stops(span + 0.0 * ends, 0.0 * ends, jnp.cos(angles[1:]), jnp.sin(angles[1:]), ends)
+    # number by number: a cosine of many angles at once differs by roundings from those of one
+    cosine, sine = (lax.map(each, angles[1:]) for each in (jnp.cos, jnp.sin))
+    stops = Stops(span + 0.0 * ends, 0.0 * ends, cosine, sine, ends)
     told = integrate.begin(built, path, SLOTS, ends[0])
     cap = integrate.cap(built, periods * samples)
     (told, _), (x, v) = walk(built, told, (), stops, cap, _kept, partial(_placed, built))

@@ -247,7 +247,7 @@ def guessed(scene, itinerary, state, fast):
     begins = np.repeat(np.arange(periods), [len(word) for word in itinerary])
     times = np.sort(begins + rng.random((GUESSES, len(flat))), axis=1) * length
     speeds = fast * rng.random(times.shape)
-    sides = np.broadcast_to([1.0 if side == "R" else -1.0 for side in flat], times.shape)
+    sides = np.broadcast_to(words.sides(itinerary), times.shape)
     rows = [padded(scene, *each, state.phase, periods) for each in zip(times, speeds, sides, strict=True)]
     found, solved = solutions(scene, jax.tree.map(lambda *each: np.stack(each), *rows))
     why = OrbitError("no guess leads to a solution with this itinerary", np.nan, "give a state near the orbit")

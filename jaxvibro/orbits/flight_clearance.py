@@ -19,7 +19,8 @@ from ..flight.wall import course, less
 
 TURN = 0.1  # between samples, of the fastest angle: the drive's, a wall's, the free oscillation's, in radians
 ROUNDS = 5  # of Newton's steps from a parabola's guess
-TOUCH = 1e-8  # of the scene's size: a touch is as near to a wall
+TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
+OVERLAP = 1.0625  # of its periods, that the flight of a motion without impacts is looked at
 CLOSE = 1e-3  # of the samples' distance: Newton's last step at a turning point
 
 
@@ -32,6 +33,13 @@ class Flight(NamedTuple):
     v: Float[Array, " rows"]
     cosine: Float[Array, " rows"]
     sine: Float[Array, " rows"]
+
+
+def without_impacts(frame, phase, periods, x, v):
+    """The one `Flight` of a periodic motion that hits no wall, from x, v at a phase: over a little more than its
+    periods."""
+    start = OVERLAP * periods * frame.period, x, v, jnp.cos(phase), jnp.sin(phase)
+    return Flight(*(jnp.reshape(each, 1) for each in start))
 
 
 def samples(frame, found):

@@ -24,12 +24,10 @@ from ..scene.codes import SolutionStatus, Status
 from ..scene.scene import Scene
 from ..scene.state import State, real_state
 from . import impact_equations
-from .flight_clearance import Flight, is_real
+from .flight_clearance import is_real, without_impacts
 from .impact_equations import Cycle
 
 STATIC = {"static": True}
-LETTERS = {"L": -1.0, "R": 1.0}
-OVERLAP = 1.0625  # of its periods, that the flight of an orbit without impacts is looked at
 
 
 @jax.tree_util.register_dataclass
@@ -95,7 +93,7 @@ class Itinerary(NamedTuple):
     @property
     def sides(self) -> Float[np.ndarray, " impacts"]:
         """-1 left, 1 right."""
-        return np.array([LETTERS[side] for word in self.words for side in word])
+        return words.sides(self.words)
 
     @property
     def periods(self) -> int:
@@ -192,9 +190,7 @@ def _is_real(asked, numbers, phase, unknowns):
     if len(asked.sides):
         cycle = _cycle(asked, unknowns, phase)
         return is_real(built, impact_equations.flights(built, cycle), cycle.speeds)
-    span = OVERLAP * asked.periods * built.period
-    start = (jnp.reshape(each, 1) for each in (span, *unknowns, jnp.cos(phase), jnp.sin(phase)))
-    return is_real(built, Flight(*start), jnp.ones_like(unknowns[:1]))
+    return is_real(built, without_impacts(built, phase, asked.periods, *unknowns), jnp.ones_like(unknowns[:1]))
 
 
 def _measured(asked, joined, fixed):

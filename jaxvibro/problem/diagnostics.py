@@ -18,7 +18,6 @@ from ..orbits import cyclic_system, flight_clearance, impact_equations
 from .equations import cycle_at, there
 
 LANES = 144  # points of a compiled call
-OVERLAP = 1.0625  # of its periods, that the flight of an orbit without impacts is looked at
 
 
 class Diagnostics(NamedTuple):
@@ -87,7 +86,9 @@ def hitting(along, z, periods):
 
 def _free(along, z, periods):
     built, found = flight(along, z)
-    (p00, p01, p11), _, _ = flow.doubled(built.series, built.frequency, built.damping, found.time / OVERLAP)
+    (p00, p01, p11), _, _ = flow.doubled(
+        built.series, built.frequency, built.damping, found.time / flight_clearance.OVERLAP
+    )
     x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
     return Diagnostics(*clear, (p00 + p11)[0], (p00 * p11 + p01 * p01)[0], x, v, *[jnp.ones_like(z[0])] * 2)
@@ -96,6 +97,4 @@ def _free(along, z, periods):
 def flight(along, z):
     """(`Frame`, the one flight) of an orbit without impacts: over a little more than its periods."""
     built, turns = framed(there(along, z)), along.cycle
-    span = jnp.reshape(OVERLAP * turns.periods * built.period, 1)
-    start = (jnp.reshape(each, 1) for each in (z[0], z[1], jnp.cos(turns.phase), jnp.sin(turns.phase)))
-    return built, flight_clearance.Flight(span, *start)
+    return built, flight_clearance.without_impacts(built, turns.phase, turns.periods, z[0], z[1])

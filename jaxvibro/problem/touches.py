@@ -13,10 +13,10 @@ from continuation.persistent_jit import SOON, persistent_jit
 from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import framed
 from ..orbits import flight_clearance, impact_equations
+from ..orbits.flight_clearance import TOUCH
 from .diagnostics import diagnose, flight
 from .equations import cycle_at, number_there, problem, there
 
-TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
 ENDS = 1e-5  # of a flight: a touch as near to its ends is that of the impact there
 ROUNDS = 6  # of Newton's steps to a turning point
 
