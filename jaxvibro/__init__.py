@@ -37,6 +37,7 @@ _HOMES = {
     "Orbit": "orbits.orbit",
     "OrbitError": "orbits.orbit",
     "follow": "branches.follow",
+    "follow_all": "branches.follow",
     "switch": "branches.switch",
     "extend": "branches.switch",
     "Branch": "branches.branch",

@@ -1,5 +1,7 @@
 """Branches of the oscillator: special points against references in 40 digits, grazings, ends, switching, saving."""
 
+from dataclasses import replace
+
 import mpmath
 import numpy as np
 import pytest
@@ -36,6 +38,25 @@ def lopsided(branch):
 
 def kinds(branch):
     return [(one.kind, one.label) for one in branch.special]
+
+
+def test_branches_of_many_orbits_are_those_of_each(scene, orbit, branch):
+    other = jv.find_orbit(scene.replace(damping=0.06, amplitude=2.2), jv.State(0.9, -1.1))
+    one, two = jv.follow_all([orbit, other], "amplitude", (0.0, 6.0))
+    assert one.table() == branch.table()
+    assert two.table() == jv.follow(other, "amplitude", (0.0, 6.0)).table() != one.table()
+    assert (one.scene.damping, two.scene.damping) == (0.05, 0.06)
+
+
+def test_an_orbit_among_many_that_is_none_is_told(scene, orbit):
+    with pytest.raises(jv.ArgumentError, match=r"^orbits: must be a list or tuple of Orbits, one at least"):
+        jv.follow_all([], "amplitude", (0.0, 6.0))
+    with pytest.raises(jv.ArgumentError, match=r"^orbits\[1\]: must be an Orbit"):
+        jv.follow_all([orbit, scene], "amplitude", (0.0, 6.0))
+    stray = replace(orbit, scene=scene.replace(amplitude=2.5))
+    with pytest.raises(jv.OrbitError, match="the start is no orbit") as raised:
+        jv.follow_all([orbit, stray], "amplitude", (0.0, 6.0))
+    assert raised.value.__notes__ == ["it is orbits[1]"]
 
 
 def value(branch, kind):

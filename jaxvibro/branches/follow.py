@@ -1,4 +1,4 @@
-"""`follow`: a branch of periodic orbits along a parameter, through folds and grazings."""
+"""`follow`, `follow_all`: branches of periodic orbits along a parameter, through folds and grazings."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -30,7 +30,7 @@ NO_ORBIT = 1e-6  # of the scene's length: a start with as large a residual is no
 Monitors = Mapping[str, Callable[[MonitoredPoint], Any]] | tuple[()]  # by their labels
 
 
-@check.host("use strobe or monodromy; sensitivity has derivatives of special points")
+@check.host("use strobe or monodromy; located has derivatives of special points")
 def follow(
     orbit: Orbit,
     name: str,
@@ -64,13 +64,55 @@ def follow(
     singular, ArithmeticError where a special point was found that the scene cannot have (`impossible`). What ends a
     branch is told by its `reason`.
     """
-    if not isinstance(orbit, Orbit):
-        raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
+    given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
+    return through(*_begun("orbit", orbit, name, bounds), direction, given)
+
+
+@check.host("use strobe or monodromy; located has derivatives of special points")
+def follow_all(
+    orbits: Sequence[Orbit],
+    name: str,
+    bounds: tuple[float, float],
+    direction: str = "both",
+    first_step: float = 0.05,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+    monitors: Monitors = (),
+    stop: str | Sequence[str] = (),
+) -> tuple[Branch, ...]:
+    """The branch through each of some orbits, of one scene or of many, along one parameter: a tuple of `Branch`.
+
+    orbits: a list or tuple of `Orbit`, one at least; the other arguments, and each branch, are as of `follow`. An
+    orbit on the branch of another gives that branch once more.
+
+    Raises what `follow` raises; for an orbit that is none before anything is followed, with its place.
+    """
+    given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
+    if not isinstance(orbits, Sequence) or not orbits:
+        raise check.ArgumentError("orbits", "must be a list or tuple of Orbits, one at least", orbits)
+    begun = []
+    for k, orbit in enumerate(orbits):
+        try:
+            begun.append(_begun(f"orbits[{k}]", orbit, name, bounds))
+        except OrbitError as error:
+            error.add_note(f"it is orbits[{k}]")
+            raise
+    return tuple(through(*each, direction, given) for each in begun)
+
+
+def _asked(direction, *settings):
+    """The settings of a branch by name, checked with its direction. Raises ArgumentError."""
     if direction not in DIRECTIONS:
         raise check.ArgumentError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
+    return check_settings(*settings)
+
+
+def _begun(label, orbit, name, bounds):
+    """What `through` is to know of an orbit, that is called label. Raises ArgumentError, OrbitError."""
+    if not isinstance(orbit, Orbit):
+        raise check.ArgumentError(label, "must be an Orbit, as find_orbit gives it", orbit)
     bounds = bounds_of(orbit.scene, name, bounds)
-    given = check_settings(first_step, largest_step, tolerance, monitors, stop)
-    return through(orbit.scene, name, bounds, polish_orbit(orbit, name), direction, given)
+    return orbit.scene, name, bounds, polish_orbit(orbit, name)
 
 
 def through(scene, name, bounds, start, direction, settings):

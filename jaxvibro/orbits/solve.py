@@ -134,7 +134,11 @@ def _met(scenes, guesses, sides, periods):
 def _solved(asked, rows, phases, starts):
     """The `OrbitSolutions` of lanes in one axis."""
     left, find, look = (partial(each, asked) for each in (_left, _found, _is_real))
-    find, look, measure = root(left, find, one_kernel), in_turn(look, one_kernel), smooth(partial(_measured, asked), one_kernel)
+    find, look, measure = (
+        root(left, find, one_kernel),
+        in_turn(look, one_kernel),
+        smooth(partial(_measured, asked), one_kernel),
+    )
 
     def lane(row, phase, start):
         fixed = phase, start
