@@ -44,7 +44,7 @@ _HOMES = {
     "load_branch": "branches.branch_file",
     "peaks": "branches.peaks",
     "peak": "branches.peaks",
-    "sensitivity": "loci.sensitivity",
+    "sensitivity": "design.sensitivity",
     "located": "design.located",
     "Located": "design.located",
     "LocatedPoint": "design.located",

@@ -26,10 +26,10 @@ from .design.margin import NearPoint as NearPoint
 from .design.margin import margin as margin
 from .design.place import Placement as Placement
 from .design.place import place as place
+from .design.sensitivity import sensitivity as sensitivity
 from .loci.family import family as family
 from .loci.locus import Locus as Locus
 from .loci.locus import locus as locus
-from .loci.sensitivity import sensitivity as sensitivity
 from .maps.monodromy import monodromy as monodromy
 from .maps.return_map import Return as Return
 from .maps.return_map import return_map as return_map

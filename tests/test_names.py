@@ -65,7 +65,7 @@ def test_what_is_no_name_is_one_clear_line(scene, branch, name):
 def test_what_are_no_names_is_one_clear_line(branch, names):
     point, bounds = fold(branch), {"amplitude": (0.2, 3.0), "frequency": (2.0, 2.2)}
     calls = (
-        lambda: jv.sensitivity(point, names),
+        lambda: jv.sensitivity(point, [names] if names is None else names),  # without names it is of all
         lambda: jv.locus(point, names, bounds),
         lambda: jv.family(point, names, bounds, "damping", [0.1]),
         lambda: jv.follow(branch.orbit(0), "amplitude", (0.2, 3.0), monitors="ab"),
@@ -91,7 +91,7 @@ def test_parameters_in_a_tuple_have_one_value_and_move_a_point_as_all_of_them_do
     point = fold(
         folded(scene := jv.make_scene(2.0, walls=(jv.Wall(-1.0, one), jv.Wall(1.0, one)), restitution=1.0, **numbers))
     )
-    both, left, right = jv.sensitivity(point, [pair])[0], *jv.sensitivity(point, pair)
+    both, left, right = float(jv.sensitivity(point, [pair])[0]), *jv.sensitivity(point, pair).values
     assert both == pytest.approx(left + right, rel=1e-9)
     scene = scene.replace(**{"right.restitution": other})
     point = fold(folded(scene))
@@ -100,4 +100,4 @@ def test_parameters_in_a_tuple_have_one_value_and_move_a_point_as_all_of_them_do
             jv.sensitivity(point, ["damping", names])
     step = 1e-4
     ends = [fold(folded(scene.replace(**{pair[0]: one + way, pair[1]: other + way}))).value for way in (step, -step)]
-    assert sum(jv.sensitivity(point, pair)) == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-5)
+    assert jv.sensitivity(point, pair).values.sum() == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-5)

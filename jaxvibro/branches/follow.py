@@ -65,7 +65,8 @@ def follow(
     branch is told by its `reason`.
     """
     given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
-    return through(*_begun("orbit", orbit, name, bounds), direction, given)
+    bounds, start = _begun("orbit", orbit, name, bounds)
+    return through(orbit.scene, name, bounds, start, direction, given)
 
 
 @check.host("use strobe or monodromy; located has derivatives of special points")
@@ -97,7 +98,8 @@ def follow_all(
         except OrbitError as error:
             error.add_note(f"it is orbits[{k}]")
             raise
-    return tuple(through(*each, direction, given) for each in begun)
+    pairs = zip(orbits, begun, strict=True)
+    return tuple(through(one.scene, name, bounds, start, direction, given) for one, (bounds, start) in pairs)
 
 
 def _asked(direction, *settings):
@@ -108,11 +110,11 @@ def _asked(direction, *settings):
 
 
 def _begun(label, orbit, name, bounds):
-    """What `through` is to know of an orbit, that is called label. Raises ArgumentError, OrbitError."""
+    """(the bounds, the start) for `through`, of an orbit that is called label. Raises ArgumentError, OrbitError."""
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError(label, "must be an Orbit, as find_orbit gives it", orbit)
     bounds = bounds_of(orbit.scene, name, bounds)
-    return orbit.scene, name, bounds, polish_orbit(orbit, name)
+    return bounds, polish_orbit(orbit, name)
 
 
 def through(scene, name, bounds, start, direction, settings):

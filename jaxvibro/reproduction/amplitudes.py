@@ -3,7 +3,7 @@
 import numpy as np
 
 from .. import plot
-from ..loci.sensitivity import hold, move
+from ..loci.held_point import hold, move
 from ..plot.style import COLOURS, SYMBOLS
 from .closed import grazing
 from .panels import Drawn, legend, panels, png, sheet, styled, trim

@@ -6,7 +6,7 @@ import numpy as np
 import optax
 from jaxtyping import Float
 
-from ..loci.sensitivity import HeldPoint, move, slopes
+from ..loci.held_point import HeldPoint, move, slopes
 
 RATE, CLOSE, LONG = 0.02, 0.03, 80  # of Adam's steps; a misfit so small ends them; so many at most
 ROUNDS, LEAST = 20, 1e-13  # of Newton's steps; one as short is the last
@@ -15,7 +15,7 @@ WITHIN = 0.5  # of the way to where a point ends: nearer, its Newton's method ma
 
 class Fit(NamedTuple):
     """values: the numbers fitted; misfits: value less target of each point; by: d value / d number, (points, numbers);
-    met: whether the last step was rounding; points: the `sensitivity.HeldPoint` there."""
+    met: whether the last step was rounding; points: the `held_point.HeldPoint` there."""
 
     values: Float[np.ndarray, " numbers"]
     misfits: Float[np.ndarray, " points"]
@@ -32,7 +32,7 @@ class Fit(NamedTuple):
 def fitted(points, targets, start, low, high):
     """The `Fit` of the least squares, from a start, within (low, high) of each number.
 
-    points: `sensitivity.HeldPoint`, with the same numbers kept; targets: their values as they should be. Where a point
+    points: `held_point.HeldPoint`, with the same numbers kept; targets: their values as they should be. Where a point
     does not exist with the start's numbers, it starts on the way there, from the points' own.
     """
     points, values = there(points, start)

@@ -11,7 +11,7 @@ from .. import plot
 from ..branches.branch import Branch, Special
 from ..branches.follow import follow
 from ..branches.peaks import peak, peaks
-from ..loci.sensitivity import hold, slopes
+from ..loci.held_point import hold, slopes
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
 from ..plot.style import COLOURS

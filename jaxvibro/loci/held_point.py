@@ -1,11 +1,11 @@
-"""How the value of a fold or grazing changes with other numbers of its scene, and where it is when they are others.
+"""A fold or grazing carried to other numbers of its scene, by the host alone, and how its value changes with them.
 
 F(u, p, q) = 0 are an orbit's equations, p the point's value, q the numbers that are kept. At a fold F_u is singular:
 with w its null vector from the left, dp/dq = -(w F_q) / (w F_p). At a grazing one speed is zero and no unknown: what is
 left of (F_u, F_p) is regular, and dp/dq is the last row of -(F_u, F_p)^-1 F_q. No second derivative is asked for.
 """
 
-from collections.abc import Sequence
+from contextlib import suppress
 from typing import NamedTuple
 
 import jax
@@ -14,16 +14,13 @@ from jaxtyping import Float, Int
 
 from continuation import locate
 
-from ..branches.branch import Special
 from ..problem.equations import OrbitEquations, problem
 from ..scene import check
-from ..scene.parameters import flat, marked
-from ..scene.scene import SIDES, Scene
+from ..scene.parameters import marked
+from ..scene.scene import Scene
 from .extended_system import Grazing
 from .first_point import equations, start_of
 
-KINDS = ("SN", "GR")
-ALIKE = 1e-6  # derivatives as near are one
 SHORTEST = 1.0 / 256.0  # of the way to other numbers: a step as short that fails is the end
 WARY = 0.3  # of 1 + the largest unknown: more must nothing change in a step
 
@@ -46,67 +43,16 @@ class HeldPoint(NamedTuple):
         return float(self.z[-1])
 
 
-@check.host("use monodromy")
-def sensitivity(
-    special: Special, names: str | Sequence[str | tuple[str, ...]], wall: str | None = None
-) -> Float[np.ndarray, " names"]:
-    """How the value of a special point changes with other parameters of its scene: an array, a number for each name.
-
-    special: a `Special` of a branch, SN or GR; names: of parameters but the point's own, one or a sequence; a tuple
-    among them is one parameter, of several that have one value and change together: [("left.damping",
-    "right.damping")]. Where their values differ, a common shift does what the single ones do, added. wall: "left" or
-    "right", for a GR that touches both at once: along what moves one of them it has a corner, and what is given is how
-    the value at which this wall is touched changes. It counts on the side where this wall is touched first.
-
-    Raises ArgumentError for points of other kinds, names that cannot be, and a corner where no wall is given; its value
-    is then what each wall gives.
-    """
-    return slopes(hold(special, names, wall))
-
-
-def hold(special, names, wall=None):
-    """The `HeldPoint` of a `Special`, such names and a wall."""
+def hold(special, names):
+    """The `HeldPoint` of a `Special`, SN or GR, and names of numbers that are kept; at a GR the first touch that the
+    point's value matters to."""
     start = start_of(special)
-    if start.kind not in KINDS:
-        raise check.ArgumentError("special", f"must be a special point of kind {', '.join(KINDS)}", start.kind)
-    names = check.sequence("names", names)
-    each = flat(names)
-    for name in each:
-        check.require_known(name, start.scene.names, name)
-    if not all(map(len, names)) or not names or special.name in each or len(set(each)) < len(each):
-        raise check.ArgumentError("names", f"must be different, one at least, and none {special.name}", names)
-    check.require_apart(special.name, *each)
-    if wall not in (None, "left", "right"):
-        raise check.ArgumentError("wall", 'must be "left", "right" or None', wall)
-    return _only([_held(*sheet, special.name, names) for sheet in equations(start, (special.name, *names))], wall)
-
-
-def _only(found, wall):
-    """The one `HeldPoint` of some, each of a touch of a wall, or that of a wall: they have to give the same."""
-    known = {}
-    for one in found:
-        try:
-            by, side = slopes(one), _side(one)
-        except np.linalg.LinAlgError:  # the value does not matter to this touch
-            continue
-        if wall is None or wall == side:
-            known.setdefault(side, []).append((one, by))
-    every = [each for some in known.values() for each in some]
-    if not every:
-        raise check.ArgumentError("wall", "must be one that is touched, and that the point's value changes", wall)
-    first, by = every[0]
-    if all(np.allclose(by, other, rtol=ALIKE, atol=ALIKE) for _, other in every):
-        return first
-    told = {side: [float(f"{each:.6g}") for each in known[side][0][1]] for side in sorted(known)}
-    raise check.ArgumentError(
-        "wall", 'must be "left" or "right" at a corner: each counts where it is touched first', told
-    )
-
-
-def _side(one):
-    """Of the wall that a `HeldPoint` grazing touches."""
-    rows = len(one.along.cycle.sides)
-    return None if not len(one.still) else SIDES[int(one.along.cycle.sides[one.still[0] - rows] > 0)]
+    for sheet in equations(start, (special.name, *names)):
+        one = _held(*sheet, special.name, names)
+        with suppress(np.linalg.LinAlgError):
+            slopes(one)
+            return one
+    raise check.ArgumentError("special", f"must be moved by {special.name}", start.kind)
 
 
 def _held(curve, z, name, names):
