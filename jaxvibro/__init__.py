@@ -45,6 +45,8 @@ _HOMES = {
     "peaks": "branches.peaks",
     "peak": "branches.peaks",
     "sensitivity": "design.sensitivity",
+    "Search": "design.search",
+    "search": "design.search",
     "located": "design.located",
     "Located": "design.located",
     "LocatedPoint": "design.located",

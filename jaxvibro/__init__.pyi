@@ -26,6 +26,8 @@ from .design.margin import NearPoint as NearPoint
 from .design.margin import margin as margin
 from .design.place import Placement as Placement
 from .design.place import place as place
+from .design.search import Search as Search
+from .design.search import search as search
 from .design.sensitivity import sensitivity as sensitivity
 from .loci.family import family as family
 from .loci.locus import Locus as Locus

@@ -59,18 +59,25 @@ def _lanes(scenes):
 
 
 def _listed(scene, name, values, found, max_period):
-    points, length = found.points, 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
-    apart, size = returns(points)[:max_period], SETTLED * abs(points).max(axis=(0, 2))
+    length = 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
     listed = []
+    for lane, periods, impacts in settled_orbits(found, length, max_period):
+        points = found.points[-periods:, lane]
+        spot = OrbitPoint(float(values[lane]), *impacts, periods, *points[-1].tolist(), 0.0)
+        listed.append(Probe(spot, points))
+    return sorted(listed, key=lambda one: (one.spot.periods, one.spot.value))
+
+
+def settled_orbits(found, length, max_period):
+    """(lane, periods, (times, speeds, sides) of the impacts) of each lane of a `Trail` that comes back within so many
+    periods, of which none rests on a wall. length: of a period of each lane."""
+    points = found.points
+    apart, size = returns(points)[:max_period], SETTLED * abs(points).max(axis=(0, 2))
     for lane in np.flatnonzero((apart < size).any(axis=0) & (found.status == Status.OK)):
         periods = int(np.argmax(apart[:, lane] < size[lane])) + 1
-        if (abs(found.contact[-periods:, lane]) == Contact.STUCK).any():  # it rests on a wall
+        if (abs(found.contact[-periods:, lane]) == Contact.STUCK).any():
             continue
         hit = found.side[-periods:, lane] != 0
         late = found.time[-periods:, lane] + length[lane] * np.arange(periods)[:, None]
-        impacts = (
-            part[hit] for part in (late, found.speed[-periods:, lane], found.side[-periods:, lane].astype(float))
-        )
-        begin = points[-1, lane].tolist()
-        listed.append(Probe(OrbitPoint(float(values[lane]), *impacts, periods, *begin, 0.0), points[-periods:, lane]))
-    return sorted(listed, key=lambda one: (one.spot.periods, one.spot.value))
+        sides = found.side[-periods:, lane].astype(float)
+        yield int(lane), periods, tuple(part[hit] for part in (late, found.speed[-periods:, lane], sides))

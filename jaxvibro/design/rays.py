@@ -57,6 +57,7 @@ class Ray(NamedTuple):
 class _Seen(NamedTuple):
     fold: Float[Array, ""]
     flip: Float[Array, ""]
+    least: Float[Array, ""]
     end: Float[Array, ""]
     row: Float[Array, ""]
     wall: Float[Array, ""]
@@ -66,9 +67,11 @@ class _Seen(NamedTuple):
 @partial(jax.jit, static_argnums=0)
 def rays(tree, cycle, numbers, ways):
     """The `Ray`s from an orbit, a `Cycle` without empty rows, of the scene with these numbers, (numbers,), along ways,
-    (ways, numbers): what is added to them at the end."""
+    (ways, numbers): what is added to them at the end. Or each from an orbit of its own: cycle and numbers have the
+    ways' axis first."""
     look = in_turn(partial(_ray, tree), one_kernel)
-    return jax.vmap(lambda way: look(cycle, numbers, way))(ways)
+    own = 0 if jnp.ndim(numbers) > 1 else None
+    return jax.vmap(look, in_axes=(own, own, 0))(cycle, numbers, ways)
 
 
 def _ray(tree, cycle, numbers, way):
@@ -85,7 +88,7 @@ def _ray(tree, cycle, numbers, way):
             return _response(frame, cycle)
 
         def function(unknowns):
-            return impact_equations.equations(frame, _at(cycle, unknowns))
+            return impact_equations.equations(frame, at_unknowns(cycle, unknowns))
 
         return newton(function, unknowns, longest * frame.period, most=8, solve=impact_equations.solve)
 
@@ -95,7 +98,7 @@ def _ray(tree, cycle, numbers, way):
         frame = built(ahead)
         found = solved(frame, unknowns + (ahead - share) * rate)
         change = jnp.max(abs(found.unknowns - unknowns))
-        new = see(frame, _at(cycle, found.unknowns) if hits else cycle, found.unknowns)
+        new = see(frame, at_unknowns(cycle, found.unknowns) if hits else cycle, found.unknowns)
         good = (found.status == OK) & (change <= STRAY * (1.0 + jnp.max(abs(unknowns))))
         end = jnp.where(
             new.fold * seen.fold < 0, RayEnd.FOLD, jnp.where(new.flip * seen.flip < 0, RayEnd.FLIP, new.end)
@@ -122,8 +125,24 @@ def _ray(tree, cycle, numbers, way):
     return Ray(share, unknowns, end, seen.row, seen.wall, seen.time)
 
 
-def _at(cycle, unknowns):
+def at_unknowns(cycle, unknowns):
+    """The `Cycle` with these times and speeds."""
     return cycle._replace(times=unknowns[: len(cycle.sides)], speeds=unknowns[len(cycle.sides) :])
+
+
+def tests_of(frame, cycle, unknowns):
+    """The determinants that vanish at a fold and at a period doubling, the least clearance, the least speed, in a row:
+    of an orbit without impacts 1, 1, the clearance and infinity."""
+    if len(cycle.sides):
+        seen, slow = _seen(frame, cycle, unknowns), jnp.min(cycle.speeds)
+    else:
+        seen, slow = _free(frame, cycle, unknowns), jnp.inf
+    return jnp.stack([seen.fold, seen.flip, seen.least, slow + 0.0 * seen.fold])
+
+
+def free_response(frame, cycle):
+    """x and v at the section of the motion that meets no wall."""
+    return _response(frame, cycle).unknowns
 
 
 def _seen(frame, cycle, _):
@@ -133,7 +152,9 @@ def _seen(frame, cycle, _):
     least, row, wall, time = _least(frame, found, begin)
     slow = jnp.any(cycle.speeds <= 0)
     end = jnp.where(slow, RayEnd.SLOW, jnp.where(least < 0, RayEnd.TOUCH, RayEnd.NONE))
-    return _Seen(fold, flip, end + 0.0 * fold, jnp.where(slow, jnp.argmin(cycle.speeds), row) + 0.0 * fold, wall, time)
+    return _Seen(
+        fold, flip, least, end + 0.0 * fold, jnp.where(slow, jnp.argmin(cycle.speeds), row) + 0.0 * fold, wall, time
+    )
 
 
 def _least(frame, found, begin):
@@ -160,4 +181,4 @@ def _free(frame, cycle, unknowns):
     found = flight_clearance.without_impacts(frame, cycle.phase, cycle.periods, *unknowns)
     least, row, wall, time = _least(frame, found, jnp.zeros(1, unknowns.dtype))
     one = jnp.ones_like(least)
-    return _Seen(one, one, jnp.where(least < 0, RayEnd.TOUCH, RayEnd.NONE) + 0.0 * one, row, wall, time)
+    return _Seen(one, one, least, jnp.where(least < 0, RayEnd.TOUCH, RayEnd.NONE) + 0.0 * one, row, wall, time)
