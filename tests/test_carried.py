@@ -31,8 +31,11 @@ def _bent(slopes):
     return np.maximum(1.0, abs(slopes).max((1, 2), keepdims=True)) ** 2
 
 
-@pytest.mark.parametrize("periods", [1, 3])
-@pytest.mark.parametrize("kind", [RIGID[k] for k in (1, 4, 5)])
+@pytest.mark.parametrize(
+    ("kind", "periods"),
+    [(RIGID[1], 1), (RIGID[1], 3), (RIGID[4], 1)]
+    + [pytest.param(RIGID[k], count, marks=pytest.mark.slow) for k, count in ((4, 3), (5, 1), (5, 3))],
+)
 def test_of_random_scenes_they_are_those_of_the_replay(kind, periods, monkeypatch):
     scene, start = usual(np.random.default_rng(3), LANES, kind)
     given_up = np.asarray(lean(scene, start)[1])
@@ -47,7 +50,7 @@ def test_of_random_scenes_they_are_those_of_the_replay(kind, periods, monkeypatc
     assert np.nanmax(abs(found - expected) / _bent(expected)) < 1e-11
 
 
-@pytest.mark.parametrize("kind", [RIGID[k] for k in (1, 4)])
+@pytest.mark.parametrize("kind", [RIGID[1], pytest.param(RIGID[4], marks=pytest.mark.slow)])
 def test_of_random_scenes_they_are_the_product(kind):
     scene, start = usual(np.random.default_rng(4), LANES, kind)
     places = len(jax.tree.leaves(scene))

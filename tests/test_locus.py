@@ -134,6 +134,7 @@ def test_loci_of_fold_and_doubling_end_at_the_resonant_grazing(loci):
     assert told.split() == ["RG", "1.84718918172", "1.22152745847", "P112", "RLR"]
 
 
+@pytest.mark.slow
 def test_a_locus_from_its_other_end_in_other_steps(loci):
     """From orbits where the first loci end, the special points there; their loci lead back along the same curves."""
     far = {name: loci[name].orbit(-1) for name in ("PD of P112", "SN of P112")}
