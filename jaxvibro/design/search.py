@@ -12,6 +12,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+from jaxtyping import Float
 
 from ..branches.branch import Special
 from ..branches.follow import check_settings, through
@@ -69,9 +70,9 @@ class Search:
 class _Seed(NamedTuple):
     """An orbit that a start settled on. offset: of its scene, in units; periods; impacts: times, speeds, sides."""
 
-    offset: np.ndarray
+    offset: Float[np.ndarray, " free"]
     periods: int
-    impacts: tuple[np.ndarray, np.ndarray, np.ndarray]
+    impacts: tuple[Float[np.ndarray, " impacts"], ...]
 
 
 class _Place(NamedTuple):
@@ -79,7 +80,7 @@ class _Place(NamedTuple):
 
     kinds: tuple[str, ...]
     seed: _Seed
-    ahead: np.ndarray
+    ahead: Float[np.ndarray, " free"]
 
 
 @check.host("use the function that located gives")

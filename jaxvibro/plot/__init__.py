@@ -5,6 +5,7 @@ from .branch import branch, mark_points
 from .diagram import diagram, mark
 from .locus import locus, region
 from .manifolds import manifold
+from .margin import margin
 from .orbit import mark_orbits, orbit
 from .portrait import portrait
 from .section import section
@@ -17,6 +18,7 @@ __all__ = [
     "diagram",
     "locus",
     "manifold",
+    "margin",
     "mark",
     "mark_orbits",
     "mark_points",
