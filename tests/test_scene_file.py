@@ -50,8 +50,8 @@ BAD = [
     (
         "scen = 3",
         "scen",
-        "is not a key here, perhaps scene (scene, sweep, attractors, orbits, branch, explore, locus, spectrum, basins, "
-        "panels); got 3",
+        "is not a key here, perhaps scene (scene, sweep, attractors, orbits, branch, explore, locus, margin, "
+        "spectrum, basins, panels); got 3",
     ),
     (
         "scene.left.stifness = 3",

@@ -58,7 +58,7 @@ def _changes(near, ax):
         look = {"marker": SHAPES[k % len(SHAPES)], "markeredgecolor": "black", "linestyle": "none"}
         ax.plot(across, changes, color=colour, label=f"{plain(name)}, unit {unit:g}", **look)
     ax.set_xticks(places, [f"{_told(one)}\n{one.distance:.3g} units" for one in near.points], fontsize="small")
-    ax.set(ylabel="change to the point (units of each number)")
+    ax.set(xlim=(-0.6, max(len(places), 2) - 0.4), ylabel="change to the point (units of each number)")
     ax.legend(fontsize="small")
     return ax
 

@@ -14,6 +14,7 @@ from ..branches.branch import Branch, Special
 from ..branches.branch_tree import followed
 from ..branches.diagram import Diagram
 from ..branches.explore import explore
+from ..design.margin import Margin, margin
 from ..flight.wall_positions import fit
 from ..loci.loci import count, loci
 from ..loci.locus import Locus
@@ -23,9 +24,9 @@ from ..orbits.orbit import Orbit, OrbitError
 from ..scene.check import ArgumentError, SceneError
 from ..scene.scene import Scene, changed
 from ..scene.state import State
-from .schema import AttractorsTable, BranchTable, ExploreTable, OrbitsTable, SceneFile
+from .schema import AttractorsTable, BranchTable, ExploreTable, MarginTable, OrbitsTable, SceneFile
 
-Asked = AttractorsTable | OrbitsTable | BranchTable | ExploreTable | None  # a table with values `at`
+Asked = AttractorsTable | OrbitsTable | BranchTable | ExploreTable | MarginTable | None  # a table with values `at`
 
 SETTLE, KEEP = 300, 100  # drive periods from rest, where no study says how many
 SAME = 1e-6  # of a state: an orbit as near to an attractor's is that attractor
@@ -37,8 +38,8 @@ class Found:
 
     swept: the Dataset of `sweep` with a dimension `leg`, of one value and a leg "rest" where no study was asked for;
     attractors, orbits: as `find_attractors` and `find_orbits` give them; branches: as `followed` does, or those of the
-    `Diagram` of `explore`, which is in diagram; loci, refused: as `loci.loci` gives them. Each is None where the file
-    does not ask for it.
+    `Diagram` of `explore`, which is in diagram; loci, refused: as `loci.loci` gives them; margin: as `margin` does.
+    Each is None where the file does not ask for it.
     """
 
     file: SceneFile
@@ -50,6 +51,7 @@ class Found:
     diagram: Diagram | None = None
     loci: tuple[Locus, ...] | None = None
     refused: tuple[tuple[Special, str], ...] | None = None
+    margin: Margin | None = None
 
     @property
     def across(self) -> str | None:
@@ -116,9 +118,10 @@ def study(file, progress=False):
         attractors = _attractors(scene.replace(**file.attractors.at), file.attractors, progress)
     if file.orbits is not None:
         orbits = _orbits(scene.replace(**file.orbits.at), file.orbits, progress)
-    if swept is attractors is orbits is branches is None:
+    near = None if file.margin is None else _margin(scene.replace(**file.margin.at), file.margin)
+    if swept is attractors is orbits is branches is near is None:
         swept = _rest(scene)
-    return Found(file, scene, swept, attractors, orbits, branches, diagram, *curves)
+    return Found(file, scene, swept, attractors, orbits, branches, diagram, *curves, near)
 
 
 def _legs(scene, table, progress):
@@ -195,6 +198,15 @@ def _is_on(orbit, attractor):
         return False
     point = np.array([orbit.state.x, orbit.state.v])
     return bool(abs(attractor.points - point).max(axis=1).min() <= SAME * (1.0 + abs(point).max()))
+
+
+def _margin(scene, table):
+    try:
+        orbit = find_orbit(scene, State(table.start.x, table.start.v), settle=table.settle)
+        return margin(orbit, table.free, table.bounds, table.kinds, table.directions, table.seed)
+    except OrbitError as error:
+        rule = f"must settle on an orbit that can be followed ({error})"
+        raise SceneError("margin.start", rule, {"x": table.start.x, "v": table.start.v}) from None
 
 
 def _rest(scene):

@@ -62,6 +62,14 @@ def loci(found):
     return _png(figure)
 
 
+def margin(found):
+    """The picture of the margin that was `Found`, as a PNG's bytes."""
+    figure = Figure(figsize=(7.5, 5.5), layout="constrained")
+    plot.margin(found.margin, figure.subplots())
+    figure.suptitle(_described(found.there(found.file.margin), ()), fontsize="medium")
+    return _png(figure)
+
+
 def _png(figure):
     held = BytesIO()
     figure.savefig(held, format="png", dpi=DOTS)
@@ -135,6 +143,8 @@ def _motions(found):
             yield _drawing(found.there(found.file.attractors), one.state, one.periods or ROAMED), name
     for one in found.others:
         yield partial(plot.orbit, one), title(one) + _at(found, found.file.orbits)
+    if found.margin is not None:
+        yield partial(plot.orbit, found.margin.orbit), title(found.margin.orbit) + _at(found, found.file.margin)
     if found.swept is not None:
         n, last = int(recurrence(found.swept)[0, 0]), found.swept.isel(step=0, leg=0, period=-1)
         if n >= 0:

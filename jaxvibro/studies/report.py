@@ -30,6 +30,8 @@ def table(found, name):
         parts += ["", *_branches(found)]
     if found.loci is not None:
         parts += ["", *_loci(found)]
+    if found.margin is not None:
+        parts += ["", *_margin(found)]
     return "\n".join(parts) + "\n"
 
 
@@ -138,6 +140,14 @@ def _loci(found):
     yield f"\n{_meanings(ON_LOCI)}; SN, PD, SB on a GR: such a locus ends there"
 
 
+def _margin(found):
+    asked = found.file.margin
+    where = f"from x = {asked.start.x:g}, v = {asked.start.v:g} at {_at(asked)}"
+    yield f"nearest bifurcations of the orbit that is settled on {where}"
+    yield found.margin.table()
+    yield _meanings({kind: MEANINGS[kind] for kind in asked.kinds})
+
+
 def _meanings(meanings):
     return ", ".join(f"{kind} {meaning}" for kind, meaning in meanings.items())
 
@@ -167,6 +177,8 @@ def summary(found, files):
         told["not_followed"] = [
             {"kind": one.kind, "label": one.label, "value": one.value, "reason": why} for one, why in found.refused
         ]
+    if found.margin is not None:
+        told["margin"] = [_near(one) for one in found.margin.points]
     return told
 
 
@@ -242,6 +254,17 @@ def _place(one):
         "multipliers": _pairs(one.multipliers),
         "residual": _finite(one.residual),
         "place": int(one.place),
+    }
+
+
+def _near(one):
+    return {
+        "kind": one.kind,
+        "distance": one.distance,
+        "change": one.change,
+        "status": one.status,
+        "at_bound": list(one.at_bound),
+        "residual": _finite(one.residual),
     }
 
 

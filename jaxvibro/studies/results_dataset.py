@@ -19,6 +19,7 @@ def dataset(found):
     parts += [_orbits(found.orbits)] if found.orbits else []
     parts += [_branches(found.branches), _special(found.branches)] if found.branches else []
     parts += [_loci(found.loci), _codim2(found.loci)] if found.loci else []
+    parts += [_margin(found.margin)] if found.margin is not None else []
     whole = xr.merge(parts, combine_attrs="drop_conflicts")
     attrs = {
         "title": "jaxvibro run",
@@ -185,6 +186,22 @@ def _codim2(loci):
     return xr.Dataset(
         {f"codim2_{key}": ("codim2", np.array(each), {"long_name": meaning}) for key, (meaning, each) in told.items()}
     )
+
+
+def _margin(near):
+    """The nearest points of the kinds, and by how much each free number is another there."""
+    points, names = near.points, list(near.free)
+    changes = np.array([[one.change[name] for name in names] for one in points]).reshape(len(points), len(names))
+    told = {
+        "kind": ("SN, PD, SB, GR", [one.kind for one in points]),
+        "distance": ("from the scene, in units of the free numbers", [one.distance for one in points]),
+        "status": ("reached, or behind another", [one.status for one in points]),
+        "residual": ("largest number left in its equations", [one.residual for one in points]),
+    }
+    found = {f"near_{key}": ("near", np.array(each), {"long_name": meaning}) for key, (meaning, each) in told.items()}
+    found["near_change"] = ("near", "free"), changes, {"long_name": "of each free number"}
+    found["free_unit"] = "free", list(near.free.values()), {"long_name": "one unit of each free number"}
+    return xr.Dataset(found, {"free": names})
 
 
 def _images(found):

@@ -15,12 +15,12 @@ from ..scene.check import SceneError, host
 from ..scene.scene_table import SceneTable
 from . import report, scene_file
 from .compute import study
-from .figures import loci, picture
+from .figures import loci, margin, picture
 from .results_dataset import dataset
 from .schema import SceneFile
 
 ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}
-LOCI = {"loci": ".loci.png"}  # where they are asked for
+MORE = {"locus": {"loci": ".loci.png"}, "margin": {"margin": ".margin.png"}}  # where a table asks for it
 FOR_PAPER = ("spectrum", "basins", "panels")  # tables that `paper` knows
 
 
@@ -40,8 +40,8 @@ def run(
     force: bool = False,
     progress: bool = False,
 ) -> Done:
-    """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus] a picture of
-    the loci too: `Done`.
+    """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus] or [margin] a
+    picture of that too: `Done`.
 
     path: of the scene file; its name without ending names the results. out: the folder, made where it is missing.
     changes: other values for this run, each "key=value" as in the file ("sweep.count=201"); "scene." may be left out.
@@ -57,13 +57,15 @@ def run(
     for name in FOR_PAPER:
         if getattr(file, name):
             raise SceneError(name, "is a table for `jaxvibro paper`, not for a run", path.name)
-    endings = ENDINGS if file.locus is None else ENDINGS | LOCI
+    endings = dict(ENDINGS)
+    for name, more in MORE.items():
+        endings |= more if getattr(file, name) is not None else {}
     files = {kind: out / (path.stem + ending) for kind, ending in endings.items()}
     _refuse(path, out, files.values(), force)
     found = study(file, progress)
     table = report.table(found, path.name)
     contents = {"picture": picture(found), "data": netcdf(dataset(found)), "table": table.encode()}
-    contents |= {"loci": loci(found)} if "loci" in files else {}
+    contents |= {kind: draw(found) for kind, draw in (("loci", loci), ("margin", margin)) if kind in files}
     _write({files[kind]: content for kind, content in contents.items()}, force)
     summary = report.summary(found, {kind: str(one) for kind, one in files.items()})
     return Done(summary | {"seconds": round(time.perf_counter() - began, 3)}, table)

@@ -103,6 +103,20 @@ class LocusTable(Table, frozen=True, kw_only=True):
     largest_step: float = 0.1
 
 
+class MarginTable(Table, frozen=True, kw_only=True):
+    """[margin]: the nearest bifurcations of the orbit on which the scene, with the values under `at`, settles from a
+    start, in units of free numbers."""
+
+    free: Annotated[dict[str, float], Meta(min_length=1)]
+    bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
+    kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = KINDS
+    start: StartTable = StartTable(0.0, 0.0)
+    at: dict[str, float] = field(default_factory=dict)
+    settle: Settle = 200
+    directions: Count = 128
+    seed: Seed = 0
+
+
 class SpectrumTable(Table, frozen=True, kw_only=True):
     """[spectrum]: both Lyapunov exponents at so many values of a parameter, each from the same start."""
 
@@ -148,6 +162,7 @@ class SceneFile(Table, frozen=True):
     branch: BranchTable | None = None
     explore: ExploreTable | None = None
     locus: LocusTable | None = None
+    margin: MarginTable | None = None
     spectrum: SpectrumTable | None = None
     basins: BasinsTable | None = None
     panels: dict[str, list[float]] = field(default_factory=dict)

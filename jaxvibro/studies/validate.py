@@ -4,6 +4,7 @@ from contextlib import contextmanager
 
 import numpy as np
 
+from ..design.free_numbers import room_of, units_of
 from ..scene import check
 from ..scene.scene import Scene, between, changed, known
 from .schema import KINDS, MOST_STATES
@@ -26,6 +27,8 @@ def checked(file):
         _check_explore(scene, file)
     if file.locus is not None:
         _check_locus(scene, file)
+    if file.margin is not None:
+        _check_margin(scene, file.margin)
     if file.spectrum is not None:
         _check_spectrum(scene, file.spectrum)
     if file.basins is not None:
@@ -147,11 +150,26 @@ def _check_locus(scene, file):
     for name in names:
         _check_bounds(f"locus.bounds.{name}", asked.bounds[name])
         _check_reach(f"locus.bounds.{name}", name, asked.bounds[name], scene, file)
-    for place, kind in enumerate(asked.kinds):
-        if kind not in KINDS or kind in asked.kinds[:place]:
-            rule = f"must be one of {', '.join(KINDS)}" if kind not in KINDS else "must differ from the others"
-            raise check.SceneError(f"locus.kinds[{place}]", rule, kind)
+    _check_kinds("locus.kinds", asked.kinds)
     _check_step("locus.largest_step", asked.largest_step)
+
+
+def _check_margin(scene, asked):
+    with _under("margin.at."):
+        scene = known(changed(scene, asked.at), np.float64)
+    _check_kinds("margin.kinds", asked.kinds)
+    _check_start("margin.start", scene, asked.start)
+    with _under("margin."):
+        units = units_of(scene, asked.free)
+        room_of(scene, units, asked.bounds)
+        check.whole("directions", asked.directions, 2 * len(units))
+
+
+def _check_kinds(key, kinds):
+    for place, kind in enumerate(kinds):
+        if kind not in KINDS or kind in kinds[:place]:
+            rule = f"must be one of {', '.join(KINDS)}" if kind not in KINDS else "must differ from the others"
+            raise check.SceneError(f"{key}[{place}]", rule, kind)
 
 
 def _check_reach(key, name, bounds, scene, file):
