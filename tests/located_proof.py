@@ -1,6 +1,8 @@
 """Special points as functions of their scenes, against differences in 40 digits: `python -m tests.located_proof W N`.
 
-gradients, hessians: of a random special point of each of N random branches, by every number of its scene.
+gradients, hessians: of a random special point of each of N random branches, by every number of its scene, or in a
+random direction of these. statuses: of lanes along the loci of SN and PD of N branches, where these end on a grazing, a
+tenth of the lanes beyond it.
 """
 
 import sys
@@ -12,6 +14,7 @@ from mpmath import mpf, workdps
 import jaxvibro as jv
 from jaxvibro.branches.follow import place_orbit
 from jaxvibro.problem.touches import touches
+from jaxvibro.scene.codes import SolutionStatus
 from jaxvibro.scene.scale import scene_length
 from jaxvibro.scene.scene import SIDES
 from tests.branch_proof import branches, plain
@@ -104,11 +107,11 @@ def gradient_errors(point, wall=None):
     return found
 
 
-def points(count, seed):
+def points(count, seed, wanted=KINDS):
     """A special point each of so many random branches."""
     rng, found = np.random.default_rng(seed), 0
     for branch, _ in branches(rng, 100 * count):
-        some = [one for one in branch.special if one.kind in KINDS and len(one.spot.times) <= MOST]
+        some = [one for one in branch.special if one.kind in wanted and len(one.spot.times) <= MOST]
         if some:
             kinds = sorted({one.kind for one in some})
             kind = kinds[rng.integers(len(kinds))]
@@ -119,13 +122,72 @@ def points(count, seed):
             return
 
 
+def hessian_error(point, rng):
+    """The error of the second derivative in a random direction of its scene's numbers, over 1 + its size."""
+    value, known = jv.located(point), ways(point)
+    weights = dict(zip(known, rng.normal(size=len(known)), strict=True))
+
+    def moved(step):
+        moves = [(each, step * weights[name] * sign) for name in known for each, sign in known[name]]
+        return exact(point, moves)
+
+    with workdps(DIGITS):
+        true = float((moved(APART) - 2 * moved(mpf(0)) + moved(-APART)) / APART**2)
+
+    def along(step):
+        change = {}
+        for name, moves in known.items():
+            for each, sign in owned(name, moves):
+                change[each] = change.get(each, 0.0) + weights[name] * sign
+        return value(point.scene.replace(**{key: point.scene.parameter(key) + step * by for key, by in change.items()}))
+
+    mine = float(jax.grad(jax.grad(along))(0.0))
+    return abs(mine - true) / (1.0 + abs(true))
+
+
+def status_errors(point, rng, lanes=200):
+    """(lanes, wrong statuses) of scenes along a locus and a tenth of them beyond the grazing at which it ends; None
+    where it ends at none, or does not go one way towards it."""
+    other = "frequency" if point.name != "frequency" else "damping"
+    value, here = float(point.scene.parameter(other)), point.value
+    bounds = {point.name: (0.3 * here, 2.0 * here), other: (0.5 * value, 1.7 * value)}
+    locus = jv.locus(point, (point.name, other), bounds)
+    for end in (each for each in locus.special if each.kind == "GR"):
+        values, start = locus.values[:, 1], int(np.argmin(abs(locus.values - [here, value]).sum(axis=1)))
+        path = values[min(start, end.place) : max(start, end.place) + 1]
+        steps = np.diff(path)
+        if len(path) < 3 or not (np.all(steps > 0) or np.all(steps < 0)):
+            continue
+        edge, way = float(end.values[other]), np.sign(end.values[other] - value)
+        beyond = np.arange(lanes) < lanes // 10
+        far = abs(edge - value) * rng.uniform(1e-6, 0.02, lanes)
+        near = value + (edge - value) * rng.uniform(0.0, 1.0 - 1e-6, lanes)
+        drawn = np.where(beyond, edge + way * far, near)
+        found = np.asarray(jv.located(point).solve(point.scene.replace(**{other: drawn})).status)
+        wrong = np.where(beyond, found != SolutionStatus.VIRTUAL, found != SolutionStatus.OK)
+        return (
+            lanes,
+            int(wrong.sum()),
+            np.bincount(found[beyond], minlength=4),
+            np.bincount(found[~beyond], minlength=4),
+        )
+    return None
+
+
 def main(what, count, seed=0):
     """Print the errors, the worst last."""
     jax.config.update("jax_enable_x64", True)
+    rng = np.random.default_rng(seed)
+    if what == "statuses":
+        told = [one for one in (seen(point, rng) for point in points(count, seed, ("SN", "PD"))) if one]
+        print(
+            f"statuses: {sum(one[0] for one in told)} lanes at {len(told)} points, {sum(one[1] for one in told)} wrong"
+        )
+        return
     worst, kinds = 0.0, {}
     for point in points(count, seed):
         try:
-            errors = gradient_errors(point)
+            errors = gradient_errors(point) if what == "gradients" else {"along": hessian_error(point, rng)}
         except (jv.ArgumentError, ArithmeticError) as error:
             print("  skipped:", point.kind, str(error)[:120], flush=True)
             continue
@@ -133,6 +195,18 @@ def main(what, count, seed=0):
         worst = max(worst, *errors.values())
         print(point.kind, point.name, point.label, {name: f"{error:.1e}" for name, error in errors.items()}, flush=True)
     print(f"{what}: {kinds}, largest error {worst:.3g}")
+
+
+def seen(point, rng):
+    """`status_errors`, printed; None where there are none."""
+    try:
+        found = status_errors(point, rng)
+    except (jv.ArgumentError, ArithmeticError) as error:
+        print("  skipped:", point.kind, str(error)[:120], flush=True)
+        return None
+    if found:
+        print(point.kind, point.name, point.label, *found, flush=True)
+    return found
 
 
 if __name__ == "__main__":
