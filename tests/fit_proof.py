@@ -1,0 +1,112 @@
+"""Fits of records that random scenes made: `python -m tests.fit_proof WHAT N [seed]`.
+
+coverage: N records of 50 impacts, transient or chaotic, noise 1e-3, from half of them 5 % of the impacts taken out; how
+often the true numbers lie within the errors told. settled: N records of P111 that have settled, five numbers free.
+chaotic: N records of 30 periods of a chaotic motion, from numbers 5 % off.
+"""
+
+import sys
+import time
+
+import jax
+import numpy as np
+from scipy import special
+
+import jaxvibro as jv
+
+NAMES = ("damping", "left.restitution", "right.restitution", "right.position", "frequency")
+SCALES = {"damping": 0.01, "left.restitution": 0.1, "right.restitution": 0.1, "right.position": 0.1, "frequency": 0.05}
+NOISE, MISSING, IMPACTS = 1e-3, 0.05, 50
+OFF = 0.05  # of each number, at most, where a fit begins
+
+
+def scene(rng):
+    """A random scene: rigid walls anywhere, a third of the left ones moving."""
+    left = -rng.uniform(0.3, 1.5)
+    motion = jv.Motion(rng.uniform(0.0, 0.1), rng.uniform(0.0, 6.0)) if rng.uniform() < 1 / 3 else None
+    walls = (
+        jv.Wall(left, rng.uniform(0.5, 0.95), motion=motion),
+        jv.Wall(rng.uniform(0.3, 1.5), rng.uniform(0.5, 0.95)),
+    )
+    return jv.make_scene(rng.uniform(0.5, 3.0), rng.uniform(0.5, 2.5), rng.uniform(0.01, 0.2), 0.8, walls)
+
+
+def impacts(one, start, periods, slots):
+    """(times, sides) of a motion."""
+    _, found = jv.strobe(one, start, periods=periods, slots=slots)
+    hit = np.asarray(found.side) != 0
+    return np.asarray(found.time)[hit], np.asarray(found.side)[hit]
+
+
+def begun(one, rng):
+    """The scene where a fit begins."""
+    return one.replace(**{name: one.numbers[name] * (1.0 + OFF * rng.uniform(-1, 1)) for name in NAMES})
+
+
+def record(times, sides, rng, missing=False):
+    """A noisy record; (the record, the places that were taken out)."""
+    gone = rng.uniform(size=len(times)) < (MISSING if missing else 0.0)
+    noisy = (times + NOISE * rng.normal(size=len(times)))[~gone]
+    order = np.argsort(noisy)
+    return jv.ImpactRecord(noisy[order], sides[~gone][order], NOISE), np.flatnonzero(gone)
+
+
+def trials(count, seed):
+    """(scene, times, sides, rng) of so many records that are not settled and have no impacts as near as errors."""
+    rng = np.random.default_rng(seed)
+    while count:
+        one = scene(rng)
+        times, sides = impacts(one, jv.State(0.0, rng.uniform(-2, 2)), 40, 64)
+        if len(times) < IMPACTS:
+            continue
+        times, sides = times[:IMPACTS], sides[:IMPACTS]
+        if np.min(np.diff(times)) < 20 * NOISE:
+            continue
+        count -= 1
+        yield one, times, sides, rng
+
+
+def apart(fitted, one):
+    """(each number's error in sigma, the squared one of all together)."""
+    true = np.array([one.numbers[name] for name in NAMES])
+    away = np.array([fitted.values[name] for name in NAMES]) - true
+    sigma = np.array([fitted.sigma[name] for name in NAMES])
+    return away / sigma, float(away @ np.linalg.solve(fitted.covariance.values, away))
+
+
+def coverage(count, seed=0):
+    """Print of each trial its errors, and what part of all lies within one and three sigma, and the 95 % region."""
+    each, joint, kinds = [], [], {}
+    for k, (one, times, sides, rng) in enumerate(trials(10**9, seed)):
+        data, gone = record(times, sides, rng, missing=k % 2 == 1)
+        begin = time.time()
+        try:
+            fitted = jv.fit(begun(one, rng), data, SCALES)
+        except jv.ArgumentError as error:
+            print("refused:", str(error)[:150], flush=True)
+            kinds["refused"] = kinds.get("refused", 0) + 1
+            continue
+        kinds[fitted.status.name] = kinds.get(fitted.status.name, 0) + 1
+        told = f"{time.time() - begin:.2f} s, gone {gone}, missed {len(fitted.missed)}, spurious {fitted.spurious}"
+        if fitted.status == jv.FitStatus.UNIDENTIFIABLE:
+            print("unidentifiable:", told, *map(str, fitted.unidentifiable), flush=True)
+            continue
+        if fitted.status == jv.FitStatus.NONE:
+            each.append(np.full(5, np.inf))
+            joint.append(np.inf)
+        else:
+            errors, square = apart(fitted, one)
+            each.append(errors)
+            joint.append(square)
+        print(fitted.status.name, told, np.round(each[-1], 2), f"chi2 {fitted.chi2:.1f} of {fitted.dof}", flush=True)
+        if len(each) == count:
+            break
+    size = abs(np.array(each))
+    limit = special.chdtri(5, 0.05)
+    print(f"{kinds}; within 1 sigma {np.mean(size < 1):.1%}, within 3 {np.mean(size < 3):.1%}, ", end="")
+    print(f"joint 95 % region {np.mean(np.array(joint) < limit):.1%}")
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    {"coverage": coverage}[sys.argv[1]](*map(int, sys.argv[2:]))
