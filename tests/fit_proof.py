@@ -107,6 +107,64 @@ def coverage(count, seed=0):
     print(f"joint 95 % region {np.mean(np.array(joint) < limit):.1%}")
 
 
+def settled(count, seed=0):
+    """Print what is said of records of P111 that have settled."""
+    rng, found, refused = np.random.default_rng(seed), 0, 0
+    while found < count:
+        one = scene(rng)
+        times, sides = impacts(one, jv.State(0.0, rng.uniform(-2, 2)), 440, 2000)
+        late = times > 400 * 2 * np.pi / one.numbers["frequency"]
+        first = times[late][:2]
+        if late.sum() != 80 or np.any(sides[late][1:] == sides[late][:-1]):
+            continue
+        if not np.allclose(
+            times[late].reshape(-1, 2), first + np.arange(40)[:, None] * 2 * np.pi / one.numbers["frequency"], atol=1e-9
+        ):
+            continue
+        found += 1
+        data, _ = record(times[late][:IMPACTS] - np.floor(first[0]), sides[late][:IMPACTS], rng)
+        phase = one.numbers["frequency"] * np.floor(first[0])
+        data = jv.ImpactRecord(data.times, data.sides, NOISE, float(phase))
+        try:
+            told = jv.fit(begun(one, rng), data, SCALES).table()
+        except jv.ArgumentError as error:
+            refused, told = refused + ("is settled, holds 3 numbers" in str(error)), str(error)
+        print(told, flush=True)
+    print(f"{refused} of {count} refused with the combinations")
+
+
+def chaotic(count, seed=0):
+    """Print how many fits of 30 periods of a chaotic motion converge to the numbers that made it."""
+    rng, found, good = np.random.default_rng(seed), 0, 0
+    while found < count:
+        one, start = scene(rng), jv.State(0.0, rng.uniform(-2, 2))
+        settling, _ = jv.strobe(one, start, periods=200)
+        if not exponent(one, settling) > 0.02:
+            continue
+        times, sides = impacts(one, settling, 30, 128)
+        if np.min(np.diff(times)) < 20 * NOISE or len(times) < 20:
+            continue
+        found += 1
+        data, _ = record(times, sides, rng)
+        fitted = jv.fit(begun(one, rng), data, SCALES)
+        square = apart(fitted, one)[1] if fitted.status == jv.FitStatus.OK else np.inf
+        good += square < special.chdtri(5, 1e-4)
+        print(f"{fitted.status.name} {len(times)} impacts, squared error {square:.3g}", flush=True)
+    print(f"{good} of {count} converge")
+
+
+def exponent(one, state):
+    """How fast two motions part in a hundred periods, by the logarithm of their distance, a period."""
+    near = jv.State(state.x, state.v + 1e-9, state.phase)
+    total = 0.0
+    for _ in range(100):
+        (state, _), (near, _) = jv.strobe(one, state), jv.strobe(one, near)
+        away = np.hypot(near.x - state.x, near.v - state.v)
+        total += np.log(max(float(away), 1e-15) / 1e-9)
+        near = jv.State(state.x, state.v + 1e-9, state.phase)
+    return total / 100
+
+
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    {"coverage": coverage}[sys.argv[1]](*map(int, sys.argv[2:]))
+    {"coverage": coverage, "settled": settled, "chaotic": chaotic}[sys.argv[1]](*map(int, sys.argv[2:]))

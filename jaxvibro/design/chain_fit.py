@@ -148,7 +148,7 @@ def _moved(scene, phase, now, seen, free, step, price):
         if short or new.merit(free, price) <= before:
             break
         share *= 0.5
-    return new, short and abs(new.values).max(initial=0.0) <= CLOSED
+    return new, bool(short and abs(new.values).max(initial=0.0) <= CLOSED)
 
 
 def _short(now, seen, by_node, by_number):
@@ -173,15 +173,25 @@ def _longest(now, by_node, by_number, scales):
 def _told(now, seen, free, met):
     matrix, slope = _system(now, seen, free)
     size, count = len(slope), len(free.names)
-    inverse = np.linalg.pinv(matrix, hermitian=True) if not met else np.linalg.inv(matrix)
+    inverse = _inverse(matrix)
     multipliers = -inverse[size:, :size] @ slope - inverse[size:, size:] @ now.values
     pairs = multipliers.reshape(-1, 2)
     flights = np.arange(len(pairs))
-    blocks = -inverse[size:, size:].reshape(len(pairs), 2, len(pairs), 2)[flights, :, flights, :]
-    strain = np.einsum("fi,fi->f", pairs, np.linalg.solve(blocks, pairs[..., None])[..., 0]) if len(pairs) else pairs
+    blocks = -np.nan_to_num(inverse)[size:, size:].reshape(len(pairs), 2, len(pairs), 2)[flights, :, flights, :]
+    strain = np.einsum("fi,fi->f", pairs, (np.linalg.pinv(blocks) @ pairs[..., None])[..., 0])
     covariance = inverse[size - count : size, size - count : size]
     left_open = float(abs(now.values).max(initial=0.0))
     chi2 = float(now.residuals @ now.residuals)
     away = (now.numbers - free.begun) / free.scales
     moved = float(away @ free.known @ away)
     return Solved(now.nodes, now.numbers, now.residuals, chi2, moved, covariance, strain, now.depth, left_open, met)
+
+
+def _inverse(matrix):
+    """The inverse, of a singular matrix the nearest thing to it; nan where there is no number."""
+    if not np.isfinite(matrix).all():
+        return np.full_like(matrix, np.nan)
+    try:
+        return np.linalg.inv(matrix)
+    except np.linalg.LinAlgError:
+        return np.linalg.pinv(matrix)

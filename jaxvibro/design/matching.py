@@ -22,9 +22,11 @@ RARE = 1e-5  # a chi2 that noise makes larger so seldom is too large
 MISSED, SPURIOUS, WRONG = 6.0, 14.0, 1e6  # what is added to chi2 for each of them, for a chain that cannot be
 OPENINGS, BEGUN = 10, 4  # ways to begin that are fitted; of them how many are gone on with
 MOST_SPURIOUS = 0.1  # of a record's impacts
+ASIDE = 1.5  # scales of the frequency, where a chain as it is given does not begin
 STRAINED = 3  # flights at which an impact is put in
 GRID = 24  # times of an impact that is put in
 LIKELY = 4  # ways of putting in before a new impact, those that suit its speeds best
+LOW = 2  # places on a grid that are tried
 TRIED = 25  # of Newton's steps
 WEAK = 0.05  # restitution below which a speed before an impact is not told from that after it
 
@@ -54,30 +56,41 @@ def matched(record: Record, flawed: bool) -> Chain:
     """The `Chain` of a whole record; its cost is `WRONG` at least where there is none. flawed: whether the record may
     lack impacts or have others."""
     found = None
-    for first in _first(record, flawed):
-        whole = _grown(record, flawed, first)
-        if _good(record, whole):
-            return whole
-        found = whole if found is None else found
+    for numbers in _starts(record.free):
+        for first in _first(record, flawed, numbers):
+            whole = _grown(record, flawed, first)
+            if _good(record, whole):
+                return whole
+            found = whole if found is None else found
     return found
 
 
-def _first(record, flawed):
+def _starts(free):
+    """Numbers to begin with: as given, and with other frequencies, which a short chain feels most."""
+    ways = ASIDE * free.scales * np.array([name == "frequency" for name in free.names])
+    return [free.begun] if not ways.any() else [free.begun, free.begun - ways, free.begun + ways]
+
+
+def _first(record, flawed, numbers):
     """Chains of the first few impacts, the cheapest first: as they are, with one or two put in, or one left out."""
-    plain = _longer(record, None, 0, min(FIRST, len(record.times)))
+    base = _base(record, _NONE._replace(numbers=numbers), 0, min(FIRST, len(record.times)))
+    plain = _fitted(record, base)
     if not flawed:
         return [plain]
-    base = _base(record, _NONE._replace(numbers=record.free.begun), 0, min(FIRST, len(record.times)))
     flights = range(len(base.seen) - 1)
-    once = [_put(record, base, flight, (side,)) for flight in flights for side in _sides(record.scene)]
-    twice = [
-        _put(record, one, k, (side,)) for one in once for k in _flights_after(one) for side in _sides(record.scene)
-    ]
+    once = _each(record, base, flights)
+    twice = [two for one in once for two in _each(record, one, _flights_after(one))]
     less = [_less(base, k) for k in range(1, len(base.seen) - 1)]
     ways = sorted([*once, *twice, *less], key=lambda way: _clash(record, way))
     found = [plain, *(_fitted(record, way) for way in ways[:OPENINGS])]
     good = sorted((one for one in found if _good(record, one)), key=lambda one: one.cost)
     return good[:BEGUN] or [plain]
+
+
+def _each(record, base, flights):
+    """The chains with one impact put in on one of some flights."""
+    ways = product(flights, _sides(record.scene))
+    return [one for flight, side in ways for one in _puts(record, base, flight, (side,))]
 
 
 def _flights_after(base):
@@ -121,8 +134,7 @@ def _without(found, k):
 
 def _longer(record, found, done, end):
     """The chain with the record's impacts up to an end."""
-    base = _NONE._replace(numbers=record.free.begun) if found is None else _spread(found)
-    return _fitted(record, _base(record, base, done, end))
+    return _fitted(record, _base(record, _spread(found), done, end))
 
 
 def _fitted(record, base):
@@ -177,7 +189,7 @@ def _mended(record, found, new, done, end):
     tried = [_fitted(record, way) for way in _likely(record, base)]
     known = _spread(new)
     for flight in _strained(new):
-        tried += [_fitted(record, _put(record, known, flight, (side,))) for side in _sides(record.scene)]
+        tried += [_fitted(record, way) for way in _each(record, known, [flight])]
         tried += [_fitted(record, _less(base, k)) for k in (flight, flight + 1) if 0 < k < len(base.seen) - 1]
     best = min([new, *tried], key=lambda one: one.cost)
     return best if _good(record, best) else _without(found, end - 1)
@@ -221,17 +233,18 @@ def _base(record, base, done, end):
     )
 
 
-def _put(record, base, flight, sides):
-    """The chain with impacts put in after a node, at times that suit best."""
-    times, place, count = _suiting(record, base, flight, sides)[1], flight + 1, len(sides)
+def _puts(record, base, flight, sides):
+    """The chains with impacts put in after a node, at times that suit, the best first."""
+    place, count = flight + 1, len(sides)
     speeds = np.insert(base.speeds, place, np.full(count, np.nan))
     speeds[place + count] = np.nan
-    return base._replace(
+    new = base._replace(
         seen=np.insert(base.seen, place, np.full(count, -1)),
         sides=np.insert(base.sides, place, sides),
-        times=np.insert(base.times, place, times),
         speeds=speeds,
     )
+    suiting = _suiting(record, base, flight, sides)[1]
+    return [new._replace(times=np.insert(base.times, place, times)) for times in suiting]
 
 
 def _less(base, node):
@@ -247,11 +260,12 @@ def _likely(record, base):
     flight, walls = len(base.seen) - 2, _sides(record.scene)
     kinds = [sides for count in (1, 2) for sides in product(walls, repeat=count)]
     kinds.sort(key=lambda sides: _suiting(record, base, flight, sides)[0])
-    return [_put(record, base, flight, sides) for sides in kinds[:LIKELY]]
+    return [one for sides in kinds[:LIKELY] for one in _puts(record, base, flight, sides)]
 
 
 def _suiting(record, base, flight, sides):
-    """(how badly, times) of impacts put in after a node, on a grid: where speeds before and after suit each other."""
+    """(how badly, times) of impacts put in after a node, on a grid, at its lowest places: where speeds before and after
+    suit each other."""
     scene, phase = at(record, base.numbers)
     begin, end = base.times[flight], base.times[flight + 1]
     shares = (np.arange(GRID) + 0.5) / GRID
@@ -269,5 +283,9 @@ def _suiting(record, base, flight, sides):
     lacks = after - bounces(scene, walls[:-1]) * come
     wrong = np.sum(np.minimum(after, 0.0) ** 2, 1) + np.sum(np.minimum(before, 0.0) ** 2, 1)
     badly = np.sum(lacks**2, 1) + 10.0 * wrong
-    best = int(np.argmin(np.where(np.isfinite(badly), badly, np.inf)))
-    return float(badly[best]), times[best]
+    badly = np.where(np.isfinite(badly), badly, np.inf)
+    best = [int(np.argmin(badly))]
+    if len(sides) == 1:
+        low = (badly < np.append(np.inf, badly[:-1])) & (badly < np.append(badly[1:], np.inf))
+        best = sorted(np.flatnonzero(low), key=lambda k: badly[k])[:LOW] or best
+    return float(badly[best[0]]), times[best]
