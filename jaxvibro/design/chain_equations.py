@@ -22,6 +22,7 @@ from ..orbits.saltation import meeting
 from ..scene.scene import changed
 
 LEAST_ROWS = 64  # a chain is filled up to a power of two of rows, so that few lengths are compiled
+MOST = 8  # free numbers: derivatives are worked out by a multiple of as many, so that they share a program
 PLACES = 48  # of a flight, at which it is asked how deep it is within a wall
 
 
@@ -55,8 +56,13 @@ def left(scene, names, nodes, numbers, phase):
     count = len(nodes.sides)
     if count < 2:
         return Left(np.zeros((0, 2)), np.zeros((0, 2, 5 + len(names))), np.zeros(0))
-    found = _left(scene, names, *_filled(nodes), np.append(numbers, phase))
-    values, by, depth = (np.asarray(one) for one in found)
+    there = jax.tree.map(np.asarray, changed(scene, dict(zip(names, numbers, strict=True))))
+    zero = jax.tree.map(lambda leaf: np.zeros(()), there)
+    ways = [changed(zero, {name: np.ones(())}) for name in names]
+    ways += [zero] * (-len(ways) % MOST)
+    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *ways)
+    values, by, depth = (np.asarray(one) for one in _left(there, stacked, *_filled(nodes), np.asarray(float(phase))))
+    by = np.concatenate([by[: 4 + len(names)], by[-1:]])
     return Left(values[:, : count - 1].T, np.moveaxis(by[:, :, : count - 1], (0, 1, 2), (2, 1, 0)), depth[: count - 1])
 
 
@@ -76,26 +82,25 @@ def _filled(nodes):
     return [np.pad(np.asarray(one, float), (0, rows - len(one)), mode="edge") for one in nodes]
 
 
-@persistent_jit(static_argnums=1)
-def _left(scene, names, sides, when, first, second, numbers):
+@persistent_jit
+def _left(scene, ways, sides, when, first, second, phase):
+    """(values, derivatives by the unknowns, along the ways of the scene and by the phase, depth)."""
     own = first, second, jnp.roll(first, -1), jnp.roll(second, -1)
 
-    def values(first, second, after, later, numbers):
-        found, _ = _flown(_at(scene, names, numbers[:-1]), sides, when, (first, second), (after, later), numbers[-1])
+    def values(first, second, after, later, scene, phase):
+        found, _ = _flown(scene, sides, when, (first, second), (after, later), phase)
         return jnp.stack(found)
 
-    zero, every = jnp.zeros_like(first), jnp.ones_like(first)
-    ways = [(*(every if k == j else zero for j in range(4)), jnp.zeros_like(numbers)) for k in range(4)]
-    ways += [(zero, zero, zero, zero, one) for one in jnp.eye(len(numbers))]
-    ways = jax.tree.map(lambda *parts: jnp.stack(parts), *ways)
-    by = jax.vmap(lambda way: jax.jvp(values, (*own, numbers), way)[1])(ways)
-    there = _at(scene, names, numbers[:-1])
-    _, start = _flown(there, sides, when, own[:2], own[2:], numbers[-1])
-    return values(*own, numbers), by, _depth(framed(there), *start)
+    def along(*way):
+        return jax.jvp(values, (*own, scene, phase), way)[1]
 
-
-def _at(scene, names, numbers):
-    return changed(scene, dict(zip(names, numbers, strict=True)))
+    count = len(jax.tree.leaves(ways)[0])
+    eye, every = jnp.eye(4 + count + 1), jnp.ones_like(first)
+    by_own = [eye[:, k, None] * every for k in range(4)]
+    by_scene = jax.tree.map(lambda leaf: jnp.pad(leaf, (4, 1)), ways)
+    by = jax.vmap(along)(*by_own, by_scene, eye[:, -1])
+    _, start = _flown(scene, sides, when, own[:2], own[2:], phase)
+    return values(*own, scene, phase), by, _depth(framed(scene), *start)
 
 
 def _flown(scene, sides, when, own, following, phase):
