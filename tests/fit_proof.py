@@ -146,7 +146,11 @@ def chaotic(count, seed=0):
             continue
         found += 1
         data, _ = record(times, sides, rng)
-        fitted = jv.fit(begun(one, rng), data, SCALES)
+        try:
+            fitted = jv.fit(begun(one, rng), data, SCALES)
+        except jv.ArgumentError as error:
+            print("refused:", str(error)[:100], flush=True)
+            continue
         square = apart(fitted, one)[1] if fitted.status == jv.FitStatus.OK else np.inf
         good += square < special.chdtri(5, 1e-4)
         print(f"{fitted.status.name} {len(times)} impacts, squared error {square:.3g}", flush=True)
@@ -155,13 +159,14 @@ def chaotic(count, seed=0):
 
 def exponent(one, state):
     """How fast two motions part in a hundred periods, by the logarithm of their distance, a period."""
-    near = jv.State(state.x, state.v + 1e-9, state.phase)
-    total = 0.0
+    total, away = 0.0, np.array([0.0, 1e-8])
     for _ in range(100):
+        near = jv.State(state.x + away[0], state.v + away[1], state.phase)
         (state, _), (near, _) = jv.strobe(one, state), jv.strobe(one, near)
-        away = np.hypot(near.x - state.x, near.v - state.v)
-        total += np.log(max(float(away), 1e-15) / 1e-9)
-        near = jv.State(state.x, state.v + 1e-9, state.phase)
+        away = np.array([float(near.x - state.x), float(near.v - state.v)])
+        size = max(float(np.hypot(*away)), 1e-15)
+        total += np.log(size / 1e-8)
+        away = away / size * 1e-8
     return total / 100
 
 

@@ -85,9 +85,10 @@ class _Point(NamedTuple):
     residuals: Float[np.ndarray, " seen"]
     bounds: Float[np.ndarray, "2 free"]
 
-    def merit(self, free, price):
-        away = (self.numbers - free.begun) / free.scales
-        return 0.5 * (self.residuals @ self.residuals + away @ free.known @ away) + price * abs(self.values).sum()
+
+def _merit(now, free, price):
+    away = (now.numbers - free.begun) / free.scales
+    return 0.5 * (now.residuals @ now.residuals + away @ free.known @ away) + price * abs(now.values).sum()
 
 
 def _point(scene, phase, nodes, seen, free, numbers):
@@ -139,13 +140,13 @@ def _moved(scene, phase, now, seen, free, step, price):
     by_node, by_number = step[:inner].reshape(-1, 2), step[inner:]
     whole = _longest(now, by_node, by_number * free.scales, free.scales)
     short = _short(now, seen, by_node, by_number)
-    share, before = whole, now.merit(free, price)
+    share, before = whole, _merit(now, free, price)
     for _ in range(HALVINGS):
         nodes = now.nodes._replace(
             first=now.nodes.first + share * by_node[:, 0], second=now.nodes.second + share * by_node[:, 1]
         )
         new = _point(scene, phase, nodes, seen, free, now.numbers + share * by_number * free.scales)
-        if short or new.merit(free, price) <= before:
+        if short or _merit(new, free, price) <= before:
             break
         share *= 0.5
     return new, bool(short and abs(new.values).max(initial=0.0) <= CLOSED)

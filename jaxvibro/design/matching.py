@@ -52,7 +52,7 @@ class Record(NamedTuple):
     free: Free
 
 
-def matched(record: Record, flawed: bool) -> Chain:
+def matched(record: Record, flawed: bool) -> Chain | None:
     """The `Chain` of a whole record; its cost is `WRONG` at least where there is none. flawed: whether the record may
     lack impacts or have others."""
     found = None
@@ -214,7 +214,7 @@ class _Base(NamedTuple):
     numbers: Float[np.ndarray, " free"]
 
 
-_NONE = _Base(np.zeros(0, int), *(np.zeros(0) for _ in range(3)), (), np.zeros(0))
+_NONE = _Base(np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros(0), (), np.zeros(0))
 
 
 def _spread(chain):
