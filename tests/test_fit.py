@@ -10,6 +10,7 @@ from scipy import optimize
 import jaxvibro as jv
 from jaxvibro.design import chain_equations
 from jaxvibro.design.chain_equations import Nodes
+from jaxvibro.design.first_return import Motion
 
 from . import fit_proof
 
@@ -31,7 +32,7 @@ def begun(off=1.0):
     return CHAOTIC.replace(**{n: CHAOTIC.numbers[n] * (1 + way) for n, way in zip(NAMES, ways, strict=True)})
 
 
-def noisy(seed=0, without=(), more=()):
+def noisy(seed=0, without=(), more=(), flawless=False):
     """A record of the motion: impacts taken out, or put in (time, side)."""
     times, sides, _ = motion()
     times = times + SIGMA * np.random.default_rng(seed).normal(size=len(times))
@@ -39,7 +40,7 @@ def noisy(seed=0, without=(), more=()):
     times = np.append(times, [time for time, _ in more])
     sides = np.append(sides, [side for _, side in more])
     order = np.argsort(times)
-    return jv.ImpactRecord(times[order], sides[order], SIGMA)
+    return jv.ImpactRecord(times[order], sides[order], SIGMA, flawed=not flawless)
 
 
 def test_a_motion_leaves_nothing_open_and_derivatives_are_those_of_differences():
@@ -48,7 +49,8 @@ def test_a_motion_leaves_nothing_open_and_derivatives_are_those_of_differences()
     true = np.array([CHAOTIC.numbers[name] for name in NAMES])
     found = chain_equations.left(CHAOTIC, NAMES, nodes, true, 0.0)
     assert abs(found.values).max() < 1e-12
-    assert found.depth.max() < 0
+    least, _, _ = Motion(CHAOTIC, 0.0).least(nodes)
+    assert least.min() > 0
     for k in range(len(NAMES)):
         ends = [chain_equations.left(CHAOTIC, NAMES, nodes, true + way * 1e-6 * np.eye(5)[k], 0.0) for way in (1, -1)]
         assert abs((ends[0].values - ends[1].values) / 2e-6 - found.by[:, :, 4 + k]).max() < 1e-6
@@ -127,6 +129,17 @@ def test_a_phase_that_is_not_known_is_found():
     assert abs(turned) < 4 * found.sigma["phase"]
 
 
+def test_a_number_goes_no_further_than_its_bound():
+    """And the others are then those of a fit in which it is known."""
+    start = CHAOTIC.replace(**{"damping": 0.052, "right.position": 0.998})
+    free = {"damping": 0.01, "right.position": 0.1}
+    found = jv.fit(start, noisy(flawless=True), free, bounds={"right.position": (0.9, 0.9985)})
+    assert found.status == jv.FitStatus.BOUND
+    assert found.values["right.position"] == pytest.approx(0.9985, abs=1e-9)
+    alone = jv.fit(start.replace(**{"right.position": 0.9985}), noisy(flawless=True), {"damping": 0.01})
+    assert found.values["damping"] == pytest.approx(alone.values["damping"], rel=1e-6)
+
+
 def test_a_settled_record_holds_its_phases_alone():
     one = jv.make_scene(1.0, 1.2, 0.1, 0.8, (jv.Wall(-0.6, 0.8), jv.Wall(0.6, 0.8)))
     settled, _ = jv.strobe(one, jv.State(0.1, 1.0), periods=400)
@@ -162,7 +175,7 @@ def test_bad_questions_are_refused():
     soft = jv.make_scene(1.0, 1.3, 0.05, 0.8, (None, jv.Wall(1.0, stiffness=10.0)))
     for scene, free, told in [
         (CHAOTIC, {}, "free: must be"),
-        (CHAOTIC, {"damping": 0.0}, "free.damping: must be a number greater than 0"),
+        (CHAOTIC, {"damping": 0.0}, "free.damping: must be a unit, a positive number"),
         (CHAOTIC, {"damping": None}, "free.damping: must be a real number"),
         (CHAOTIC, {"dampin": 0.1}, "dampin: is not a parameter"),
         (one_wall, {"damping": 0.1}, "the scene has no left wall"),
@@ -170,6 +183,12 @@ def test_bad_questions_are_refused():
     ]:
         with pytest.raises(jv.ArgumentError, match=told):
             jv.fit(scene, data, free)
+    for bounds, told in [
+        ({"amplitude": (0.5, 2.0)}, "bounds.amplitude: must be of a free number"),
+        ({"damping": (0.1, 0.2)}, r"bounds.damping: must be \(low, high\) about the scene's 0.05"),
+    ]:
+        with pytest.raises(jv.ArgumentError, match=told):
+            jv.fit(CHAOTIC, data, {"damping": 0.01}, bounds)
     short = jv.ImpactRecord(data.times[:6], data.sides[:6], SIGMA)
     with pytest.raises(jv.ArgumentError, match=r"as are unknown, 7 .*got '6 times'"):
         jv.fit(CHAOTIC, short, SCALES)

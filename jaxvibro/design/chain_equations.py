@@ -3,7 +3,7 @@
 A node is an impact (unknown: its time, and the speed before it) or a free state at a given time (unknown: x, v). The
 flight from a node has to end at the next one: at an impact on its wall and with its speed, at a state in that state. As
 the flight is free, both are smooth in the unknowns and in every number of the scene: nothing is chaotic here, however
-long the chain, and a grazing is no singularity. Whether a flight passes through a wall is asked apart (`depth`).
+long the chain, and a grazing is no singularity. Whether a flight passes through a wall is asked apart (`first_return`).
 """
 
 from typing import NamedTuple
@@ -23,7 +23,6 @@ from ..scene.scene import changed
 
 LEAST_ROWS = 64  # a chain is filled up to a power of two of rows, so that few lengths are compiled
 MOST = 8  # free numbers: derivatives are worked out by a multiple of as many, so that they share a program
-PLACES = 48  # of a flight, at which it is asked how deep it is within a wall
 
 
 class Nodes(NamedTuple):
@@ -43,27 +42,25 @@ class Nodes(NamedTuple):
 
 class Left(NamedTuple):
     """values: (flights, 2), what is to be zero; by: its derivatives by the node's own two unknowns, by the next one's,
-    by the free numbers and by the phase, (flights, 2, 4 + numbers + 1); depth: how deep a flight is within a wall at
-    most, below 0 in free air, (flights,)."""
+    by the free numbers and by the phase, (flights, 2, 4 + numbers + 1)."""
 
     values: Float[np.ndarray, "flights 2"]
     by: Float[np.ndarray, "flights 2 columns"]
-    depth: Float[np.ndarray, " flights"]
 
 
 def left(scene, names, nodes, numbers, phase):
     """The `Left` of nodes in a scene whose numbers of these names are others, the drive's phase at time 0 too."""
     count = len(nodes.sides)
     if count < 2:
-        return Left(np.zeros((0, 2)), np.zeros((0, 2, 5 + len(names))), np.zeros(0))
+        return Left(np.zeros((0, 2)), np.zeros((0, 2, 5 + len(names))))
     there = jax.tree.map(np.asarray, changed(scene, dict(zip(names, numbers, strict=True))))
     zero = jax.tree.map(lambda leaf: np.zeros(()), there)
     ways = [changed(zero, {name: np.ones(())}) for name in names]
     ways += [zero] * (-len(ways) % MOST)
     stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *ways)
-    values, by, depth = (np.asarray(one) for one in _left(there, stacked, *_filled(nodes), np.asarray(float(phase))))
+    values, by = (np.asarray(one) for one in _left(there, stacked, *_filled(nodes), np.asarray(float(phase))))
     by = np.concatenate([by[: 4 + len(names)], by[-1:]])
-    return Left(values[:, : count - 1].T, np.moveaxis(by[:, :, : count - 1], (0, 1, 2), (2, 1, 0)), depth[: count - 1])
+    return Left(values[:, : count - 1].T, np.moveaxis(by[:, :, : count - 1], (0, 1, 2), (2, 1, 0)))
 
 
 def aimed(scene, nodes, phase):
@@ -84,12 +81,11 @@ def _filled(nodes):
 
 @persistent_jit
 def _left(scene, ways, sides, when, first, second, phase):
-    """(values, derivatives by the unknowns, along the ways of the scene and by the phase, depth)."""
+    """(values, derivatives by the unknowns, along the ways of the scene and by the phase)."""
     own = first, second, jnp.roll(first, -1), jnp.roll(second, -1)
 
     def values(first, second, after, later, scene, phase):
-        found, _ = _flown(scene, sides, when, (first, second), (after, later), phase)
-        return jnp.stack(found)
+        return jnp.stack(_flown(scene, sides, when, (first, second), (after, later), phase))
 
     def along(*way):
         return jax.jvp(values, (*own, scene, phase), way)[1]
@@ -99,12 +95,11 @@ def _left(scene, ways, sides, when, first, second, phase):
     by_own = [eye[:, k, None] * every for k in range(4)]
     by_scene = jax.tree.map(lambda leaf: jnp.pad(leaf, (4, 1)), ways)
     by = jax.vmap(along)(*by_own, by_scene, eye[:, -1])
-    _, start = _flown(scene, sides, when, own[:2], own[2:], phase)
-    return values(*own, scene, phase), by, _depth(framed(scene), *start)
+    return values(*own, scene, phase), by
 
 
 def _flown(scene, sides, when, own, following, phase):
-    """((gap, excess), (the flight's time, x, v, cosine, sine at its start))."""
+    """(gap, excess): of where flights end, and of the speed there."""
     frame, after = framed(scene), jnp.roll(sides, -1)
     free, free_next = sides == 0, after == 0
     begin, end = jnp.where(free, when, own[0]), jnp.where(free_next, jnp.roll(when, -1), following[0])
@@ -119,7 +114,7 @@ def _flown(scene, sides, when, own, following, phase):
     where, pace = _wall(frame, after, *_turned(frame, phase, end))
     gap = end_x - jnp.where(free_next, following[0], where)
     excess = jnp.where(free_next, end_v - following[1], after * (end_v - pace) - following[1])
-    return (gap, excess), (time, x, v, cosine, sine)
+    return gap, excess
 
 
 def _turned(frame, phase, time):
@@ -131,17 +126,6 @@ def _wall(frame, sides, cosine, sine):
     """Position and velocity of the walls on these sides."""
     ways = [course(wall, frame.frequency, cosine, sine, 1) for wall in frame.walls]
     return [0.0 * sides if each is None else each + 0.0 * sides for each in picked(sides, frame.walls, ways)]
-
-
-def _depth(frame, time, x, v, cosine, sine):
-    """How deep within a wall flights are at most, at places between their ends."""
-    share = (jnp.arange(PLACES) + 0.5)[:, None] / PLACES
-    since = share * time
-    free_flow, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, since)
-    place, _ = flow.flown((free_flow, forced), frame.force * cosine, frame.force * sine, x, v)
-    c, s = flow.turn(cosine, sine, *angle)
-    deep = [wall.sign * (place - course(wall, frame.frequency, c, s, 0)[0]) for wall in frame.walls]
-    return jnp.max(jnp.stack([jnp.max(one, 0) for one in deep]), 0)
 
 
 @persistent_jit

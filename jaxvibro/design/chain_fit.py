@@ -6,19 +6,20 @@ residuals is least under c = 0, what the flights leave open. A step solves the K
 numbers is their covariance.
 """
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
+from scipy import linalg
 
-from ..scene.parameters import domain
 from ..scene.scene import Scene
 from .chain_equations import Nodes, left
 
-ROUNDS = 60  # of Newton's steps
+ROUNDS = 200  # of Newton's steps
 SHORT = 1e-6  # of the errors: a step as short is the last
-CLOSED = 1e-9  # what a flight may leave open
-NEARER = 0.25  # a flight's time, or the way to a bound, is at least as much of what it was before a step
+CLOSED = 1e-3  # of that: what a flight may leave open
+NEARER = 0.25  # a flight's time is at least as much of what it was before a step
 FAR = 4.0  # scales that a number may change by in a step
 HALVINGS = 8
 WEAKEST = 1e-12  # of H's first entries: what makes it regular in unknowns that nothing is known of
@@ -34,46 +35,66 @@ class Seen(NamedTuple):
 
 
 class Free(NamedTuple):
-    """The free numbers: their names, the drive's phase at time 0 last where it is free; scales; where they began; how
-    much is known of them beforehand, a matrix in units of the scales."""
+    """The free numbers: their names, the drive's phase at time 0 last where it is free; scales; where they began; in
+    scales, how far from there they may go, and how much is known of them beforehand, a matrix."""
 
     names: tuple[str, ...]
     scales: Float[np.ndarray, " free"]
     begun: Float[np.ndarray, " free"]
+    low: Float[np.ndarray, " free"]
+    high: Float[np.ndarray, " free"]
     known: Float[np.ndarray, "free free"]
+
+    def room(self, numbers: Float[np.ndarray, " free"]) -> Float[np.ndarray, "2 free"]:
+        """(low, high) of the further change of numbers, in scales."""
+        return np.array([self.low, self.high]) - (numbers - self.begun) / self.scales
 
 
 class Solved(NamedTuple):
     """nodes, numbers; residuals in errors; chi2: their squares' sum; moved: the same of what was known beforehand;
-    covariance: of the numbers, in scales; strain: of each flight, how much chi2 would fall if it went from nowhere to
-    nowhere; depth: `chain_equations.Left`'s; open: what is left of the equations at most; met: whether the last step
-    was a short one."""
+    spread: the covariance of all unknowns, two of each node, then the numbers in scales; open: what is left of the
+    equations at most; met: whether the last step was a short one."""
 
     nodes: Nodes
     numbers: Float[np.ndarray, " free"]
     residuals: Float[np.ndarray, " seen"]
     chi2: float
     moved: float
-    covariance: Float[np.ndarray, "free free"]
-    strain: Float[np.ndarray, " flights"]
-    depth: Float[np.ndarray, " flights"]
+    spread: Float[np.ndarray, "unknowns unknowns"]
     open: float
     met: bool
 
+    @property
+    def covariance(self) -> Float[np.ndarray, "free free"]:
+        """Of the numbers, in scales."""
+        count = len(self.spread) - len(self.numbers)
+        return self.spread[count:, count:]
 
-def solved(scene: Scene, phase: float, nodes: Nodes, seen: Seen, free: Free, numbers=None, rounds=ROUNDS) -> Solved:
-    """The `Solved` least squares from nodes and numbers near it; phase: the drive's at time 0 where it is not free."""
-    now = _point(scene, phase, nodes, seen, free, free.begun if numbers is None else numbers)
+
+def solved(
+    scene: Scene, phase: float, nodes: Nodes, seen: Seen, free: Free, numbers, rounds=ROUNDS, short=SHORT
+) -> Solved:
+    """The `Solved` least squares from nodes and numbers near it; phase: the drive's at time 0 where it is not free;
+    short: of errors and scales, a step as short is the last."""
+    now = _point(scene, phase, nodes, numbers, seen, free)
     price, met = 0.0, False
     for _ in range(rounds):
-        step, multipliers = _step(now, seen, free)
-        if step is None:
+        way = _step(now, seen, free)
+        if way is None:
             break
+        step, multipliers, parts = way
         price = max(price, 1.5 * np.max(abs(multipliers), initial=0.0))
-        now, met = _moved(scene, phase, now, seen, free, step, price)
+        last = _longest_move(now, seen, step) <= short
+        now = _moved(scene, phase, now, seen, free, step, price, parts, last)
+        met = bool(last and abs(now.values).max(initial=0.0) <= CLOSED * short)
         if met:
             break
     return _told(now, seen, free, met)
+
+
+def told_apart(free, numbers, phase):
+    """(the names of the scene's free numbers, the drive's phase at time 0, which may be one of the numbers)."""
+    return (free.names[:-1], numbers[-1]) if free.names[-1:] == ("phase",) else (free.names, phase)
 
 
 class _Point(NamedTuple):
@@ -81,9 +102,7 @@ class _Point(NamedTuple):
     numbers: Float[np.ndarray, " free"]
     values: Float[np.ndarray, " equations"]
     by: Float[np.ndarray, "equations unknowns"]
-    depth: Float[np.ndarray, " flights"]
     residuals: Float[np.ndarray, " seen"]
-    bounds: Float[np.ndarray, "2 free"]
 
 
 def _merit(now, free, price):
@@ -91,20 +110,18 @@ def _merit(now, free, price):
     return 0.5 * (now.residuals @ now.residuals + away @ free.known @ away) + price * abs(now.values).sum()
 
 
-def _point(scene, phase, nodes, seen, free, numbers):
+def _point(scene, phase, nodes, numbers, seen, free):
     """The `_Point` with these unknowns, the derivative by numbers in their scales."""
-    names, turned = (free.names[:-1], numbers[-1]) if free.names[-1:] == ("phase",) else (free.names, phase)
+    names, turned = told_apart(free, numbers, phase)
     found = left(scene, names, nodes, numbers[: len(names)], turned)
-    flights, count = len(found.depth), len(nodes.sides)
+    flights, count = len(found.values), len(nodes.sides)
     by = np.zeros((flights, 2, 2 * count + len(numbers)))
     for k in range(flights):
         by[k, :, 2 * k : 2 * k + 4] = found.by[k, :, :4]
     by[:, :, 2 * count :] = found.by[:, :, 4 : 4 + len(numbers)] * free.scales
     unknowns = np.stack([nodes.first, nodes.second], 1)
     residuals = (unknowns[seen.node, seen.slot] - seen.value) / seen.sigma
-    bounds = [(-np.inf, np.inf) if name == "phase" else domain(scene, name) for name in free.names]
-    bounds = np.array(bounds, float).reshape(-1, 2).T
-    return _Point(nodes, numbers, found.values.ravel(), by.reshape(2 * flights, -1), found.depth, residuals, bounds)
+    return _Point(nodes, numbers, found.values.ravel(), by.reshape(2 * flights, -1), residuals)
 
 
 def _system(now, seen, free):
@@ -125,67 +142,94 @@ def _system(now, seen, free):
 
 
 def _step(now, seen, free):
+    """(step, multipliers, the matrix's factors), None where there is none. A number that would pass the end of where it
+    may be goes there."""
     matrix, slope = _system(now, seen, free)
-    size = len(slope)
-    try:
-        found = np.linalg.solve(matrix, -np.concatenate([slope, now.values]))
-    except np.linalg.LinAlgError:
-        return None, None
-    return (found[:size], found[size:]) if np.isfinite(found).all() else (None, None)
+    size, inner = len(slope), len(slope) - len(now.numbers)
+    right = -np.concatenate([slope, now.values])
+    low, high = free.room(now.numbers)
+    held = np.zeros(len(low), bool)
+    while np.isfinite(matrix).all() and np.isfinite(right).all():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", linalg.LinAlgWarning)  # a singular one: what it gives is not finite
+            parts = linalg.lu_factor(matrix, check_finite=False)
+        found = linalg.lu_solve(parts, right, check_finite=False)
+        if not np.isfinite(found).all():
+            break
+        step = found[inner:size]
+        past = ((step < low) | (step > high)) & ~held
+        if not past.any():
+            return found[:size], found[size:], parts
+        for k in np.flatnonzero(past):
+            matrix[inner + k] = np.arange(len(matrix)) == inner + k
+            right[inner + k] = low[k] if step[k] < low[k] else high[k]
+        held |= past
+    return None
 
 
-def _moved(scene, phase, now, seen, free, step, price):
-    """(the `_Point` after as much of a step as makes it better, whether the step was a short one)."""
-    inner = len(step) - len(now.numbers)
-    by_node, by_number = step[:inner].reshape(-1, 2), step[inner:]
-    whole = _longest(now, by_node, by_number * free.scales, free.scales)
-    short = _short(now, seen, by_node, by_number)
+def _moved(scene, phase, now, seen, free, step, price, parts, last):
+    """The `_Point` after as much of a step as makes it better, of the last step after all of it. Where the whole step
+    does not, what the equations then leave open is taken away first (Maratos's effect)."""
+
+    def after(change):
+        return _point(scene, phase, *_changed(now, free, change), seen, free)
+
+    whole = _longest(now, step)
     share, before = whole, _merit(now, free, price)
     for _ in range(HALVINGS):
-        nodes = now.nodes._replace(
-            first=now.nodes.first + share * by_node[:, 0], second=now.nodes.second + share * by_node[:, 1]
-        )
-        new = _point(scene, phase, nodes, seen, free, now.numbers + share * by_number * free.scales)
-        if short or _merit(new, free, price) <= before:
+        new = after(share * step)
+        if last or _merit(new, free, price) <= before:
             break
+        if share == whole == 1.0:
+            closing = np.concatenate([0.0 * step, -new.values])
+            further = step + linalg.lu_solve(parts, closing, check_finite=False)[: len(step)]
+            new = after(_longest(now, further) * further)
+            if _merit(new, free, price) <= before:
+                break
         share *= 0.5
-    return new, bool(short and abs(new.values).max(initial=0.0) <= CLOSED)
+    return new
 
 
-def _short(now, seen, by_node, by_number):
+def _changed(now, free, step):
+    """(nodes, numbers) after a step."""
+    by_node, by_number = _parts(now, step)
+    nodes = now.nodes
+    moved = nodes._replace(first=nodes.first + by_node[:, 0], second=nodes.second + by_node[:, 1])
+    return moved, now.numbers + by_number * free.scales
+
+
+def _parts(now, step):
+    """(of the nodes, of the numbers in scales)."""
+    inner = len(step) - len(now.numbers)
+    return step[:inner].reshape(-1, 2), step[inner:]
+
+
+def _longest_move(now, seen, step):
+    """The largest change of what was measured, in errors, and of the numbers, in scales."""
+    by_node, by_number = _parts(now, step)
     moved = abs(by_node[seen.node, seen.slot]) / seen.sigma
-    return bool(max(moved.max(initial=0.0), abs(by_number).max(initial=0.0)) <= SHORT)
+    return max(moved.max(initial=0.0), abs(by_number).max(initial=0.0))
 
 
-def _longest(now, by_node, by_number, scales):
-    """How much of a step leaves the nodes in order and the numbers within what they may be, and near."""
+def _longest(now, step):
+    """How much of a step leaves the nodes in order and the numbers near."""
+    by_node, by_number = _parts(now, step)
     hit = now.nodes.sides != 0
     spans, change = np.diff(now.nodes.times), np.diff(np.where(hit, by_node[:, 0], 0.0))
     spans = np.maximum(spans, 1e-12)
     limits = [1.0, *((1.0 - NEARER) * spans[change < 0] / -change[change < 0])]
-    for value, move, low, high, scale in zip(now.numbers, by_number, *now.bounds, scales, strict=True):
-        if move:
-            limits.append(FAR * scale / abs(move))
-            room = (high - value) if move > 0 else (value - low)
-            limits.append((1.0 - NEARER) * room / abs(move) if np.isfinite(room) else 1.0)
+    limits.append(FAR / max(np.max(abs(by_number), initial=0.0), FAR))
     return max(min(limits), 1e-9)
 
 
 def _told(now, seen, free, met):
     matrix, slope = _system(now, seen, free)
-    size, count = len(slope), len(free.names)
-    inverse = _inverse(matrix)
-    multipliers = -inverse[size:, :size] @ slope - inverse[size:, size:] @ now.values
-    pairs = multipliers.reshape(-1, 2)
-    flights = np.arange(len(pairs))
-    blocks = -np.nan_to_num(inverse)[size:, size:].reshape(len(pairs), 2, len(pairs), 2)[flights, :, flights, :]
-    strain = np.einsum("fi,fi->f", pairs, (np.linalg.pinv(blocks) @ pairs[..., None])[..., 0])
-    covariance = inverse[size - count : size, size - count : size]
+    size = len(slope)
     left_open = float(abs(now.values).max(initial=0.0))
     chi2 = float(now.residuals @ now.residuals)
     away = (now.numbers - free.begun) / free.scales
     moved = float(away @ free.known @ away)
-    return Solved(now.nodes, now.numbers, now.residuals, chi2, moved, covariance, strain, now.depth, left_open, met)
+    return Solved(now.nodes, now.numbers, now.residuals, chi2, moved, _inverse(matrix)[:size, :size], left_open, met)
 
 
 def _inverse(matrix):

@@ -1,6 +1,6 @@
 """Which numbers of a scene made a record: `fit`."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -14,8 +14,10 @@ from ..scene import check
 from ..scene.scene import SIDES, Scene
 from . import chain_fit
 from .chain_fit import Free
-from .matching import RARE, WRONG, Record, at, matched, possible
-from .records import ImpactRecord, positive
+from .free_numbers import room_of, units_of
+from .growth import matched
+from .matching import RARE, WRONG, Record, at, possible, seen
+from .records import ImpactRecord
 from .settled import settled
 
 PHASES, HEAD, BEST = 8, 10, 3  # of an unknown phase: starts, impacts that choose among them, how many are gone on with
@@ -27,7 +29,7 @@ SHOWN = 0.1  # of a combination, a smaller share is left out of its text
 
 class FitStatus(IntEnum):
     """What became of a fit. OK: the numbers are found. UNIDENTIFIABLE: some of their combinations are not in the
-    record, and were held. BOUND: a number is at the end of what it may be. MISFIT: the scene does not explain the
+    record, and were held. BOUND: a number is at the end of where it may be. MISFIT: the scene does not explain the
     record within its errors. NONE: no motion of the scene goes along it; the numbers are the first ones."""
 
     OK = 0
@@ -80,18 +82,21 @@ class Fit:
 
 
 @check.host("use the chain's equations")
-def fit(scene: Scene, data: ImpactRecord, free: Mapping[str, float]) -> Fit:
+def fit(
+    scene: Scene, data: ImpactRecord, free: Mapping[str, float], bounds: Mapping[str, Sequence[float]] | None = None
+) -> Fit:
     """The numbers of a scene that made a record, with their errors: a `Fit`.
 
     scene: where it begins, rigid walls only, some scales off at most; data: an `ImpactRecord`; free: {name: scale}, of
-    the numbers that are not known, and by how much each may be off. The first state is never known.
+    the numbers that are not known, and by how much each may be off; bounds: {name: (low, high)} of free numbers, by
+    default their domains. The first state is never known.
 
     The record is explained by a chain of flights, each as exact as in `strobe`; where it is chaotic nothing is lost
     (multiple shooting; Bock 1981). Errors are those of least squares, of the linear theory.
 
-    Raises ArgumentError for soft walls, names that the scene lacks, scales that are none, walls that the scene lacks,
-    and where more is unknown than the record holds: a settled record holds its impacts' phases alone, and its
-    period where the frequency is free.
+    Raises ArgumentError for soft walls, names that the scene lacks, scales that are none, bounds that do not hold the
+    scene, walls that the scene lacks, and where more is unknown than the record holds: a settled record holds its
+    impacts' phases alone, and its period where the frequency is free.
     """
     if not isinstance(scene, Scene):
         raise check.ArgumentError("scene", "must be a Scene", scene)
@@ -99,26 +104,18 @@ def fit(scene: Scene, data: ImpactRecord, free: Mapping[str, float]) -> Fit:
     check.require_rigid(scene, "a fit of impacts")
     if not isinstance(data, ImpactRecord):
         raise check.ArgumentError("data", "must be an ImpactRecord", data)
-    names, scales = _free(scene, free)
+    units = units_of(scene, free)
+    room = room_of(scene, units, bounds or {})
     for side in np.unique(data.sides):
         if SIDES[int(side > 0)] not in scene.walls:
             raise check.ArgumentError("data.sides", f"the scene has no {SIDES[int(side > 0)]} wall", int(side))
-    _enough(np.size(data.times), len(names) + 2 + (data.phase is None))
-    record = _record(scene, data, names, scales)
-    holds = settled(data, float(scene.frequency), "frequency" in names)
+    _enough(np.size(data.times), len(units) + 2 + (data.phase is None))
+    record = _record(scene, data, units, *room)
+    holds = settled(data, float(scene.frequency), "frequency" in units)
     chain = _chained(record, data)
     if holds is not None and holds < len(record.free.names):
         _refuse(record, chain, holds)
     return _told(record, chain)
-
-
-def _free(scene, free):
-    """(names, scales), checked."""
-    if not isinstance(free, Mapping) or not free:
-        raise check.ArgumentError("free", "must be {name: scale}, one at least", free)
-    for name in free:
-        check.require_known(name, scene.names, name)
-    return tuple(free), np.array([positive(f"free.{name}", scale) for name, scale in free.items()])
 
 
 def _enough(holds, unknown):
@@ -127,11 +124,13 @@ def _enough(holds, unknown):
         raise check.ArgumentError("data", rule, f"{holds} times")
 
 
-def _record(scene, data, names, scales):
+def _record(scene, data, units, low, high):
+    names, scales = tuple(units), np.array(list(units.values()))
     begun = np.array([float(scene.parameter(name)) for name in names])
     if data.phase is None:
         names, scales, begun = (*names, "phase"), np.append(scales, TURN), np.append(begun, 0.0)
-    free = Free(names, scales, begun, np.eye(len(names)))
+        low, high = np.append(low, -np.inf), np.append(high, np.inf)
+    free = Free(names, scales, begun, low, high, np.eye(len(names)))
     sigma = np.full(len(data.times), data.sigma)
     return Record(scene, data.phase or 0.0, data.times, data.sides.astype(float), sigma, free)
 
@@ -145,7 +144,9 @@ def _chained(record, data):
         begun = np.append(record.free.begun[:-1], angle)
         one = record._replace(free=record.free._replace(begun=begun))
         head = one._replace(times=one.times[:HEAD], sides=one.sides[:HEAD], sigma=one.sigma[:HEAD])
-        found.append((matched(head, False).cost, angle, one))
+        chain = matched(head, False)
+        if chain is not None:
+            found.append((chain.cost, angle, one))
     found.sort(key=lambda each: each[:2])
     chains = [matched(one, data.flawed) for _, _, one in found[:BEST]]
     return min((one for one in chains if one is not None), key=lambda one: one.cost, default=None)
@@ -184,14 +185,12 @@ def _told(record, chain):
     lost = errors > SAID
     held = ways[:, lost] @ ways[:, lost].T
     now = chain.solved
-    hit = np.flatnonzero(chain.seen >= 0)
-    seen = chain_fit.Seen(hit, np.zeros(len(hit), int), record.times[chain.seen[hit]], record.sigma[chain.seen[hit]])
-    final = free._replace(known=held)
-    solved = chain_fit.solved(record.scene, record.phase, now.nodes, seen, final, now.numbers)
+    given, final = seen(record, chain), free._replace(known=held)
+    solved = chain_fit.solved(record.scene, record.phase, now.nodes, given, final, now.numbers)
     left = np.eye(len(free.names)) - held
     covariance = left @ solved.covariance @ left * np.outer(free.scales, free.scales)
     errors, ways = _combinations(final, solved.covariance) if not lost.any() else (errors, ways)
-    dof = len(hit) - 2 - int(np.sum(~lost))
+    dof = len(given.node) - 2 - int(np.sum(~lost))
     status = _status(record, solved, lost, dof)
     open_ones = np.sum(ways[:, lost] ** 2, 1) > INVOLVED**2
     sigma = np.where(open_ones, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
@@ -213,9 +212,10 @@ def _told(record, chain):
 
 
 def _status(record, solved, lost, dof):
-    if not possible(solved, record):
-        edge = np.isfinite(solved.numbers).all() and solved.open <= chain_fit.CLOSED
-        return FitStatus.BOUND if edge else FitStatus.MISFIT
+    if not possible(record, solved):
+        return FitStatus.MISFIT
+    if np.min(np.abs(record.free.room(solved.numbers))) <= chain_fit.SHORT:
+        return FitStatus.BOUND
     if solved.chi2 > special.chdtri(max(1, dof), RARE):
         return FitStatus.MISFIT
     return FitStatus.UNIDENTIFIABLE if lost.any() else FitStatus.OK

@@ -1,8 +1,7 @@
-"""Which impacts of a record are of the motion, and which of the motion are missing from it.
+"""Chains of impacts: which of a record's impacts are of the motion, and which of the motion are missing from it.
 
-The chain grows along the record, a few impacts at a time: what is short is fitted from far away, and each longer one
-begins where it is already right. Where one impact more does not fit, impacts are put in before it, or where the chain
-is under strain, or it is left out; the cheapest way is taken.
+How a chain is fitted, made longer, given an impact that the record lacks, or relieved of one. What is tried, and in
+which order, is in `growth`.
 """
 
 from itertools import product
@@ -14,21 +13,17 @@ from scipy import special
 
 from ..scene.scene import SIDES, Scene, changed
 from . import chain_fit
-from .chain_equations import Nodes, aimed
+from .chain_equations import Nodes, aimed, left
 from .chain_fit import Free, Seen, Solved
+from .first_return import Motion
 
-FIRST, FASTER = 6, 1.4  # impacts of the first chain; how much longer the next one is
 RARE = 1e-5  # a chi2 that noise makes larger so seldom is too large
 MISSED, SPURIOUS, WRONG = 6.0, 14.0, 1e6  # what is added to chi2 for each of them, for a chain that cannot be
-OPENINGS, BEGUN = 10, 4  # ways to begin that are fitted; of them how many are gone on with
-MOST_SPURIOUS = 0.1  # of a record's impacts
-ASIDE = 1.5  # scales of the frequency, where a chain as it is given does not begin
-STRAINED = 3  # flights at which an impact is put in
 GRID = 24  # times of an impact that is put in
-LIKELY = 4  # ways of putting in before a new impact, those that suit its speeds best
 LOW = 2  # places on a grid that are tried
-TRIED = 25  # of Newton's steps
+TRIED, ROUGH = 25, 1e-2  # of Newton's steps; of errors and scales: so short is the last while chains are looked for
 WEAK = 0.05  # restitution below which a speed before an impact is not told from that after it
+DEEP = 4.0  # errors of a flight's depth in a wall: deeper it passes through
 
 
 class Chain(NamedTuple):
@@ -52,114 +47,73 @@ class Record(NamedTuple):
     free: Free
 
 
-def matched(record: Record, flawed: bool) -> Chain | None:
-    """The `Chain` of a whole record; its cost is `WRONG` at least where there is none. flawed: whether the record may
-    lack impacts or have others."""
-    found = None
-    for numbers in _starts(record.free):
-        for first in _first(record, flawed, numbers):
-            whole = _grown(record, flawed, first)
-            if _good(record, whole):
-                return whole
-            found = whole if found is None else found
-    return found
+class Base(NamedTuple):
+    """A chain that is not fitted yet; a speed that is not known is nan."""
+
+    seen: Int[np.ndarray, " nodes"]
+    sides: Float[np.ndarray, " nodes"]
+    times: Float[np.ndarray, " nodes"]
+    speeds: Float[np.ndarray, " nodes"]
+    left_out: tuple[int, ...]
+    numbers: Float[np.ndarray, " free"]
 
 
-def _starts(free):
-    """Numbers to begin with: as given, and with other frequencies, which a short chain feels most."""
-    ways = ASIDE * free.scales * np.array([name == "frequency" for name in free.names])
-    return [free.begun] if not ways.any() else [free.begun, free.begun - ways, free.begun + ways]
-
-
-def _first(record, flawed, numbers):
-    """Chains of the first few impacts, the cheapest first: as they are, with one or two put in, or one left out."""
-    base = _base(record, _NONE._replace(numbers=numbers), 0, min(FIRST, len(record.times)))
-    plain = _fitted(record, base)
-    if not flawed:
-        return [plain]
-    flights = range(len(base.seen) - 1)
-    once = _each(record, base, flights)
-    twice = [two for one in once for two in _each(record, one, _flights_after(one))]
-    less = [_less(base, k) for k in range(1, len(base.seen) - 1)]
-    ways = sorted([*once, *twice, *less], key=lambda way: _clash(record, way))
-    found = [plain, *(_fitted(record, way) for way in ways[:OPENINGS])]
-    good = sorted((one for one in found if _good(record, one)), key=lambda one: one.cost)
-    return good[:BEGUN] or [plain]
-
-
-def _each(record, base, flights):
-    """The chains with one impact put in on one of some flights."""
-    ways = product(flights, _sides(record.scene))
-    return [one for flight, side in ways for one in _puts(record, base, flight, (side,))]
-
-
-def _flights_after(base):
-    """The flights after an impact that was put in."""
-    return range(int(np.flatnonzero(base.seen < 0)[-1]) + 1, len(base.seen) - 1)
-
-
-def _clash(record, base):
-    """How badly the speeds with which flights come suit those with which the next ones go."""
-    scene, phase = at(record, base.numbers)
-    zero = np.zeros(len(base.seen))
-    after, before = aimed(scene, Nodes(base.sides, zero, _apart(base.times, record.sigma[0]), zero), phase)
-    lacks = after[1:] - bounces(scene, base.sides[1:-1]) * before[:-1]
-    return float(np.sum(lacks**2) + 10.0 * np.sum(np.minimum(np.append(after, before), 0.0) ** 2))
-
-
-def _grown(record, flawed, found):
-    """The `Chain` from its first part on; its cost is `WRONG` at least where it breaks off."""
-    count, done = len(record.times), min(FIRST, len(record.times))
-    step = 2
-    while done < count:
-        end = min(count, done + step)
-        new = _longer(record, found, done, end)
-        if not _good(record, new):
-            if end - done > 1:
-                step = max(1, (end - done) // 2)
-                continue
-            if flawed:
-                new = _mended(record, found, new, done, end)
-            if not _good(record, new) or len(new.left_out) > 1 + MOST_SPURIOUS * end:
-                return new._replace(cost=max(new.cost, WRONG))
-        found, done = new, end
-        step = max(2, int((FASTER - 1.0) * done))
-    return found
-
-
-def _without(found, k):
-    """The chain where an impact of the record is left out."""
-    return found._replace(left_out=(*found.left_out, k), cost=found.cost + SPURIOUS)
-
-
-def _longer(record, found, done, end):
-    """The chain with the record's impacts up to an end."""
-    return _fitted(record, _base(record, _spread(found), done, end))
-
-
-def _fitted(record, base):
-    """The `Chain` of a `_Base`; speeds that are not known, nan, are those with which flights come."""
+def fitted(record: Record, base: Base) -> Chain:
+    """The `Chain` of a `Base`; speeds that are not known are those with which flights come."""
     scene, phase = at(record, base.numbers)
     times, zero = _apart(base.times, record.sigma[0]), np.zeros(len(base.seen))
     after, before = aimed(scene, Nodes(base.sides, zero, times, zero), phase)
     come = np.concatenate([[after[0] / max(bounces(scene, base.sides[:1])[0], WEAK)], before])
     nodes = Nodes(base.sides, zero, times, np.where(np.isnan(base.speeds), come, base.speeds))
-    hit = np.flatnonzero(base.seen >= 0)
-    given = Seen(hit, np.zeros(len(hit), int), record.times[base.seen[hit]], record.sigma[base.seen[hit]])
-    found = chain_fit.solved(record.scene, record.phase, nodes, given, record.free, base.numbers, TRIED)
+    given = seen(record, base)
+    found = chain_fit.solved(record.scene, record.phase, nodes, given, record.free, base.numbers, TRIED, ROUGH)
     cost = found.chi2 + found.moved + MISSED * np.sum(base.seen < 0) + SPURIOUS * len(base.left_out)
-    return Chain(base.seen, base.left_out, found, float(cost if possible(found, record) else WRONG + cost))
+    return Chain(base.seen, base.left_out, found, float(cost if possible(record, found) else WRONG + cost))
 
 
-def possible(found, record):
-    """Whether a chain is a motion: solved, each impact into its wall, and no flight through one."""
-    deep = np.max(record.sigma) * np.max(abs(found.nodes.second), initial=1.0)
-    return bool(found.met and np.all(found.nodes.second > 0) and np.all(found.depth <= deep))
+def seen(record, chain):
+    """What was measured of a chain's nodes."""
+    hit = np.flatnonzero(chain.seen >= 0)
+    return Seen(hit, np.zeros(len(hit), int), record.times[chain.seen[hit]], record.sigma[chain.seen[hit]])
 
 
-def _good(record, chain):
+def possible(record, found):
+    """Whether a chain is a motion: solved, each impact into its wall, and no flight through one, but for errors."""
+    if not found.met or np.any(found.nodes.second <= 0):
+        return False
+    scene, phase = at(record, found.numbers)
+    least, walls, when = Motion(scene, phase).least(found.nodes)
+    return all(_grazes(record, found, k, walls[k], when[k], -least[k]) for k in np.flatnonzero(least < 0))
+
+
+def _grazes(record, found, flight, side, when, deep):
+    """Whether a flight is as deep in a wall at a time as errors may take it, and no deeper."""
+    nodes, count = found.nodes, len(found.numbers)
+    pair = Nodes(
+        np.array([nodes.sides[flight], side]),
+        np.zeros(2),
+        np.array([nodes.first[flight], when]),
+        np.array([nodes.second[flight], 0.0]),
+    )
+    by = slopes(record, pair, found.numbers)[0, 0]
+    by = by[[0, 1, *range(4, 4 + count)]]
+    own = [2 * flight, 2 * flight + 1, *range(len(found.spread) - count, len(found.spread))]
+    return bool(deep <= DEEP * np.sqrt(max(by @ found.spread[np.ix_(own, own)] @ by, 0.0)))
+
+
+def slopes(record, nodes, numbers):
+    """How what flights leave open changes with their nodes' unknowns and the free numbers, in their scales,
+    (flights, 2, 4 + free)."""
+    names, phase = chain_fit.told_apart(record.free, numbers, record.phase)
+    by = left(record.scene, names, nodes, numbers[: len(names)], phase).by[:, :, : 4 + len(numbers)]
+    return by * np.concatenate([np.ones(4), record.free.scales])
+
+
+def good(record: Record, chain: Chain) -> bool:
+    """Whether a chain is a motion that noise may have made the record of."""
     found = chain.solved
-    return chain.cost < WRONG and found.chi2 + found.moved <= special.chdtri(max(1, len(found.residuals) - 2), RARE)
+    most = special.chdtri(max(1, len(found.residuals) - 2), RARE)
+    return bool(chain.cost < WRONG and found.chi2 + found.moved <= most)
 
 
 def _apart(times, sigma):
@@ -172,69 +126,42 @@ def _apart(times, sigma):
 
 def at(record, numbers):
     """(the scene with free numbers, the phase)."""
-    given = dict(zip(record.free.names, numbers, strict=True))
-    phase = float(given.pop("phase", record.phase))
-    return changed(record.scene, given), phase
+    names, phase = chain_fit.told_apart(record.free, numbers, record.phase)
+    return changed(record.scene, dict(zip(names, numbers[: len(names)], strict=True))), float(phase)
 
 
 def bounces(scene, sides):
     """R of the walls on sides."""
-    return np.array([float(scene.bounce(SIDES[int(side > 0)])) for side in sides])
+    own = {side: float(scene.bounce(SIDES[int(side > 0)])) for side in set(sides)}
+    return np.array([own[side] for side in sides])
 
 
-def _mended(record, found, new, done, end):
-    """The cheapest chain up to an end with impacts put in, or taken out; that without the new impact is not tried
-    where another is possible."""
-    base = _base(record, _spread(found), done, end)
-    tried = [_fitted(record, way) for way in _likely(record, base)]
-    known = _spread(new)
-    for flight in _strained(new):
-        tried += [_fitted(record, way) for way in _each(record, known, [flight])]
-        tried += [_fitted(record, _less(base, k)) for k in (flight, flight + 1) if 0 < k < len(base.seen) - 1]
-    best = min([new, *tried], key=lambda one: one.cost)
-    return best if _good(record, best) else _without(found, end - 1)
-
-
-def _sides(scene):
+def wall_sides(scene):
+    """-1, 1 of the walls that a scene has."""
     return tuple(-1.0 if side == "left" else 1.0 for side in scene.walls)
 
 
-def _strained(chain):
-    """The flights that are under most strain, or pass through a wall."""
-    strain = np.where(np.isfinite(chain.solved.strain), chain.solved.strain, 0.0)
-    return np.argsort(-strain)[:STRAINED]
+def plain(record: Record, numbers, places) -> Base:
+    """The chain of some impacts of the record, as they are."""
+    places = np.asarray(places, int)
+    return Base(places, record.sides[places], record.times[places], np.full(len(places), np.nan), (), numbers)
 
 
-class _Base(NamedTuple):
-    seen: Int[np.ndarray, " nodes"]
-    sides: Float[np.ndarray, " nodes"]
-    times: Float[np.ndarray, " nodes"]
-    speeds: Float[np.ndarray, " nodes"]
-    left_out: tuple[int, ...]
-    numbers: Float[np.ndarray, " free"]
-
-
-_NONE = _Base(np.zeros(0, int), np.zeros(0), np.zeros(0), np.zeros(0), (), np.zeros(0))
-
-
-def _spread(chain):
+def spread(chain: Chain) -> Base:
+    """A chain as it was found."""
     nodes, solved = chain.solved.nodes, chain.solved
-    return _Base(chain.seen, nodes.sides, nodes.first, nodes.second, chain.left_out, solved.numbers)
+    return Base(chain.seen, nodes.sides, nodes.first, nodes.second, chain.left_out, solved.numbers)
 
 
-def _base(record, base, done, end):
-    """The chain with new impacts of the record, whose speeds are not known."""
-    fresh = np.arange(done, end)
-    return base._replace(
-        seen=np.concatenate([base.seen, fresh]),
-        sides=np.concatenate([base.sides, record.sides[fresh]]),
-        times=np.concatenate([base.times, record.times[fresh]]),
-        speeds=np.concatenate([base.speeds, np.full(len(fresh), np.nan)]),
-    )
+def joined(base: Base, more: Base, way: int) -> Base:
+    """A chain with more after it, or before it where way is -1; left out is what either leaves out."""
+    parts = (base, more) if way > 0 else (more, base)
+    rows = [np.concatenate(pair) for pair in zip(parts[0][:4], parts[1][:4], strict=True)]
+    return base._replace(seen=rows[0], sides=rows[1], times=rows[2], speeds=rows[3])
 
 
-def _puts(record, base, flight, sides):
-    """The chains with impacts put in after a node, at times that suit, the best first."""
+def puts(record: Record, base: Base, flight: int, sides) -> list[Base]:
+    """The chains with impacts on sides put in after a node, at times that suit, the best first."""
     place, count = flight + 1, len(sides)
     speeds = np.insert(base.speeds, place, np.full(count, np.nan))
     speeds[place + count] = np.nan
@@ -243,27 +170,29 @@ def _puts(record, base, flight, sides):
         sides=np.insert(base.sides, place, sides),
         speeds=speeds,
     )
-    suiting = _suiting(record, base, flight, sides)[1]
+    suiting = suits(record, base, flight, sides)[1]
     return [new._replace(times=np.insert(base.times, place, times)) for times in suiting]
 
 
-def _less(base, node):
+def less(base: Base, node: int) -> Base:
     """The chain without a node; of a measured one the record's impact is left out."""
-    seen, sides, times, speeds = (np.delete(one, node) for one in base[:4])
-    speeds[node] = np.nan
+    rows = [np.delete(one, node) for one in base[:4]]
+    if node < len(rows[3]):
+        rows[3][node] = np.nan
     left_out = base.left_out if base.seen[node] < 0 else (*base.left_out, int(base.seen[node]))
-    return base._replace(seen=seen, sides=sides, times=times, speeds=speeds, left_out=left_out)
+    return base._replace(seen=rows[0], sides=rows[1], times=rows[2], speeds=rows[3], left_out=left_out)
 
 
-def _likely(record, base):
-    """The likely ways of putting in before the last impact."""
-    flight, walls = len(base.seen) - 2, _sides(record.scene)
-    kinds = [sides for count in (1, 2) for sides in product(walls, repeat=count)]
-    kinds.sort(key=lambda sides: _suiting(record, base, flight, sides)[0])
-    return [one for sides in kinds[:LIKELY] for one in _puts(record, base, flight, sides)]
+def clashes(record: Record, base: Base) -> Float[np.ndarray, " inner"]:
+    """How badly the speeds with which flights come suit those with which the next ones go, at each inner node."""
+    scene, phase = at(record, base.numbers)
+    zero = np.zeros(len(base.seen))
+    after, before = aimed(scene, Nodes(base.sides, zero, _apart(base.times, record.sigma[0]), zero), phase)
+    lacks = after[1:] - bounces(scene, base.sides[1:-1]) * before[:-1]
+    return lacks**2 + 10.0 * (np.minimum(after[1:], 0.0) ** 2 + np.minimum(before[:-1], 0.0) ** 2)
 
 
-def _suiting(record, base, flight, sides):
+def suits(record, base, flight, sides):
     """(how badly, times) of impacts put in after a node, on a grid, at its lowest places: where speeds before and after
     suit each other."""
     scene, phase = at(record, base.numbers)
