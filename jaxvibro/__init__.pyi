@@ -18,6 +18,10 @@ from .branches.peaks import peak as peak
 from .branches.peaks import peaks as peaks
 from .branches.switch import extend as extend
 from .branches.switch import switch as switch
+from .design.fit import Combination as Combination
+from .design.fit import Fit as Fit
+from .design.fit import FitStatus as FitStatus
+from .design.fit import fit as fit
 from .design.located import Located as Located
 from .design.located import LocatedPoint as LocatedPoint
 from .design.located import located as located
@@ -26,6 +30,7 @@ from .design.margin import NearPoint as NearPoint
 from .design.margin import margin as margin
 from .design.place import Placement as Placement
 from .design.place import place as place
+from .design.records import ImpactRecord as ImpactRecord
 from .design.search import Search as Search
 from .design.search import search as search
 from .design.sensitivity import sensitivity as sensitivity

@@ -14,7 +14,8 @@ def units_of(scene, free):
         raise check.ArgumentError("free", "must be {name: unit}, one number at least", free)
     for name, unit in free.items():
         check.require_known(name, scene.names, name)
-        if not (np.ndim(unit) == 0 and np.isfinite(unit) and unit > 0):
+        found = check.number(f"free.{name}", unit, np.float64)
+        if found.ndim or found <= 0:
             raise check.ArgumentError(f"free.{name}", "must be a unit, a positive number", unit)
     if len(free) > 1:
         check.require_apart(*free)

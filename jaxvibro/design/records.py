@@ -1,0 +1,57 @@
+"""What was measured: small frozen records, checked as they are made."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import ArrayLike, Float, Int, Real
+
+from ..scene import check
+
+
+@dataclass(frozen=True, eq=False)
+class ImpactRecord:
+    """Impacts of one motion, in order. times: in t, since the drive was at `phase`, (impacts,); sides: -1 left, 1
+    right; sigma: the error of a time, one for all; phase: rad, None where it is not known; flawed: whether impacts may
+    be missing from the record, or be in it that are none.
+
+    Raises ArgumentError for what is not finite, not in order, or of different lengths.
+    """
+
+    times: Float[np.ndarray, " impacts"] | Real[ArrayLike, " impacts"]
+    sides: Int[np.ndarray, " impacts"] | Real[ArrayLike, " impacts"]
+    sigma: float
+    phase: float | None = 0.0
+    flawed: bool = True
+
+    def __post_init__(self) -> None:
+        times, sides = _row("times", self.times), _row("sides", self.sides)
+        if times.shape != sides.shape:
+            raise check.ArgumentError("sides", f"must be one for each time, {len(times)}", len(sides))
+        if not np.all(np.isin(sides, (-1.0, 1.0))):
+            raise check.ArgumentError("sides", "must be -1 (left) or 1 (right)", float(sides[abs(sides) != 1.0][0]))
+        late = np.flatnonzero(np.diff(times) < 0)
+        if len(late):
+            place = int(late[0]) + 1
+            raise check.ArgumentError("times", "must be in order", float(times[place]), (place,))
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "sides", sides.astype(int))
+        object.__setattr__(self, "sigma", positive("sigma", self.sigma))
+        if self.phase is not None:
+            object.__setattr__(self, "phase", float(check.number("phase", self.phase, np.float64)))
+        if not isinstance(self.flawed, bool):
+            raise check.ArgumentError("flawed", "must be True or False", self.flawed)
+
+
+def positive(key, value):
+    """A value as a plain number, refused where it is not finite and greater than 0."""
+    found = check.number(key, value, np.float64)
+    if found.ndim or found <= 0:
+        raise check.ArgumentError(key, "must be a number greater than 0", value)
+    return float(found)
+
+
+def _row(key, value):
+    found = check.number(key, value, np.float64)
+    if found.ndim != 1 or not len(found):
+        raise check.ArgumentError(key, "must be a row of numbers, one at least", value)
+    return found

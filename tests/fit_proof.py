@@ -1,0 +1,187 @@
+"""Fits of records that random scenes made: `python -m tests.fit_proof WHAT N [seed]`.
+
+coverage: N records of 50 impacts, transient or chaotic, noise 1e-3, from half of them 5 % of the impacts taken out; how
+often the true numbers lie within the errors told. settled: N records of P111 that have settled, five numbers free.
+chaotic: N records of 30 periods of a chaotic motion, from numbers 5 % off.
+"""
+
+import sys
+import time
+
+import jax
+import numpy as np
+from scipy import special
+
+import jaxvibro as jv
+
+NAMES = ("damping", "left.restitution", "right.restitution", "right.position", "frequency")
+SCALES = {"damping": 0.01, "left.restitution": 0.1, "right.restitution": 0.1, "right.position": 0.1, "frequency": 0.05}
+NOISE, MISSING, IMPACTS = 1e-3, 0.05, 50
+OFF = 0.05  # of each number, at most, where a fit begins
+
+
+def scene(rng):
+    """A random scene: rigid walls anywhere, a third of the left ones moving."""
+    left = -rng.uniform(0.3, 1.5)
+    motion = jv.Motion(rng.uniform(0.0, 0.1), rng.uniform(0.0, 6.0)) if rng.uniform() < 1 / 3 else None
+    walls = (
+        jv.Wall(left, rng.uniform(0.5, 0.95), motion=motion),
+        jv.Wall(rng.uniform(0.3, 1.5), rng.uniform(0.5, 0.95)),
+    )
+    return jv.make_scene(rng.uniform(0.5, 3.0), rng.uniform(0.5, 2.5), rng.uniform(0.01, 0.2), 0.8, walls)
+
+
+def impacts(one, start, periods, slots):
+    """(times, sides) of a motion; none of one that comes to rest on a wall, by infinitely many."""
+    _, found = jv.strobe(one, start, periods=periods, slots=slots)
+    hit = (np.asarray(found.side) != 0) & (float(found.least_speed) > 0)
+    return np.asarray(found.time)[hit], np.asarray(found.side)[hit]
+
+
+def begun(one, rng):
+    """The scene where a fit begins."""
+    return one.replace(**{name: one.numbers[name] * (1.0 + OFF * rng.uniform(-1, 1)) for name in NAMES})
+
+
+def record(times, sides, rng, missing=False):
+    """A noisy record; (the record, the places that were taken out)."""
+    gone = rng.uniform(size=len(times)) < (MISSING if missing else 0.0)
+    noisy = (times + NOISE * rng.normal(size=len(times)))[~gone]
+    order = np.argsort(noisy)
+    return jv.ImpactRecord(noisy[order], sides[~gone][order], NOISE), np.flatnonzero(gone)
+
+
+def trials(count, seed):
+    """(scene, times, sides, rng) of so many records of motions that never rest, none of whose impacts are as near as
+    errors."""
+    rng = np.random.default_rng(seed)
+    while count:
+        one = scene(rng)
+        times, sides = impacts(one, jv.State(0.0, rng.uniform(-2, 2)), 40, 64)
+        if len(times) < IMPACTS:
+            continue
+        times, sides = times[:IMPACTS], sides[:IMPACTS]
+        if np.min(np.diff(times)) < 20 * NOISE:
+            continue
+        count -= 1
+        yield one, times, sides, rng
+
+
+def apart(fitted, one):
+    """(each number's error in sigma, the squared one of all together); of a fit that does not say all the combinations
+    that it says in the numbers' place; infinite where it says nothing."""
+    if fitted.status == jv.FitStatus.NONE:
+        return np.full(len(NAMES), np.inf), np.inf
+    away = np.array([fitted.values[name] - one.numbers[name] for name in NAMES])
+    if fitted.unidentifiable:
+        shares = np.array([[each.shares[name] / SCALES[name] for name in NAMES] for each in fitted.identifiable])
+        errors = shares @ away / np.array([each.sigma for each in fitted.identifiable])
+        return errors, float(errors @ errors)
+    sigma = np.array([fitted.sigma[name] for name in NAMES])
+    return away / sigma, float(away @ np.linalg.solve(fitted.covariance.values, away))
+
+
+def explained(fitted, times, gone):
+    """Whether what a fit says is missing is what was taken out, between the record's ends."""
+    kept = np.delete(times, gone)
+    inner = times[gone][(times[gone] > kept[0]) & (times[gone] < kept[-1])]
+    found = np.array([time for time, _ in fitted.missed])
+    return not fitted.spurious and len(found) == len(inner) and np.allclose(found, inner, rtol=0, atol=50 * NOISE)
+
+
+def coverage(count, seed=0):
+    """Print of each trial its errors, and what part of all lies within one and three sigma, and the 95 % region. None
+    is left out but settled records, which are refused."""
+    each, joint, kinds, right, spent = [], [], {}, 0, []
+    for k, (one, times, sides, rng) in enumerate(trials(10**9, seed)):
+        data, gone = record(times, sides, rng, missing=k % 2 == 1)
+        begin = time.process_time()
+        try:
+            fitted = jv.fit(begun(one, rng), data, SCALES)
+        except jv.ArgumentError as error:
+            print("refused:", str(error)[:150], flush=True)
+            kinds["refused"] = kinds.get("refused", 0) + 1
+            continue
+        spent.append(time.process_time() - begin)
+        kinds[fitted.status.name] = kinds.get(fitted.status.name, 0) + 1
+        errors, square = apart(fitted, one)
+        each.append(errors)
+        joint.append(special.chdtr(len(errors), square))
+        well = explained(fitted, times, gone)
+        right += well
+        told = f"{spent[-1]:.2f} s, gone {gone}, {'found' if well else fitted.missed} {fitted.spurious}"
+        print(fitted.status.name, told, np.round(errors, 2), f"chi2 {fitted.chi2:.1f} of {fitted.dof}", flush=True)
+        if len(each) == count:
+            break
+    size = abs(np.concatenate(each))
+    print(f"{kinds}; what is missing is found in {right} of {count}; {np.median(spent):.2f} s at the median")
+    print(f"of {len(size)} values within 1 sigma {np.mean(size < 1):.1%}, within 3 {np.mean(size < 3):.1%}, ", end="")
+    print(f"joint 95 % region {np.mean(np.array(joint) < 0.95):.1%}")
+
+
+def settled(count, seed=0):
+    """Print what is said of records of P111 that have settled."""
+    rng, found, refused = np.random.default_rng(seed), 0, 0
+    while found < count:
+        one = scene(rng)
+        times, sides = impacts(one, jv.State(0.0, rng.uniform(-2, 2)), 440, 2000)
+        late = times > 400 * 2 * np.pi / one.numbers["frequency"]
+        first = times[late][:2]
+        if late.sum() != 80 or np.any(sides[late][1:] == sides[late][:-1]):
+            continue
+        if not np.allclose(
+            times[late].reshape(-1, 2), first + np.arange(40)[:, None] * 2 * np.pi / one.numbers["frequency"], atol=1e-9
+        ):
+            continue
+        found += 1
+        data, _ = record(times[late][:IMPACTS] - np.floor(first[0]), sides[late][:IMPACTS], rng)
+        phase = one.numbers["frequency"] * np.floor(first[0])
+        data = jv.ImpactRecord(data.times, data.sides, NOISE, float(phase))
+        try:
+            told = jv.fit(begun(one, rng), data, SCALES).table()
+        except jv.ArgumentError as error:
+            refused, told = refused + ("is settled, holds 3 numbers" in str(error)), str(error)
+        print(told, flush=True)
+    print(f"{refused} of {count} refused with the combinations")
+
+
+def chaotic(count, seed=0):
+    """Print how many fits of 30 periods of a chaotic motion converge to the numbers that made it."""
+    rng, found, good = np.random.default_rng(seed), 0, 0
+    while found < count:
+        one, start = scene(rng), jv.State(0.0, rng.uniform(-2, 2))
+        settling, _ = jv.strobe(one, start, periods=200)
+        if not exponent(one, settling) > 0.02:
+            continue
+        times, sides = impacts(one, settling, 30, 128)
+        if len(times) < 20 or np.min(np.diff(times)) < 20 * NOISE:
+            continue
+        found += 1
+        data, _ = record(times, sides, rng)
+        try:
+            fitted = jv.fit(begun(one, rng), data, SCALES)
+        except jv.ArgumentError as error:
+            print("refused:", str(error)[:100], flush=True)
+            continue
+        square = apart(fitted, one)[1] if fitted.status == jv.FitStatus.OK else np.inf
+        good += square < special.chdtri(5, 1e-4)
+        print(f"{fitted.status.name} {len(times)} impacts, squared error {square:.3g}", flush=True)
+    print(f"{good} of {count} converge")
+
+
+def exponent(one, state):
+    """How fast two motions part in a hundred periods, by the logarithm of their distance, a period."""
+    total, away = 0.0, np.array([0.0, 1e-8])
+    for _ in range(100):
+        near = jv.State(state.x + away[0], state.v + away[1], state.phase)
+        (state, _), (near, _) = jv.strobe(one, state), jv.strobe(one, near)
+        away = np.array([float(near.x - state.x), float(near.v - state.v)])
+        size = max(float(np.hypot(*away)), 1e-15)
+        total += np.log(size / 1e-8)
+        away = away / size * 1e-8
+    return total / 100
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    {"coverage": coverage, "settled": settled, "chaotic": chaotic}[sys.argv[1]](*map(int, sys.argv[2:]))
