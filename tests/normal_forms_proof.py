@@ -7,6 +7,7 @@ orbits before it.
 """
 
 import sys
+from dataclasses import replace
 from itertools import pairwise
 
 import jax
@@ -15,6 +16,7 @@ import numpy as np
 import jaxvibro as jv
 from continuation import event_search
 from continuation.arclength import Control
+from continuation.branch_switching import directions
 from continuation.points import start_point
 from jaxvibro.branches.switch import starts
 from jaxvibro.problem.depths import Depth
@@ -28,6 +30,7 @@ from tests.reference.bends import bend
 MOST = 8  # impacts
 NEAR = 0.02  # of the speeds and flights at a point: the farthest of the points on the branches that leave it
 SURE = 1e-9  # of the parameter: a branch's points so far from where it begins are on a side of it
+LEAST = 1e-7  # a step: as short is lost in the rounding of what Newton's method is to reach
 DEPTH = 0.02  # of the scene's length: the root of the deepest contact
 
 
@@ -55,7 +58,7 @@ def measured(point):
         along, z = place_orbit(point.scene, point.name, point.spot)
         begun = start_point(z, event_search.tangent(problem(along), z, scales(along, length), along))
     else:
-        along, begun = starts(point)[0]
+        along, begun = starts(symmetric(point))[0]
     means = []
     for share in (1.0, 0.5, 0.25):
         both = [aside(along, begun, length, way * share * far(point)) for way in (1.0, -1.0)]
@@ -77,15 +80,28 @@ def flights(point):
 
 def is_right(point, form):
     """Whether the branches that leave a PD or SB are on the side that is told, and stable there if it is soft: at the
-    first point that is told from it by more than rounding."""
+    first point that is told from it by more than rounding. None where an impact is so slow that they go no step."""
+    point = symmetric(point)
     room, step = 1e-3 * (1.0 + abs(point.value)), far(point)
     low, high = max(point.value - room, point.bounds[0]), min(point.value + room, point.bounds[1])
     for branch in jv.switch(point, (low, high), step, 4.0 * step):
+        if len(branch) == 1 and step < LEAST:
+            return None
         gaps = branch.values - point.value
         first = int(np.argmax(abs(gaps) > SURE * (1.0 + abs(point.value)))) or len(gaps) - 1
         if np.sign(gaps[first]) != form.side or branch.stable[first] != (form.criticality == "supercritical"):
             return False
     return True
+
+
+def symmetric(point):
+    """An SB as a point of its symmetric branch, which the lopsided ones leave, be it found on one of these or not."""
+    if point.kind != "SB":
+        return point
+    along, z = place_orbit(point.scene, point.name, point.spot)
+    both = directions(problem(along), z, scales(along, scene_length(point.scene)), along)
+    tangent, rows, count = both[np.argmax(abs(both[:, -1]))], len(along.cycle.sides), len(point.spot.times)
+    return replace(point, slopes=np.concatenate([tangent[:count], tangent[rows : rows + count], tangent[-1:]]))
 
 
 def root_by_flights(point, depth, touch):
@@ -211,21 +227,30 @@ def points(kinds, count, seed, most):
 
 def bends(kinds, count, seed):
     """Print what is wrong with coefficients of SN, PD or SB, and the largest errors."""
-    seen, wrong, worst, off = {}, 0, 0.0, []
+    seen, wrong, stuck, worst, off = {}, 0, 0, 0.0, []
     for point in points(kinds, count, seed, 2):
         form = point.normal_form
         true, near = exact(point), measured(point)
         error = abs(form.coefficient / true - 1.0)
-        right = form.side == np.sign(true) and (point.kind == "SN" or is_right(point, form))
+        seen_there = True if point.kind == "SN" else is_right(point, form)
+        stuck += seen_there is None
+        right = form.side == np.sign(true) and seen_there is not False
         told = f"{point.kind}{len(point.spot.times)} {form.criticality}"
         seen[told] = seen.get(told, 0) + 1
         wrong += not right
         worst = max(worst, error)
         off.append(abs(near / true - 1.0))
         print(point.kind, point.name, point.label, f"{point.value:.9g}", form, form.consequence, end=" ")
-        print(f"error {error:.1e}, of points on the branch {off[-1]:.1e}", "" if right else "WRONG SIDE", flush=True)
-    print(f"{sum(seen.values())} points {seen}: wrong {wrong}, largest error {worst:.2g}; the branches' own", end=" ")
-    print(f"curvature differs by {np.median(off):.2g} in the median, by less than 1e-3 at", end=" ")
+        print(
+            f"error {error:.1e}, of points on the branch {off[-1]:.1e}",
+            "" if right else "WRONG SIDE",
+            "" if seen_there is not None else "by digits alone",
+            flush=True,
+        )
+    print(
+        f"{sum(seen.values())} points {seen}: wrong {wrong}, too slow to be followed {stuck}, largest error {worst:.2g}"
+    )
+    print(f"the branches' own curvature differs by {np.median(off):.2g} in the median, by less than 1e-3 at", end=" ")
     print(f"{np.sum(np.array(off) < 1e-3)}")
 
 

@@ -137,6 +137,18 @@ def test_switching_and_passing_through_a_grazing(branch, lopsided):
     assert np.allclose(up.values, down.values, rtol=0, atol=1e-8)
 
 
+def test_from_a_lopsided_branch_a_symmetry_breaking_leads_to_the_symmetric_one(branch, lopsided):
+    own = jv.follow(lopsided[0].orbit(len(lopsided[0]) // 3), "amplitude", (3.0, 6.0))
+    (point,) = own.points("SB")
+    assert abs(point.value - branch.points("SB")[0].value) < 1e-12
+    both = jv.switch(point)
+    assert sorted(one.values[-1] for one in both) == [3.0, 6.0]
+    for one in both:
+        left, right = one.data["speed"].values.T
+        assert np.allclose(left, right, rtol=0, atol=1e-11)
+        assert [kind for kind, _ in kinds(one)] == ["EP", "EP"]
+
+
 def test_a_monitor_a_stop_and_a_direction(orbit):
     seen = {"half": lambda point: point.x[0] - 0.5, "slow": lambda point: point.speeds.min() - 1.0}
     one = jv.follow(orbit, "amplitude", (0.0, 6.0), direction="backward", monitors=seen, stop="slow")

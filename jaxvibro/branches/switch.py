@@ -143,9 +143,10 @@ def _crossed(special, along, z):
     count, known = len(special.spot.times), np.zeros(len(z))
     known[:count], known[rows : rows + count] = special.slopes[:count], special.slopes[count:-1]
     known[-1] = special.slopes[-1]
-    other = crossing.other(crossing.directions(problem(along), z, scale, along), known, scale)
-    if special.kind == "SB":  # its halves are mirror images of each other, at the same values
-        other[-1] = 0.0
+    both = crossing.directions(problem(along), z, scale, along)
+    if special.kind == "SB":  # one branch's halves are mirror images of each other, at the same values
+        both[np.argmin(abs(both[:, -1])), -1] = 0.0
+    other = crossing.other(both, known, scale)
     first = np.flatnonzero(abs(other) > 0.5 * abs(other).max())[0]  # a null vector has no sign of its own
     return [(along, start_point(z, sign * np.sign(other[first]) * other)) for sign in (1.0, -1.0)]
 
