@@ -60,6 +60,7 @@ _HOMES = {
     "FitStatus": "design.fit",
     "Combination": "design.fit",
     "ImpactRecord": "design.records",
+    "PointRecord": "design.records",
     "locus": "loci.locus",
     "Locus": "loci.locus",
     "family": "loci.family",

@@ -31,6 +31,7 @@ from .design.margin import margin as margin
 from .design.place import Placement as Placement
 from .design.place import place as place
 from .design.records import ImpactRecord as ImpactRecord
+from .design.records import PointRecord as PointRecord
 from .design.search import Search as Search
 from .design.search import search as search
 from .design.sensitivity import sensitivity as sensitivity

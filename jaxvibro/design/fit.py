@@ -11,13 +11,14 @@ from scipy import special
 
 from ..output.table_text import columns
 from ..scene import check
+from ..scene.parameters import tied
 from ..scene.scene import SIDES, Scene
-from . import chain_fit
+from . import chain_fit, point_fit
 from .chain_fit import Free
 from .free_numbers import room_of, units_of
 from .growth import matched
 from .matching import RARE, WRONG, Record, at, possible, seen
-from .records import ImpactRecord
+from .records import ImpactRecord, PointRecord
 from .settled import settled
 
 PHASES, HEAD, BEST = 8, 10, 3  # of an unknown phase: starts, impacts that choose among them, how many are gone on with
@@ -83,16 +84,21 @@ class Fit:
 
 @check.host("use the chain's equations")
 def fit(
-    scene: Scene, data: ImpactRecord, free: Mapping[str, float], bounds: Mapping[str, Sequence[float]] | None = None
+    scene: Scene,
+    data: ImpactRecord | PointRecord,
+    free: Mapping[str | tuple[str, ...], float],
+    bounds: Mapping[str | tuple[str, ...], Sequence[float]] | None = None,
 ) -> Fit:
     """The numbers of a scene that made a record, with their errors: a `Fit`.
 
-    scene: where it begins, rigid walls only, some scales off at most; data: an `ImpactRecord`; free: {name: scale}, of
-    the numbers that are not known, and by how much each may be off; bounds: {name: (low, high)} of free numbers, by
-    default their domains. The first state is never known.
+    scene: where it begins, some scales off at most; data: an `ImpactRecord`, between rigid walls, or a `PointRecord`;
+    free: {name: scale}, of the numbers that are not known, and by how much each may be off; bounds: {name: (low, high)}
+    of free numbers, by default their domains. Of a `PointRecord` a tuple of names is one number, of several that have
+    one value. The first state of impacts is never known.
 
-    The record is explained by a chain of flights, each as exact as in `strobe`; where it is chaotic nothing is lost
-    (multiple shooting; Bock 1981). Errors are those of least squares, of the linear theory.
+    Points are functions of the scene (`located`), fitted by Gauss and Newton. Impacts are explained by a chain of
+    flights, each as exact as in `strobe`; where it is chaotic nothing is lost (multiple shooting; Bock 1981). Errors
+    are those of least squares, of the linear theory.
 
     Raises ArgumentError for soft walls, names that the scene lacks, scales that are none, bounds that do not hold the
     scene, walls that the scene lacks, and where more is unknown than the record holds: a settled record holds its
@@ -101,9 +107,11 @@ def fit(
     if not isinstance(scene, Scene):
         raise check.ArgumentError("scene", "must be a Scene", scene)
     check.require_single(scene)
-    check.require_rigid(scene, "a fit of impacts")
+    if isinstance(data, PointRecord):
+        return _points_told(scene, data, free, bounds or {})
     if not isinstance(data, ImpactRecord):
-        raise check.ArgumentError("data", "must be an ImpactRecord", data)
+        raise check.ArgumentError("data", "must be an ImpactRecord or a PointRecord", data)
+    check.require_rigid(scene, "a fit of impacts")
     units = units_of(scene, free)
     room = room_of(scene, units, bounds or {})
     for side in np.unique(data.sides):
@@ -160,9 +168,9 @@ def _combinations(free, covariance):
     return errors[::-1], ways[:, ::-1]
 
 
-def _named(free, errors, ways):
+def _named(names, errors, ways):
     return tuple(
-        Combination(dict(zip(free.names, map(float, way), strict=True)), float(error))
+        Combination(dict(zip(names, map(float, way), strict=True)), float(error))
         for error, way in zip(errors, ways.T, strict=True)
     )
 
@@ -172,7 +180,7 @@ def _refuse(record, chain, holds):
     known = ""
     if chain is not None and chain.cost < WRONG:
         errors, ways = _combinations(record.free, chain.solved.covariance)
-        known = ": " + "; ".join(map(str, _named(record.free, errors[:holds], ways[:, :holds])))
+        known = ": " + "; ".join(map(str, _named(record.free.names, errors[:holds], ways[:, :holds])))
     rule = f"is settled, holds {holds} numbers and must hold as many as are free, {len(record.free.names)}{known}"
     raise check.ArgumentError("data", rule, f"{len(record.times)} times")
 
@@ -180,7 +188,7 @@ def _refuse(record, chain, holds):
 def _told(record, chain):
     free = record.free
     if chain is None or chain.cost >= WRONG:
-        return _none(record, chain)
+        return _none(record.scene, free.names, free.begun)
     errors, ways = _combinations(free, chain.solved.covariance)
     lost = errors > SAID
     held = ways[:, lost] @ ways[:, lost].T
@@ -194,7 +202,7 @@ def _told(record, chain):
     status = _status(record, solved, lost, dof)
     open_ones = np.sum(ways[:, lost] ** 2, 1) > INVOLVED**2
     sigma = np.where(open_ones, np.inf, np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-    named = _named(free, errors, ways)
+    named = _named(free.names, errors, ways)
     return Fit(
         dict(zip(free.names, map(float, solved.numbers), strict=True)),
         dict(zip(free.names, map(float, sigma), strict=True)),
@@ -211,6 +219,66 @@ def _told(record, chain):
     )
 
 
+def _points_told(scene, data, free, bounds):
+    """The `Fit` of a `PointRecord`."""
+    groups = [(key,) if isinstance(key, str) else tuple(key) for key in free]
+    if len(data.values) < len(groups):
+        rule = f"must hold as many numbers as are unknown, {len(groups)}"
+        raise check.ArgumentError("data", rule, f"{len(data.values)} points")
+    scales, low, high = _grouped(scene, free, groups, bounds)
+    labels, begun = [" = ".join(group) for group in groups], np.array([tied(scene, group) for group in groups])
+    met = point_fit.met(point_fit.points_of(data, tuple(groups), scales, low, high), begun)
+    if met is None or not met.met:
+        return _none(scene, labels, begun)
+    information, ways = np.linalg.eigh(met.by.T @ met.by)
+    errors, ways = np.maximum(information, 1e-30)[::-1] ** -0.5, ways[:, ::-1]
+    lost = errors > SAID
+    covariance = (ways[:, ~lost] * errors[~lost] ** 2) @ ways[:, ~lost].T * np.outer(scales, scales)
+    sigma = np.where(np.sum(ways[:, lost] ** 2, 1) > INVOLVED**2, np.inf, np.sqrt(np.diag(covariance)))
+    chi2, dof = float(met.residuals @ met.residuals), len(met.residuals) - int(np.sum(~lost))
+    status = FitStatus.UNIDENTIFIABLE if lost.any() else FitStatus.OK
+    if chi2 > special.chdtri(max(1, dof), RARE):
+        status = FitStatus.MISFIT
+    named = _named(labels, errors, ways)
+    values = {name: float(number) for group, number in zip(groups, met.numbers, strict=True) for name in group}
+    return Fit(
+        dict(zip(labels, map(float, met.numbers), strict=True)),
+        dict(zip(labels, map(float, sigma), strict=True)),
+        _labelled(labels, covariance),
+        -met.residuals,
+        chi2,
+        dof,
+        tuple(one for one, gone in zip(named, lost, strict=True) if not gone),
+        tuple(one for one, gone in zip(named, lost, strict=True) if gone),
+        (),
+        (),
+        scene.replace(**values),
+        status,
+    )
+
+
+def _grouped(scene, free, groups, bounds):
+    """(scales, low, high) of free numbers, each of one or several names. Raises ArgumentError."""
+    if not isinstance(free, Mapping) or not free:
+        raise check.ArgumentError("free", "must be {name: unit}, one number at least", free)
+    for key in bounds:
+        if key not in free:
+            raise check.ArgumentError(f"bounds.{key}", "must be of a free number", key)
+    rows = []
+    for key, group in zip(free, groups, strict=True):
+        value, ends = tied(scene, group), []
+        for name in group:
+            unit = units_of(scene, {name: free[key]})
+            ends.append(
+                [
+                    value + unit[name] * end[0]
+                    for end in room_of(scene, unit, {name: bounds[key]} if key in bounds else {})
+                ]
+            )
+        rows.append((unit[name], max(low for low, _ in ends), min(high for _, high in ends)))
+    return np.array(rows).T
+
+
 def _status(record, solved, lost, dof):
     if not possible(record, solved):
         return FitStatus.MISFIT
@@ -221,15 +289,11 @@ def _status(record, solved, lost, dof):
     return FitStatus.UNIDENTIFIABLE if lost.any() else FitStatus.OK
 
 
-def _none(record, chain):
-    free = record.free
-    values = dict(zip(free.names, map(float, free.begun), strict=True))
-    nan = np.full((len(free.names),) * 2, np.nan)
-    nothing = dict.fromkeys(free.names, np.inf)
-    blank = np.zeros(0)
-    return Fit(
-        values, nothing, _labelled(free.names, nan), blank, np.inf, 0, (), (), (), (), record.scene, FitStatus.NONE
-    )
+def _none(scene, names, begun):
+    """The `Fit` that says nothing."""
+    values, nothing = dict(zip(names, map(float, begun), strict=True)), dict.fromkeys(names, np.inf)
+    nan, blank = np.full((len(names),) * 2, np.nan), np.zeros(0)
+    return Fit(values, nothing, _labelled(names, nan), blank, np.inf, 0, (), (), (), (), scene, FitStatus.NONE)
 
 
 def _labelled(names, covariance):

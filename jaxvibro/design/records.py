@@ -5,7 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Real
 
+from ..branches.branch import Special
 from ..scene import check
+from ..scene.scene import SIDES
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,3 +57,33 @@ def _row(key, value):
     if found.ndim != 1 or not len(found):
         raise check.ArgumentError(key, "must be a row of numbers, one at least", value)
     return found
+
+
+@dataclass(frozen=True, eq=False)
+class PointRecord:
+    """Values of special points, as published. points: `Special`s of branches, SN, PD, SB or GR, each of the scene that
+    it is in but for the free numbers; values: of their parameters, (points,); sigma: their error; walls: "left" or
+    "right" of a GR that touches both at once, None of others, by default of all.
+
+    Raises ArgumentError for what is not finite or of different lengths.
+    """
+
+    points: tuple[Special, ...]
+    values: Float[np.ndarray, " points"] | Real[ArrayLike, " points"]
+    sigma: float
+    walls: tuple[str | None, ...] = ()
+
+    def __post_init__(self) -> None:
+        points, values = tuple(self.points), _row("values", self.values)
+        if len(points) != len(values):
+            raise check.ArgumentError("values", f"must be one for each point, {len(points)}", len(values))
+        for one in points:
+            if not isinstance(one, Special):
+                raise check.ArgumentError("points", "must be Specials", one)
+        walls = tuple(self.walls) or (None,) * len(points)
+        if len(walls) != len(points) or not set(walls) <= {None, *SIDES}:
+            raise check.ArgumentError("walls", 'must be "left", "right" or None for each point', self.walls)
+        object.__setattr__(self, "walls", walls)
+        object.__setattr__(self, "points", points)
+        object.__setattr__(self, "values", values)
+        object.__setattr__(self, "sigma", positive("sigma", self.sigma))
