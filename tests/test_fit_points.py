@@ -38,6 +38,14 @@ def test_the_numbers_that_made_the_values_are_found_with_their_errors(scene, poi
     assert "damping" in fit.table() and "OK" in fit.table()
 
 
+def test_several_numbers_may_be_one(scene, points, values):
+    pair = ("left.restitution", "right.restitution")
+    fit = jv.fit(scene, jv.PointRecord(points, values, 1e-4), {"damping": 0.02, pair: 0.05}, {pair: (0.5, 0.9)})
+    assert list(fit.values) == ["damping", "left.restitution = right.restitution"]
+    assert list(fit.values.values()) == pytest.approx([0.062, 0.74], abs=1e-12)
+    assert [float(wall.restitution) for wall in fit.scene.walls.values()] == pytest.approx([0.74, 0.74], abs=1e-12)
+
+
 def test_more_values_than_numbers_and_a_combination_that_they_do_not_say(scene, points, values):
     one = jv.fit(scene, jv.PointRecord(points, [values[0], values[1] + 0.05], 1e-3), {"damping": 0.02})
     assert one.status == jv.FitStatus.MISFIT and one.dof == 1 and one.chi2 > 100.0

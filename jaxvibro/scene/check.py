@@ -100,7 +100,8 @@ def host(instead: str) -> Callable[[Callable[Given, Found]], Callable[Given, Fou
     def decorated(function: Callable[Given, Found]) -> Callable[Given, Found]:
         @wraps(function)
         def called(*args: Given.args, **named: Given.kwargs) -> Found:
-            traced = [each for each in jax.tree.leaves((args, named)) if is_traced(each)]
+            given = [list(each.items()) if isinstance(each, dict) else each for each in (*args, *named.values())]
+            traced = [each for each in jax.tree.leaves(given) if is_traced(each)]  # a dict's keys need no order
             if traced or is_transformed():
                 rule = "runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, " + instead
                 raise ArgumentError(function.__name__, rule, traced[0] if traced else "a call within one")
