@@ -296,7 +296,10 @@ def meets(points, marks, control):
         along = np.einsum("ik,ik->i", apart, square * points.tangent[:-1])
         aside = np.linalg.norm(control.scale * (apart - along[:, None] * points.tangent[:-1]), axis=1)
         size = points.step[1:]
-        for after in np.flatnonzero((along > 0) & (along <= size) & (aside < 0.5 * size)):
+        ahead = along > 0
+        if points.step[0] == 0:  # the first point begins the branch: a mark a rounding away is that very point
+            ahead[0] = along[0] > BEGUN
+        for after in np.flatnonzero(ahead & (along <= size) & (aside < 0.5 * size)):
             found.append((int(after), float(along[after]), k))
     return sorted(found)
 

@@ -82,7 +82,8 @@ def is_right(point, form):
     """Whether the branches that leave a PD or SB are on the side that is told, and stable there if it is soft: at the
     first point that is told from it by more than rounding. None where an impact is so slow that they go no step."""
     point = symmetric(point)
-    room, step = 1e-3 * (1.0 + abs(point.value)), far(point)
+    step, size = far(point), 1.0 + abs(point.value)
+    room = np.clip(abs(form.coefficient) * (20.0 * step) ** 2, 10.0 * SURE * size, 1e-3 * size)
     low, high = max(point.value - room, point.bounds[0]), min(point.value + room, point.bounds[1])
     for branch in jv.switch(point, (low, high), step, 4.0 * step):
         if len(branch) == 1 and step < LEAST:
