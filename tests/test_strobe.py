@@ -230,6 +230,7 @@ def test_sticks_through_the_end_of_a_period():
     assert again.contact == 2
 
 
+@pytest.mark.slow
 def test_two_periods_are_one_after_the_other(lanes):
     scene, start, end, impacts, run = lanes
     twice, told = run(scene, start, periods=2)
@@ -325,6 +326,7 @@ def test_what_is_not_recorded_changes_nothing_else(lanes, slots):
     np.testing.assert_array_equal(told.status, impacts.count > slots)  # FULL is 1
 
 
+@pytest.mark.slow
 def test_clearances_of_a_users_own_vmap_and_beside_derivatives(lanes):
     many, start, *_ = lanes
     base, expected = many.replace(amplitude=1.0), measured(many, start)[1].least_clearance
