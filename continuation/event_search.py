@@ -298,7 +298,7 @@ def meets(points, marks, control):
         size = points.step[1:]
         ahead = along > 0
         if points.step[0] == 0:  # the first point begins the branch: a mark a rounding away is that very point
-            ahead[0] = along[0] > BEGUN
+            ahead[:1] = along[:1] > BEGUN
         for after in np.flatnonzero(ahead & (along <= size) & (aside < 0.5 * size)):
             found.append((int(after), float(along[after]), k))
     return sorted(found)

@@ -8,6 +8,7 @@ import pytest
 from continuation import arclength, branch_switching, driver, event_search, locate, newton, problem
 from continuation.linear import solve
 from continuation.problem import Given, equilibria, fixed_points, problem_of
+from continuation.rows import upto
 from tests.test_trace import KNOTS as KNOTS_SYSTEM
 from tests.test_trace import close
 
@@ -105,6 +106,7 @@ def test_marks_on_a_branch():
     points, _ = next(event_search.stretches(CIRCLE, place_of([1.0, 0.0], [0.0, 1.0]), control, given(1.0)))
     on, off = np.array([0.28, 0.96]), np.array([0.28, 0.96 + 1e-4])
     assert event_search.passes_mark(CIRCLE, points, [off], control, given(1.0)) is None
+    assert event_search.passes_mark(CIRCLE, upto(points, 1), [on], control, given(1.0)) is None
     begin = points.z[0] + 1e-15 * points.tangent[0]  # a rounding beyond where the branch begins
     assert event_search.passes_mark(CIRCLE, points, [begin], control, given(1.0))[0] > 50  # once round
     after, length = event_search.passes_mark(CIRCLE, points, [off, on], control, given(1.0))
