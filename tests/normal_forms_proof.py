@@ -30,7 +30,7 @@ from tests.reference.bends import bend
 MOST = 8  # impacts
 NEAR = 0.02  # of the speeds and flights at a point: the farthest of the points on the branches that leave it
 SURE = 1e-9  # of the parameter: a branch's points so far from where it begins are on a side of it
-LEAST = 1e-7  # a step: as short is lost in the rounding of what Newton's method is to reach
+LEAST = 1e-6  # a step: as short is lost in the rounding of what Newton's method is to reach
 DEPTH = 0.02  # of the scene's length: the root of the deepest contact
 
 
