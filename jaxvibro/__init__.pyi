@@ -22,9 +22,14 @@ from .design.fit import Combination as Combination
 from .design.fit import Fit as Fit
 from .design.fit import FitStatus as FitStatus
 from .design.fit import fit as fit
-from .design.located import Located as Located
-from .design.located import LocatedPoint as LocatedPoint
+from .design.hysteresis import Hysteresis as Hysteresis
+from .design.hysteresis import HysteresisLoop as HysteresisLoop
+from .design.hysteresis import hysteresis as hysteresis
 from .design.located import located as located
+from .design.located_orbit import LocatedOrbit as LocatedOrbit
+from .design.located_orbit import OrbitOfScene as OrbitOfScene
+from .design.located_point import Located as Located
+from .design.located_point import LocatedPoint as LocatedPoint
 from .design.margin import Margin as Margin
 from .design.margin import NearPoint as NearPoint
 from .design.margin import margin as margin

@@ -79,7 +79,11 @@ def _largest(along, zs):
 
 def _hitting(along, z, _):
     """(the largest abs x,) at one point of orbits with impacts."""
-    built, given = framed(there(along, z)), cycle_at(along, z)
+    return (of_cycle(framed(there(along, z)), cycle_at(along, z)),)
+
+
+def of_cycle(built, given):
+    """The largest abs x of a cycle with impacts."""
     found, hit = impact_equations.flights(built, given), given.sides != 0
 
     def at(time):
@@ -94,18 +98,22 @@ def _hitting(along, z, _):
         best = _highest(at, begin, stay, jnp.min(here.reach), best)
         begin = begin + stay
     best = _highest(at, begin, span, built.reach, best)
-    return (jnp.max(jnp.where(hit, best, 0.0)),)
+    return jnp.max(jnp.where(hit, best, 0.0))
 
 
 def _free(along, z, _):
-    built, found = flight(along, z)
+    return (of_flight(*flight(along, z)),)
+
+
+def of_flight(built, found):
+    """The largest abs x of the flight of a motion without impacts."""
 
     def at(time):
         free, forced, _ = flow.doubled(built.series, built.frequency, built.damping, time)
         return flow.flown((free, forced), built.force * found.cosine, built.force * found.sine, found.x, found.v)
 
     none = jnp.zeros_like(found.x)
-    return (jnp.max(_highest(at, none, found.time, built.reach, none)),)
+    return jnp.max(_highest(at, none, found.time, built.reach, none))
 
 
 def _highest(at, begin, span, reach, best):

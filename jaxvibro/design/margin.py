@@ -18,7 +18,7 @@ from ..scene.parameters import domain
 from ..scene.scene import Scene
 from ..scene.symmetry import stays_symmetric
 from .free_numbers import room_of, units_of
-from .located import solved
+from .located_point import solved
 from .nearest import nearest
 from .point_equations import mark, whole
 from .ray_end import point_at

@@ -14,7 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..scene.codes import SolutionStatus
-from .located import solved
+from .located_point import solved
 from .point_equations import PointEquations
 
 ROUNDS = 40

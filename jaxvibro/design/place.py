@@ -15,7 +15,8 @@ from ..scene import check
 from ..scene.codes import SolutionStatus
 from ..scene.scene import Scene
 from .free_numbers import room_of, units_of
-from .located import Located, located
+from .located import located
+from .located_point import Located
 
 ROUNDS = 30  # of Newton's steps
 APART = 1e-5  # units: the points of a difference

@@ -9,7 +9,8 @@ from jaxtyping import Float
 from ..scene import check
 from ..scene.codes import SolutionStatus
 from ..scene.scene import changed
-from .located import Located, located
+from .located import located
+from .located_point import Located
 
 ROUNDS, LEAST = 60, 1e-12  # of Newton's steps; one as short, in scales, is the last
 FAR = 2.0  # scales: the longest step

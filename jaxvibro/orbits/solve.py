@@ -80,7 +80,7 @@ def solve_orbits(
     rows = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in leaves], 1)
     phase = jnp.broadcast_to(phase, shape).reshape(-1)
     start = jnp.broadcast_to(start, (*shape, start.shape[-1])).reshape(-1, start.shape[-1])
-    found = _solved(asked, rows, phase, start)
+    found = solved(asked, rows, phase, start)
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
 
 
@@ -131,11 +131,11 @@ def _met(scenes, guesses, sides, periods):
 
 
 @partial(jax.jit, static_argnums=0)
-def _solved(asked, rows, phases, starts):
+def solved(asked, rows, phases, starts):
     """The `OrbitSolutions` of lanes in one axis."""
-    left, find, look = (partial(each, asked) for each in (_left, _found, _is_real))
+    zero, find, look = (partial(each, asked) for each in (left, _found, _is_real))
     find, look, measure = (
-        root(left, find, one_kernel),
+        root(zero, find, one_kernel),
         in_turn(look, one_kernel),
         smooth(partial(_measured, asked), one_kernel),
     )
@@ -157,16 +157,17 @@ def _solved(asked, rows, phases, starts):
     return jax.vmap(lane)(rows, phases, starts)
 
 
-def _cycle(asked, unknowns, phase):
+def cycle_of(asked, unknowns, phase):
+    """The `Cycle` with these times and speeds."""
     times, speeds = jnp.split(unknowns, 2)
     return Cycle(times, speeds, jnp.asarray(asked.sides), phase, jnp.asarray(float(asked.periods)))
 
 
-def _left(asked, unknowns, numbers, fixed):
+def left(asked, unknowns, numbers, fixed):
     """What is to be zero."""
     scene, (phase, _) = asked.tree.unflatten(list(numbers)), fixed
     if len(asked.sides):
-        return impact_equations.equations(framed(scene), _cycle(asked, unknowns, phase))[0]
+        return impact_equations.equations(framed(scene), cycle_of(asked, unknowns, phase))[0]
     return jnp.stack(_flown(asked, scene, phase, unknowns)[0]) - unknowns
 
 
@@ -181,9 +182,9 @@ def _found(asked, numbers, fixed):
     phase, start = fixed
     if len(asked.sides):
         scene = asked.tree.unflatten(list(numbers))
-        found = impact_equations.solved(scene, _cycle(asked, start, phase))
+        found = impact_equations.solved(scene, cycle_of(asked, start, phase))
     else:
-        function = partial(_left, asked)
+        function = partial(left, asked)
         found = newton.newton(lambda u: (function(u, numbers, fixed), jax.jacfwd(function)(u, numbers, fixed)), start)
     return found.unknowns, (found.residual, found.status.astype(numbers.dtype))
 
@@ -192,7 +193,7 @@ def _is_real(asked, numbers, phase, unknowns):
     scene = asked.tree.unflatten(list(numbers))
     built = framed(scene)
     if len(asked.sides):
-        cycle = _cycle(asked, unknowns, phase)
+        cycle = cycle_of(asked, unknowns, phase)
         return is_real(built, impact_equations.flights(built, cycle), cycle.speeds)
     return is_real(built, without_impacts(built, phase, asked.periods, *unknowns), jnp.ones_like(unknowns[:1]))
 
@@ -204,7 +205,7 @@ def _measured(asked, joined, fixed):
     if not len(asked.sides):
         _, (p00, p01, p11) = _flown(asked, scene, phase, unknowns)
         return jnp.stack([*unknowns, p00 + p11, p00 * p11 + p01 * p01])
-    built, cycle = framed(scene), _cycle(asked, unknowns, phase)
+    built, cycle = framed(scene), cycle_of(asked, unknowns, phase)
     found = impact_equations.flights(built, cycle)
     x, v = impact_equations.at(built, cycle, found, jnp.zeros(1, unknowns.dtype))
     return jnp.stack([x[0], v[0], *impact_equations.invariants(built, found, cycle.sides)])
