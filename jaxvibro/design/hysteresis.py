@@ -103,11 +103,12 @@ def hysteresis(
 
     Raises ArgumentError for points of different parameters, and what `located` does.
     """
-    ends = tuple(one if isinstance(one, Located) else located_point(one) for one in (first, last))
-    if ends[0].name != ends[1].name:
-        raise check.ArgumentError("last", f"must be of the same parameter, {ends[0].name}", ends[1].name)
-    if orbits is not None:
-        if len(orbits) != 2 or not all(isinstance(one, Orbit) for one in orbits):
-            raise check.ArgumentError("orbits", "must be two Orbits, the upper and the lower", orbits)
-        orbits = tuple(located_orbit(one, "peak") for one in orbits)
-    return Hysteresis(ends, orbits, measure)
+    begin, end = (one if isinstance(one, Located) else located_point(one) for one in (first, last))
+    if begin.name != end.name:
+        raise check.ArgumentError("last", f"must be of the same parameter, {begin.name}", end.name)
+    if orbits is None:
+        return Hysteresis((begin, end), None, measure)
+    if len(orbits) != 2 or not all(isinstance(one, Orbit) for one in orbits):
+        raise check.ArgumentError("orbits", "must be two Orbits, the upper and the lower", orbits)
+    upper, lower = (located_orbit(one, "peak") for one in orbits)
+    return Hysteresis((begin, end), (upper, lower), measure)
