@@ -50,7 +50,7 @@ BAD = [
     (
         "scen = 3",
         "scen",
-        "is not a key here, perhaps scene (scene, sweep, attractors, orbits, branch, explore, locus, margin, "
+        "is not a key here, perhaps scene (scene, sweep, attractors, orbits, branch, explore, locus, margin, fit, "
         "spectrum, basins, panels); got 3",
     ),
     (

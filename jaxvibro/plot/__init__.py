@@ -3,6 +3,7 @@
 from .basins import basins
 from .branch import branch, mark_points
 from .diagram import diagram, mark
+from .fit import fit
 from .locus import locus, region
 from .manifolds import manifold
 from .margin import margin
@@ -16,6 +17,7 @@ __all__ = [
     "basins",
     "branch",
     "diagram",
+    "fit",
     "locus",
     "manifold",
     "margin",

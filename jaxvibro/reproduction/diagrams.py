@@ -168,7 +168,7 @@ def _chaos(figure, scene, printed, low):
 
 
 def _found(file, progress):
-    found = study(file, progress)
+    found = study(file, progress=progress)
     return found, twice(found.scene, file.explore, found.diagram)
 
 

@@ -22,7 +22,7 @@ CAPTION = (
 
 def drawn(file, progress):
     """Figure 2 and its claims."""
-    found = [study(each, progress) for each in panels(file)]
+    found = [study(each, progress=progress) for each in panels(file)]
     edges = [_edges(each) for each in found]
     with styled():
         picture = _picture(found)

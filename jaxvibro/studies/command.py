@@ -19,9 +19,10 @@ MOST_WORKERS = 4  # of `paper`: each takes a gigabyte and more
 _RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
 periodic [orbits], stable and unstable; a [branch] of them is followed along a parameter, with the branches that leave
 it, or all branches are found by themselves ([explore]); a [locus] follows their special points in two parameters; a
-[margin] tells how far the nearest bifurcations of an orbit are; a scene with none of these is followed from rest. Walls
-are rigid or soft. Writes DIR/NAME.png, NAME.nc and NAME.txt, for a scene file NAME.toml, with a [locus] NAME.loci.png,
-with a [margin] NAME.margin.png. The tables [spectrum], [basins] and [panels] are for paper."""
+[margin] tells how far the nearest bifurcations of an orbit are; a [fit] which numbers made a record of impacts, a CSV
+file; a scene with none of these is followed from rest. Walls are rigid or soft. Writes DIR/NAME.png, NAME.nc and
+NAME.txt, for a scene file NAME.toml, with a [locus] NAME.loci.png, with a [margin] NAME.margin.png. The tables
+[spectrum], [basins] and [panels] are for paper."""
 _PAPER = """Recomputes figures 2 to 12 of Cheng and Xu (2007), its formulas and what it says of one wall and of walls
 that move, and judges every claim by numbers. Writes DIR/report.html, DIR/report.md and, for each NAME, NAME.json (the
 claims) and, where there are such, NAME.png and NAME.nc. What an earlier run has done is kept: an interrupted one goes

@@ -14,7 +14,9 @@ from ..branches.branch import Branch, Special
 from ..branches.branch_tree import followed
 from ..branches.diagram import Diagram
 from ..branches.explore import explore
+from ..design import fit as numbers
 from ..design.margin import Margin, margin
+from ..design.records import ImpactRecord
 from ..flight.wall_positions import fit
 from ..loci.loci import count, loci
 from ..loci.locus import Locus
@@ -38,8 +40,8 @@ class Found:
 
     swept: the Dataset of `sweep` with a dimension `leg`, of one value and a leg "rest" where no study was asked for;
     attractors, orbits: as `find_attractors` and `find_orbits` give them; branches: as `followed` does, or those of the
-    `Diagram` of `explore`, which is in diagram; loci, refused: as `loci.loci` gives them; margin: as `margin` does.
-    Each is None where the file does not ask for it.
+    `Diagram` of `explore`, which is in diagram; loci, refused: as `loci.loci` gives them; margin, fit: as `margin` and
+    `fit` do; record: what was fitted. Each is None where the file does not ask for it.
     """
 
     file: SceneFile
@@ -52,6 +54,8 @@ class Found:
     loci: tuple[Locus, ...] | None = None
     refused: tuple[tuple[Special, str], ...] | None = None
     margin: Margin | None = None
+    fit: numbers.Fit | None = None
+    record: ImpactRecord | None = None
 
     @property
     def across(self) -> str | None:
@@ -98,10 +102,11 @@ class Found:
         return tuple(replace(orbits[k], mirror_of=places.get(orbits[k].mirror_of)) for k in kept)
 
 
-def study(file, progress=False):
-    """Does what a `SceneFile` asks: `Found`. progress: show bars on stderr.
+def study(file, record=None, progress=False):
+    """Does what a `SceneFile` asks: `Found`. record: the `ImpactRecord` that it names; progress: show bars on stderr.
 
-    Raises SceneError where the start of a branch settles on no orbit that can be followed.
+    Raises SceneError where the start of a branch settles on no orbit that can be followed, and where a record holds
+    less than is asked of it.
     """
     scene = file.scene.make()
     swept, attractors, orbits, branches, diagram, curves = None, None, None, None, None, (None, None)
@@ -119,9 +124,10 @@ def study(file, progress=False):
     if file.orbits is not None:
         orbits = _orbits(scene.replace(**file.orbits.at), file.orbits, progress)
     near = None if file.margin is None else _margin(scene.replace(**file.margin.at), file.margin)
-    if swept is attractors is orbits is branches is near is None:
+    fit = None if file.fit is None else _fit(scene, file.fit, record)
+    if swept is attractors is orbits is branches is near is fit is None:
         swept = _rest(scene)
-    return Found(file, scene, swept, attractors, orbits, branches, diagram, *curves, near)
+    return Found(file, scene, swept, attractors, orbits, branches, diagram, *curves, near, fit, record)
 
 
 def _legs(scene, table, progress):
@@ -207,6 +213,13 @@ def _margin(scene, table):
     except OrbitError as error:
         rule = f"must settle on an orbit that can be followed ({error})"
         raise SceneError("margin.start", rule, {"x": table.start.x, "v": table.start.v}) from None
+
+
+def _fit(scene, table, record):
+    try:
+        return numbers.fit(scene, record, table.free, table.bounds)
+    except ArgumentError as error:
+        raise SceneError(f"fit.{error.key}", error.rule, error.value, error.index) from None
 
 
 def _rest(scene):

@@ -23,6 +23,7 @@ from .sweep_periods import recurrence
 
 DOTS = 170  # per inch
 MOST = 9  # portraits
+WIDE = 6.5  # inches: a heading is as wide
 ROWS = 8  # of a legend's columns
 ROAMED = 40  # drive periods drawn of a motion that does not recur
 SAMPLES = 400  # of a drive period
@@ -121,7 +122,7 @@ def _portraits(found):
     motions = list(_motions(found))
     drawn, columns = motions[:MOST], max(1, math.isqrt(max(0, min(MOST, len(motions)) - 1)) + 1)
     rows = max(1, -(-len(drawn) // columns))
-    figure = Figure(figsize=(1 + 4.0 * columns, 0.5 + 3.7 * rows), layout="constrained")
+    figure = Figure(figsize=(max(WIDE, 1 + 4.0 * columns), 0.5 + 3.7 * rows), layout="constrained")
     for place, (draw, name) in enumerate(drawn, 1):
         ax = figure.add_subplot(rows, columns, place)
         try:
@@ -145,6 +146,8 @@ def _motions(found):
         yield partial(plot.orbit, one), title(one) + _at(found, found.file.orbits)
     if found.margin is not None:
         yield partial(plot.orbit, found.margin.orbit), title(found.margin.orbit) + _at(found, found.file.margin)
+    if found.fit is not None:
+        yield partial(plot.fit, found.fit, found.record), f"fit: {found.fit.status.name}"
     if found.swept is not None:
         n, last = int(recurrence(found.swept)[0, 0]), found.swept.isel(step=0, leg=0, period=-1)
         if n >= 0:

@@ -32,6 +32,8 @@ def table(found, name):
         parts += ["", *_loci(found)]
     if found.margin is not None:
         parts += ["", *_margin(found)]
+    if found.fit is not None:
+        parts += ["", *_fit(found)]
     return "\n".join(parts) + "\n"
 
 
@@ -148,6 +150,11 @@ def _margin(found):
     yield _meanings({kind: MEANINGS[kind] for kind in asked.kinds})
 
 
+def _fit(found):
+    yield f"numbers fitted to the {len(found.record.times)} impacts of {found.file.fit.times}"
+    yield found.fit.table()
+
+
 def _meanings(meanings):
     return ", ".join(f"{kind} {meaning}" for kind, meaning in meanings.items())
 
@@ -179,6 +186,8 @@ def summary(found, files):
         ]
     if found.margin is not None:
         told["margin"] = [_near(one) for one in found.margin.points]
+    if found.fit is not None:
+        told["fit"] = _fitted(found.fit)
     return told
 
 
@@ -265,6 +274,19 @@ def _near(one):
         "status": one.status,
         "at_bound": list(one.at_bound),
         "residual": _finite(one.residual),
+    }
+
+
+def _fitted(one):
+    return {
+        "status": one.status.name,
+        "values": one.values,
+        "sigma": {name: _finite(sigma) for name, sigma in one.sigma.items()},
+        "chi2": _finite(one.chi2),
+        "dof": one.dof,
+        "not_in_the_record": [each.shares for each in one.unidentifiable],
+        "missed": [list(each) for each in one.missed],
+        "spurious": list(one.spurious),
     }
 
 

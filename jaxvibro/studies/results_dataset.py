@@ -20,6 +20,7 @@ def dataset(found):
     parts += [_branches(found.branches), _special(found.branches)] if found.branches else []
     parts += [_loci(found.loci), _codim2(found.loci)] if found.loci else []
     parts += [_margin(found.margin)] if found.margin is not None else []
+    parts += [_fit(found.fit)] if found.fit is not None else []
     whole = xr.merge(parts, combine_attrs="drop_conflicts")
     attrs = {
         "title": "jaxvibro run",
@@ -202,6 +203,18 @@ def _margin(near):
     found["near_change"] = ("near", "free"), changes, {"long_name": "of each free number"}
     found["free_unit"] = "free", list(near.free.values()), {"long_name": "one unit of each free number"}
     return xr.Dataset(found, {"free": names})
+
+
+def _fit(one):
+    """The fitted numbers, their errors and covariance."""
+    names = list(one.values)
+    told = {
+        "fit_value": ("fitted", list(one.values.values()), {"long_name": "of each fitted number"}),
+        "fit_sigma": ("fitted", list(one.sigma.values()), {"long_name": "its standard error, inf: not in the record"}),
+        "fit_covariance": (("fitted", "other"), one.covariance.values, {"long_name": "of the fitted numbers"}),
+        "fit_residual": ("heard", one.residuals, {"long_name": "measured less fitted time, in errors", "units": ONE}),
+    }
+    return xr.Dataset(told, {"fitted": names, "other": names}, {"fit_status": one.status.name})
 
 
 def _images(found):

@@ -16,6 +16,7 @@ from ..scene.scene_table import SceneTable
 from . import report, scene_file
 from .compute import study
 from .figures import loci, margin, picture
+from .impact_file import record
 from .results_dataset import dataset
 from .schema import SceneFile
 
@@ -48,8 +49,9 @@ def run(
     force: overwrite results that are there. progress: show bars on stderr.
 
     Raises SceneError for what the file or the changes may not say, FileExistsError where a result is there already,
-    and OSError where the file cannot be read or the folder not be written to, all before any work; and SceneError
-    where the start of a [branch] turns out to settle on no orbit that can be followed, before the other studies.
+    and OSError where a file cannot be read or the folder not be written to, all before any work; and SceneError
+    where the start of a [branch] turns out to settle on no orbit that can be followed, before the other studies, or
+    where the record of a [fit] holds less than is asked of it.
     """
     began = time.perf_counter()
     path, out = Path(path), Path(out)
@@ -62,7 +64,8 @@ def run(
         endings |= more if getattr(file, name) is not None else {}
     files = {kind: out / (path.stem + ending) for kind, ending in endings.items()}
     _refuse(path, out, files.values(), force)
-    found = study(file, progress)
+    heard = None if file.fit is None else record(path.parent, file.fit)
+    found = study(file, heard, progress)
     table = report.table(found, path.name)
     contents = {"picture": picture(found), "data": netcdf(dataset(found)), "table": table.encode()}
     contents |= {kind: draw(found) for kind, draw in (("loci", loci), ("margin", margin)) if kind in files}

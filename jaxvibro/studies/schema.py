@@ -1,6 +1,6 @@
 """The tables of a scene file: what may stand in them."""
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -117,6 +117,17 @@ class MarginTable(Table, frozen=True, kw_only=True):
     seed: Seed = 0
 
 
+class FitTable(Table, frozen=True, kw_only=True):
+    """[fit]: which free numbers of the scene made a record of impacts, a CSV file beside the scene file."""
+
+    times: Name
+    sigma: float
+    free: Annotated[dict[str, float], Meta(min_length=1)]
+    bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
+    phase: float | Literal["unknown"] = 0.0
+    flawed: bool = True
+
+
 class SpectrumTable(Table, frozen=True, kw_only=True):
     """[spectrum]: both Lyapunov exponents at so many values of a parameter, each from the same start."""
 
@@ -163,6 +174,7 @@ class SceneFile(Table, frozen=True):
     explore: ExploreTable | None = None
     locus: LocusTable | None = None
     margin: MarginTable | None = None
+    fit: FitTable | None = None
     spectrum: SpectrumTable | None = None
     basins: BasinsTable | None = None
     panels: dict[str, list[float]] = field(default_factory=dict)

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from ..design.free_numbers import room_of, units_of
+from ..design.records import positive
 from ..scene import check
 from ..scene.scene import Scene, between, changed, known
 from .schema import KINDS, MOST_STATES
@@ -29,6 +30,8 @@ def checked(file):
         _check_locus(scene, file)
     if file.margin is not None:
         _check_margin(scene, file.margin)
+    if file.fit is not None:
+        _check_fit(scene, file.fit)
     if file.spectrum is not None:
         _check_spectrum(scene, file.spectrum)
     if file.basins is not None:
@@ -163,6 +166,13 @@ def _check_margin(scene, asked):
         units = units_of(scene, asked.free)
         room_of(scene, units, asked.bounds)
         check.whole("directions", asked.directions, 2 * len(units))
+
+
+def _check_fit(scene, asked):
+    with _under("fit."):
+        check.require_rigid(scene, "a fit of impacts")
+        room_of(scene, units_of(scene, asked.free), asked.bounds)
+        positive("sigma", asked.sigma)
 
 
 def _check_kinds(key, kinds):

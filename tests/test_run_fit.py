@@ -1,0 +1,109 @@
+"""The table [fit] of a scene file: what a run of it tells, writes and draws."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+
+SCENES = Path(__file__).parents[1] / "scenes"
+TRUE = {
+    "damping": 0.043,
+    "left.restitution": 0.83,
+    "right.restitution": 0.71,
+    "right.position": 1.12,
+    "frequency": 1.75,
+}
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    out = tmp_path_factory.mktemp("out")
+    return jv.run(SCENES / "fit.toml", out), out
+
+
+def test_the_numbers_that_made_the_record_are_told(done):
+    ran, out = done
+    told = ran.summary["fit"]
+    assert told["status"] == "OK" and told["values"].keys() == TRUE.keys()
+    for name, value in TRUE.items():
+        assert abs(told["values"][name] - value) < 4.0 * told["sigma"][name], name
+    assert [side for _, side in told["missed"]] == [-1, -1, -1]
+    assert [time for time, _ in told["missed"]] == pytest.approx([5.4226, 23.4292, 41.4270], abs=2e-2)
+    data = jv.load_data(out / "fit.nc")
+    assert data["fitted"].values.tolist() == list(TRUE) and data.sizes["heard"] == 47
+    assert data["fit_value"].values.tolist() == list(told["values"].values())
+    assert np.sqrt(np.diag(data["fit_covariance"].values)) == pytest.approx(data["fit_sigma"].values)
+    assert np.sum(data["fit_residual"].values ** 2) == pytest.approx(told["chi2"])
+    assert {one.name for one in out.iterdir()} == {f"fit{end}" for end in (".png", ".nc", ".txt")}
+
+
+def test_residuals_are_drawn_at_their_impacts(done):
+    times, sides = np.loadtxt(
+        SCENES / "fit.csv", delimiter=",", skiprows=1, converters={1: lambda side: 1 if side == "right" else -1}
+    ).T
+    record = jv.ImpactRecord(times, sides, 1e-3)
+    scene = jv.load_scene(SCENES / "fit.toml")
+    scales = dict.fromkeys(TRUE, 0.1) | {"damping": 0.01, "frequency": 0.05}
+    found = jv.fit(scene, record, scales)
+    ax = jv.plot.fit(found, record)
+    drawn = {line.get_label(): line for line in ax.lines}
+    assert len(drawn["left wall"].get_xdata()) == np.sum(sides < 0)
+    assert drawn["right wall"].get_xdata().tolist() == times[sides > 0].tolist()
+    assert drawn["right wall"].get_ydata().tolist() == found.residuals[sides > 0].tolist()
+    assert drawn["missing"].get_xdata()[0] == found.missed[0][0]
+    with pytest.raises(jv.ArgumentError, match=r"^plot.fit: must be given a Fit"):
+        jv.plot.fit(record, record)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("fit.free={damping=-1.0}", r"^fit.free.damping: must be a unit, a positive number"),
+        ("fit.free={size=1.0}", r"^fit.size: "),
+        ("fit.bounds={amplitude=[0.0,1.0]}", r"^fit.bounds.amplitude: must be of a free number"),
+        ("fit.sigma=0.0", r"^fit.sigma: must be a number greater than 0"),
+        ("fit.phase='late'", r"^fit.phase: "),
+        ("fit.times=''", r"^fit.times: "),
+    ],
+)
+def test_what_may_not_stand_there_is_one_clear_error(tmp_path, change, told):
+    with pytest.raises(jv.SceneError, match=told):
+        jv.run(SCENES / "fit.toml", tmp_path, [change])
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("when,what\n1.0,left\n", r"^fit.csv, line 1: must be time,side; got .*when,what"),
+        ("", r"^fit.csv, line 1: must be time,side"),
+        ("time,side\n1.0,left\n2.0,up\n", r"^fit.csv, line 3: must have a side left, right, -1, 1, \+1; got 'up'"),
+        ("time,side\n1.0\n", r"^fit.csv, line 2: must be a time and a side"),
+        ("time,side\nsoon,left\n", r"^fit.csv, line 2: must have a time, a number; got 'soon'"),
+        ("time,side\n2.0,left\n1.0,right\n", r"^fit.csv, times.*: must be in order"),
+        ("time,side\nnan,left\n", r"^fit.csv, times"),
+        ("time,side\n1.0,left\n2.0,right\n", r"^fit.data: must hold as many numbers as are unknown, 7"),
+    ],
+)
+def test_a_record_that_cannot_be(tmp_path, text, told):
+    shutil.copy(SCENES / "fit.toml", tmp_path)
+    (tmp_path / "fit.csv").write_text(text)
+    with pytest.raises(jv.SceneError, match=told):
+        jv.run(tmp_path / "fit.toml", tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_soft_walls_are_refused(tmp_path):
+    text = (SCENES / "fit.toml").read_text().replace("restitution = 0.75", "stiffness = 100.0")
+    (tmp_path / "fit.toml").write_text(text)
+    with pytest.raises(jv.SceneError, match=r"^fit.right.stiffness: .*rigid"):
+        jv.run(tmp_path / "fit.toml", tmp_path / "out")
+
+
+def test_a_record_that_is_not_there(tmp_path):
+    shutil.copy(SCENES / "fit.toml", tmp_path)
+    with pytest.raises(FileNotFoundError):
+        jv.run(tmp_path / "fit.toml", tmp_path / "out")
