@@ -80,6 +80,42 @@ def test_a_motion_without_impacts_ends_where_it_touches_a_wall():
     assert list(point.direction.values()) == pytest.approx(normal / np.linalg.norm(normal), abs=1e-12)
 
 
+def test_a_period_doubling_that_ends_on_a_grazing_has_its_nearest_point_there():
+    """P101 near the resonant grazing, where the free flow of a drive period leaves a speed no trace: sin = 0."""
+    amplitude, frequency, place = 3.02, 1.93, 0.79
+    scene = jv.make_scene(amplitude, frequency, 0.032, 0.79, (None, place))
+    near = jv.margin(jv.find_orbit(scene, jv.State(-9.66, 9.05)), {"damping": 0.1, "right.position": 0.2})
+    (point,) = (one for one in near.points if one.kind == "PD")
+    damping = np.sqrt(1.0 - (0.5 * frequency) ** 2)
+    wall = amplitude / np.hypot(1.0 - frequency**2, 2.0 * damping * frequency)
+    assert point.edge == "an impact without speed" and point.status == "reached"
+    assert float(point.scene.damping) == pytest.approx(damping, abs=1e-12)
+    assert float(point.scene.right.position) == pytest.approx(wall, abs=1e-12)
+    assert point.distance == pytest.approx(np.hypot((damping - 0.032) / 0.1, (wall - place) / 0.2), abs=1e-11)
+    assert "ends there in an impact without speed" in near.table()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "amplitude, frequency, times",
+    [
+        (0.7233604331, 1.1749217932, (2.2598981, 4.9738107, 11.1848721)),
+        (0.7432175560, 1.1773081508, (2.6730035, 5.1108067, 11.0407840)),
+    ],
+)
+def test_the_tip_of_a_cusp_is_nearest_from_beside_it(amplitude, frequency, times):
+    """P212, from either side of the cusp that test_locus.py holds against 40 digits."""
+    scene = jv.make_scene(amplitude, frequency, 0.02, 0.9, (-1.5, 1.0))
+    found = jv.solve_orbits(scene, (np.array(times), np.array([0.73, 0.95, 1.52])), ("", "LRR"))
+    orbit = jv.find_orbit(scene, jv.State(float(found.state.x), float(found.state.v)), 2, settle=0)
+    unit = 0.01
+    (point,) = (one for one in jv.margin(orbit, {"amplitude": unit, "frequency": unit}).points if one.kind == "SN")
+    tip = 0.732811723456128, 1.180086394958394
+    assert point.edge == "a cusp" and point.status == "reached"
+    assert [float(point.scene.amplitude), float(point.scene.frequency)] == pytest.approx(tip, abs=1e-11)
+    assert point.distance == pytest.approx(np.hypot(tip[0] - amplitude, tip[1] - frequency) / unit, abs=1e-9)
+
+
 @pytest.fixture(scope="module")
 def fold_point(orbit):
     return jv.follow(orbit, "amplitude", (0.0, 3.0)).points("SN")[0]

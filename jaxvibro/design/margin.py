@@ -17,6 +17,7 @@ from ..scene.codes import SolutionStatus
 from ..scene.parameters import domain
 from ..scene.scene import Scene
 from ..scene.symmetry import stays_symmetric
+from .edge import CUSP, Edge, cusp, edges_of, nearest_on
 from .free_numbers import room_of, units_of
 from .located_point import solved
 from .nearest import nearest
@@ -30,6 +31,8 @@ MOST = 4  # starts of a kind and of touches of one wall
 ROUNDING = 1e-12  # of 1 + a number's change: so far beyond its bound it is at it
 ALIKE = 1e-6  # of 1 + the distance: two points as near are one
 SLACK = 4.0 / 1024.0  # of a way: a ray's end is so well known
+NEAR = 1e-3  # units: edges are looked for once from places as near
+APART = 0.3  # of 1 + the largest unknown: an orbit that far on from a cusp, by the cube root of `SLACK`, has passed it
 REACHED, BEHIND = "reached", "behind another"
 
 
@@ -40,7 +43,8 @@ class NearPoint:
     times, speeds, sides: of its orbit's impacts, of half the orbit at an SB; residual: the largest number left in its
     equations; slope: of the distance across the direction, 0 where it is least; status: "reached": the orbit was
     followed on the straight way there, and it is the first that it meets; "behind another": another comes before;
-    at_bound: the names of free numbers that are at a bound there."""
+    at_bound: the names of free numbers that are at a bound there; edge: what ends the boundary there, "a touch", "an
+    impact without speed", "a cusp", or nothing."""
 
     kind: str
     distance: float
@@ -54,6 +58,7 @@ class NearPoint:
     slope: float
     status: str
     at_bound: tuple[str, ...]
+    edge: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +83,7 @@ class Margin:
         rows = [("kind", "distance", *self.free, "status")]
         for one in self.points:
             status = one.status + (f", at a bound of {', '.join(one.at_bound)}" if one.at_bound else "")
+            status += f", ends there in {one.edge}" if one.edge else ""
             there = (f"{float(one.scene.parameter(name)):.9g}" for name in self.free)
             rows.append((one.kind, f"{one.distance:.9g}", *there, status))
         now = (f"{float(self.orbit.scene.parameter(name)):.9g}" for name in self.free)
@@ -140,6 +146,7 @@ def margin(
         if starts:
             break
     feet = [_foot(numbers, space, *start) for start in starts]
+    feet += _edges(numbers, space, starts, feet)
     found = [_near(orbit, tree, cycle, numbers, space, *foot) for foot in feet if foot is not None]
     found = _distinct(sorted((one for one in found if one), key=lambda one: (one.status == BEHIND, one.distance)))
     first = [next((one for one in found if one.kind == kind), None) for kind in kinds]
@@ -223,6 +230,34 @@ def _foot(numbers, space, point, unknowns, offset):
     return None
 
 
+def _edges(numbers, space, starts, feet):
+    """[(`EdgeFoot`, which numbers are at a bound)] where no nearest point was found, none of a real orbit, or one that
+    is farther than where it was looked for from."""
+    found, tried = [], []
+    for (point, unknowns, offset), here in zip(starts, feet, strict=True):
+        foot = None if here is None else here[0]
+        if foot is not None and foot.status == SolutionStatus.VIRTUAL:
+            guesses, offset = edges_of(point, foot.unknowns, numbers + foot.offset @ space.units), foot.offset
+        elif point.kind == "SN" and (foot is None or foot.distance > (1.0 + SLACK) * np.linalg.norm(offset)):
+            guesses = [cusp(point, unknowns, numbers + offset @ space.units)]
+        else:
+            continue
+        kept = space.symmetric > 0 if point.kind == "SB" else np.ones(len(offset), bool)
+        for edge, plain in guesses:
+            key = edge.kind, edge.end, edge.row, edge.wall
+            if any(key == other and np.linalg.norm(offset - there) < NEAR for other, there in tried):
+                continue
+            tried.append((key, offset))
+            end = nearest_on(edge, plain, numbers, space.units[kept], offset[kept])
+            if end is None:
+                continue
+            there = np.zeros(len(offset))
+            there[kept] = end.offset
+            if ((there >= space.low) & (there <= space.high)).all():
+                found.append((end._replace(offset=there), np.zeros(len(offset), bool)))
+    return found
+
+
 def _brought(foot, numbers, space, offset, place, limit, held):
     """(unknowns, offset) on the boundary where one number is at its bound; None where there is none."""
     rest = np.where(held, 0.0, offset)
@@ -248,7 +283,7 @@ def _near(orbit, tree, cycle, numbers, space, foot, bound):
         return None
     way = jax.device_get(rays(tree, cycle, numbers, (1.0 + SLACK) * (foot.offset @ space.units)[None]))
     status = REACHED if way.share[0] * (1.0 + SLACK) >= 1.0 - SLACK else BEHIND
-    if status == REACHED and way.end[0] == RayEnd.NONE:
+    if status == REACHED and way.end[0] == RayEnd.NONE and not _is_tip(foot, way):
         return None  # a boundary of another orbit
     names, scene, changes = space.names, orbit.scene, foot.offset * abs(space.units).max(axis=1)
     values = [float(scene.parameter(name)) + change for name, change in zip(names, changes, strict=True)]
@@ -269,7 +304,16 @@ def _near(orbit, tree, cycle, numbers, space, foot, bound):
         slope=foot.slope,
         status=status,
         at_bound=tuple(name for name, is_held in zip(names, bound, strict=True) if is_held),
+        edge=foot.point.end if isinstance(foot.point, Edge) else "",
     )
+
+
+def _is_tip(foot, way):
+    """Whether a way that went on led through a cusp, by the orbit just after it."""
+    if not isinstance(foot.point, Edge) or foot.point.end != CUSP:
+        return False
+    there = foot.unknowns[: foot.point.point.size]
+    return bool(abs(way.unknowns[0] - there).max() <= APART * (1.0 + abs(there).max()))
 
 
 def _distinct(found):

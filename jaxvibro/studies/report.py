@@ -272,6 +272,7 @@ def _near(one):
         "distance": one.distance,
         "change": one.change,
         "status": one.status,
+        "edge": one.edge,
         "at_bound": list(one.at_bound),
         "residual": _finite(one.residual),
     }

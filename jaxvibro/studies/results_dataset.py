@@ -197,6 +197,7 @@ def _margin(near):
         "kind": ("SN, PD, SB, GR", [one.kind for one in points]),
         "distance": ("from the scene, in units of the free numbers", [one.distance for one in points]),
         "status": ("reached, or behind another", [one.status for one in points]),
+        "edge": ("what ends the boundary there, if anything does", [one.edge for one in points]),
         "residual": ("largest number left in its equations", [one.residual for one in points]),
     }
     found = {f"near_{key}": ("near", np.array(each), {"long_name": meaning}) for key, (meaning, each) in told.items()}
