@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import jaxvibro as jv
 
@@ -48,7 +49,7 @@ def test_residuals_are_drawn_at_their_impacts(done):
     scene = jv.load_scene(SCENES / "fit.toml")
     scales = dict.fromkeys(TRUE, 0.1) | {"damping": 0.01, "frequency": 0.05}
     found = jv.fit(scene, record, scales)
-    ax = jv.plot.fit(found, record)
+    ax = jv.plot.fit(found, record, Figure().subplots())
     drawn = {line.get_label(): line for line in ax.lines}
     assert len(drawn["left wall"].get_xdata()) == np.sum(sides < 0)
     assert drawn["right wall"].get_xdata().tolist() == times[sides > 0].tolist()

@@ -15,10 +15,12 @@ import numpy as np
 from jaxtyping import Float
 
 from continuation.arrays import Array
+from continuation.implicit import Numbers, Unknowns
 
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from ..orbits.flight_clearance import TOUCH
+from ..orbits.impact_equations import Cycle
 from ..scene.codes import SolutionStatus
 from .point_equations import STATIC, PointEquations
 
@@ -49,11 +51,11 @@ class Edge:
         """Of the sheet."""
         return self.point.kind
 
-    def cycle_at(self, unknowns):
+    def cycle_at(self, unknowns: Unknowns) -> Cycle:
         """The `Cycle` with these unknowns."""
         return self.point.cycle_at(unknowns)
 
-    def zero(self, unknowns, numbers):
+    def zero(self, unknowns: Unknowns, numbers: Numbers) -> Float[Array, " equations"]:
         """What is to be zero in the scene with these numbers, two more than the unknowns are: the sheet's equations,
         and the edge's. unknowns: times and speeds, the null vector, the time of a touch since its flight's start."""
         point = self.point

@@ -41,7 +41,7 @@ class Hysteresis:
 
     ends: tuple[Located, Located]
     orbits: tuple[LocatedOrbit, LocatedOrbit] | None
-    measure: Callable[[OrbitOfScene], Array]
+    measure: Callable[[OrbitOfScene], Float[Array, "..."]]
 
     @property
     def name(self) -> str:
@@ -79,7 +79,7 @@ class Hysteresis:
         return HysteresisLoop(first.value, last.value, width, area, status)
 
 
-def of_peak(found: OrbitOfScene) -> Array:
+def of_peak(found: OrbitOfScene) -> Float[Array, "..."]:
     """The largest abs x of orbits."""
     return found.peak
 
@@ -89,7 +89,7 @@ def hysteresis(
     first: Special | Located,
     last: Special | Located,
     orbits: tuple[Orbit, Orbit] | None = None,
-    measure: Callable[[OrbitOfScene], Array] = of_peak,
+    measure: Callable[[OrbitOfScene], Float[Array, "..."]] = of_peak,
 ) -> Hysteresis:
     """The hysteresis between two special points of one parameter, as a function of the scene: a `Hysteresis`.
 
