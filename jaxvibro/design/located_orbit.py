@@ -58,7 +58,7 @@ class LocatedOrbit:
     def solve(self, scene: Scene) -> OrbitOfScene:
         """The `OrbitOfScene` of the scene. Raises ArgumentError for a scene with other walls."""
         found = self.along(jax.tree.map(lambda leaf: jnp.asarray(leaf)[..., None], scene))
-        return jax.tree.map(lambda leaf: leaf[..., 0, :] if leaf.ndim > len(scene.shape) + 1 else leaf[..., 0], found)
+        return jax.tree.map(lambda leaf: jnp.take(leaf, 0, len(scene.shape)), found)
 
     def along(self, scenes: Scene) -> OrbitOfScene:
         """The `OrbitOfScene`s of scenes whose last axis is a way: each is followed from the one before, the first from
@@ -79,14 +79,14 @@ def _solved(asked, start, begin, rows, phase):
     follow = jax.vmap(in_turn(partial(_followed, asked), one_kernel), (None, None, 0, None))
     unknowns, kind = follow(start, begin, lax.stop_gradient(rows), phase)
     unknowns, kind, rows = unknowns.reshape(-1, len(start)), kind.reshape(-1), rows.reshape(-1, rows.shape[-1])
+    unknowns = jnp.where((kind == LOST)[:, None], jnp.nan, unknowns)
     found = solve.solved(asked, rows, jnp.broadcast_to(phase, kind.shape), unknowns)
     status = jnp.where((kind == JUMPED) & (found.status == SolutionStatus.OK), SolutionStatus.JUMPED, found.status)
-    status = jnp.where(kind == LOST, SolutionStatus.NONE, status)
     pair = (found.times, found.speeds) if len(asked.sides) else (found.state.x[:, None], found.state.v[:, None])
     high = smooth(partial(_peak, asked), one_kernel)
     peak = jax.vmap(high, (0, None))(jnp.concatenate([*pair, rows], 1), fixed)
-    lost = jnp.where(kind == LOST, jnp.nan, 1.0)
-    told = {one.name: getattr(found, one.name) for one in fields(found)} | {"status": status, "peak": peak * lost}
+    peak = peak * jnp.where(found.status == SolutionStatus.NONE, jnp.nan, 1.0)
+    told = {one.name: getattr(found, one.name) for one in fields(found)} | {"status": status, "peak": peak}
     return OrbitOfScene(**told)
 
 

@@ -17,10 +17,11 @@ from ..scene.codes import SolutionStatus
 from ..scene.parameters import domain
 from ..scene.scene import Scene
 from ..scene.symmetry import stays_symmetric
-from .edge import CUSP, Edge, cusp, edges_of, nearest_on
+from .edge import CUSP, Edge, cusp, edges_of
 from .free_numbers import room_of, units_of
 from .located_point import solved
 from .nearest import nearest
+from .nearest_edge import nearest_on
 from .point_equations import mark, whole
 from .ray_end import point_at
 from .rays import RayEnd, rays
@@ -231,7 +232,7 @@ def _foot(numbers, space, point, unknowns, offset):
 
 
 def _edges(numbers, space, starts, feet):
-    """[(`EdgeFoot`, which numbers are at a bound)] where no nearest point was found, none of a real orbit, or one that
+    """[(`Foot`, which numbers are at a bound)] where no nearest point was found, none of a real orbit, or one that
     is farther than where it was looked for from."""
     found, tried = [], []
     for (point, unknowns, offset), here in zip(starts, feet, strict=True):
@@ -244,7 +245,7 @@ def _edges(numbers, space, starts, feet):
             continue
         kept = space.symmetric > 0 if point.kind == "SB" else np.ones(len(offset), bool)
         for edge, plain in guesses:
-            key = edge.kind, edge.end, edge.row, edge.wall
+            key = edge.kind, edge.end, int(edge.row), int(edge.wall)
             if any(key == other and np.linalg.norm(offset - there) < NEAR for other, there in tried):
                 continue
             tried.append((key, offset))

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..scene.codes import SolutionStatus
+from .edge import Edge
 from .located_point import solved
 from .point_equations import PointEquations
 
@@ -27,12 +28,13 @@ TINY = 1e-300
 
 
 class Foot(NamedTuple):
-    """A point of a boundary. point: its `PointEquations`; unknowns: of them, along the direction to it; offset: from
-    the scene, in units of each number, (free,); slope: the part of tau' across the direction, zero where it is nearest;
-    bends: eigenvalues of the distance's second derivative, positive where it is a minimum; residual: the
-    largest number left in the equations; status: a `SolutionStatus`."""
+    """A point of a boundary, or of its edge. point: its `PointEquations`, or the `Edge`; unknowns: of them, along the
+    direction to it; offset: from the scene, in units of each number, (free,); slope: the part of tau' across the
+    direction, of an edge what is left of the condition, zero where it is nearest; bends: eigenvalues of the distance's
+    second derivative, positive where it is a minimum; residual: the largest number left in the equations; status: a
+    `SolutionStatus`."""
 
-    point: PointEquations
+    point: PointEquations | Edge
     unknowns: Float[np.ndarray, " unknowns"]
     offset: Float[np.ndarray, " free"]
     slope: float

@@ -109,11 +109,12 @@ def grazing(tree, cycle, touch, value, frequency):
 
 def null_at(point, numbers):
     """The null vector of J, or what comes nearest to one, where its own impacts are in a scene with these numbers."""
-    return locate.null(np.asarray(_closed(point, jnp.asarray(numbers))))
+    return locate.null(np.asarray(closed(point, jnp.asarray(numbers))))
 
 
 @jax.jit
-def _closed(point, numbers):
+def closed(point, numbers):
+    """J, where the point's own impacts are in a scene with these numbers."""
     slopes = impact_equations.equations(framed(point.scene(numbers)), point.cycle)[1]
     return cyclic_system.dense(cyclic_system.of(slopes), CLOSING[point.kind])
 
