@@ -18,10 +18,10 @@ from .branches.peaks import peak as peak
 from .branches.peaks import peaks as peaks
 from .branches.switch import extend as extend
 from .branches.switch import switch as switch
-from .design.fit import Combination as Combination
-from .design.fit import Fit as Fit
-from .design.fit import FitStatus as FitStatus
 from .design.fit import fit as fit
+from .design.fitted import Combination as Combination
+from .design.fitted import Fit as Fit
+from .design.fitted import FitStatus as FitStatus
 from .design.hysteresis import Hysteresis as Hysteresis
 from .design.hysteresis import HysteresisLoop as HysteresisLoop
 from .design.hysteresis import hysteresis as hysteresis
@@ -37,6 +37,7 @@ from .design.place import Placement as Placement
 from .design.place import place as place
 from .design.records import ImpactRecord as ImpactRecord
 from .design.records import PointRecord as PointRecord
+from .design.records import SampleRecord as SampleRecord
 from .design.search import Search as Search
 from .design.search import search as search
 from .design.sensitivity import sensitivity as sensitivity

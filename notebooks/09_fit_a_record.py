@@ -128,3 +128,31 @@ try:
     jv.fit(calm, record, {"damping": 0.01, "restitution": 0.1, "right.position": 0.1})
 except jv.ArgumentError as error:
     print(error)
+
+# %% [markdown]
+# ## A camera in place of a microphone
+#
+# x is measured twenty times a period, and the right stop is soft: how stiff is it? The fit goes along the record and
+# flies through every contact; which samples fall into one need not be known.
+
+# %%
+soft = jv.make_scene(2.2, 1.2, 0.05, 0.7, (jv.Wall(-0.8, 0.75), jv.Wall(0.9, stiffness=45.0, damping=0.4)))
+times = 2.0 * np.pi / 1.2 / 20 * np.arange(301)
+states, _ = jv.sample(soft, jv.State(0.1, 0.6), times)
+seen = jv.SampleRecord(times, np.asarray(states.x) + NOISE * rng.normal(size=len(times)), sigma=NOISE)
+free = {"damping": 0.01, "left.restitution": 0.1, "right.stiffness": 5.0, "right.damping": 0.1}
+start = soft.replace(**{"damping": 0.055, "left.restitution": 0.7, "right.stiffness": 41.0, "right.damping": 0.35})
+fit = jv.fit(start, seen, free)
+print(fit.table())
+assert fit.status == jv.FitStatus.OK
+assert all(abs(fit.values[name] - float(soft.parameter(name))) < 4.0 * fit.sigma[name] for name in free)
+
+# %%
+figure, (above, below) = plt.subplots(2, 1, figsize=(7, 6), sharex=True, layout="constrained")
+above.plot(times, states.x, color="0.6", linewidth=0.9, label="true motion")
+above.plot(times, seen.x, ".", color="#0072B2", markersize=4, label="seen")
+above.axhline(0.9, color="black", linewidth=0.8, linestyle=(0, (4, 2)), label="soft stop")
+above.set(ylabel="x")
+above.legend(fontsize="small", loc="lower right")
+jv.plot.fit(fit, seen, below)
+keep(figure, "samples")

@@ -2,7 +2,9 @@
 
 coverage: N records of 50 impacts, transient or chaotic, noise 1e-3, from half of them 5 % of the impacts taken out; how
 often the true numbers lie within the errors told. settled: N records of P111 that have settled, five numbers free.
-chaotic: N records of 30 periods of a chaotic motion, from numbers 5 % off. points: the paper's figure 10 from N starts.
+chaotic: N records of 30 periods of a chaotic motion, from numbers 5 % off. samples: N records of x(t), 16 times in each
+of 30 periods, of motions from anywhere, a third between a soft wall and a rigid one. sections: N records of (x, v) once
+in each of 100 periods, of chaotic motions. points: the paper's figure 10 from N starts.
 """
 
 import sys
@@ -70,14 +72,15 @@ def trials(count, seed):
 def apart(fitted, one):
     """(each number's error in sigma, the squared one of all together); of a fit that does not say all the combinations
     that it says in the numbers' place; infinite where it says nothing."""
+    names = list(fitted.values)
     if fitted.status == jv.FitStatus.NONE:
-        return np.full(len(NAMES), np.inf), np.inf
-    away = np.array([fitted.values[name] - one.numbers[name] for name in NAMES])
+        return np.full(len(names), np.inf), np.inf
+    away = np.array([fitted.values[name] - one.numbers[name] for name in names])
     if fitted.unidentifiable:
-        shares = np.array([[each.shares[name] / SCALES[name] for name in NAMES] for each in fitted.identifiable])
+        shares = np.array([[each.shares[name] / SCALES[name] for name in names] for each in fitted.identifiable])
         errors = shares @ away / np.array([each.sigma for each in fitted.identifiable])
         return errors, float(errors @ errors)
-    sigma = np.array([fitted.sigma[name] for name in NAMES])
+    sigma = np.array([fitted.sigma[name] for name in names])
     return away / sigma, float(away @ np.linalg.solve(fitted.covariance.values, away))
 
 
@@ -198,6 +201,54 @@ def chaotic(count, seed=0):
     print(f"{good} of {count} converge")
 
 
+def samples(count, seed=0, often=16, periods=30, measured=1):
+    """Print of each record of samples the errors of its fit, and what part of all lies within one and three sigma."""
+    rng, each, joint, kinds, spent = np.random.default_rng(seed), [], [], {}, []
+    while len(each) < count:
+        one, start = scene(rng), jv.State(0.0, rng.uniform(-2, 2))
+        if measured == 2:
+            start, _ = jv.strobe(one, start, periods=200)
+            if not exponent(one, start) > 0.02:
+                continue
+        elif rng.uniform() < 1 / 3:
+            soft = jv.Wall(-float(rng.uniform(0.3, 1.5)), stiffness=float(rng.uniform(5, 100)), damping=0.1)
+            walls = (soft, jv.Wall(one.numbers["right.position"], one.numbers["right.restitution"]))
+            one = jv.make_scene(*(one.numbers[name] for name in ("amplitude", "frequency", "damping")), 0.8, walls)
+        times = np.arange(often * periods + 1) * 2 * np.pi / one.numbers["frequency"] / often
+        states, status = jv.sample(one, start, times)
+        if int(status):
+            continue
+        true = np.stack([states.x, states.v][:measured])
+        noisy = true + NOISE * rng.normal(size=true.shape)
+        data = jv.SampleRecord(times, noisy[0], NOISE, noisy[1] if measured == 2 else None)
+        free = {name: SCALES[name] for name in NAMES if name in one.names}
+        begun_at = one.replace(**{name: one.numbers[name] * (1.0 + OFF * rng.uniform(-1, 1)) for name in free})
+        begin = time.process_time()
+        try:
+            fitted = jv.fit(begun_at, data, free)
+        except jv.ArgumentError as error:
+            print("refused:", str(error)[:150], flush=True)
+            kinds["refused"] = kinds.get("refused", 0) + 1
+            continue
+        spent.append(time.process_time() - begin)
+        kinds[fitted.status.name] = kinds.get(fitted.status.name, 0) + 1
+        errors, square = apart(fitted, one)
+        each.append(errors)
+        joint.append(special.chdtr(len(errors), square))
+        told = f"chi2 {fitted.chi2:.1f} of {fitted.dof}, {spent[-1]:.2f} s"
+        print(fitted.status.name, np.round(errors, 2), told, flush=True)
+    size = abs(np.concatenate(each))
+    print(f"{kinds}, {np.median(spent):.2f} s at the median; of {len(size)} values within 1 sigma ", end="")
+    print(
+        f"{np.mean(size < 1):.1%}, within 3 {np.mean(size < 3):.1%}, joint 95 % {np.mean(np.array(joint) < 0.95):.1%}"
+    )
+
+
+def sections(count, seed=0):
+    """The same of sections, once a period, of chaotic motions."""
+    samples(count, seed, 1, 100, 2)
+
+
 def exponent(one, state):
     """How fast two motions part in a hundred periods, by the logarithm of their distance, a period."""
     total, away = 0.0, np.array([0.0, 1e-8])
@@ -214,4 +265,5 @@ def exponent(one, state):
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     proofs = {"coverage": coverage, "settled": settled, "chaotic": chaotic, "points": points}
+    proofs |= {"samples": samples, "sections": sections}
     proofs[sys.argv[1]](*map(int, sys.argv[2:]))

@@ -59,6 +59,33 @@ def test_residuals_are_drawn_at_their_impacts(done):
         jv.plot.fit(record, record)
 
 
+def test_samples_are_fitted_told_and_drawn(tmp_path):
+    """Of x(t) at an unknown phase: the numbers and the phase that made the file, and its residuals in order."""
+    ran = jv.run(SCENES / "fit_samples.toml", tmp_path)
+    told = ran.summary["fit"]
+    true = {"damping": 0.062, "left.restitution": 0.64, "right.restitution": 0.81, "right.position": 1.05}
+    true |= {"frequency": 1.12, "phase": 1.3}
+    assert told["status"] == "OK" and told["values"].keys() == true.keys()
+    for name, value in true.items():
+        assert abs(told["values"][name] - value) < 4.0 * told["sigma"][name] < 0.04, name
+    assert "numbers fitted to the 241 samples of fit_samples.csv" in ran.table
+    times, x = np.loadtxt(SCENES / "fit_samples.csv", delimiter=",", skiprows=1).T
+    left = jv.load_data(tmp_path / "fit_samples.nc")["fit_residual"].values
+    scene = jv.load_scene(SCENES / "fit_samples.toml").replace(
+        **{name: told["values"][name] for name in list(true)[:5]}
+    )
+    # the motion of the fit, from the state whose residuals are least, leaves what is told
+    record = jv.SampleRecord(times, x, 2e-3, phase=told["values"]["phase"])
+    found = jv.fit(scene, record, {"damping": 0.01})
+    assert found.residuals == pytest.approx(left, abs=0.2)
+    ax = jv.plot.fit(found, record, Figure().subplots())
+    drawn = {line.get_label(): line for line in ax.lines}
+    assert drawn["x"].get_xdata().tolist() == times.tolist()
+    assert drawn["x"].get_ydata().tolist() == found.residuals.tolist()
+    with pytest.raises(jv.ArgumentError, match=r"^plot.fit: must be given an ImpactRecord or a SampleRecord"):
+        jv.plot.fit(found, found)
+
+
 @pytest.mark.parametrize(
     ("change", "told"),
     [
@@ -67,7 +94,8 @@ def test_residuals_are_drawn_at_their_impacts(done):
         ("fit.bounds={amplitude=[0.0,1.0]}", r"^fit.bounds.amplitude: must be of a free number"),
         ("fit.sigma=0.0", r"^fit.sigma: must be a number greater than 0"),
         ("fit.phase='late'", r"^fit.phase: "),
-        ("fit.times=''", r"^fit.times: "),
+        ("fit.record=''", r"^fit.record: "),
+        ("fit.sigma_v=0.1", r"^fit.sigma_v: must be left out of impacts"),
     ],
 )
 def test_what_may_not_stand_there_is_one_clear_error(tmp_path, change, told):
@@ -79,14 +107,18 @@ def test_what_may_not_stand_there_is_one_clear_error(tmp_path, change, told):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("when,what\n1.0,left\n", r"^fit.csv, line 1: must be time,side; got .*when,what"),
+        ("when,what\n1.0,left\n", r"^fit.csv, line 1: must be time,side or time,x or time,x,v; got .*when,what"),
         ("", r"^fit.csv, line 1: must be time,side"),
         ("time,side\n1.0,left\n2.0,up\n", r"^fit.csv, line 3: must have a side left, right, -1, 1, \+1; got 'up'"),
-        ("time,side\n1.0\n", r"^fit.csv, line 2: must be a time and a side"),
-        ("time,side\nsoon,left\n", r"^fit.csv, line 2: must have a time, a number; got 'soon'"),
+        ("time,side\n1.0\n", r"^fit.csv, line 2: must be time, side"),
+        ("time,side\nsoon,left\n", r"^fit.csv, line 2: must have a number for time; got 'soon'"),
         ("time,side\n2.0,left\n1.0,right\n", r"^fit.csv, times.*: must be in order"),
         ("time,side\nnan,left\n", r"^fit.csv, times"),
         ("time,side\n1.0,left\n2.0,right\n", r"^fit.data: must hold as many numbers as are unknown, 7"),
+        ("time,x\n1.0,0.1\n2.0,far\n", r"^fit.csv, line 3: must have a number for x; got 'far'"),
+        ("time,x,v\n1.0,0.1\n", r"^fit.csv, line 2: must be time, x, v"),
+        ("time,x\n1.0,0.1\n1.0,0.2\n", r"^fit.csv, times.*: must be in order"),
+        ("time,x\n1.0,0.1\n2.0,0.2\n", r"^fit.data: must hold as many numbers as are unknown, 7"),
     ],
 )
 def test_a_record_that_cannot_be(tmp_path, text, told):
@@ -99,6 +131,8 @@ def test_a_record_that_cannot_be(tmp_path, text, told):
 
 def test_soft_walls_are_refused(tmp_path):
     text = (SCENES / "fit.toml").read_text().replace("restitution = 0.75", "stiffness = 100.0")
+    text = text.replace('"right.restitution" = 0.1, ', "")
+    shutil.copy(SCENES / "fit.csv", tmp_path)
     (tmp_path / "fit.toml").write_text(text)
     with pytest.raises(jv.SceneError, match=r"^fit.right.stiffness: .*rigid"):
         jv.run(tmp_path / "fit.toml", tmp_path / "out")

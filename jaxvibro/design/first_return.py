@@ -27,8 +27,8 @@ class Impact(NamedTuple):
     speed: float
 
 
-class _Wall(NamedTuple):
-    """sign; R; position; swing, rate, phase: of its cosine."""
+class WallCourse(NamedTuple):
+    """How a wall moves. sign: of its side; bounce: R; position; swing, rate, phase: of its cosine."""
 
     sign: float
     bounce: float
@@ -43,7 +43,7 @@ class Motion:
 
     def __init__(self, scene, phase, way=1):
         self.way, self.phase, self.rate = way, phase, float(scene.frequency)
-        self.walls = [_wall(scene, side, phase) for side in scene.walls]
+        self.walls = [wall_of(scene, side, phase) for side in scene.walls]
         push, damping = float(scene.amplitude), float(scene.damping)
         self.matrix = way * np.array(
             [[0, 1, 0, 0], [-1, -2 * damping, push, 0], [0, 0, 0, -self.rate], [0, 0, self.rate, 0.0]]
@@ -55,7 +55,7 @@ class Motion:
     def start(self, side, time, speed):
         """The state (x, v, cos, sin) at an impact, after it forward in time, before it backward."""
         wall = self._wall(side)
-        where, pace = _course(wall, time)
+        where, pace = course(wall, time)
         v = pace + side * speed * (-wall.bounce if self.way > 0 else 1.0)
         return np.array([where, v, np.cos(self.phase + self.rate * time), np.sin(self.phase + self.rate * time)])
 
@@ -108,7 +108,7 @@ class Motion:
 
     def _clear(self, wall, path, time):
         """(clearance, its rate along the way)."""
-        where, pace = _course(wall, time)
+        where, pace = course(wall, time)
         return wall.sign * (where - path[..., 0]), self.way * wall.sign * (pace - path[..., 1])
 
     def _passed(self, path):
@@ -171,17 +171,18 @@ class Motion:
         return Impact(wall.sign, time + self.way * since, speed)
 
 
-def _wall(scene, side, phase):
+def wall_of(scene, side, phase):
+    """The `WallCourse` of a wall, the drive at a phase at time 0."""
     wall, sign = scene.walls[side], 1.0 if side == SIDES[1] else -1.0
     swing = rate = turn = 0.0
     if wall.motion is not None:
         swing, rate = float(wall.motion.amplitude), wall.motion.harmonic * float(scene.frequency)
         turn = float(wall.motion.phase) + wall.motion.harmonic * phase
-    return _Wall(sign, float(scene.bounce(side)), float(wall.position), swing, rate, turn)
+    return WallCourse(sign, float(scene.bounce(side)), float(wall.position), swing, rate, turn)
 
 
-def _course(wall, time):
-    """A wall's position and velocity."""
+def course(wall, time):
+    """A wall's position and velocity at a time."""
     angle = wall.rate * time + wall.phase
     return wall.position + wall.swing * np.cos(angle), -wall.swing * wall.rate * np.sin(angle)
 

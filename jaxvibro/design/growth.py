@@ -166,8 +166,7 @@ def _flown(record, chain, until, count, way):
         ::way
     ]
     own, new = (by[:, :, :2], by[:, :, 2:4])[::way]
-    places = [2 * end, 2 * end + 1, *range(len(solved.spread) - free, len(solved.spread))]
-    known, moves, errors = solved.spread[np.ix_(places, places)], np.eye(2, 2 + free), []
+    known, moves, errors = solved.spread([2 * end, 2 * end + 1]), np.eye(2, 2 + free), []
     for k in range(len(found)):
         numbers = np.concatenate([np.zeros((2, 2)), by[k, :, 4:]], 1)
         moves = -np.linalg.pinv(new[k]) @ (own[k] @ moves + numbers)

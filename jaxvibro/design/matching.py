@@ -14,8 +14,9 @@ from scipy import special
 from ..scene.scene import SIDES, Scene, changed
 from . import chain_fit
 from .chain_equations import Nodes, aimed, left
-from .chain_fit import Free, Seen, Solved
+from .chain_fit import Seen
 from .first_return import Motion
+from .least_squares import Free, Solved
 
 RARE = 1e-5  # a chi2 that noise makes larger so seldom is too large
 MISSED, SPURIOUS, WRONG = 6.0, 14.0, 1e6  # what is added to chi2 for each of them, for a chain that cannot be
@@ -97,8 +98,8 @@ def _grazes(record, found, flight, side, when, deep):
     )
     by = slopes(record, pair, found.numbers)[0, 0]
     by = by[[0, 1, *range(4, 4 + count)]]
-    own = [2 * flight, 2 * flight + 1, *range(len(found.spread) - count, len(found.spread))]
-    return bool(deep <= DEEP * np.sqrt(max(by @ found.spread[np.ix_(own, own)] @ by, 0.0)))
+    known = found.spread([2 * flight, 2 * flight + 1])
+    return bool(deep <= DEEP * np.sqrt(max(by @ known @ by, 0.0)))
 
 
 def slopes(record, nodes, numbers):

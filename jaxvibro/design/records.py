@@ -26,22 +26,57 @@ class ImpactRecord:
     flawed: bool = True
 
     def __post_init__(self) -> None:
-        times, sides = _row("times", self.times), _row("sides", self.sides)
-        if times.shape != sides.shape:
-            raise check.ArgumentError("sides", f"must be one for each time, {len(times)}", len(sides))
+        times = _row("times", self.times)
+        sides = _as_long("sides", self.sides, times)
         if not np.all(np.isin(sides, (-1.0, 1.0))):
             raise check.ArgumentError("sides", "must be -1 (left) or 1 (right)", float(sides[abs(sides) != 1.0][0]))
-        late = np.flatnonzero(np.diff(times) < 0)
-        if len(late):
-            place = int(late[0]) + 1
-            raise check.ArgumentError("times", "must be in order", float(times[place]), (place,))
+        _in_order(times, np.diff(times) < 0)
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "sides", sides.astype(int))
         object.__setattr__(self, "sigma", positive("sigma", self.sigma))
-        if self.phase is not None:
-            object.__setattr__(self, "phase", float(check.number("phase", self.phase, np.float64)))
+        object.__setattr__(self, "phase", _phase(self.phase))
         if not isinstance(self.flawed, bool):
             raise check.ArgumentError("flawed", "must be True or False", self.flawed)
+
+
+@dataclass(frozen=True, eq=False)
+class SampleRecord:
+    """Samples of one motion, in order: a record of x(t), or a section. times: in t, since the drive was at `phase`,
+    (samples,); x: positions; sigma: the error of a position, one for all; v: velocities, None where they are not
+    measured; sigma_v: the error of a velocity, sigma where it is not given; phase: rad, None where it is not known. A
+    section has v, and times that are a period apart.
+
+    Raises ArgumentError for what is not finite, not in order, or of different lengths.
+    """
+
+    times: Float[np.ndarray, " samples"] | Real[ArrayLike, " samples"]
+    x: Float[np.ndarray, " samples"] | Real[ArrayLike, " samples"]
+    sigma: float
+    v: Float[np.ndarray, " samples"] | Real[ArrayLike, " samples"] | None = None
+    sigma_v: float | None = None
+    phase: float | None = 0.0
+
+    def __post_init__(self) -> None:
+        times = _row("times", self.times)
+        _in_order(times, np.diff(times) <= 0)
+        object.__setattr__(self, "times", times)
+        for key in ("x", "v"):
+            given = getattr(self, key)
+            if given is not None:
+                object.__setattr__(self, key, _as_long(key, given, times))
+        if self.v is None and self.sigma_v is not None:
+            raise check.ArgumentError("sigma_v", "must be left out where there is no v", self.sigma_v)
+        object.__setattr__(self, "sigma", positive("sigma", self.sigma))
+        if self.sigma_v is not None:
+            object.__setattr__(self, "sigma_v", positive("sigma_v", self.sigma_v))
+        object.__setattr__(self, "phase", _phase(self.phase))
+
+    @property
+    def measured(self) -> tuple[Float[np.ndarray, "samples channels"], Float[np.ndarray, " channels"]]:
+        """(what was measured, x first, (samples, 1) or (samples, 2); the errors of both)."""
+        if self.v is None:
+            return np.asarray(self.x)[:, None], np.array([self.sigma])
+        return np.stack([self.x, self.v], 1), np.array([self.sigma, self.sigma_v or self.sigma])
 
 
 def positive(key, value):
@@ -50,6 +85,23 @@ def positive(key, value):
     if found.ndim or found <= 0:
         raise check.ArgumentError(key, "must be a number greater than 0", value)
     return float(found)
+
+
+def _as_long(key, value, times):
+    found = _row(key, value)
+    if len(found) != len(times):
+        raise check.ArgumentError(key, f"must be one for each time, {len(times)}", len(found))
+    return found
+
+
+def _in_order(times, wrong):
+    if np.any(wrong):
+        place = int(np.flatnonzero(wrong)[0]) + 1
+        raise check.ArgumentError("times", "must be in order", float(times[place]), (place,))
+
+
+def _phase(value):
+    return None if value is None else float(check.number("phase", value, np.float64))
 
 
 def _row(key, value):

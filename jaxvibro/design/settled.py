@@ -1,16 +1,20 @@
-"""Whether a record of impacts is of a settled motion, which repeats: it then holds the impacts of one round alone."""
+"""Whether a record is of a settled motion, which repeats: it then holds what one round does, and no more."""
 
 import numpy as np
 from scipy import special
 
+from .records import SampleRecord
+
 LONGEST = 8  # drive periods of a round
+PLACES = 6  # of a round: as near are two times of it the same
 ROUNDS = 3  # a record of fewer is not called settled
 RARE = 1e-3  # of a settled record's noise: as rarely is it taken for a motion that still changes
 
 
-def settled(data, frequency, free):
-    """How many numbers a settled record holds; None where it is none. free: whether the frequency is, and with it the
-    period is one more; the phase's origin, where it is not known, takes none away: it is one of the unknowns."""
+def impacts_hold(data, frequency, free):
+    """How many numbers a settled record of impacts holds; None where it is none. free: whether the frequency is, and
+    with it the period is one more; the phase's origin, where it is not known, takes none away: it is one of the
+    unknowns."""
     times, sides = np.asarray(data.times), np.asarray(data.sides)
     for impacts in range(1, len(times) // ROUNDS + 1):
         if np.any(sides[impacts:] != sides[:-impacts]):
@@ -22,6 +26,23 @@ def settled(data, frequency, free):
             continue
         if _repeats(times, impacts, None if free else periods * period, data.sigma):
             return impacts + bool(free)
+    return None
+
+
+def samples_hold(data: SampleRecord, frequency: float) -> int | None:
+    """How many numbers a settled record of samples holds, those of one round; None where it is none, or its times do
+    not come round."""
+    measured, sigma = data.measured
+    for periods in range(1, LONGEST + 1):
+        turns = np.asarray(data.times) * frequency / (2.0 * np.pi * periods)
+        part = np.round((turns - turns[0]) % 1.0, PLACES) % 1.0
+        _, which, often = np.unique(part, return_inverse=True, return_counts=True)
+        if np.min(often) < ROUNDS:
+            continue
+        means = np.stack([np.bincount(which, one) / often for one in measured.T], 1)
+        left = (measured - means[which]) / sigma
+        if np.sum(left**2) <= special.chdtri(left.size - means.size, RARE):
+            return int(means.size)
     return None
 
 

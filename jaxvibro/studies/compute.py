@@ -14,9 +14,10 @@ from ..branches.branch import Branch, Special
 from ..branches.branch_tree import followed
 from ..branches.diagram import Diagram
 from ..branches.explore import explore
-from ..design import fit as numbers
+from ..design.fit import fit as fitted
+from ..design.fitted import Fit
 from ..design.margin import Margin, margin
-from ..design.records import ImpactRecord
+from ..design.records import ImpactRecord, SampleRecord
 from ..flight.wall_positions import fit
 from ..loci.loci import count, loci
 from ..loci.locus import Locus
@@ -54,8 +55,8 @@ class Found:
     loci: tuple[Locus, ...] | None = None
     refused: tuple[tuple[Special, str], ...] | None = None
     margin: Margin | None = None
-    fit: numbers.Fit | None = None
-    record: ImpactRecord | None = None
+    fit: Fit | None = None
+    record: ImpactRecord | SampleRecord | None = None
 
     @property
     def across(self) -> str | None:
@@ -103,14 +104,15 @@ class Found:
 
 
 def study(file, record=None, progress=False):
-    """Does what a `SceneFile` asks: `Found`. record: the `ImpactRecord` that it names; progress: show bars on stderr.
+    """Does what a `SceneFile` asks: `Found`. record: the one that it names; progress: show bars on stderr.
 
-    Raises SceneError where the start of a branch settles on no orbit that can be followed, and where a record holds
-    less than is asked of it.
+    Raises SceneError where the start of a branch settles on no orbit that can be followed, where a record holds less
+    than is asked of it, and where it is of impacts and a wall is soft.
     """
     scene = file.scene.make()
     swept, attractors, orbits, branches, diagram, curves = None, None, None, None, None, (None, None)
-    if file.branch is not None:  # first, as its start may turn out to be none
+    fit = None if file.fit is None else _fit(scene, file.fit, record)  # first, as what is asked may not be in a record
+    if file.branch is not None:  # and this, as its start may turn out to be none
         branches = _branches(scene.replace(**file.branch.at), file.branch, progress)
     if file.explore is not None:
         diagram = _explored(scene.replace(**file.explore.at), file.explore, progress)
@@ -124,7 +126,6 @@ def study(file, record=None, progress=False):
     if file.orbits is not None:
         orbits = _orbits(scene.replace(**file.orbits.at), file.orbits, progress)
     near = None if file.margin is None else _margin(scene.replace(**file.margin.at), file.margin)
-    fit = None if file.fit is None else _fit(scene, file.fit, record)
     if swept is attractors is orbits is branches is near is fit is None:
         swept = _rest(scene)
     return Found(file, scene, swept, attractors, orbits, branches, diagram, *curves, near, fit, record)
@@ -217,7 +218,7 @@ def _margin(scene, table):
 
 def _fit(scene, table, record):
     try:
-        return numbers.fit(scene, record, table.free, table.bounds)
+        return fitted(scene, record, table.free, table.bounds)
     except ArgumentError as error:
         raise SceneError(f"fit.{error.key}", error.rule, error.value, error.index) from None
 

@@ -7,6 +7,7 @@ import msgspec
 from .. import __version__
 from ..attractors.shares import share_text
 from ..branches.branch import MEANINGS, labels
+from ..design.records import ImpactRecord
 from ..loci.locus import MEANINGS as ON_LOCI
 from ..maps.initial_conditions import box, box_text
 from ..output.table_text import columns, pair
@@ -151,7 +152,8 @@ def _margin(found):
 
 
 def _fit(found):
-    yield f"numbers fitted to the {len(found.record.times)} impacts of {found.file.fit.times}"
+    what = "impacts" if isinstance(found.record, ImpactRecord) else "samples"
+    yield f"numbers fitted to the {len(found.record.times)} {what} of {found.file.fit.record}"
     yield found.fit.table()
 
 

@@ -213,7 +213,7 @@ def _fit(one):
         "fit_value": ("fitted", list(one.values.values()), {"long_name": "of each fitted number"}),
         "fit_sigma": ("fitted", list(one.sigma.values()), {"long_name": "its standard error, inf: not in the record"}),
         "fit_covariance": (("fitted", "other"), one.covariance.values, {"long_name": "of the fitted numbers"}),
-        "fit_residual": ("heard", one.residuals, {"long_name": "measured less fitted time, in errors", "units": ONE}),
+        "fit_residual": ("heard", one.residuals, {"long_name": "measured less fitted, in errors", "units": ONE}),
     }
     return xr.Dataset(told, {"fitted": names, "other": names}, {"fit_status": one.status.name})
 

@@ -16,7 +16,7 @@ from ..scene.scene_table import SceneTable
 from . import report, scene_file
 from .compute import study
 from .figures import loci, margin, picture
-from .impact_file import record
+from .record_file import record
 from .results_dataset import dataset
 from .schema import SceneFile
 

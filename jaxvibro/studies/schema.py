@@ -118,13 +118,14 @@ class MarginTable(Table, frozen=True, kw_only=True):
 
 
 class FitTable(Table, frozen=True, kw_only=True):
-    """[fit]: which free numbers of the scene made a record of impacts, a CSV file beside the scene file."""
+    """[fit]: which free numbers of the scene made a record of impacts or samples, a CSV file beside the scene file."""
 
-    times: Name
+    record: Name
     sigma: float
     free: Annotated[dict[str, float], Meta(min_length=1)]
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
     phase: float | Literal["unknown"] = 0.0
+    sigma_v: float | None = None
     flawed: bool = True
 
 

@@ -170,7 +170,6 @@ def _check_margin(scene, asked):
 
 def _check_fit(scene, asked):
     with _under("fit."):
-        check.require_rigid(scene, "a fit of impacts")
         room_of(scene, units_of(scene, asked.free), asked.bounds)
         positive("sigma", asked.sigma)
 
