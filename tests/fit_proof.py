@@ -2,6 +2,7 @@
 
 coverage: N records of 50 impacts, transient or chaotic, noise 1e-3, from half of them 5 % of the impacts taken out; how
 often the true numbers lie within the errors told. settled: N records of P111 that have settled, five numbers free.
+soft: as coverage, the left wall a soft one, its stiffness and damping free.
 chaotic: N records of 30 periods of a chaotic motion, from numbers 5 % off. samples: N records of x(t), 16 times in each
 of 30 periods, of motions from anywhere, a third between a soft wall and a rigid one. sections: N records of (x, v) once
 in each of 100 periods, of chaotic motions. points: the paper's figure 10 from N starts.
@@ -17,6 +18,7 @@ from scipy import special
 import jaxvibro as jv
 
 NAMES = ("damping", "left.restitution", "right.restitution", "right.position", "frequency")
+SOFT = {"left.stiffness": 5.0, "left.damping": 0.1}
 SCALES = {"damping": 0.01, "left.restitution": 0.1, "right.restitution": 0.1, "right.position": 0.1, "frequency": 0.05}
 NOISE, MISSING, IMPACTS = 1e-3, 0.05, 50
 OFF = 0.05  # of each number, at most, where a fit begins
@@ -40,9 +42,21 @@ def impacts(one, start, periods, slots):
     return np.asarray(found.time)[hit], np.asarray(found.side)[hit]
 
 
+def softened(one, rng):
+    """The scene with a soft left wall."""
+    wall = jv.Wall(-rng.uniform(0.3, 1.5), stiffness=rng.uniform(5, 100), damping=rng.uniform(0.0, 0.5))
+    right = jv.Wall(one.numbers["right.position"], one.numbers["right.restitution"])
+    return jv.make_scene(*(one.numbers[name] for name in ("amplitude", "frequency", "damping")), 0.8, (wall, right))
+
+
+def free_of(one):
+    """{name: scale} of the numbers of a scene that are not known."""
+    return {name: scale for name, scale in (SCALES | SOFT).items() if name in one.names}
+
+
 def begun(one, rng):
     """The scene where a fit begins."""
-    return one.replace(**{name: one.numbers[name] * (1.0 + OFF * rng.uniform(-1, 1)) for name in NAMES})
+    return one.replace(**{name: one.numbers[name] * (1.0 + OFF * rng.uniform(-1, 1)) for name in free_of(one)})
 
 
 def record(times, sides, rng, missing=False):
@@ -53,12 +67,12 @@ def record(times, sides, rng, missing=False):
     return jv.ImpactRecord(noisy[order], sides[~gone][order], NOISE), np.flatnonzero(gone)
 
 
-def trials(count, seed):
+def trials(count, seed, soft=False):
     """(scene, times, sides, rng) of so many records of motions that never rest, none of whose impacts are as near as
     errors."""
     rng = np.random.default_rng(seed)
     while count:
-        one = scene(rng)
+        one = softened(scene(rng), rng) if soft else scene(rng)
         times, sides = impacts(one, jv.State(0.0, rng.uniform(-2, 2)), 40, 64)
         if len(times) < IMPACTS:
             continue
@@ -77,7 +91,8 @@ def apart(fitted, one):
         return np.full(len(names), np.inf), np.inf
     away = np.array([fitted.values[name] - one.numbers[name] for name in names])
     if fitted.unidentifiable:
-        shares = np.array([[each.shares[name] / SCALES[name] for name in names] for each in fitted.identifiable])
+        scales = SCALES | SOFT
+        shares = np.array([[each.shares[name] / scales[name] for name in names] for each in fitted.identifiable])
         errors = shares @ away / np.array([each.sigma for each in fitted.identifiable])
         return errors, float(errors @ errors)
     sigma = np.array([fitted.sigma[name] for name in names])
@@ -92,15 +107,20 @@ def explained(fitted, times, gone):
     return not fitted.spurious and len(found) == len(inner) and np.allclose(found, inner, rtol=0, atol=50 * NOISE)
 
 
-def coverage(count, seed=0):
+def soft(count, seed=0):
+    """The same of scenes whose left wall is soft."""
+    coverage(count, seed, soft=True)
+
+
+def coverage(count, seed=0, soft=False):
     """Print of each trial its errors, and what part of all lies within one and three sigma, and the 95 % region. None
     is left out but settled records, which are refused."""
     each, joint, kinds, right, spent = [], [], {}, 0, []
-    for k, (one, times, sides, rng) in enumerate(trials(10**9, seed)):
+    for k, (one, times, sides, rng) in enumerate(trials(10**9, seed, soft)):
         data, gone = record(times, sides, rng, missing=k % 2 == 1)
         begin = time.process_time()
         try:
-            fitted = jv.fit(begun(one, rng), data, SCALES)
+            fitted = jv.fit(begun(one, rng), data, free_of(one))
         except jv.ArgumentError as error:
             print("refused:", str(error)[:150], flush=True)
             kinds["refused"] = kinds.get("refused", 0) + 1
@@ -211,9 +231,7 @@ def samples(count, seed=0, often=16, periods=30, measured=1):
             if not exponent(one, start) > 0.02:
                 continue
         elif rng.uniform() < 1 / 3:
-            soft = jv.Wall(-float(rng.uniform(0.3, 1.5)), stiffness=float(rng.uniform(5, 100)), damping=0.1)
-            walls = (soft, jv.Wall(one.numbers["right.position"], one.numbers["right.restitution"]))
-            one = jv.make_scene(*(one.numbers[name] for name in ("amplitude", "frequency", "damping")), 0.8, walls)
+            one = softened(one, rng)
         times = np.arange(often * periods + 1) * 2 * np.pi / one.numbers["frequency"] / often
         states, status = jv.sample(one, start, times)
         if int(status):
@@ -221,11 +239,9 @@ def samples(count, seed=0, often=16, periods=30, measured=1):
         true = np.stack([states.x, states.v][:measured])
         noisy = true + NOISE * rng.normal(size=true.shape)
         data = jv.SampleRecord(times, noisy[0], NOISE, noisy[1] if measured == 2 else None)
-        free = {name: SCALES[name] for name in NAMES if name in one.names}
-        begun_at = one.replace(**{name: one.numbers[name] * (1.0 + OFF * rng.uniform(-1, 1)) for name in free})
         begin = time.process_time()
         try:
-            fitted = jv.fit(begun_at, data, free)
+            fitted = jv.fit(begun(one, rng), data, free_of(one))
         except jv.ArgumentError as error:
             print("refused:", str(error)[:150], flush=True)
             kinds["refused"] = kinds.get("refused", 0) + 1
@@ -265,5 +281,5 @@ def exponent(one, state):
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     proofs = {"coverage": coverage, "settled": settled, "chaotic": chaotic, "points": points}
-    proofs |= {"samples": samples, "sections": sections}
+    proofs |= {"samples": samples, "sections": sections, "soft": soft}
     proofs[sys.argv[1]](*map(int, sys.argv[2:]))

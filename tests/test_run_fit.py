@@ -129,15 +129,6 @@ def test_a_record_that_cannot_be(tmp_path, text, told):
     assert not (tmp_path / "out").exists()
 
 
-def test_soft_walls_are_refused(tmp_path):
-    text = (SCENES / "fit.toml").read_text().replace("restitution = 0.75", "stiffness = 100.0")
-    text = text.replace('"right.restitution" = 0.1, ', "")
-    shutil.copy(SCENES / "fit.csv", tmp_path)
-    (tmp_path / "fit.toml").write_text(text)
-    with pytest.raises(jv.SceneError, match=r"^fit.right.stiffness: .*rigid"):
-        jv.run(tmp_path / "fit.toml", tmp_path / "out")
-
-
 def test_a_record_that_is_not_there(tmp_path):
     shutil.copy(SCENES / "fit.toml", tmp_path)
     with pytest.raises(FileNotFoundError):

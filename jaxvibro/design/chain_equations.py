@@ -19,7 +19,7 @@ from ..flight import flow
 from ..flight.coefficients import framed
 from ..flight.wall import course, picked
 from ..orbits.saltation import meeting
-from ..scene.scene import changed
+from ..scene.scene import SIDES, changed
 
 LEAST_ROWS = 64  # a chain is filled up to a power of two of rows, so that few lengths are compiled
 MOST = 8  # free numbers: derivatives are worked out by a multiple of as many, so that they share a program
@@ -66,10 +66,20 @@ def left(scene, names, nodes, numbers, phase):
 def aimed(scene, nodes, phase):
     """(speed after the node, speed before the next), (flights,) each and towards the wall's inside and outside: with
     which a flight goes from one impact's time and place to the next's. What both say of an impact's speed differs
-    where times are not those of the scene."""
-    count = len(nodes.sides)
-    after, before = (np.asarray(one) for one in _aimed(scene, *_filled(nodes)[:3], phase))
+    where times are not those of the scene. A stay within a soft wall takes half a swing, as if nothing else pulled."""
+    count, sides = len(nodes.sides), np.asarray(nodes.sides)
+    stays = sum((np.where(sides == sign, span, 0.0) for sign, span in _half_swings(scene)), 0.0 * sides)
+    given = _filled(nodes._replace(second=stays))
+    after, before = (np.asarray(one) for one in _aimed(scene, *given, phase))
     return after[: count - 1], before[: count - 1]
+
+
+def _half_swings(scene):
+    """(side, how long the mass is within) of soft walls."""
+    for side, wall in scene.walls.items():
+        if wall.soft:
+            spare = 1.0 + float(wall.stiffness) - float(scene.parameter(f"{side}.damping")) ** 2
+            yield (1.0 if side == SIDES[1] else -1.0), np.pi / np.sqrt(max(spare, 1.0))
 
 
 def _filled(nodes):
@@ -129,10 +139,10 @@ def _wall(frame, sides, cosine, sine):
 
 
 @persistent_jit
-def _aimed(scene, sides, when, first, phase):
-    frame, after = framed(scene), jnp.roll(sides, -1)
-    time = jnp.maximum(jnp.roll(first, -1) - first, 0.0)
-    cosine, sine = _turned(frame, phase, first)
+def _aimed(scene, sides, when, first, stays, phase):
+    frame, after, begin = framed(scene), jnp.roll(sides, -1), first + stays
+    time = jnp.maximum(jnp.roll(first, -1) - begin, 0.0)
+    cosine, sine = _turned(frame, phase, begin)
     x, pace = _wall(frame, sides, cosine, sine)
     free_flow, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, time)
     force = frame.force * cosine, frame.force * sine

@@ -29,16 +29,16 @@ def fit(
 ) -> Fit:
     """The numbers of a scene that made a record, with their errors: a `Fit`.
 
-    scene: where it begins, some scales off at most; data: an `ImpactRecord`, between rigid walls, a `SampleRecord` or a
-    `PointRecord`; free: {name: scale}, of the numbers that are not known, and by how much each may be off; bounds:
-    {name: (low, high)} of free numbers, by default their domains. Of a `PointRecord` a tuple of names is one number, of
-    several that have one value. The first state of a motion is never known.
+    scene: where it begins, some scales off at most; data: an `ImpactRecord`, a `SampleRecord` or a `PointRecord`; free:
+    {name: scale}, of the numbers that are not known, and by how much each may be off; bounds: {name: (low, high)} of
+    free numbers, by default their domains. Of a `PointRecord` a tuple of names is one number, of several that have one
+    value. The first state of a motion is never known. An impact on a soft wall is when the mass comes to it.
 
     Points are functions of the scene (`located`), fitted by Gauss and Newton. Impacts are explained by a chain of
     flights, each as exact as in `strobe`, samples by short shots as exact as in `sample`; where the motion is chaotic
     nothing is lost (multiple shooting; Bock 1981). Errors are those of least squares, of the linear theory.
 
-    Raises ArgumentError for impacts between soft walls, names that the scene lacks, scales that are none, bounds that
+    Raises ArgumentError for names that the scene lacks, scales that are none, bounds that
     do not hold the scene, walls that the scene lacks, and where more is unknown than the record holds: a settled record
     holds its impacts' phases alone, or its samples of one round, and its period where the frequency is free.
     """
@@ -55,7 +55,6 @@ def fit(
 
 
 def _of_impacts(scene, data, units, room):
-    check.require_rigid(scene, "a fit of impacts")
     for side in np.unique(data.sides):
         if SIDES[int(side > 0)] not in scene.walls:
             raise check.ArgumentError("data.sides", f"the scene has no {SIDES[int(side > 0)]} wall", int(side))
@@ -123,7 +122,7 @@ def _chained(record, data):
         return matched(record, data.flawed)
     found = []
     for angle in 2.0 * np.pi * np.arange(PHASES) / PHASES:
-        one = record._replace(free=record.free.from_phase([angle]))
+        one = record._replace(free=record.free.from_phase(np.array([angle])))
         head = one._replace(times=one.times[:HEAD], sides=one.sides[:HEAD], sigma=one.sigma[:HEAD])
         chain = matched(head, False)
         if chain is not None:

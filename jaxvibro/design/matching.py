@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from scipy import special
 
 from ..scene.scene import SIDES, Scene, changed
+from ..scene.soft_walls import effective_restitution
 from . import chain_fit
 from .chain_equations import Nodes, aimed, left
 from .chain_fit import Seen
@@ -132,9 +133,16 @@ def at(record, numbers):
 
 
 def bounces(scene, sides):
-    """R of the walls on sides."""
-    own = {side: float(scene.bounce(SIDES[int(side > 0)])) for side in set(sides)}
+    """R of the walls on sides, of soft ones the effective one."""
+    own = {side: _bounce(scene, SIDES[int(side > 0)]) for side in set(sides)}
     return np.array([own[side] for side in sides])
+
+
+def _bounce(scene, side):
+    wall = scene.walls[side]
+    if not wall.soft:
+        return float(scene.bounce(side))
+    return float(effective_restitution(wall.stiffness, scene.parameter(f"{side}.damping")))
 
 
 def wall_sides(scene):

@@ -106,8 +106,8 @@ class Found:
 def study(file, record=None, progress=False):
     """Does what a `SceneFile` asks: `Found`. record: the one that it names; progress: show bars on stderr.
 
-    Raises SceneError where the start of a branch settles on no orbit that can be followed, where a record holds less
-    than is asked of it, and where it is of impacts and a wall is soft.
+    Raises SceneError where the start of a branch settles on no orbit that can be followed, and where a record holds
+    less than is asked of it.
     """
     scene = file.scene.make()
     swept, attractors, orbits, branches, diagram, curves = None, None, None, None, None, (None, None)
