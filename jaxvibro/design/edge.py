@@ -52,7 +52,7 @@ class Edge:
         and the edge's. unknowns: times and speeds, the null vector, the time of a touch since its flight's start."""
         point = self.point
         size = point.size
-        more = 0 if point.null is None else len(point.null)
+        more = 0 if point.grazes else size
         sheet = jnp.concatenate([unknowns[:size], jnp.zeros(1), unknowns[size : size + more]])
         left = point.left(sheet, numbers, jnp.zeros_like(numbers))
         built, cycle = framed(point.scene(numbers)), point.cycle_at(sheet)

@@ -2,10 +2,11 @@
 
 Unknowns are the impacts' times and speeds, and how far the point is from a scene along a direction in the space of all
 its numbers: along one of its parameters, or any other. At a GR one speed is zero, and no unknown. At an
-SN, PD or SB a matrix J is singular, and its null vector is unknown too: F = 0, J v = 0, l v = 1 (Moore and Spence, SIAM
-J. Numer. Anal. 17, 567, 1980). J is the derivative of F by times and speeds, closed as the kind asks: at a PD what
-comes after the last impact is the opposite of what came before. An SB is one of half the orbit, whose other half is its
-mirror image; the scene is then taken by its symmetric part, as no other has an SB.
+SN, PD or SB a matrix J is singular, and its null vector is unknown too: F = 0, J v = 0, v v = 1 (Moore and Spence 1980,
+SIAM J. Numer. Anal. 17, 567, have l v = 1, which fails where v has turned until it is across l). J is the derivative of
+F by times and speeds, closed as the kind asks: at a PD what comes after the last impact is the opposite of what came
+before. An SB is one of half the orbit, whose other half is its mirror image; the scene is then taken by its symmetric
+part, as no other has an SB.
 """
 
 from dataclasses import dataclass, field, replace
@@ -14,10 +15,8 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
 
 from continuation import locate
-from continuation.arrays import Array
 from continuation.implicit import Numbers, Unknowns
 
 from ..flight.coefficients import framed
@@ -36,14 +35,12 @@ STATIC = {"static": True}
 @dataclass(frozen=True, eq=False)
 class PointEquations:
     """What is zero at a special point, a pytree. kind; grazes: whether the first impact is one without speed, as at a
-    GR; tree: of the scene's numbers; cycle: the impacts, of half the orbit at an SB; null: l, the null vector where the
-    point was found, None at a GR."""
+    GR; tree: of the scene's numbers; cycle: the impacts, of half the orbit at an SB."""
 
     kind: str = field(metadata=STATIC)
     grazes: bool = field(metadata=STATIC)
     tree: jax.tree_util.PyTreeDef = field(metadata=STATIC)
     cycle: Cycle
-    null: Float[Array, " speeds"] | None
 
     @property
     def size(self) -> int:
@@ -67,10 +64,10 @@ class PointEquations:
         """What is to be zero: the point is to lie so far from a scene with these numbers, along a direction of them."""
         built = framed(self.scene(numbers + unknowns[self.size] * direction))
         left, slopes = impact_equations.equations(built, self.cycle_at(unknowns))
-        if self.null is None:
+        if self.grazes:
             return left
         change = unknowns[self.size + 1 :]
-        away = jnp.sum(self.null * change) - 1.0
+        away = jnp.sum(change * change) - 1.0
         return jnp.concatenate([left, _turned(slopes, change, CLOSING[self.kind]), away[None]])
 
 
@@ -93,9 +90,9 @@ def at_point(kind, curve, z):
     tree = jax.tree.structure(scene)
     if isinstance(curve, Grazing):
         return grazing(tree, cycle, int(np.argmax(curve.pick)), z[-1], float(there(curve, z).frequency))
-    point = PointEquations(kind, False, tree, cycle, None)
+    point = PointEquations(kind, False, tree, cycle)
     null = null_at(point, jnp.stack(jax.tree.leaves(scene)))
-    return replace(point, null=null), np.concatenate([times, speeds, z[-1:], null])
+    return point, np.concatenate([times, speeds, z[-1:], null])
 
 
 def grazing(tree, cycle, touch, value, frequency):
@@ -104,7 +101,7 @@ def grazing(tree, cycle, touch, value, frequency):
     times, speeds, sides = (np.roll(each, -touch) for each in (cycle.times + late, cycle.speeds, cycle.sides))
     still = None if cycle.still is None else np.roll(cycle.still, -touch)
     cycle = cycle._replace(times=times, speeds=speeds, sides=sides, still=still)
-    return PointEquations("GR", True, tree, cycle, None), np.concatenate([times, speeds[1:], [value]])
+    return PointEquations("GR", True, tree, cycle), np.concatenate([times, speeds[1:], [value]])
 
 
 def null_at(point, numbers):

@@ -1,7 +1,5 @@
 """From what ended a ray to the equations of the special point there."""
 
-from dataclasses import replace
-
 import jax.numpy as jnp
 import numpy as np
 
@@ -24,16 +22,16 @@ def point_at(tree, cycle, numbers, end):
         return _grazing(tree, cycle, numbers, end)
     kind = "SN" if end.end == RayEnd.FOLD else "PD"
     if kind == "SN" and _is_symmetric(tree, cycle, numbers):
-        null = null_at(PointEquations("SN", False, tree, cycle, None), numbers)
+        null = null_at(PointEquations("SN", False, tree, cycle), numbers)
         halves = null.reshape(2, 2, -1)  # times and speeds, of the first half and of the second
         if np.sum(halves[:, 0] * halves[:, 1]) < 0:
             kind, half = "SB", count // 2
             parts = {"times": cycle.times[:half], "speeds": cycle.speeds[:half], "sides": cycle.sides[:half]}
             cycle = cycle._replace(**parts, periods=0.5 * cycle.periods, turn=jnp.asarray(-1.0))
-    point = PointEquations(kind, False, tree, cycle, None)
+    point = PointEquations(kind, False, tree, cycle)
     null = null_at(point, numbers)
     start = np.concatenate([np.asarray(cycle.times), np.asarray(cycle.speeds), [0.0], null])
-    return kind, replace(point, null=jnp.asarray(null)), start
+    return kind, point, start
 
 
 def _is_symmetric(tree, cycle, numbers):
