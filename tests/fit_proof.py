@@ -107,39 +107,60 @@ def explained(fitted, times, gone):
     return not fitted.spurious and len(found) == len(inner) and np.allclose(found, inner, rtol=0, atol=50 * NOISE)
 
 
+class Tally:
+    """The fits that were tried: their errors, their statuses, the time they took."""
+
+    def __init__(self):
+        self.errors, self.joint, self.kinds, self.spent = [], [], {}, []
+
+    def fitted(self, one, data, rng):
+        """The fit of a record of a scene, from numbers off its own; None where it is refused."""
+        begin = time.process_time()
+        try:
+            found = jv.fit(begun(one, rng), data, free_of(one))
+        except jv.ArgumentError as error:
+            print("refused:", str(error)[:150], flush=True)
+            self.kinds["refused"] = self.kinds.get("refused", 0) + 1
+            return None
+        self.spent.append(time.process_time() - begin)
+        self.kinds[found.status.name] = self.kinds.get(found.status.name, 0) + 1
+        errors, square = apart(found, one)
+        self.errors.append(errors)
+        self.joint.append(special.chdtr(len(errors), square))
+        told = f"{np.round(errors, 2)} chi2 {found.chi2:.1f} of {found.dof}, {self.spent[-1]:.2f} s"
+        print(found.status.name, told, end=" ")
+        return found
+
+    def told(self):
+        """What part of all errors lies within one and three sigma, and of all together in the 95 % region."""
+        size, joint = abs(np.concatenate(self.errors)), np.mean(np.array(self.joint) < 0.95)
+        print(
+            f"{self.kinds}, {np.median(self.spent):.2f} s at the median; of {len(size)} values within 1 sigma ", end=""
+        )
+        print(f"{np.mean(size < 1):.1%}, within 3 {np.mean(size < 3):.1%}, joint 95 % region {joint:.1%}")
+
+
 def soft(count, seed=0):
-    """The same of scenes whose left wall is soft."""
+    """As `coverage`, of scenes whose left wall is soft."""
     coverage(count, seed, soft=True)
 
 
 def coverage(count, seed=0, soft=False):
-    """Print of each trial its errors, and what part of all lies within one and three sigma, and the 95 % region. None
-    is left out but settled records, which are refused."""
-    each, joint, kinds, right, spent = [], [], {}, 0, []
+    """Print of each trial its errors, and how often what is missing is found. None is left out but settled records,
+    which are refused."""
+    tally, right = Tally(), 0
     for k, (one, times, sides, rng) in enumerate(trials(10**9, seed, soft)):
         data, gone = record(times, sides, rng, missing=k % 2 == 1)
-        begin = time.process_time()
-        try:
-            fitted = jv.fit(begun(one, rng), data, free_of(one))
-        except jv.ArgumentError as error:
-            print("refused:", str(error)[:150], flush=True)
-            kinds["refused"] = kinds.get("refused", 0) + 1
+        fitted = tally.fitted(one, data, rng)
+        if fitted is None:
             continue
-        spent.append(time.process_time() - begin)
-        kinds[fitted.status.name] = kinds.get(fitted.status.name, 0) + 1
-        errors, square = apart(fitted, one)
-        each.append(errors)
-        joint.append(special.chdtr(len(errors), square))
         well = explained(fitted, times, gone)
         right += well
-        told = f"{spent[-1]:.2f} s, gone {gone}, {'found' if well else fitted.missed} {fitted.spurious}"
-        print(fitted.status.name, told, np.round(errors, 2), f"chi2 {fitted.chi2:.1f} of {fitted.dof}", flush=True)
-        if len(each) == count:
+        print(f"gone {gone} {'found' if well else fitted.missed} {fitted.spurious}", flush=True)
+        if len(tally.errors) == count:
             break
-    size = abs(np.concatenate(each))
-    print(f"{kinds}; what is missing is found in {right} of {count}; {np.median(spent):.2f} s at the median")
-    print(f"of {len(size)} values within 1 sigma {np.mean(size < 1):.1%}, within 3 {np.mean(size < 3):.1%}, ", end="")
-    print(f"joint 95 % region {np.mean(np.array(joint) < 0.95):.1%}")
+    print(f"what is missing is found in {right} of {count}")
+    tally.told()
 
 
 def points(count, seed=0):
@@ -222,9 +243,9 @@ def chaotic(count, seed=0):
 
 
 def samples(count, seed=0, often=16, periods=30, measured=1):
-    """Print of each record of samples the errors of its fit, and what part of all lies within one and three sigma."""
-    rng, each, joint, kinds, spent = np.random.default_rng(seed), [], [], {}, []
-    while len(each) < count:
+    """Print of each record of samples the errors of its fit."""
+    rng, tally = np.random.default_rng(seed), Tally()
+    while len(tally.errors) < count:
         one, start = scene(rng), jv.State(0.0, rng.uniform(-2, 2))
         if measured == 2:
             start, _ = jv.strobe(one, start, periods=200)
@@ -238,26 +259,9 @@ def samples(count, seed=0, often=16, periods=30, measured=1):
             continue
         true = np.stack([states.x, states.v][:measured])
         noisy = true + NOISE * rng.normal(size=true.shape)
-        data = jv.SampleRecord(times, noisy[0], NOISE, noisy[1] if measured == 2 else None)
-        begin = time.process_time()
-        try:
-            fitted = jv.fit(begun(one, rng), data, free_of(one))
-        except jv.ArgumentError as error:
-            print("refused:", str(error)[:150], flush=True)
-            kinds["refused"] = kinds.get("refused", 0) + 1
-            continue
-        spent.append(time.process_time() - begin)
-        kinds[fitted.status.name] = kinds.get(fitted.status.name, 0) + 1
-        errors, square = apart(fitted, one)
-        each.append(errors)
-        joint.append(special.chdtr(len(errors), square))
-        told = f"chi2 {fitted.chi2:.1f} of {fitted.dof}, {spent[-1]:.2f} s"
-        print(fitted.status.name, np.round(errors, 2), told, flush=True)
-    size = abs(np.concatenate(each))
-    print(f"{kinds}, {np.median(spent):.2f} s at the median; of {len(size)} values within 1 sigma ", end="")
-    print(
-        f"{np.mean(size < 1):.1%}, within 3 {np.mean(size < 3):.1%}, joint 95 % {np.mean(np.array(joint) < 0.95):.1%}"
-    )
+        tally.fitted(one, jv.SampleRecord(times, noisy[0], NOISE, noisy[1] if measured == 2 else None), rng)
+        print(flush=True)
+    tally.told()
 
 
 def sections(count, seed=0):
