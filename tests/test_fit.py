@@ -211,7 +211,9 @@ def test_bad_records_are_refused(change, told):
 
 def test_bad_questions_are_refused():
     data, one_wall = noisy(), jv.make_scene(1.0, 1.3, 0.05, 0.8, (None, 1.0))
+    single = jv.make_scene(1.0, 1.3, 0.05, 0.8, (-1.0, 1.0), dtype=np.float32)
     for scene, free, told in [
+        (single, {"damping": 0.1}, "scene: must be in double precision; got 'float32'"),
         (CHAOTIC, {}, "free: must be"),
         (CHAOTIC, {"damping": 0.0}, "free.damping: must be a unit, a positive number"),
         (CHAOTIC, {"damping": None}, "free.damping: must be a real number"),

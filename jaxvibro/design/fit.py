@@ -38,13 +38,15 @@ def fit(
     flights, each as exact as in `strobe`, samples by short shots as exact as in `sample`; where the motion is chaotic
     nothing is lost (multiple shooting; Bock 1981). Errors are those of least squares, of the linear theory.
 
-    Raises ArgumentError for names that the scene lacks, scales that are none, bounds that
+    Raises ArgumentError for a scene in single precision, names that the scene lacks, scales that are none, bounds that
     do not hold the scene, walls that the scene lacks, and where more is unknown than the record holds: a settled record
     holds its impacts' phases alone, or its samples of one round, and its period where the frequency is free.
     """
     if not isinstance(scene, Scene):
         raise check.ArgumentError("scene", "must be a Scene", scene)
     check.require_single(scene)
+    if scene.dtype != np.float64:
+        raise check.ArgumentError("scene", "must be in double precision", np.dtype(scene.dtype).name)
     if isinstance(data, PointRecord):
         return _of_points(scene, data, free, bounds or {})
     if not isinstance(data, ImpactRecord | SampleRecord):
