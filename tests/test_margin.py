@@ -96,6 +96,26 @@ def test_a_period_doubling_that_ends_on_a_grazing_has_its_nearest_point_there():
 
 
 @pytest.mark.slow
+def test_an_end_of_a_boundary_keeps_to_the_bounds():
+    """The same with the amplitude free: the end is a line, wall = c amplitude, and the bound cuts it off."""
+    amplitude, frequency, place = 3.02, 1.93, 0.79
+    orbit = jv.find_orbit(jv.make_scene(amplitude, frequency, 0.032, 0.79, (None, place)), jv.State(-9.66, 9.05))
+    free = {"damping": 0.1, "right.position": 0.2, "amplitude": 0.5}
+    damping = np.sqrt(1.0 - (0.5 * frequency) ** 2)
+    slope = 1.0 / np.hypot(1.0 - frequency**2, 2.0 * damping * frequency)
+    best = (place * slope / 0.2**2 + amplitude / 0.5**2) / (slope**2 / 0.2**2 + 1.0 / 0.5**2)
+    limit = 0.5 * (best + amplitude)
+    within = (limit, 4.0) if best < amplitude else (2.0, limit)
+    for bounds, there in (({}, best), ({"amplitude": within}, limit)):
+        (point,) = (one for one in jv.margin(orbit, free, bounds).points if one.kind == "PD")
+        assert point.edge == "an impact without speed"
+        assert float(point.scene.amplitude) == pytest.approx(there, abs=1e-9)
+        assert float(point.scene.damping) == pytest.approx(damping, abs=1e-11)
+        assert float(point.scene.right.position) == pytest.approx(slope * there, abs=1e-11)
+        assert point.at_bound == (("amplitude",) if bounds else ())
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "amplitude, frequency, times",
     [

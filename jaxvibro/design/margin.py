@@ -207,15 +207,17 @@ def _starts(tree, cycle, numbers, space, ways, lengths, ends, kinds):
 
 
 def _foot(numbers, space, point, unknowns, offset):
-    """(the `Foot` within the bounds, which numbers are at one), None where Newton's method leads to none."""
+    """(the `Foot` within the bounds, which numbers are at one) on a boundary, or its `Edge`; None where Newton's method
+    leads to none."""
     held = np.zeros(len(offset), bool)
     if point.kind == "SB":
         held = space.symmetric == 0
+    find = nearest_on if isinstance(point, Edge) else nearest
     fixed, bound = np.where(held, 0.0, np.nan), np.zeros(len(offset), bool)
     while not held.all():
         base = numbers + np.where(held, fixed, 0.0) @ space.units
-        found = nearest(point, unknowns, base, space.units[~held], offset[~held])
-        if found.status == SolutionStatus.NONE:
+        found = find(point, unknowns, base, space.units[~held], offset[~held])
+        if found is None or found.status == SolutionStatus.NONE:
             return None
         offset = np.where(held, fixed, 0.0)
         offset[~held] = found.offset
@@ -225,6 +227,9 @@ def _foot(numbers, space, point, unknowns, offset):
             return found._replace(offset=np.clip(offset, space.low, space.high)), bound
         limit = space.high[place] if offset[place] > space.high[place] else space.low[place]
         held[place], fixed[place], bound[place] = True, limit, True
+        if isinstance(point, Edge):
+            unknowns, offset[place] = found.unknowns, limit
+            continue
         unknowns, offset = _brought(found, numbers, space, offset, place, limit, held)
         if unknowns is None:
             return None
@@ -243,19 +248,12 @@ def _edges(numbers, space, starts, feet):
             guesses = [cusp(point, unknowns, numbers + offset @ space.units)]
         else:
             continue
-        kept = space.symmetric > 0 if point.kind == "SB" else np.ones(len(offset), bool)
         for edge, plain in guesses:
             key = edge.kind, edge.end, int(edge.row), int(edge.wall)
             if any(key == other and np.linalg.norm(offset - there) < NEAR for other, there in tried):
                 continue
             tried.append((key, offset))
-            end = nearest_on(edge, plain, numbers, space.units[kept], offset[kept])
-            if end is None:
-                continue
-            there = np.zeros(len(offset))
-            there[kept] = end.offset
-            if ((there >= space.low) & (there <= space.high)).all():
-                found.append((end._replace(offset=there), np.zeros(len(offset), bool)))
+            found.append(_foot(numbers, space, edge, plain, offset))
     return found
 
 
