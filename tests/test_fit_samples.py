@@ -79,6 +79,7 @@ def test_derivatives_are_those_of_differences(velocities):
         assert abs((ends[0].residuals - ends[1].residuals) / 2e-6 - by).max() < 1e-6 / SIGMA
 
 
+@pytest.mark.slow
 def test_numbers_are_those_of_another_minimiser():
     """Of a short record: scipy's, of the distance of samples of one motion, ends at the same numbers and errors."""
     data = noisy(12, 3)
