@@ -8,16 +8,14 @@ from typing import NamedTuple
 import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
-from scipy import special
 
 from ..output.table_text import columns
 from ..scene.scene import SIDES, Scene
-from .least_squares import SHORT, Free, Solved
+from .least_squares import SHORT, Free, Solved, largest_chi2
 
 SAID = 1.0  # scales: a record that says no more than this of a combination does not say it
 INVOLVED = 0.05  # of a combination that is held: a number with as large a share has no error of its own
 SHOWN = 0.1  # of a combination, a smaller share is left out of its text
-RARE = 1e-5  # a chi2 that noise makes larger so seldom is too large
 LEAST = 1e-30  # of what is said of a combination
 
 
@@ -95,7 +93,8 @@ class Said(NamedTuple):
 
 
 def said(information) -> Said:
-    """What a record's information, a matrix, says of combinations."""
+    """What a record's information, a matrix, says of combinations; one that is no number says nothing."""
+    information = information if np.isfinite(information).all() else np.zeros_like(information)
     information, ways = np.linalg.eigh(0.5 * (information + information.T))
     errors = np.maximum(information, LEAST) ** -0.5
     return Said(errors[::-1], ways[:, ::-1], errors[::-1] > SAID)
@@ -118,7 +117,7 @@ def status(free: Free, found: Solved, about: Said, dof: int) -> FitStatus:
 
 def misfit(chi2: float, dof: int) -> FitStatus | None:
     """MISFIT where noise makes a chi2 as large too seldom."""
-    return FitStatus.MISFIT if chi2 > special.chdtri(max(1, dof), RARE) else None
+    return FitStatus.MISFIT if chi2 > largest_chi2(dof) else None
 
 
 def told(scene, names, scales, numbers, about, covariance, residuals, dof, found, missed=(), spurious=()) -> Fit:

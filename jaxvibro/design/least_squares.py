@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import sparse
+from scipy import sparse, special
 from scipy.sparse import linalg
 
 ROUNDS = 200  # of Newton's steps
@@ -19,6 +19,7 @@ SHORT = 1e-6  # of the errors: a step as short is the last
 CLOSED = 1e-3  # of that: what may be left open between nodes
 FAR = 4.0  # scales that a number may change by in a step
 HALVINGS = 8
+RARE = 1e-5  # a chi2 that noise makes larger so seldom is too large
 WEAKEST = 1e-12  # of H's first entries: what makes it regular in unknowns that nothing is known of
 
 
@@ -119,6 +120,11 @@ def solved(problem: Problem, nodes, free: Free, numbers, rounds=ROUNDS, short=SH
         if met:
             break
     return _told(now, free, met)
+
+
+def largest_chi2(dof: int) -> float:
+    """What noise makes larger too seldom."""
+    return float(special.chdtri(max(1, dof), RARE))
 
 
 def _left_open(now):

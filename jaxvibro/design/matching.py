@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy import special
 
 from ..scene.scene import SIDES, Scene, changed
 from ..scene.soft_walls import effective_restitution
@@ -17,9 +16,8 @@ from . import chain_fit
 from .chain_equations import Nodes, aimed, left
 from .chain_fit import Seen
 from .first_return import Motion
-from .least_squares import Free, Solved
+from .least_squares import Free, Solved, largest_chi2
 
-RARE = 1e-5  # a chi2 that noise makes larger so seldom is too large
 MISSED, SPURIOUS, WRONG = 6.0, 14.0, 1e6  # what is added to chi2 for each of them, for a chain that cannot be
 GRID = 24  # times of an impact that is put in
 LOW = 2  # places on a grid that are tried
@@ -114,8 +112,7 @@ def slopes(record, nodes, numbers):
 def good(record: Record, chain: Chain) -> bool:
     """Whether a chain is a motion that noise may have made the record of."""
     found = chain.solved
-    most = special.chdtri(max(1, len(found.residuals) - 2), RARE)
-    return bool(chain.cost < WRONG and found.chi2 + found.moved <= most)
+    return bool(chain.cost < WRONG and found.chi2 + found.moved <= largest_chi2(len(found.residuals) - 2))
 
 
 def _apart(times, sigma):

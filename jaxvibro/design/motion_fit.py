@@ -10,13 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
-from scipy import sparse, special
+from scipy import sparse
 
 from ..scene.scene import Scene, changed
 from . import least_squares
 from .chain_fit import told_apart
 from .first_return import course, wall_of
-from .least_squares import Felt, Free, Problem, Solved
+from .least_squares import Felt, Free, Problem, Solved, largest_chi2
 from .records import SampleRecord
 from .shots import Shots, clearances, flown, laid, passed
 
@@ -25,7 +25,7 @@ GRID, LOOKED = 128, 6  # velocities that are tried; samples that choose among th
 BEGUN, OPENINGS = 16, 4  # how many are begun with; how many are gone on with
 DRAWN, PHASES = 256, 32  # numbers within their scales; phases
 NEAR, SURE = 5.0, 10.0  # errors: so near a motion goes along a record; the record's: a state as sure is known
-RARE, LARGER = 1e-5, 3.0  # a chi2 that noise, so much larger than told, makes larger so seldom is too large
+LARGER = 3.0  # than told: errors that a record may have, while it is gone along
 LIKELY = 2.0  # standard deviations of a chi2: more than as much above its mean is looked at again
 FASTEST = 2.0  # of what the motion measured, and the drive, would have as a harmonic one
 NARROW = 0.1  # of the smallest error: as little may be left open
@@ -86,9 +86,9 @@ def _grown(samples, state, numbers):
 def _good(samples, found):
     """Whether noise, of errors that may be larger than told, may have made the record of what was found; at a grazing,
     where steps need not become short, it is as good as the last one."""
-    most = special.chdtri(max(1, len(found.residuals) - 2), RARE)
+    most = LARGER**2 * largest_chi2(len(found.residuals) - 2)
     closed = found.met or found.open <= NARROW * np.min(samples.sigma)
-    return bool(closed and found.chi2 + found.moved <= LARGER**2 * most)
+    return bool(closed and found.chi2 + found.moved <= most)
 
 
 def _dear(found, now):
@@ -100,7 +100,7 @@ def _dear(found, now):
 def _drawn(free, found):
     """Numbers that may be, those found first."""
     room, away = free.room(found.numbers), np.random.default_rng(0).normal(size=(DRAWN, len(free.names)))
-    scales, ways = np.linalg.eigh(found.covariance)
+    scales, ways = np.linalg.eigh(np.nan_to_num(found.covariance))
     away = (away * np.sqrt(np.maximum(scales, 0.0))) @ ways.T
     return found.numbers + np.concatenate([0.0 * away[:1], np.clip(away, *room)]) * free.scales
 
