@@ -1,6 +1,6 @@
 """What is told of a fit: numbers, errors, and the combinations of numbers that a record says, or does not."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
@@ -86,7 +86,7 @@ class Said(NamedTuple):
         """The projection on what is lost."""
         return self.ways[:, self.lost] @ self.ways[:, self.lost].T
 
-    def named(self, names, which=slice(None)) -> tuple[Combination, ...]:
+    def named(self, names: Sequence[str], which: slice | Bool[np.ndarray, " free"]) -> tuple[Combination, ...]:
         """Some of them as `Combination`s."""
         chosen = zip(self.errors[which], self.ways.T[which], strict=True)
         return tuple(Combination(dict(zip(names, map(float, way), strict=True)), float(error)) for error, way in chosen)

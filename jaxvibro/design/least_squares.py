@@ -6,7 +6,7 @@ system ((H, C^T), (C, 0)), H the squares' normal matrix, C the derivative of c. 
 the numbers is their covariance.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,7 +84,7 @@ class Solved(NamedTuple):
         """Of the numbers, in scales."""
         return self.spread([])
 
-    def spread(self, places) -> Float[np.ndarray, "some some"]:
+    def spread(self, places: Sequence[int]) -> Float[np.ndarray, "some some"]:
         """The covariance of some of the nodes' unknowns, and then the numbers in scales; nan where there is none."""
         chosen = np.array([*places, *range(self.inner, self.inner + len(self.numbers))])
         if self.parts is None:
