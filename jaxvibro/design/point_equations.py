@@ -67,7 +67,7 @@ class PointEquations:
         if self.grazes:
             return left
         change = unknowns[self.size + 1 :]
-        away = jnp.sum(change * change) - 1.0
+        away = sum(each * each for each in change) - 1.0  # a sum of products would be one of matrices
         return jnp.concatenate([left, _turned(slopes, change, CLOSING[self.kind]), away[None]])
 
 
