@@ -61,6 +61,7 @@ def test_a_motion_leaves_nothing_open_and_derivatives_are_those_of_differences()
     assert abs(by[6] - found.by[6, :, 2]).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_motion_goes_on_from_soft_walls_both_ways():
     """Through stays within a moving soft wall, as the kernel has it, and the chain's equations leave nothing open."""
     moving = jv.Wall(-0.7, stiffness=30.0, damping=0.2, motion=jv.Motion(0.1, 2.0, harmonic=2))

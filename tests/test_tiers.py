@@ -25,6 +25,7 @@ def test_random_scenes_end_as_by_full_steps(kind, make, most):
     assert found.given_up < most * MOST  # so that there is something to compare
 
 
+@pytest.mark.slow
 def test_what_turns_back_near_a_wall_is_given_up():
     scene, start = grazing(np.random.default_rng(6), MOST)
     found = compared(scene, start)
@@ -63,6 +64,7 @@ def test_lanes_in_strips_are_those_in_blocks(count):
         assert same(lean(*part(lanes)), jax.tree.map(lambda leaf, lanes=lanes: leaf[lanes], whole))
 
 
+@pytest.mark.slow
 def test_turning_points_are_those_of_a_motion_sampled_densely():
     """Of walls that move, and of one that does beside one that stands still; full steps lose some of these."""
     for kind in ((False, 2), (False, 3)), ((False, 0), (False, 1)):
