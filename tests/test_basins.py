@@ -43,6 +43,7 @@ QUICK = (("figure 5", 0.0),)
 SLOW = [pytest.param(name, 4.0, marks=pytest.mark.slow) for name in ("moving wall", "uneven walls")]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "phase"), [*QUICK, *SLOW])
 def test_labels_are_those_of_states_run_on_alone(name, phase):
     scene, attractors = known(name)

@@ -27,6 +27,7 @@ def values(scene):
     return [branch.points(kind)[0].value for kind in ("SN", "SB")]
 
 
+@pytest.mark.slow
 def test_the_numbers_that_made_the_values_are_found_with_their_errors(scene, points, values):
     fit = jv.fit(scene, jv.PointRecord(points, values, 1e-4), FREE)
     assert fit.status == jv.FitStatus.OK and fit.dof == 0

@@ -25,6 +25,7 @@ def test_soft_walls_against_exact_motions():
     assert errors.max() < 1
 
 
+@pytest.mark.slow
 def test_whole_periods_are_strobes_whatever_times_lie_between(scene):
     x = np.linspace(-1.1, 0.9, 5)[:, None]
     start, period = jv.State(x, np.linspace(-2, 2, 4), 0.4), 2 * np.pi / 2.1
