@@ -74,7 +74,6 @@ def test_samples_are_fitted_told_and_drawn(tmp_path):
     scene = jv.load_scene(SCENES / "fit_samples.toml").replace(
         **{name: told["values"][name] for name in list(true)[:5]}
     )
-    # the motion of the fit, from the state whose residuals are least, leaves what is told
     record = jv.SampleRecord(times, x, 2e-3, phase=told["values"]["phase"])
     found = jv.fit(scene, record, {"damping": 0.01})
     assert found.residuals == pytest.approx(left, abs=0.2)

@@ -19,10 +19,8 @@ from ..flight import flow
 from ..flight.coefficients import framed
 from ..flight.wall import course, picked
 from ..orbits.saltation import meeting
-from ..scene.scene import SIDES, changed
-
-LEAST_ROWS = 64  # a chain is filled up to a power of two of rows, so that few lengths are compiled
-MOST = 8  # free numbers: derivatives are worked out by a multiple of as many, so that they share a program
+from ..scene.scene import SIDES
+from .few_programs import filled, with_ways
 
 
 class Nodes(NamedTuple):
@@ -53,12 +51,8 @@ def left(scene, names, nodes, numbers, phase):
     count = len(nodes.sides)
     if count < 2:
         return Left(np.zeros((0, 2)), np.zeros((0, 2, 5 + len(names))))
-    there = jax.tree.map(np.asarray, changed(scene, dict(zip(names, numbers, strict=True))))
-    zero = jax.tree.map(lambda leaf: np.zeros(()), there)
-    ways = [changed(zero, {name: np.ones(())}) for name in names]
-    ways += [zero] * (-len(ways) % MOST)
-    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *ways)
-    values, by = (np.asarray(one) for one in _left(there, stacked, *_filled(nodes), np.asarray(float(phase))))
+    there, ways = with_ways(scene, names, numbers)
+    values, by = (np.asarray(one) for one in _left(there, ways, *map(filled, nodes), np.asarray(float(phase))))
     by = np.concatenate([by[: 4 + len(names)], by[-1:]])
     return Left(values[:, : count - 1].T, np.moveaxis(by[:, :, : count - 1], (0, 1, 2), (2, 1, 0)))
 
@@ -69,7 +63,7 @@ def aimed(scene, nodes, phase):
     where times are not those of the scene. A stay within a soft wall takes half a swing, as if nothing else pulled."""
     count, sides = len(nodes.sides), np.asarray(nodes.sides)
     stays = sum((np.where(sides == sign, span, 0.0) for sign, span in _half_swings(scene)), 0.0 * sides)
-    given = _filled(nodes._replace(second=stays))
+    given = map(filled, nodes._replace(second=stays))
     after, before = (np.asarray(one) for one in _aimed(scene, *given, phase))
     return after[: count - 1], before[: count - 1]
 
@@ -80,13 +74,6 @@ def _half_swings(scene):
         if wall.soft:
             spare = 1.0 + float(wall.stiffness) - float(scene.parameter(f"{side}.damping")) ** 2
             yield (1.0 if side == SIDES[1] else -1.0), np.pi / np.sqrt(max(spare, 1.0))
-
-
-def _filled(nodes):
-    rows = LEAST_ROWS
-    while rows < len(nodes.sides):
-        rows *= 2
-    return [np.pad(np.asarray(one, float), (0, rows - len(one)), mode="edge") for one in nodes]
 
 
 @persistent_jit

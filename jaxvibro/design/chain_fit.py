@@ -34,13 +34,8 @@ def solved(
     return least_squares.solved(problem, nodes, free, numbers, rounds, short)
 
 
-def told_apart(free, numbers, phase):
-    """(the names of the scene's free numbers, the drive's phase at time 0, which may be one of the numbers)."""
-    return (free.names[:-1], numbers[-1]) if free.names[-1:] == ("phase",) else (free.names, phase)
-
-
 def _felt(scene, phase, seen, free, nodes, numbers):
-    names, turned = told_apart(free, numbers, phase)
+    names, turned = free.apart(numbers, phase)
     found = left(scene, names, nodes, numbers[: len(names)], turned)
     flights, count = len(found.values), len(nodes.sides)
     own = found.by[:, :, :4].reshape(2 * flights, 4)

@@ -74,7 +74,7 @@ def _of_impacts(scene, data, units, room):
     def solved(free):
         return chain_fit.solved(scene, record.phase, about.nodes, given, free, about.numbers)
 
-    found, said = fitted.settled(about, free, solved)
+    found, said = fitted.identified(about, free, solved)
     dof = len(given.node) - 2 - int(np.sum(~said.lost))
     status = fitted.status(free, found, said, dof) if possible(record, found) else FitStatus.MISFIT
     missed = tuple((float(found.nodes.first[k]), int(found.nodes.sides[k])) for k in np.flatnonzero(chain.seen < 0))
@@ -93,9 +93,9 @@ def _of_samples(scene, data, units, room):
     free = free.from_phase(about.numbers)
 
     def solved(free):
-        return motion_fit.settled(samples, about, free)
+        return motion_fit.solved(samples, about, free)
 
-    found, said = fitted.settled(about, free, solved)
+    found, said = fitted.identified(about, free, solved)
     dof = given - 2 - int(np.sum(~said.lost))
     status = fitted.status(free, found, said, dof) if found.met else FitStatus.MISFIT
     return _told(samples.at(found.numbers)[0], free, found, said, dof, status)

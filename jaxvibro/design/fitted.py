@@ -100,7 +100,7 @@ def said(information) -> Said:
     return Said(errors[::-1], ways[:, ::-1], errors[::-1] > SAID)
 
 
-def settled(now: Solved, free: Free, solved: Callable[[Free], Solved]) -> tuple[Solved, Said]:
+def identified(now: Solved, free: Free, solved: Callable[[Free], Solved]) -> tuple[Solved, Said]:
     """(the least squares with what is lost held, and nothing else; what is said). solved: from where `now` is on."""
     first = said(np.linalg.inv(now.covariance) - free.known)
     final = free._replace(known=first.held)

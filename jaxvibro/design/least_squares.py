@@ -14,6 +14,8 @@ from jaxtyping import Float
 from scipy import sparse, special
 from scipy.sparse import linalg
 
+from ..scene.scene import Scene, changed
+
 ROUNDS = 200  # of Newton's steps
 SHORT = 1e-6  # of the errors: a step as short is the last
 CLOSED = 1e-3  # of that: what may be left open between nodes
@@ -33,6 +35,16 @@ class Free(NamedTuple):
     low: Float[np.ndarray, " free"]
     high: Float[np.ndarray, " free"]
     known: Float[np.ndarray, "free free"]
+
+    def apart(self, numbers: Float[np.ndarray, "free ..."], phase: float) -> tuple[tuple[str, ...], Any]:
+        """(the names of the scene's numbers among them, the drive's phase at time 0, which may be one of the
+        numbers)."""
+        return (self.names[:-1], numbers[-1]) if self.names[-1:] == ("phase",) else (self.names, phase)
+
+    def at(self, scene: Scene, phase: float, numbers: Float[np.ndarray, " free"]) -> tuple[Scene, float]:
+        """(the scene with these numbers, the phase)."""
+        names, phase = self.apart(numbers, phase)
+        return changed(scene, dict(zip(names, numbers[: len(names)], strict=True))), float(phase)
 
     def from_phase(self, numbers: Float[np.ndarray, " free"]) -> "Free":
         """The same begun at the phase of other numbers, where it is free."""

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..scene.scene import SIDES, Scene, changed
+from ..scene.scene import SIDES, Scene
 from ..scene.soft_walls import effective_restitution
 from . import chain_fit
 from .chain_equations import Nodes, aimed, left
@@ -104,7 +104,7 @@ def _grazes(record, found, flight, side, when, deep):
 def slopes(record, nodes, numbers):
     """How what flights leave open changes with their nodes' unknowns and the free numbers, in their scales,
     (flights, 2, 4 + free)."""
-    names, phase = chain_fit.told_apart(record.free, numbers, record.phase)
+    names, phase = record.free.apart(numbers, record.phase)
     by = left(record.scene, names, nodes, numbers[: len(names)], phase).by[:, :, : 4 + len(numbers)]
     return by * np.concatenate([np.ones(4), record.free.scales])
 
@@ -125,8 +125,7 @@ def _apart(times, sigma):
 
 def at(record, numbers):
     """(the scene with free numbers, the phase)."""
-    names, phase = chain_fit.told_apart(record.free, numbers, record.phase)
-    return changed(record.scene, dict(zip(names, numbers[: len(names)], strict=True))), float(phase)
+    return record.free.at(record.scene, record.phase, numbers)
 
 
 def bounces(scene, sides):

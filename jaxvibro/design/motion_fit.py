@@ -14,7 +14,6 @@ from scipy import sparse
 
 from ..scene.scene import Scene, changed
 from . import least_squares
-from .chain_fit import told_apart
 from .first_return import course, wall_of
 from .least_squares import Felt, Free, Problem, Solved, largest_chi2
 from .records import SampleRecord
@@ -47,8 +46,7 @@ class Samples(NamedTuple):
 
     def at(self, numbers: Float[np.ndarray, " free"]) -> tuple[Scene, float]:
         """(the scene with free numbers, the phase)."""
-        names, phase = told_apart(self.free, numbers, self.phase)
-        return changed(self.scene, dict(zip(names, numbers[: len(names)], strict=True))), float(phase)
+        return self.free.at(self.scene, self.phase, numbers)
 
 
 def samples_of(scene: Scene, data: SampleRecord, free: Free) -> Samples:
@@ -118,7 +116,7 @@ def _with(samples, found, more):
 def _onward(samples, found):
     """States of the next nodes, as the last one flies on to them, up to where it leaves the record."""
     count, channels, free = len(found.nodes), len(samples.sigma), len(found.numbers)
-    names, phase = told_apart(samples.free, found.numbers, samples.phase)
+    names, phase = samples.free.apart(found.numbers, samples.phase)
     known, state, moves = found.spread([2 * count - 2, 2 * count - 1]), found.nodes[-1], np.eye(2, 2 + free)
     states = []
     for k in range(count - 1, min(len(samples.shots.node), 2 * count) - 1):
@@ -136,7 +134,7 @@ def _onward(samples, found):
     return np.array(states)
 
 
-def settled(samples: Samples, found: Solved, free: Free) -> Solved:
+def solved(samples: Samples, found: Solved, free: Free) -> Solved:
     """The `Solved` least squares of the whole record, with other free numbers, from what was found of it."""
     return _solved(samples, found.nodes, free, found.numbers)
 
@@ -150,7 +148,7 @@ def _solved(samples, states, free, numbers, *ends):
 
 
 def _felt(samples, shots, states, numbers):
-    names, phase = told_apart(samples.free, numbers, samples.phase)
+    names, phase = samples.free.apart(numbers, samples.phase)
     found = flown(samples.scene, names, shots, states, numbers[: len(names)], phase)
     nodes, width, count, channels = len(states), found.values.shape[1], len(numbers), len(samples.sigma)
     by = found.by[..., : 2 + count] * np.append([1.0, 1.0], samples.free.scales)
@@ -219,7 +217,7 @@ def _tried(samples, numbers, which, after=None):
     reach = FASTEST * max(1.0, float(scene.frequency)) * (span[0] + abs(float(scene.amplitude)))
     speeds = measured[node, 1:] if len(span) > 1 else reach * np.linspace(-1.0, 1.0, GRID)
     rows, tried = np.repeat(numbers, len(speeds), axis=0), np.tile(speeds, len(numbers))
-    names, phases = told_apart(samples.free, rows.T, samples.phase)
+    names, phases = samples.free.apart(rows.T, samples.phase)
     scenes = changed(scene, dict(zip(names, rows.T, strict=False)))
     after = np.minimum(node + np.arange(1, LOOKED + 1) if after is None else after, len(times) - 1)
     states, begin = np.stack([np.full(len(tried), x), tried], 1), np.full(len(tried), times[node])

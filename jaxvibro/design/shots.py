@@ -14,12 +14,11 @@ from jaxtyping import Float, Int
 from continuation.persistent_jit import SOON, persistent_jit
 
 from ..maps.sample import sample
-from ..scene.scene import changed
 from ..scene.state import State
+from .few_programs import filled, with_ways
 from .first_return import course, wall_of
 
-LEAST_ROWS, LEAST_TIMES = 64, 8  # what is flown is filled up to powers of two, so that few sizes are compiled
-MOST = 8  # free numbers: derivatives are worked out by a multiple of as many, so that they share a program
+LEAST_TIMES = 8  # of a shot: more are filled up to a power of two
 FEWEST, SPAN = 4, 0.8  # times that a shot passes, within a period, or how long it is, whichever is more
 
 
@@ -80,13 +79,9 @@ def clearances(scene, phase, times, x):
 
 def flown(scene, names, shots, states, numbers, phase) -> Flown:
     """The `Flown` of shots from states (shots, 2), in a scene whose numbers of these names are others."""
-    there = jax.tree.map(np.asarray, changed(scene, dict(zip(names, numbers, strict=True))))
-    zero = jax.tree.map(lambda leaf: np.zeros(()), there)
-    ways = [changed(zero, {name: np.ones(())}) for name in names]
-    ways += [zero] * (-len(ways) % MOST)
-    stacked = jax.tree.map(lambda *leaves: np.stack(leaves), *ways)
+    there, ways = with_ways(scene, names, numbers)
     begin, since = _since(shots.times[shots.node], shots.times[shots.passed])
-    values, by = (np.asarray(one) for one in _flown(there, stacked, _rows(states), begin, since, float(phase)))
+    values, by = (np.asarray(one) for one in _flown(there, ways, filled(states), begin, since, float(phase)))
     by = np.concatenate([by[:, : 2 + len(names)], by[:, -1:]], 1)
     rows, count = shots.passed.shape
     return Flown(values[:rows, :count], np.moveaxis(by[:rows, :, :count], 1, -1))
@@ -96,26 +91,15 @@ def passed(scenes, phases, states, begin, times) -> Float[np.ndarray, "lanes tim
     """(x, v) of motions in scenes (lanes,) with the drive's phases at time 0, from states (lanes, 2) at their
     beginnings (lanes,), at times (lanes, times) from there on."""
     lanes = len(states)
-    there = jax.tree.map(lambda leaf: _rows(np.broadcast_to(leaf, lanes)), scenes)
+    there = jax.tree.map(lambda leaf: filled(np.broadcast_to(leaf, lanes)), scenes)
     begin, since = _since(begin, times)
-    found = _passed(there, _rows(states), begin, since, _rows(np.broadcast_to(phases, lanes)))
+    found = _passed(there, filled(states), begin, since, filled(np.broadcast_to(phases, lanes)))
     return np.asarray(found)[:lanes, : times.shape[1]]
 
 
 def _since(begin, times):
     """(beginnings, times since them), filled up."""
-    wide = LEAST_TIMES
-    while wide < times.shape[1]:
-        wide *= 2
-    since = np.pad(times - begin[:, None], ((0, 0), (0, wide - times.shape[1])), mode="edge")
-    return _rows(begin), _rows(since)
-
-
-def _rows(given):
-    rows = LEAST_ROWS
-    while rows < len(given):
-        rows *= 2
-    return np.pad(np.asarray(given, float), ((0, rows - len(given)), *[(0, 0)] * (np.ndim(given) - 1)), mode="edge")
+    return filled(begin), filled(filled(times - begin[:, None], LEAST_TIMES, -1))
 
 
 def _shot(scene, first, begin, since, phase):
