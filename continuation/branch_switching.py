@@ -34,3 +34,16 @@ def other(tangents, known, scale):
     """Of two tangents that which is further from a known one."""
     alike = abs((scale * scale * tangents) @ known)
     return tangents[int(np.argmin(alike))]
+
+
+def through(problem, z, scale, args, before):
+    """The unit tangent at a branch point of the branch that comes there with a tangent before it: of the two
+    `directions` the nearer. Steps have none there, as their matrix is singular; it is that before where none cross.
+    """
+    try:
+        tangents = directions(problem, z, scale, args)
+    except ValueError:
+        return before
+    alike = (scale * scale * tangents) @ before
+    nearest = int(np.argmax(abs(alike)))
+    return np.sign(alike[nearest]) * tangents[nearest]

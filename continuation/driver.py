@@ -12,6 +12,7 @@ import numpy as np
 
 from . import arclength, event_search
 from .arclength import ON, OUT, Control, Place, Point
+from .branch_switching import through
 from .points import cut_at, pointed, to_value
 from .problem import Problem
 from .rows import at, by_field, put, upto
@@ -238,6 +239,9 @@ def _inserted(task, points, events):
     placed, done = [], {}
     for shift, (kind, after, length, z, residual) in enumerate(events):
         one = pointed(task, points, after + shift, z)
+        if kind == "BP":
+            before = points.tangent[after + shift]
+            one = one._replace(tangent=through(task.problem, z, task.control.scale, task.args, before))
         points = put(points, after + shift + 1, one._replace(step=np.float64(length - done.get(after, 0.0))))
         done[after] = length
         placed.append(Mark(after + shift + 1, kind, residual))

@@ -186,6 +186,25 @@ def test_a_transcritical_crossing():
         assert close(found.u[:, 0], found.p["p"] if u else 0, 1e-12)
 
 
+KNOT = [1.0, 1.0, -18.0 * np.exp(-3.0)]  # p e^u = 9 u at u = 3
+
+
+@pytest.mark.parametrize(
+    ("system", "u", "at", "along"),
+    [
+        (PITCHFORK, [0.0], {"p": -1.0, "e": 0.0}, [0.0, 1.0]),
+        (PITCHFORK, [1.2], {"p": 1.44, "e": 0.0}, [1.0, 0.0]),
+        (TRANSCRITICAL, [-1.0], {"p": -1.0}, [1.0, 1.0]),
+        (KNOTS, [0.2, 0.2], {"p": 1.8 * np.exp(-0.2)}, KNOT),
+    ],
+)
+def test_the_tangent_at_a_crossing_is_that_of_the_branch_which_comes_there(system, u, at, along):
+    for largest in (0.1, 0.083, 0.071):
+        (point,) = co.trace(system, u, at, "p", (-2.0, 4.0), largest_step=largest).points("BP")
+        assert close(abs(point.tangent @ along) / np.linalg.norm(along), 1.0, 1e-15)
+        assert close(np.linalg.norm(point.tangent), 1.0, 1e-15)
+
+
 @pytest.mark.parametrize(("e", "largest"), [(0.1, 0.1), (0.01, 0.1), (1e-4, 0.01), (-0.1, 0.1)])
 def test_a_broken_pitchfork_has_a_fold_and_no_crossing(e, largest):
     sign = np.sign(e)
