@@ -1,5 +1,5 @@
 """What every test stands on: double precision, pictures without a screen, the same examples each time, what is compiled
-shared by the processes that run tests and those that tests start, and let go where it has grown large."""
+shared by the processes that tests start, and let go where it has grown large."""
 
 import ctypes
 import os
@@ -16,13 +16,11 @@ from . import checked_types
 LARGE = 4e9  # bytes that a process may hold: ten scenes with soft walls, each with functions of its own
 
 CACHE = {
-    "jax_compilation_cache_dir": str(Path(__file__).parents[1] / ".pytest_cache" / "jax"),
-    "jax_persistent_cache_min_compile_time_secs": 0.0,
-    "jax_persistent_cache_min_entry_size_bytes": -1,
+    "JAX_COMPILATION_CACHE_DIR": str(Path(__file__).parents[1] / ".pytest_cache" / "jax"),
+    "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0",
+    "JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES": "-1",
 }
-for name, value in CACHE.items():
-    told = os.environ.setdefault(name.upper(), str(value))  # of processes begun here
-    jax.config.update(name, type(value)(told))  # of this one, which has read its own before
+os.environ.update({name: value for name, value in CACHE.items() if name not in os.environ})  # of processes begun here
 
 jax.config.update("jax_enable_x64", True)
 checked_types.install()
