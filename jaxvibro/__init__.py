@@ -11,6 +11,7 @@ _HOMES = {
     "Wall": "scene.scene",
     "Motion": "scene.scene",
     "make_scene": "scene.scene",
+    "Force": "scene.force",
     "SceneError": "scene.check",
     "ArgumentError": "scene.check",
     "scene_from_physical": "scene.physical",

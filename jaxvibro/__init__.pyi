@@ -62,6 +62,7 @@ from .reproduction.run import paper as paper
 from .scene.check import ArgumentError as ArgumentError
 from .scene.check import SceneError as SceneError
 from .scene.codes import SolutionStatus as SolutionStatus
+from .scene.force import Force as Force
 from .scene.physical import scene_from_physical as scene_from_physical
 from .scene.scene import Motion as Motion
 from .scene.scene import Scene as Scene

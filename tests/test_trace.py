@@ -199,10 +199,9 @@ KNOT = [1.0, 1.0, -18.0 * np.exp(-3.0)]  # p e^u = 9 u at u = 3
     ],
 )
 def test_the_tangent_at_a_crossing_is_that_of_the_branch_which_comes_there(system, u, at, along):
-    for largest in (0.1, 0.083, 0.071):
-        (point,) = co.trace(system, u, at, "p", (-2.0, 4.0), largest_step=largest).points("BP")
-        assert close(abs(point.tangent @ along) / np.linalg.norm(along), 1.0, 1e-15)
-        assert close(np.linalg.norm(point.tangent), 1.0, 1e-15)
+    (point,) = co.trace(system, u, at, "p", (-2.0, 4.0)).points("BP")
+    assert close(abs(point.tangent @ along) / np.linalg.norm(along), 1.0, 1e-15)
+    assert close(np.linalg.norm(point.tangent), 1.0, 1e-15)
 
 
 @pytest.mark.parametrize(("e", "largest"), [(0.1, 0.1), (0.01, 0.1), (1e-4, 0.01), (-0.1, 0.1)])

@@ -16,7 +16,7 @@ from ..maps.initial_conditions import box
 from ..scene.codes import Status
 from ..scene.state import State
 from .batch_means import standard_error
-from .orbit_exponents import Rates, lost, shrinkage
+from .orbit_exponents import Rates, areas, lost, shrinkage
 from .recurrence import returns, settled_periods
 from .tangent import LAPS, TangentLanes, begin, run, worse
 
@@ -91,7 +91,8 @@ def of_motion(scene, start, goal, most):
     while True:
         for _ in range(chunks - len(sums)):
             before, (lanes, laps) = laps, run(scene, lanes, LAPS)
-            sums.append(np.stack([laps.growth, laps.left, laps.right, laps.count]).reshape(4, -1, BLOCK, WIDTH).sum(2))
+            rows = np.stack([laps.growth, laps.left, laps.right, laps.count, areas(scene, laps)])
+            sums.append(rows.reshape(len(rows), -1, BLOCK, WIDTH).sum(2))
             status = np.asarray(worse(status, laps.status))
         rates = _averaged(scene, np.concatenate(sums, axis=1), int(status.max()))
         periods = settled_periods(returns(laps.points), returns(before.points), LAPS, scale, dtype)
@@ -122,18 +123,18 @@ def _copies(start, scale):
 
 
 def _averaged(scene, sums, status):
-    """The `Rates` of sums of growth and impacts (left, right, all) over blocks, shape (4, blocks, copies)."""
-    growth, left, right, hits = sums
+    """The `Rates` of sums of growth, impacts (left, right, all) and `areas` over blocks, shape (5, blocks, copies)."""
+    growth, left, right, hits, area = sums
     count = growth.size * BLOCK
     if status >= Status.CAP or np.isnan(growth).any() or np.isposinf(growth).any():
         return lost(status if status else Status.NONFINITE)
-    first, both = growth.sum() / count, shrinkage(scene, left.sum(), right.sum(), count) / count
+    first, both = growth.sum() / count, shrinkage(scene, left.sum(), right.sum(), count, area.sum()) / count
     impacts = np.array([part.sum() for part in (hits, left, right)]) / count
     if np.isneginf(first):
         return Rates(np.full(2, -np.inf), np.zeros(2), impacts, 0, status, count)
     error = np.array([standard_error(growth, BLOCK), 0.0])
     if np.isfinite(both):
-        error[1] = standard_error(shrinkage(scene, left, right, BLOCK) - growth, BLOCK)
+        error[1] = standard_error(shrinkage(scene, left, right, BLOCK, area) - growth, BLOCK)
     if abs(first) < SLOWEST:
         error = np.maximum(error, 1.0 / (len(growth) * BLOCK))  # a shear alone grows like ln(time), which looks steady
     return Rates(np.array([first, both - first]), error, impacts, 0, status, count)

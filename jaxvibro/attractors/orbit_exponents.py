@@ -40,8 +40,20 @@ def lost(status):
     return Rates(none, none, np.full(3, np.nan), 0, int(status), 0)
 
 
-def shrinkage(scene, left, right, count):
-    """ln abs det M of so many periods with these impacts on each wall: numbers that broadcast."""
+def areas(scene, laps):
+    """ln abs det M of each period of some laps, by the matrices themselves; 0 where `shrinkage` knows it without."""
+    if scene.force is None:
+        return np.zeros_like(laps.growth)
+    a, b, c, d = np.moveaxis(laps.matrix, -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(abs(a * d - b * c))
+
+
+def shrinkage(scene, left, right, count, area):
+    """ln abs det M of so many periods with these impacts on each wall: numbers that broadcast. area: the sum of
+    `areas`, which it is under a force of the user's own."""
+    if scene.force is not None:
+        return area
     length = 2.0 * np.pi / np.asarray(scene.frequency)
     total = -2.0 * np.asarray(scene.damping) * length * count
     for side, hits in (("left", left), ("right", right)):
@@ -62,9 +74,10 @@ def of_orbits(scene, state, periods):
     for _ in range(ROUNDS):
         _, laps = run(scene, begin(state), LAPS)
         off = laps.points[periods - 1, np.arange(len(periods))] - np.stack([state.x, state.v], -1)
-        left, right, hits = (_until(part, periods) for part in (laps.left, laps.right, laps.count))
+        parts = laps.left, laps.right, laps.count, areas(scene, laps)
+        left, right, hits, area = (_until(part, periods) for part in parts)
         matrix, size = _product(laps.matrix, periods)
-        logs = _multiplied(matrix, size, shrinkage(scene, left, right, periods))
+        logs = _multiplied(matrix, size, shrinkage(scene, left, right, periods, area))
         away = np.nan_to_num(abs(off).max(axis=1), nan=np.inf)
         seen.append((away, logs / periods[:, None], np.stack([hits, left, right], -1), laps.status))
         state = _nearer(state, matrix, size, off)

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 
 from continuation import locate
@@ -10,6 +11,7 @@ from continuation.arclength import Control
 from continuation.event_search import pinned, tangent
 from continuation.points import start_point
 
+from ..flight.response import of_scene
 from ..orbits.orbit import Orbit, OrbitError
 from ..problem.end import End
 from ..problem.equations import problem
@@ -143,6 +145,18 @@ def asking(scene, name, bounds, length, start, first_step, largest_step, toleran
     )
 
 
+def _at_phase_0(orbit):
+    """(x, v) of an orbit without impacts when the drive is at phase 0; of any under spring and damper, as it is the
+    only one."""
+    state, frequency = orbit.state, float(orbit.scene.frequency)
+    if orbit.scene.force is None or state.phase == 0:
+        return float(state.x), float(state.v)
+    late = np.mod(-state.phase, 2.0 * np.pi) / frequency
+    numbers = (jnp.asarray(each, orbit.scene.dtype) for each in (state.x, state.v, state.phase, late))
+    x, v = of_scene(orbit.scene, *numbers)[0]
+    return float(x), float(v)
+
+
 def polish_orbit(orbit, name):
     """(`OrbitEquations`, z) of an orbit, polished at its value of the parameter. Raises OrbitError."""
     impacts, frequency = orbit.impacts, float(orbit.scene.frequency)
@@ -152,7 +166,8 @@ def polish_orbit(orbit, name):
     order = np.argsort(late)
     value = float(orbit.scene.parameter(name))
     plain = late[order], impacts.speed[order], impacts.side[order].astype(float)
-    along, z = place_orbit(orbit.scene, name, OrbitPoint(value, *plain, orbit.periods, 0.0, 0.0, 0.0))
+    begun = (0.0, 0.0) if impacts.count else _at_phase_0(orbit)
+    along, z = place_orbit(orbit.scene, name, OrbitPoint(value, *plain, orbit.periods, *begun, 0.0))
     residual = float(abs(np.asarray(locate.evaluated(problem(along), z, along)[0])).max())
     if not residual < NO_ORBIT * scene_length(orbit.scene):
         raise OrbitError("the start is no orbit", residual, "give an Orbit of find_orbit, with its own scene")

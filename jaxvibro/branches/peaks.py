@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..flight import flow, soft_contact
+from ..flight import response, soft_contact
 from ..flight.coefficients import framed
 from ..orbits import flight_clearance, impact_equations
 from ..orbits.orbit import Orbit
@@ -109,8 +109,7 @@ def of_flight(built, found):
     """The largest abs x of the flight of a motion without impacts."""
 
     def at(time):
-        free, forced, _ = flow.doubled(built.series, built.frequency, built.damping, time)
-        return flow.flown((free, forced), built.force * found.cosine, built.force * found.sine, found.x, found.v)
+        return response.after(built, found.x, found.v, found.cosine, found.sine, time)
 
     none = jnp.zeros_like(found.x)
     return jnp.max(_highest(at, none, found.time, built.reach, none))

@@ -45,6 +45,7 @@ def fit(
     if not isinstance(scene, Scene):
         raise check.ArgumentError("scene", "must be a Scene", scene)
     check.require_single(scene)
+    check.require_spring(scene, "fit")
     if scene.dtype != np.float64:
         raise check.ArgumentError("scene", "must be in double precision", np.dtype(scene.dtype).name)
     if isinstance(data, PointRecord):

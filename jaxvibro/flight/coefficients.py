@@ -8,10 +8,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..scene import check
+from ..scene.force import Force
 from ..scene.scale import swift
 from . import flow
 from .event import TERMS, weights
 from .soft_contact import SoftFlow, contact
+from .traced_force import without_rule
 from .wall import Lane, extent, lane, tail
 
 SIDES = (-1, 1)
@@ -28,7 +31,8 @@ class Frame(NamedTuple):
     rushes: bounds on the change of the press on each; gap: the walls are never nearer to each other; contacts: the
     `soft_contact.SoftFlow` within each wall, None for rigid ones.
 
-    stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`).
+    stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`). law: a force of
+    the user's own; then damping and swift are 0, and what bounds the linear flow is None.
     """
 
     force: Float[jax.Array, "..."]
@@ -52,6 +56,7 @@ class Frame(NamedTuple):
     contacts: tuple[SoftFlow | None, ...] = ()
     stiffness: Float[jax.Array, "..."] | None = None
     root: Float[jax.Array, "..."] | None = None
+    law: Force | None = None
 
     @property
     def soft(self) -> bool:
@@ -61,6 +66,8 @@ class Frame(NamedTuple):
 
 def frame(scene):
     """The `Frame` of a scene."""
+    if scene.force is not None:
+        return _of_force(scene)
     dtype = scene.dtype
     force, frequency, damping = (jnp.asarray(n, dtype) for n in (scene.amplitude, scene.frequency, scene.damping))
     given = zip(SIDES, (scene.left, scene.right), strict=True)
@@ -94,6 +101,43 @@ def frame(scene):
         rushes=tuple(tail(wall, force, frequency, damping, 1)[0] for wall in walls),
         gap=_gap(walls, force),
         contacts=tuple(contact(wall, force, frequency) for wall in walls),
+    )
+
+
+def _of_force(scene):
+    """The `Frame` of a scene with a force of the user's own."""
+    force, dtype = scene.force, scene.dtype
+    unknown = without_rule(force.function, tuple(force.numbers), np.dtype(dtype))
+    if unknown:
+        told = f"has operations of which no Taylor series is known ({', '.join(unknown)})"
+        raise check.SceneError("force", told, force.function)
+    amplitude, frequency = (jnp.asarray(number, dtype) for number in (scene.amplitude, scene.frequency))
+    given = zip(SIDES, (scene.left, scene.right), strict=True)
+    walls = tuple(lane(wall, scene, side, dtype) for side, wall in given if wall is not None)
+    fast = max((wall.harmonic for wall in walls if wall.swing is not None), default=1)
+    period, none = 2.0 * jnp.pi / frequency, jnp.zeros_like(frequency)
+    reach = flow.STEP / (frequency * fast)
+    return Frame(
+        force=amplitude,
+        frequency=frequency,
+        damping=none,
+        walls=walls,
+        period=period,
+        period_low=_remainder(frequency, period) / frequency,
+        swift=none,
+        series=None,
+        reach=reach,
+        pace=1.0 / reach,
+        weights=weights(reach),
+        size=sum((extent(wall) for wall in walls), abs(amplitude)),
+        curb=None,
+        slope=None,
+        tails=(),
+        swings=tuple(tail(wall, none, frequency, none, TERMS)[1] for wall in walls),
+        rushes=(),
+        gap=_gap(walls, amplitude),
+        contacts=(None,) * len(walls),
+        law=jax.tree.map(lambda number: jnp.asarray(number, dtype), force),
     )
 
 

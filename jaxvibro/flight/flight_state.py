@@ -12,7 +12,7 @@ import jax
 from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, stage, two_sum
-from . import flow, soft_contact
+from . import flow, force_flow, soft_contact
 from .wall import course
 
 CAPPED = -1.0
@@ -69,7 +69,12 @@ def place(frame, motion):
 
 
 def moved(frame, motion, time, touch=None):
-    """The `SlowMotion` a time later. touch: the lanes' contact, where they may be within a soft wall."""
+    """The `SlowMotion` a time later. touch: the lanes' contact, where they may be within a soft wall.
+
+    Under a force of the user's own no longer than a step.
+    """
+    if frame.law is not None:
+        return gone(frame, motion, coefficients(frame, motion), time)
     if touch is None:
         gains, more = stage(flow.gains, frame.series, frame.frequency, time), None
     else:
@@ -78,6 +83,28 @@ def moved(frame, motion, time, touch=None):
         more = stage(soft_contact.pushed, frame, touch, motion, gains, waves)
     slow = stage(_carry, frame, motion, gains, touch, more)
     return SlowMotion(*slow, *stage(flow.turn, *motion[4:], gains.versed, gains.sined))
+
+
+def coefficients(frame, motion):
+    """The Taylor coefficients of x under a force of the user's own, from a motion on."""
+    x, _, v = stage(place, frame, motion)
+    return force_flow.coefficients(frame, x, v, motion.cosine, motion.sine, force_flow.order(frame))
+
+
+def gone(frame, motion, terms, time):
+    """The `SlowMotion` a time later, from the Taylor coefficients of x."""
+    dx, dv = stage(force_flow.gained, terms, time)
+    slow = stage(_added, motion, dx, dv)
+    return SlowMotion(*slow, *stage(_turned, frame.frequency, motion.cosine, motion.sine, time))
+
+
+def _added(motion, dx, dv):
+    return *two_sum(motion.slow_x, dx + motion.slow_x_low), *two_sum(motion.slow_v, dv + motion.slow_v_low)
+
+
+def _turned(frequency, cosine, sine, time):
+    angle = frequency * time
+    return flow.turn(cosine, sine, flow.versine(angle), flow.sinus(angle))
 
 
 def _carry(frame, motion, gains, touch, more):
@@ -97,7 +124,7 @@ def _carry(frame, motion, gains, touch, more):
     )
     if more is not None:
         dx, dv = dx + more[0], dv + more[1]
-    return *two_sum(motion.slow_x, dx + motion.slow_x_low), *two_sum(motion.slow_v, dv + motion.slow_v_low)
+    return _added(motion, dx, dv)
 
 
 def remaining(path, time):
@@ -120,12 +147,16 @@ def absolute(frame, path):
 
 def accelerations(frame, x, v, cosine, sine, bias=(None, None)):
     """The acceleration of a free mass, and its rate of change; bias: see `flow.extend`."""
+    if frame.law is not None:
+        return tuple(force_flow.derivatives(frame, x, v, cosine, sine, 3)[2:])
     drive = frame.force * cosine, -(frame.force * sine) * frame.frequency
     return flow.extend(frame.frequency, frame.damping, frame.stiffness, drive, bias, (x, v))[1]
 
 
 def jet(frame, x, v, cosine, sine, order, bias=()):
     """x and its derivatives, two at a time so that each is computed once: at least as many as the order."""
+    if frame.law is not None:
+        return force_flow.derivatives(frame, x, v, cosine, sine, order)
     force, found = (frame.force * cosine, -(frame.force * sine) * frame.frequency), [x, v]
     bias = [*bias, *[None] * order]
     while len(found) <= order:

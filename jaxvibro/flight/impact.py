@@ -8,10 +8,11 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, positive, two_sum
 from ..scene.codes import Contact
-from . import event, flow
+from . import event, flow, force_flow
 from .flight_state import CAPPED, Path, SlowMotion, accelerations, motion
+from .press import press
 from .soft_contact import biases, bounce, gives, is_inside
-from .wall import chosen, course, less, picked, press
+from .wall import chosen, course, less, picked
 
 ENDLESS = -1.0  # the least speed of a chatter
 HOPS = 4.85  # 2 (1 + sqrt(2)), and for rounding
@@ -34,9 +35,9 @@ def late(frame, path, side):
 
     What is left to the event of a slow impact may be rounding, which is not to be divided by its speed: none.
     """
-    values = (frame.force, frame.frequency, frame.damping, path.cosine, path.sine)
-    where, speed, bend = picked(side, frame.walls, [course(wall, values[1], *values[3:], 2) for wall in frame.walls])
-    push, change = picked(side, frame.walls, [press(wall, *values, 1) for wall in frame.walls])
+    phasor = path.cosine, path.sine
+    where, speed, bend = picked(side, frame.walls, [course(wall, frame.frequency, *phasor, 2) for wall in frame.walls])
+    push, change = picked(side, frame.walls, [press(frame, wall, *phasor, 1) for wall in frame.walls])
     pull, _ = accelerations(frame, path.x, path.v, path.cosine, path.sine, _bias(frame, path))
     if frame.soft:
         inside = is_inside(path.contact)
@@ -64,7 +65,13 @@ def strike(frame, path, side, late):
     again = bounce(frame, side)
     leaving = again * closing
     state = settle(frame, leaving, side * push, side * change)
-    ends = chatters(frame, leaving, side * push, again, chosen(side, frame.walls, frame.rushes), path.to_go)
+    if frame.law is None:
+        rush = chosen(side, frame.walls, frame.rushes)
+    else:
+        own = [force_flow.hops(frame, wall, pull, closing, cosine, sine) for wall in frame.walls]
+        rush, damping = picked(side, frame.walls, own)
+        frame = frame._replace(damping=damping)
+    ends = chatters(frame, leaving, side * push, again, rush, path.to_go)
     state = choose(stuck, Contact.RELEASED, choose(ends, Contact.STUCK, state))
     if frame.soft:
         state = choose(inside, Contact.LANDED, choose(gives(frame, side), Contact.ENTERED, state))
@@ -118,7 +125,7 @@ def surface(frame, side, cosine, sine):
     """Position, speed, press and the press's change of the wall on a side."""
     courses = [course(wall, frame.frequency, cosine, sine, 1) for wall in frame.walls]
     where, speed = picked(side, frame.walls, courses)
-    presses = [press(wall, frame.force, frame.frequency, frame.damping, cosine, sine, 1) for wall in frame.walls]
+    presses = [press(frame, wall, cosine, sine, 1) for wall in frame.walls]
     return where, 0.0 if speed is None else speed, *picked(side, frame.walls, presses)
 
 

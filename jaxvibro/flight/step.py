@@ -6,15 +6,17 @@ Each step is a handful of stages on lanes; a stage's results are stored, see `co
 from typing import NamedTuple
 
 import jax
+import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, most, positive, stage
 from ..scene.codes import Contact
-from . import event, flow, impact, soft_long_step
-from .flight_state import Path, jet, moved, place, remaining
+from . import event, flow, force_flow, impact, soft_long_step
+from .flight_state import Path, gone, jet, moved, place, remaining
+from .press import press
 from .soft_contact import biases, felt, is_inside
-from .wall import chosen, course, less, picked, press
+from .wall import chosen, course, less, picked
 
 SLOW = 0.25  # of the speed that the acceleration makes over the longest step
 
@@ -31,36 +33,64 @@ class Step(NamedTuple):
 
 def micro(frame, path):
     """One certified step of every lane that has time to go; a lane that has none stays as it is."""
+    bias, whole, touch, ahead = (), frame, None, None
+    if frame.law is not None:
+        ahead = force_flow.ahead(frame, path.x, path.v, path.cosine, path.sine)
+        frame = stage(_as_far, frame, ahead.reach)
     if not frame.walls:
         time = positive(least(frame.reach, path.to_go))
-        flown = _advance(frame, path, time)
+        flown = _advance(frame, path, time, ahead)
         none = lax.full_like(path.x, 0.0)
         return Step(time, flown, flown, none, impact.Strike(none, none, none))
-    bias, whole, touch = (), frame, None
     if frame.soft:
         frame = frame._replace(**stage(felt, frame, path.contact)._asdict())
         path = soft_long_step.plunged(frame, path)
         touch = path.contact
         bias = stage(biases, frame, touch, path.cosine, path.sine, order=event.TERMS - 2)
-    derivatives = jet(frame, path.x, path.v, path.cosine, path.sine, event.TERMS, bias)
+    if ahead is None:
+        derivatives = jet(frame, path.x, path.v, path.cosine, path.sine, event.TERMS, bias)
+    else:
+        derivatives = stage(force_flow.as_derivatives, ahead.terms[: event.TERMS + 1])
+    pushes = None if ahead is None else _pushes(frame, path)
     side = stage(_side, frame, path, *derivatives[2:4])
-    ahead = stage(_progress, frame, path, derivatives, side)
-    bound = event.bound(ahead, stage(event.cubic, ahead))
+    rest = None if ahead is None else ahead.rest
+    nearing = stage(_progress, frame, path, derivatives, side, pushes, rest)
+    bound = event.bound(nearing, stage(event.cubic, nearing))
     near = stage(event.free_step, bound)
     other = lax.full_like(near, 1.0)
     if len(frame.walls) == 2:
-        other = stage(_other, path, stage(_behind, frame, path, derivatives, side), soft=frame.soft)
+        behind = stage(_behind, frame, path, derivatives, side, pushes, rest)
+        other = stage(_other, path, behind, soft=frame.soft)
     guess = stage(event.quadratic, *bound[:3])
     step = stage(event.sure_step, bound, stage(event.horizon, bound, guess), near)
-    root = stage(event.newton, ahead, stage(event.halley, ahead, guess))
-    slack = stage(event.slack, ahead, guess, root)
-    hit = stage(_lands, frame, path, ahead, root, slack, other, side)
+    root = stage(event.newton, nearing, stage(event.halley, nearing, guess))
+    slack = stage(event.slack, nearing, guess, root)
+    hit = stage(_lands, frame, path, nearing, root, slack, other, side)
     time = stage(_time, frame, path, hit, root, slack, step, other)
-    flown = _advance(frame, path, time, touch)
+    flown = _advance(frame, path, time, ahead, touch)
     late = stage(impact.late, frame, flown, hit)
     strike = stage(impact.strike, frame, flown, hit, late)
     after = stage(impact.part, whole, flown, hit, late, strike, time)
     return Step(time, flown, after, hit, strike)
+
+
+def _as_far(frame, reach):
+    """The frame with this longest step of each lane."""
+    return frame._replace(reach=reach, pace=1.0 / reach, weights=event.weights(reach))
+
+
+def _pushes(frame, path):
+    """Of each wall: what `force_flow.pressed` says of the press on it, where a lane rests; else zeros."""
+    return lax.cond(jnp.any(lax.abs(path.contact) == Contact.STUCK), _pressed, _unpressed, frame, path)
+
+
+def _pressed(frame, path):
+    return [stage(force_flow.pressed, frame, wall, path.cosine, path.sine) for wall in frame.walls]
+
+
+def _unpressed(frame, path):
+    none = lax.full_like(path.x, 0.0)
+    return [([none] * event.TERMS, none) for _ in frame.walls]
 
 
 def _side(frame, path, pull, jerk):
@@ -95,14 +125,17 @@ def _holds(frame, contact, clear, closing, bend, change):
     return slow | hops | (contact == Contact.STUCK)
 
 
-def _progress(frame, path, derivatives, side):
-    """The `event.Progress` towards the wall on a side."""
+def _progress(frame, path, derivatives, side, pushes, rest=None):
+    """The `event.Progress` towards the wall on a side. Under a force of the user's own pushes: what `_pushes` says;
+    rest: a bound, in lengths, on what is beyond the derivatives."""
     walls, contact = frame.walls, path.contact * side
-    values = frame.force, frame.frequency, frame.damping, path.cosine, path.sine
-    push = picked(side, walls, [press(wall, *values, event.TERMS - 1) for wall in walls])
+    if pushes is None:
+        presses = [press(frame, wall, path.cosine, path.sine, event.TERMS - 1) for wall in walls]
+        pushes = list(zip(presses, frame.tails, strict=True))
+    push = picked(side, walls, [each for each, _ in pushes])
     way = picked(side, walls, [course(wall, frame.frequency, path.cosine, path.sine, event.TERMS) for wall in walls])
     stuck, released = contact == Contact.STUCK, contact == Contact.RELEASED
-    tail, swing = chosen(side, walls, frame.tails), chosen(side, walls, frame.swings)
+    tail, swing = chosen(side, walls, [each for _, each in pushes]), chosen(side, walls, frame.swings)
     on, weights = (contact == Contact.LANDED) | released, frame.weights
     if frame.soft:  # from within, y falls to 0
         inside = (contact == Contact.WITHIN) | (contact == Contact.ENTERED)
@@ -117,15 +150,18 @@ def _progress(frame, path, derivatives, side):
         for pushed, free, weight in zip(push, clear, weights, strict=False)
     ]
     terms[1:3] = (choose(released, 0.0, term) for term in terms[1:3])
-    sixth, seventh = flow.pulled(frame.root, lax.abs(derivatives[6])), lax.abs(derivatives[7])
-    bound = frame.reach * (frame.curb + frame.slope * (sixth + seventh)) + seventh
-    remainder = (choose(stuck, tail, bound) + swing) * weights[event.TERMS]
+    if rest is None:
+        sixth, seventh = flow.pulled(frame.root, lax.abs(derivatives[6])), lax.abs(derivatives[7])
+        bound = frame.reach * (frame.curb + frame.slope * (sixth + seventh)) + seventh
+        remainder = (choose(stuck, tail, bound) + swing) * weights[event.TERMS]
+    else:
+        remainder = choose(stuck, tail, rest) + swing * weights[event.TERMS]
     return event.progress(terms, remainder, on)
 
 
-def _behind(frame, path, derivatives, side):
+def _behind(frame, path, derivatives, side, pushes, rest):
     """The `event.Bound` towards the wall that is not aimed at."""
-    progress = _progress(frame, path, derivatives, -side)
+    progress = _progress(frame, path, derivatives, -side, pushes, rest)
     return event.bound(progress, event.cubic(progress))
 
 
@@ -154,7 +190,7 @@ def _time(frame, path, hit, root, slack, step, other):
     return positive(least(choose(hit != 0, root, short) * frame.reach, path.to_go))
 
 
-def _advance(frame, path, time, touch=None):
+def _advance(frame, path, time, ahead=None, touch=None):
     """The path a free flight later."""
-    motion = moved(frame, path.motion, time, touch)
+    motion = moved(frame, path.motion, time, touch) if ahead is None else gone(frame, path.motion, ahead.terms, time)
     return Path(*stage(place, frame, motion), motion, *stage(remaining, path, time), path.contact)

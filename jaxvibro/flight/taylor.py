@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from . import event, flow
+from . import event, flow, force_flow
 from .wall import course, less, picked
 
 
@@ -26,6 +26,8 @@ class Now(NamedTuple):
 
 def jet(frame, now, order, bias=()):
     """x and its derivatives, one more than the order."""
+    if frame.law is not None:
+        return force_flow.derivatives(frame, now.x, now.v, now.cosine, now.sine, order + 1)
     return free(frame, now.x, now.v, pulls(frame, now, order, bias))
 
 
@@ -48,6 +50,10 @@ def free(frame, x, v, pulls):
 
 def back(frame, now, x, v, late, order, bias=()):
     """x and v now of a flight that is at x, v a little later."""
+    if frame.law is not None:
+        phasor = flow.rotated(now.cosine, now.sine, frame.frequency * late)
+        path = force_flow.derivatives(frame, x, v, *phasor, order + 1)
+        return shifted(path, -late, order), shifted(path[1:], -late, order)
     force = pulls(frame, now, order, bias)
     path = free(frame, x, v, [shifted(force[k:], late, order - 1 - k) for k in range(order)])
     return shifted(path, -late, order), shifted(path[1:], -late, order)

@@ -10,7 +10,12 @@ LEAST_DIVISOR = 1e-3  # of A, sqrt(D): at resonance without damping there is no 
 
 
 def forced_amplitude(scene):
-    """A / sqrt(D), the amplitude of the steady motion that meets no wall (paper, (8)); sqrt(D) at least 1e-3."""
+    """A / sqrt(D), the amplitude of the steady motion that meets no wall (paper, (8)); sqrt(D) at least 1e-3.
+
+    Under a force of the user's own that of a free mass, A / omega^2, or A where that is less.
+    """
+    if scene.force is not None:
+        return abs(np.asarray(scene.amplitude, float)) / np.maximum(1.0, np.asarray(scene.frequency, float) ** 2)
     a, w, c = (np.asarray(getattr(scene, name), float) for name in ("amplitude", "frequency", "damping"))
     return abs(a) / np.maximum(np.hypot((1.0 - w) * (1.0 + w), 2.0 * c * w), LEAST_DIVISOR)
 

@@ -6,6 +6,7 @@ flight grows like exp(2 gamma t), which the bound on its derivatives has to allo
 """
 
 from dataclasses import replace
+from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
@@ -30,7 +31,7 @@ def require_reversible(scene):
             raise check.ArgumentError(
                 f"{side}.restitution", "must be greater than 0, else the map has no inverse", bounce
             )
-    if not scene.damping < 1:
+    if scene.force is None and not scene.damping < 1:
         raise check.ArgumentError("damping", "must be less than 1 on the way back", scene.damping)
 
 
@@ -62,6 +63,9 @@ def reversed_frame(scene):
     The energy of x^(6) is at most exp(2 gamma t) times that without damping, for which `frame` has its bounds.
     """
     built = frame(scene)
+    if built.law is not None:
+        law = replace(built.law, function=_backwards(built.law.function))
+        return built._replace(law=law, walls=tuple(_reversed(wall) for wall in built.walls))
     growth = jnp.exp(2.0 * built.damping * built.reach)
     slope, forcing = built.slope * growth, abs(built.force) * built.frequency**6
     return built._replace(
@@ -72,6 +76,16 @@ def reversed_frame(scene):
         curb=forcing * (1.0 + slope * built.reach),
         slope=slope,
     )
+
+
+@lru_cache(256)
+def _backwards(function):
+    """A force as it is seen with time reversed."""
+
+    def force(t, x, v, numbers):
+        return function(-t, x, -v, numbers)
+
+    return force
 
 
 def _reversed(wall):

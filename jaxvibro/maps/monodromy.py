@@ -21,6 +21,8 @@ from ..compiled.compiler_hints import OPTIONS, choose, one_kernel, stage
 from ..flight import flow
 from ..flight.coefficients import frame
 from ..flight.flight_state import accelerations
+from ..flight.impact import surface
+from ..flight.response import by_rows, with_matrix
 from ..flight.soft_contact import bounce as restitution
 from ..flight.soft_contact import feeling, flown, gives, is_inside, response
 from ..flight.taylor import Now
@@ -110,6 +112,9 @@ def _product(scene, state, impacts, zero, periods, slots):
     rows = [jnp.moveaxis(each, -1, 0) for each in rows]
     most = lax.min(jnp.max(impacts.count), jnp.int32(slots)) if built.walls else jnp.int32(0)
 
+    if built.law is not None:
+        return _product_under_force(built, state, rows, most, zero, periods)
+
     def turn(carry):
         """A flight and the impact at its end, or, after all impacts, the flight to the end."""
         k, past, cosine, sine, matrix = carry
@@ -140,6 +145,34 @@ def _product(scene, state, impacts, zero, periods, slots):
         )
         start = _stayed(built, touch, False, zero, whole, cosine, sine, one)
     return lax.while_loop(lambda carry: carry[0] <= most, turn, (jnp.int32(0), *start))[-1]
+
+
+def _product_under_force(frame, state, rows, most, zero, periods):
+    """The same where a flight's matrix depends on where it begins."""
+
+    def turn(carry):
+        k, past, x, v, cosine, sine, matrix = carry
+        time, side, speed = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in rows)
+        last = k == most
+        hit = (side != 0) & ~last
+        span = choose(last, whole - past, choose(hit, time - past, 0.0))
+        (x, v), free = with_matrix(frame, x, v, cosine, sine, span)
+        cosine, sine = flow.rotated(cosine, sine, frame.frequency * span)
+        matrix = product(by_rows(free), matrix)
+        if frame.walls:
+            bounce, shear = stage(saltation, frame, side, speed, cosine, sine)
+            after = product((-bounce, zero, shear, -bounce), matrix)
+            matrix = tuple(choose(hit, new, old) for new, old in zip(after, matrix, strict=True))
+            where, pace = surface(
+                frame, choose(hit, side, lax.full_like(side, float(frame.walls[0].sign))), cosine, sine
+            )[:2]
+            x, v = choose(hit, where + zero, x), choose(hit, pace - bounce * side * speed, v)
+        return k + 1, past + span, x, v, cosine, sine, matrix
+
+    cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
+    whole, one = zero + periods * frame.period, (zero + 1.0, zero, zero, zero + 1.0)
+    start = jnp.int32(0), zero, state.x + zero, state.v + zero, cosine, sine, one
+    return lax.while_loop(lambda carry: carry[0] <= most, turn, start)[-1]
 
 
 def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):

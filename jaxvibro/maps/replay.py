@@ -14,10 +14,11 @@ from jax import lax
 from jaxtyping import Float, Real
 
 from ..compiled.compiler_hints import choose, stage
-from ..flight import flow, taylor
+from ..flight import flow, force_flow, taylor
+from ..flight.press import press
 from ..flight.soft_contact import bounce, is_inside
 from ..flight.taylor import Now
-from ..flight.wall import course, less, picked, press
+from ..flight.wall import course, less, picked
 from ..scene.codes import Contact
 from . import contact_replay
 
@@ -111,6 +112,8 @@ def _resting(contact):
 
 def _fly(frame, now, time):
     """A free flight later."""
+    if frame.law is not None:
+        return Now(*force_flow.fly(frame, now.x, now.v, now.cosine, now.sine, time), now.time + time)
     free, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, time)
     x, v = flow.flown((free, forced), frame.force * now.cosine, frame.force * now.sine, now.x, now.v)
     return Now(x, v, *flow.turn(now.cosine, now.sine, *angle), now.time + time)
@@ -131,8 +134,7 @@ def _left(frame, now, due, order):
 
     Of two walls it is the one with the lesser press.
     """
-    values = frame.force, frame.frequency, frame.damping, now.cosine, now.sine
-    pushes = [press(wall, *values, order) for wall in frame.walls]
+    pushes = [press(frame, wall, now.cosine, now.sine, order) for wall in frame.walls]
     side = lax.full_like(now.x, float(frame.walls[0].sign))
     if len(pushes) == 2:
         side = choose(lax.abs(pushes[1][0]) < lax.abs(pushes[0][0]), 1.0, side)

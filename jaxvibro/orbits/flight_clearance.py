@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from continuation.arrays import Array
 
-from ..flight import flow
+from ..flight import force_flow, response
 from ..flight.flight_state import accelerations
 from ..flight.wall import course, less
 
@@ -44,7 +44,8 @@ def without_impacts(frame, phase, periods, x, v):
 
 def samples(frame, found):
     """How many samples the longest of some flights needs."""
-    return jnp.ceil(jnp.max(found.time) / (TURN * frame.reach)).astype(int) + 8
+    reach = force_flow.scale(frame, found) if frame.law is not None else frame.reach
+    return jnp.ceil(jnp.max(found.time) / (TURN * reach)).astype(int) + 8
 
 
 def clearances(frame, found, samples):
@@ -80,9 +81,7 @@ def is_real(frame, found, speeds, grazes=False):
 
 def place(frame, found, time):
     """(x, v, the drive's cosine and sine) a time after each flight's start."""
-    free, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, time)
-    x, v = flow.flown((free, forced), frame.force * found.cosine, frame.force * found.sine, found.x, found.v)
-    return x, v, *flow.turn(found.cosine, found.sine, *angle)
+    return response.with_phasor(frame, found.x, found.v, found.cosine, found.sine, time)
 
 
 def relative(frame, found, time):
@@ -102,13 +101,11 @@ def _towards(frame, x, v, cosine, sine):
 def _nearest(frame, found, span, samples):
     """For each wall the nearest turning point as the samples see it: (its distance, inf: none; the samples' cell; how
     far into the cell Newton's steps begin)."""
-    free, forced, (versed, sined) = flow.doubled(frame.series, frame.frequency, frame.damping, span)
-    none = jnp.zeros_like(span)
+    none, onwards = jnp.zeros_like(span), response.repeated(frame, span)
 
     def advance(k, carry):
-        (x, v, cosine, sine), before, best = carry
-        x, v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v)
-        there = x, v, *flow.turn(cosine, sine, versed, sined)
+        place, before, best = carry
+        there = onwards(*place)
         after = _towards(frame, *there)
         best = [_better(k, span, *each) for each in zip(before, after, best, strict=True)]
         return there, after, best

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from continuation.arrays import Array
 from continuation.newton import newton
 
-from ..flight import flow
+from ..flight import response
 from ..flight.coefficients import framed
 from ..flight.flight_state import accelerations
 from ..maps.contact_duration import product
@@ -44,8 +44,8 @@ class Cycle(NamedTuple):
 
 class Flights(NamedTuple):
     """The flight that follows each impact: its time; x, v, and the drive's cosine and sine at its start; x and v at its
-    end; the `flow.responses`' matrix; the row of the impact at its end, and -1 where that is met as its mirror image,
-    else 1; and the `saltation.Meeting` at its start."""
+    end; the matrix of `response.with_matrix`; the row of the impact at its end, and -1 where that is met as its mirror
+    image, else 1; and the `saltation.Meeting` at its start."""
 
     time: Float[Array, " rows"]
     x: Float[Array, " rows"]
@@ -54,7 +54,7 @@ class Flights(NamedTuple):
     sine: Float[Array, " rows"]
     end_x: Float[Array, " rows"]
     end_v: Float[Array, " rows"]
-    matrix: tuple[Float[Array, " rows"], Float[Array, " rows"], Float[Array, " rows"]]
+    matrix: tuple[Float[Array, " rows"], ...]
     follows: Int[Array, " rows"]
     sign: Float[Array, " rows"]
     met: Meeting
@@ -74,10 +74,9 @@ def flights(frame, cycle):
     time = _following(cycle, cycle.times, follows) - cycle.times + again
     time = time if met.stay is None else time - met.stay
     time = jnp.where(sides != 0, jnp.maximum(time, 0.0), 0.0)
-    free, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, time)
     (x, v), (cosine, sine) = met.state, met.phasor
-    end_x, end_v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v)
-    return Flights(time, x, v, cosine, sine, end_x, end_v, free, follows, sign, met)
+    (end_x, end_v), matrix = response.with_matrix(frame, x, v, cosine, sine, time)
+    return Flights(time, x, v, cosine, sine, end_x, end_v, matrix, follows, sign, met)
 
 
 def _following(cycle, values, follows):
@@ -125,12 +124,12 @@ def equations(frame, cycle, found=None):
         return found.sign * _following(cycle, values, found.follows)
 
     aim, met = ahead(sides), found.met
-    p00, p01, p11 = found.matrix
     speed = found.end_v - ahead(met.pace)
     pull, _ = accelerations(frame, found.end_x, found.end_v, ahead(met.cosine), ahead(met.sine))
     gap = found.end_x - ahead(met.where)
     excess = aim * speed - _following(cycle, cycle.speeds, found.follows)
-    (a, c), (b, d) = ((p00 * x + p01 * v, aim * (p11 * v - p01 * x)) for x, v in (met.by_time, met.by_speed))
+    (a, c), (b, d) = (response.through(found.matrix, x, v) for x, v in (met.by_time, met.by_speed))
+    c, d = aim * c, aim * d
     own = (a, b), (c, d)
     following = speed, aim * (pull - ahead(met.bend))
     values = jnp.where(jnp.tile(hit, 2), jnp.concatenate([gap, excess]), 0.0)
@@ -200,10 +199,10 @@ def invariants(frame, found, sides):
 
     def on(k, carry):
         matrix, determinant = carry
-        p00, p01, p11 = (each[k] for each in found.matrix)
+        flight = [each[k] for each in found.matrix]
         q00, q01, q10, q11 = product([each[k] for each in jumps], matrix)
-        new = p00 * q00 + p01 * q10, p00 * q01 + p01 * q11, p11 * q10 - p01 * q00, p11 * q11 - p01 * q01
-        new = new, determinant * shrink[k] * (p00 * p11 + p01 * p01)
+        (m00, m10), (m01, m11) = response.through(flight, q00, q10), response.through(flight, q01, q11)
+        new = (m00, m01, m10, m11), determinant * shrink[k] * response.determinant(flight)
         return jax.tree.map(lambda new, old: jnp.where(sides[k] != 0, new, old), new, carry)
 
     one, zero = jnp.ones_like(found.time[0]), jnp.zeros_like(found.time[0])
@@ -217,9 +216,7 @@ def at(frame, cycle, found, time):
     since = time[:, None] - cycle.times
     since = jnp.where(cycle.sides != 0, since - span * jnp.floor(since / span), jnp.inf)
     k = jnp.argmin(since, axis=1)
-    cosine, sine = frame.force * found.cosine[k], frame.force * found.sine[k]
     since = jnp.take_along_axis(since, k[:, None], 1)[:, 0]
     late = since if found.met.stay is None else jnp.maximum(since - found.met.stay[k], 0.0)
-    free, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, late)
-    state = flow.flown((free, forced), cosine, sine, found.x[k], found.v[k])
+    state = response.after(frame, found.x[k], found.v[k], found.cosine[k], found.sine[k], late)
     return state if found.met.stay is None else stayed(frame, found.met, cycle.sides, k, since, state)

@@ -15,7 +15,7 @@ from continuation.arrays import Array
 from continuation.implicit import in_turn, root, smooth
 
 from ..compiled.compiler_hints import one_kernel
-from ..flight import flow
+from ..flight import response
 from ..flight.coefficients import framed
 from ..maps import itinerary as words
 from ..maps.strobe import strobe
@@ -172,10 +172,8 @@ def left(asked, unknowns, numbers, fixed):
 
 
 def _flown(asked, scene, phase, state):
-    """((x, v), the free flow's matrix) after the periods, without walls."""
-    responses = flow.responses(scene.frequency, scene.damping, asked.periods * 2.0 * jnp.pi / scene.frequency)
-    force = scene.amplitude * jnp.cos(phase), scene.amplitude * jnp.sin(phase)
-    return flow.flown(responses, *force, state[0], state[1]), responses[0]
+    """((x, v), the flight's matrix) after the periods, without walls."""
+    return response.of_scene(scene, state[0], state[1], phase, asked.periods * 2.0 * jnp.pi / scene.frequency)
 
 
 def _found(asked, numbers, fixed):
@@ -203,8 +201,9 @@ def _measured(asked, joined, fixed):
     phase, start = fixed
     unknowns, scene = joined[: len(start)], asked.tree.unflatten(list(joined[len(start) :]))
     if not len(asked.sides):
-        _, (p00, p01, p11) = _flown(asked, scene, phase, unknowns)
-        return jnp.stack([*unknowns, p00 + p11, p00 * p11 + p01 * p01])
+        _, matrix = _flown(asked, scene, phase, unknowns)
+        p00, _, _, p11 = response.by_rows(matrix)
+        return jnp.stack([*unknowns, p00 + p11, response.determinant(matrix)])
     built, cycle = framed(scene), cycle_of(asked, unknowns, phase)
     found = impact_equations.flights(built, cycle)
     x, v = impact_equations.at(built, cycle, found, jnp.zeros(1, unknowns.dtype))

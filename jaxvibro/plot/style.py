@@ -31,6 +31,8 @@ TIME = r"time in drive periods, $\omega t\,/\,2\pi$"
 def label(name):
     """The axis label of a scene's parameter, symbol and unit included."""
     side, _, rest = name.partition(".")
+    if side == "force":
+        return f"force: {plain(rest)}"
     rest = "contact damping" if rest == "damping" else rest
     return f"{side} wall: {_PARAMETERS[rest]}" if rest else _PARAMETERS[name]
 

@@ -12,7 +12,7 @@ from continuation.arrays import Array
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
-from ..flight import flow
+from ..flight import response
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from .equations import cycle_at, there
@@ -86,12 +86,12 @@ def hitting(along, z, periods):
 
 def _free(along, z, periods):
     built, found = flight(along, z)
-    (p00, p01, p11), _, _ = flow.doubled(
-        built.series, built.frequency, built.damping, found.time / flight_clearance.OVERLAP
-    )
+    around = found.time / flight_clearance.OVERLAP
+    _, matrix = response.with_matrix(built, found.x, found.v, found.cosine, found.sine, around)
+    p00, _, _, p11 = response.by_rows(matrix)
     x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
-    return Diagnostics(*clear, (p00 + p11)[0], (p00 * p11 + p01 * p01)[0], x, v, *[jnp.ones_like(z[0])] * 2)
+    return Diagnostics(*clear, (p00 + p11)[0], response.determinant(matrix)[0], x, v, *[jnp.ones_like(z[0])] * 2)
 
 
 def flight(along, z):

@@ -16,7 +16,7 @@ from continuation.arclength import bordered
 from continuation.problem import Problem, Test
 
 from ..compiled.compiler_hints import one_kernel
-from ..flight import flow
+from ..flight import response
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
@@ -115,8 +115,7 @@ def _free(z, along):
     def values(z):
         scene, turns = there(along, z), along.cycle
         span = turns.periods * 2.0 * jnp.pi / scene.frequency
-        force = scene.amplitude * jnp.cos(turns.phase), scene.amplitude * jnp.sin(turns.phase)
-        x, v = flow.flown(flow.responses(scene.frequency, scene.damping, span), *force, z[0], z[1])
+        x, v = response.of_scene(scene, z[0], z[1], turns.phase, span)[0]
         left = jnp.stack([x - z[0], v - z[1]])
         return left, left
 

@@ -23,6 +23,7 @@ from .touches import admissible, bearing, scales, span, stays, touches, wall_sid
 ASIDE = 1e-5, 1e-7  # steps, in scaled lengths, after which a branch that leaves a grazing is looked at
 SURE, LOOSE = 1e-12, 1e-10  # Newton's tolerance there, with impacts added and with none: slow ones leave rounding
 FLAT = 1e-6  # of a speed's or a distance's rate along a branch: as small is none
+ROUNDS = 12  # of Newton's steps to an orbit without impacts
 FEW = 4  # touches at once, of which every choice is tried
 
 
@@ -68,7 +69,7 @@ def with_impacts(along, z, hits, rows=()):
     """(the `OrbitEquations` of orbits with these impacts, z of the one that is there); rows: that these were in."""
     new = recut(along, padded(along, [(one.time, one.speed, one.side) for one in hits]), rows)
     if not hits:
-        return new, free_start(new, z[-1])
+        return new, free_start(new, z[-1], _begun(along, z))
     return new, np.concatenate([new.cycle.times, new.cycle.speeds, z[2 * len(along.cycle.sides) or 2 :]])
 
 
@@ -149,11 +150,24 @@ def padded(along, impacts):
     return along.cycle._replace(times=times, speeds=speeds, sides=sides)
 
 
-def free_start(along, value):
-    """z of the orbit without impacts."""
-    start = np.array([0.0, 0.0, value])
-    rest, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), start, along))
-    start[:2] = -np.linalg.solve(slopes[:, :2], rest)
+def _begun(along, z):
+    """(x, v) at the section of an orbit that a force of the user's own drives; of another it does not matter."""
+    if along.scene.force is None or not len(along.cycle.sides):
+        return z[:2]
+    look = diagnose(along, z[None])
+    return look.x[0, 0], look.v[0, 0]
+
+
+def free_start(along, value, near):
+    """z of the orbit without impacts: the only one under spring and damper, else that near some (x, v)."""
+    of_force = along.scene.force is not None
+    start = np.array([*(near if of_force and np.isfinite(near).all() else (0.0, 0.0)), value])
+    for _ in range(ROUNDS if of_force else 1):
+        rest, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), start, along))
+        step = np.linalg.solve(slopes[:, :2], rest)
+        start[:2] -= step
+        if abs(step).max() <= locate.SMALL * (1.0 + abs(start).max()):
+            break
     return start
 
 

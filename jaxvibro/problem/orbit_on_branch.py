@@ -78,6 +78,6 @@ def place_orbit(scene, name, spot):
     cycle = Cycle(blank, blank, blank, np.asarray(0.0), np.asarray(float(spot.periods)))
     along = OrbitEquations(*marked(scene, name), cycle)
     if not len(spot.times):
-        return along, free_start(along, spot.value)
+        return along, free_start(along, spot.value, (spot.x, spot.v))
     along = along._replace(cycle=padded(along, list(zip(spot.times, spot.speeds, spot.sides, strict=True))))
     return along, np.concatenate([along.cycle.times, along.cycle.speeds, [spot.value]])

@@ -18,7 +18,7 @@ from jaxtyping import Float
 
 from continuation import locate
 
-from ..scene.scale import scene_length
+from ..scene.scale import force_rates, scene_length
 from .equations import OrbitEquations, problem
 from .grazing import padded
 from .touches import scales, span, stays
@@ -162,8 +162,12 @@ def _step(scene, along, z, v):
 
 def _rate(scene):
     """How fast the fastest of what an orbit's equations hold turns or decays."""
-    frequency, damping = float(scene.frequency), float(scene.damping)
-    rates = [1.0, frequency, 2.0 * damping]
+    frequency = float(scene.frequency)
+    if scene.force is None:
+        damping = float(scene.damping)
+        rates = [1.0, frequency, 2.0 * damping]
+    else:
+        rates = [frequency, *force_rates(scene)]
     for wall in scene.walls.values():
         if wall.soft:
             own = damping if wall.damping is None else damping + float(wall.damping)

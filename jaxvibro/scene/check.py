@@ -144,6 +144,20 @@ def require_one_kind(side, wall):
         raise ArgumentError(f"{side}.damping", "a wall without stiffness has none", wall.damping)
 
 
+def require_spring_or_force(force, damping):
+    """Refuse a damping beside a force of the user's own, which is in place of it."""
+    if force is not None and damping is not None:
+        raise ArgumentError("damping", "is not given beside a force, which is in place of spring and damper", damping)
+    if force is None and damping is None:
+        raise ArgumentError("damping", "must be given, or a force in place of spring and damper", None)
+
+
+def require_spring(scene, what):
+    """Refuse a force of the user's own where only the spring and the damper are known."""
+    if scene.force is not None:
+        raise ArgumentError("force", f"{what} knows spring and damper alone", scene.force.function)
+
+
 def require_rigid(scene, what):
     """Refuse a soft wall where only rigid ones are known."""
     for side, wall in scene.walls.items():
@@ -274,7 +288,7 @@ def obey(key, value):
 
 def path_name(path):
     """The dotted name of a leaf from its path in the tree."""
-    return ".".join(step.name for step in path)
+    return ".".join(step.key if isinstance(step, jax.tree_util.DictKey) else step.name for step in path)
 
 
 def shapes_agree(leaves):

@@ -14,6 +14,8 @@ ROUNDING = 8.0 * np.finfo(float).eps  # of a value: as near are two equal
 def domain(scene, name):
     """(low, high): between them, ends left out where the walls would meet or the drive stand, the scene is one."""
     inf = np.inf
+    if name.startswith("force."):
+        return -inf, inf
     if name == "frequency" or name.endswith("stiffness"):
         return np.finfo(float).tiny, inf
     if name.endswith("damping"):

@@ -1,4 +1,9 @@
-"""How large the motion of a scene is, before any of it is known."""
+"""How large and how swift the motion of a scene is, before any of it is known."""
+
+import jax
+import numpy as np
+
+PLACES = 16  # in a period, at which a force's slopes are looked at
 
 
 def swift(frequency, damping, force):
@@ -10,5 +15,18 @@ def scene_length(scene):
     """A length to measure speeds and lengths by: the farther wall's distance; where that is small beside the motion, or
     there is none, the size of the swift part of the response to the drive (`swift`), 1 at rest."""
     found = max((abs(float(wall.position)) for wall in scene.walls.values()), default=0.0)
-    size = abs(swift(*map(float, (scene.frequency, scene.damping, scene.amplitude))))
+    damping = 0.0 if scene.force is not None else float(scene.damping)
+    size = abs(swift(float(scene.frequency), damping, float(scene.amplitude)))
     return found if found > 0.3 * size else (size or 1.0)
+
+
+def force_rates(scene):
+    """How fast a mass turns, and how fast it loses speed, by the slopes of the force of a single scene, at rest on its
+    walls or at 0: two floats."""
+    force, dtype = scene.force, scene.dtype
+    times = np.linspace(0.0, 2.0 * np.pi / float(scene.frequency), PLACES, endpoint=False)
+    places = [float(wall.position) for wall in scene.walls.values()] or [0.0]
+    t, x = (each.ravel().astype(dtype) for each in np.meshgrid(times, places))
+    slopes = jax.vmap(jax.grad(force.function, (1, 2)), (0, 0, None, None))(t, x, np.zeros((), dtype), force.numbers)
+    pull, drag = (float(abs(np.asarray(each)).max()) for each in slopes)
+    return max(1.0, pull**0.5), drag

@@ -14,6 +14,8 @@ from numpy.typing import DTypeLike
 from continuation.arrays import Array
 
 from . import check
+from .force import Force
+from .force_rules import check_force, check_force_values
 
 SIDES = ("left", "right")
 
@@ -63,20 +65,21 @@ class Wall:
 @dataclass(frozen=True, eq=False)
 class Scene:
     """x'' + 2 damping x' + x = amplitude cos(frequency t) between the walls, y+ - v = -restitution (y- - v) at a rigid
-    one; beyond a soft one as `Wall` says.
+    one; beyond a soft one as `Wall` says. With a force of its own x'' = force + amplitude cos(frequency t).
 
     Every real number is an array; together they broadcast to the batch of scenes. A wall that is None is not there.
-    harder: by how many decades the soft walls are stiffer than they say, at the same R_eff; None but along a branch.
-    Make one with `make_scene`, which checks it.
+    force: a `Force`; damping is then None. harder: by how many decades the soft walls are stiffer than they say, at the
+    same R_eff; None but along a branch. Make one with `make_scene`, which checks it.
     """
 
     amplitude: Real[Array, "..."]
     frequency: Real[Array, "..."]
-    damping: Real[Array, "..."]
+    damping: Real[Array, "..."] | None
     restitution: Real[Array, "..."]
     left: Wall | None
     right: Wall | None
     harder: Real[Array, "..."] | None = None
+    force: Force | None = None
 
     @property
     def dtype(self) -> np.dtype:
@@ -97,7 +100,11 @@ class Scene:
         there are two. Naming it multiplies the stiffness of all soft walls by one number, and changes the damping of
         each so that its R_eff stays (`effective_restitution`).
         """
-        found = ["amplitude", "frequency", "damping", "restitution"]
+        found = ["amplitude", "frequency", "restitution"]
+        if self.force is None:
+            found.insert(2, "damping")
+        else:
+            found += [f"force.{name}" for name in self.force.numbers]
         for side, wall in self.walls.items():
             own = ("position", "stiffness", "damping") if wall.soft else ("position", "restitution")
             found += [f"{side}.{name}" for name in own]
@@ -123,7 +130,7 @@ class Scene:
         if name == "hardness":
             stiffness = getattr(self, self.soft_sides[0]).stiffness
             return (jnp if check.is_traced(stiffness) else np).log10(stiffness)
-        value: Any = reduce(getattr, name.split("."), self)
+        value: Any = reduce(_of, name.split(".", 1) if name.startswith("force.") else name.split("."), self)
         return getattr(self, name.split(".")[-1]) if value is None else value
 
     @property
@@ -153,28 +160,30 @@ Walls = Sequence[Wall | Real[ArrayLike, "..."] | None] | Real[Array, " walls"]  
 def make_scene(
     amplitude: Real[ArrayLike, "..."],
     frequency: Real[ArrayLike, "..."],
-    damping: Real[ArrayLike, "..."],
-    restitution: Real[ArrayLike, "..."],
-    walls: Walls,
+    damping: Real[ArrayLike, "..."] | None = None,
+    restitution: Real[ArrayLike, "..."] | None = None,
+    walls: Walls | None = None,
     dtype: DTypeLike | None = None,
+    force: Force | None = None,
 ) -> Scene:
     """A checked scene.
 
     amplitude A, frequency omega > 0, damping gamma >= 0 (1 is critical), restitution 0 <= R <= 1: numbers or arrays
     that broadcast together as a batch; a list is refused. walls: (left, right), each a position, None (no wall there)
-    or a `Wall`, which may have a restitution of its own; or an array of two positions.
+    or a `Wall`, which may have a restitution of its own; or an array of two positions. force: a `Force` in place of the
+    spring and the damper, None for these; beside one there is no damping.
     Units: lengths in the unit of the walls, time in 1/w0, w0 the undamped natural frequency (paper, section 1).
     dtype: None is float64 and needs jax's jax_enable_x64; jnp.float32 asks for single precision.
 
     Raises SceneError, which names the argument, the rule and the first offending value. Under tracing only types and
     shapes are checked.
     """
-    given = dict(zip(SIDES, check.pair(walls), strict=True))
+    given: dict[str, Any] = dict(zip(SIDES, check.pair(walls), strict=True))
     for side, wall in given.items():
         if isinstance(wall, Motion):
             raise check.SceneError(side, "must be a position, None or a Wall", wall)
     plain = {"amplitude": amplitude, "frequency": frequency, "damping": damping, "restitution": restitution}
-    return _checked({**plain, **given, "harder": None}, dtype)
+    return _checked({**plain, **given, "harder": None, "force": force}, dtype)
 
 
 def changed(scene, changes):
@@ -204,18 +213,32 @@ def hardened(stiffness, damping, harder):
         return found, damping * xp.sqrt((1.0 + found) / (1.0 + stiffness))
 
 
+def _of(node, name):
+    return node.numbers[name] if isinstance(node, Force) else getattr(node, name)
+
+
 def _put(node, path, value):
     head, *rest = path
+    if isinstance(node, Force):
+        return replace(node, numbers={**node.numbers, ".".join(path): value})
     return replace(node, **{head: _put(getattr(node, head), rest, value) if rest else value})
 
 
 def _checked(given, dtype):
-    return jax.tree.map(jnp.asarray, check.check_scene(_numbers(given, check.float_type(dtype))))
+    return jax.tree.map(jnp.asarray, _sound(_numbers(given, check.float_type(dtype))))
 
 
 def known(scene, dtype):
     """The scene once it breaks no rule, its numbers NumPy arrays of this type (tracers where they are traced)."""
-    return check.check_scene(_numbers(vars(scene), dtype))
+    return _sound(_numbers(vars(scene), dtype))
+
+
+def _sound(scene):
+    """The scene itself, once it breaks no rule."""
+    check.check_scene(scene)
+    if scene.force is not None:
+        check_force_values(scene)
+    return scene
 
 
 def _numbers(given, dtype):
@@ -245,9 +268,14 @@ def _numbers(given, dtype):
         own = {name: number(f"{side}.{name}", value) for name, value in own.items() if value is not None}
         return Wall(number(f"{side}.position", wall.position), **own, motion=moving(side, wall.motion))
 
-    plain = {key: number(key, given[key]) for key in ("amplitude", "frequency", "damping", "restitution")}
+    force = given["force"]
+    check.require_spring_or_force(force, given["damping"])
+    kept = ("amplitude", "frequency", "restitution") + (("damping",) if force is None else ())
+    plain = {"damping": None} | {key: number(key, given[key]) for key in kept}
     if given["harder"] is not None:
         plain["harder"] = number("harder", given["harder"])
+    if force is not None:
+        plain["force"] = check_force(force, number)
     return Scene(**plain, left=standing("left", given["left"]), right=standing("right", given["right"]))
 
 

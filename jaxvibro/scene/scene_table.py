@@ -1,9 +1,13 @@
 """[scene]: the table that describes a scene, in a scene file and in all that is saved."""
 
-from msgspec import Struct
+from msgspec import Struct, field
 
 from . import check
+from .force import TOLERANCE, Force
+from .named_forces import NAMED, name_of
 from .scene import Motion, Wall, make_scene
+
+PLAIN = ("amplitude", "frequency", "damping", "restitution")
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -33,24 +37,38 @@ class WallTable(Table, frozen=True):
         return Wall(self.position, self.restitution, self.stiffness, self.damping, motion)
 
 
-class SceneTable(Table, frozen=True):
+class ForceTable(Table, frozen=True):
+    """[scene.force]: a `Force` with one of our names, and its numbers."""
+
+    name: str
+    numbers: dict[str, float] = field(default_factory=dict)
+    tolerance: float = TOLERANCE
+
+    def force(self):
+        """The `Force` described, not yet checked."""
+        return Force(self.name, self.numbers, self.tolerance)
+
+
+class SceneTable(Table, frozen=True, kw_only=True):
     """[scene]: the arguments of `make_scene`; a wall without a table is not there."""
 
     amplitude: float
     frequency: float
-    damping: float
+    damping: float | None = None
     restitution: float
     left: WallTable | None = None
     right: WallTable | None = None
+    force: ForceTable | None = None
 
     def make(self, dtype=None):
         """The scene described, made by `make_scene`: ArgumentError where it breaks a rule."""
         walls = tuple(table and table.wall() for table in (self.left, self.right))
-        return make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype)
+        force = self.force and self.force.force()
+        return make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype, force)
 
 
 def table_of(scene):
-    """The `SceneTable` that describes one scene. Raises ArgumentError for a batch."""
+    """The `SceneTable` that describes one scene. Raises ArgumentError for a batch, and for a force without a name."""
     if scene.shape:
         raise check.ArgumentError("scene", "only a single scene can be written, not a batch", f"shape {scene.shape}")
 
@@ -63,5 +81,16 @@ def table_of(scene):
         own = {name: float(value) for name, value in own.items() if value is not None}
         return WallTable(position=float(wall.position), **own, motion=moving)
 
-    plain = {key: float(getattr(scene, key)) for key in ("amplitude", "frequency", "damping", "restitution")}
-    return SceneTable(**plain, left=table(scene.left), right=table(scene.right))
+    plain = {key: float(scene.parameter(key)) for key in PLAIN if key in scene.names}
+    return SceneTable(**plain, left=table(scene.left), right=table(scene.right), force=_force_table(scene.force))
+
+
+def _force_table(force):
+    if force is None:
+        return None
+    name = name_of(force.function)
+    if name is None:
+        rule = f"must be one of ours ({', '.join(NAMED)}) to be written"
+        raise check.ArgumentError("force.function", rule, force.function)
+    numbers = {key: float(value) for key, value in force.numbers.items()}
+    return ForceTable(name, numbers, force.tolerance)

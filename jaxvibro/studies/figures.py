@@ -187,7 +187,9 @@ def _heading(found):
 def _described(scene, without):
     """A scene in a line or two, but for some parameters."""
     plain = [
-        f"{sign} = {float(scene.parameter(name)):g}" for name, sign in style.SYMBOLS.items() if name not in without
+        f"{sign} = {float(scene.parameter(name)):g}"
+        for name, sign in style.SYMBOLS.items()
+        if name in scene.names and name not in without
     ]
     walls = [_wall(side, wall, without) for side, wall in scene.walls.items()]
     return ",  ".join(plain) + "\n" + (",  ".join(walls) or "no walls")

@@ -8,6 +8,7 @@ from ..design.free_numbers import room_of, units_of
 from ..design.records import positive
 from ..scene import check
 from ..scene.scene import Scene, between, changed, known
+from ..scene.scene_table import PLAIN
 from .schema import KINDS, MOST_STATES
 
 
@@ -43,9 +44,10 @@ def checked(file):
 def _plain(table):
     """The scene of a table in NumPy's float64, checked, whether jax has double precision on or not."""
     left, right = (wall and wall.wall() for wall in (table.left, table.right))
-    numbers = map(np.asarray, (table.amplitude, table.frequency, table.damping, table.restitution))
+    given = {name: getattr(table, name) for name in PLAIN}
+    plain = {name: None if value is None else np.asarray(value) for name, value in given.items()}
     with _under("scene."):
-        return known(Scene(*numbers, left, right), np.float64)
+        return known(Scene(**plain, left=left, right=right, force=table.force and table.force.force()), np.float64)
 
 
 @contextmanager

@@ -1,0 +1,146 @@
+"""The Taylor series of a motion under a force of the user's own, operation by operation of what JAX traces of it."""
+
+from functools import lru_cache
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core
+
+from ..compiled.compiler_hints import stage
+from .series import RULES, Series, added, times
+
+INNER = ("jaxpr", "call_jaxpr")  # the operations of one that is a function of its own
+LOOPS = ("while", "scan", "cond")  # functions of their own that are not simply run once
+STILL = """abs sign max min floor ceil round select_n clamp is_finite not and or eq ne lt le gt ge rem stop_gradient
+convert_element_type"""  # what may be done to numbers that are the same at all times, besides what has a rule
+PLAIN = frozenset(STILL.split())
+
+
+@lru_cache(256)
+def traced(function, names, dtype):
+    """The `ClosedJaxpr` of function(t, x, v, {name: number}), of scalars."""
+    number = jax.ShapeDtypeStruct((), dtype)
+
+    def plain(t, x, v, *numbers):
+        return function(t, x, v, dict(zip(names, numbers, strict=True)))
+
+    return jax.make_jaxpr(plain)(*[number] * (3 + len(names)))
+
+
+@lru_cache(256)
+def without_rule(function, names, dtype):
+    """The names of the operations of a force of which no Taylor series is known, as a tuple."""
+    closed = traced(function, names, dtype)
+    return tuple(sorted(_without(closed.jaxpr, [False] * 3 + [True] * len(names))[0]))
+
+
+def _without(jaxpr, still):
+    """(the names, whether each result is the same at all times), the inputs being so or not."""
+    known = dict(zip(jaxpr.invars, still, strict=True)) | dict.fromkeys(jaxpr.constvars, True)
+    found = set()
+    for eqn in jaxpr.eqns:
+        given = [_is_literal(each) or known[each] for each in eqn.invars]
+        inner = _inner(eqn)
+        if inner is not None:
+            names, results = _without(inner.jaxpr, given)
+            found |= names
+        else:
+            results = [all(given)] * len(eqn.outvars)
+            if not _has_rule(eqn, all(given)):
+                found.add(eqn.primitive.name)
+        known.update(zip(eqn.outvars, results, strict=True))
+    return found, [_is_literal(each) or known[each] for each in jaxpr.outvars]
+
+
+def _has_rule(eqn, still):
+    name = eqn.primitive.name
+    if any(each.aval.shape for each in (*eqn.invars, *eqn.outvars)):
+        return False
+    return name in RULES or (still and name in PLAIN) or (name == "convert_element_type" and _changes_nothing(eqn))
+
+
+def _changes_nothing(eqn):
+    return eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype
+
+
+def _is_literal(variable):
+    return isinstance(variable, core.Literal)
+
+
+def _inner(eqn):
+    """The `ClosedJaxpr` of an operation that is a function of its own, run once, else None."""
+    if eqn.primitive.name in LOOPS:
+        return None
+    for name in INNER:
+        inner = eqn.params.get(name)
+        if inner is not None:
+            return inner if isinstance(inner, core.ClosedJaxpr) else core.ClosedJaxpr(inner, ())
+    return None
+
+
+def along(force, time, x, v):
+    """The `Series` of a force where t, x and v are these `Series`."""
+    names = tuple(force.numbers)
+    closed = traced(force.function, names, np.dtype(jnp.result_type(*jax.tree.leaves((x[0], v[0])))))
+    numbers = [Series(None, force.numbers[name]) for name in names]
+    (found,) = _run(closed, [time, x, v, *numbers])
+    return found
+
+
+def _run(closed, given):
+    known = dict(zip(closed.jaxpr.invars, given, strict=True))
+    known |= {name: Series(None, value) for name, value in zip(closed.jaxpr.constvars, closed.consts, strict=True)}
+
+    def read(variable):
+        return Series(None, variable.val) if _is_literal(variable) else known[variable]
+
+    for eqn in closed.jaxpr.eqns:
+        ins = [read(each) for each in eqn.invars]
+        inner = _inner(eqn)
+        if inner is not None:
+            outs = _run(inner, ins)
+        elif all(each.constant for each in ins):
+            outs = [Series(None, _plainly(eqn, [each[0] for each in ins]))]
+        elif eqn.primitive.name == "convert_element_type":
+            outs = ins
+        else:
+            outs = [RULES[eqn.primitive.name](ins, **eqn.params)]
+        known.update(zip(eqn.outvars, outs, strict=True))
+    return [read(each) for each in closed.jaxpr.outvars]
+
+
+def _plainly(eqn, given):
+    """The result of an operation on numbers that are the same at all times, lanes or not."""
+    shape = jnp.broadcast_shapes(*map(jnp.shape, given))
+    return eqn.primitive.bind(*(jnp.broadcast_to(jnp.asarray(each), shape) for each in given), **eqn.params)
+
+
+def motion(force, time, x, v, drive, order):
+    """The coefficients of x, from the constant up to an order, of the motion that is at x, v at a time t; drive: those
+    of another force, order - 1 of them."""
+    start = Series(lambda own, k: _next(acceleration[k - 2], drive[k - 2], k), x, v)
+    speed = Series(lambda own, k: times(k + 1.0, start[k + 1]), v)
+    acceleration = along(force, Series(lambda own, k: None, time, 1.0), start, speed)
+    return [start[k] for k in range(order + 1)]
+
+
+def _next(own, drive, k):
+    return stage(_over, own, drive, share=1.0 / (k * (k - 1)))
+
+
+def _over(own, drive, share):
+    return share * added(own, drive)
+
+
+def forced(force, frequency, cosine, sine, count):
+    """The first coefficients of force cos(omega t), where its phasor is this."""
+    return stage(_forced, force, frequency, cosine, sine, count=count)
+
+
+def _forced(force, frequency, cosine, sine, count):
+    found = [force * cosine, -(force * sine) * frequency]
+    square = frequency * frequency
+    for k in range(2, count):
+        found.append(found[k - 2] * (square * (-1.0 / (k * (k - 1)))))
+    return found[:count]

@@ -1,0 +1,29 @@
+"""A force of the user's own, in place of the spring and the damper."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+from jaxtyping import ArrayLike, Real
+
+TOLERANCE = 1e-13
+TIGHTEST, LOOSEST = 1e-15, 1e-3
+
+
+@jax.tree_util.register_dataclass
+@dataclass(frozen=True, eq=False)
+class Force:
+    """The acceleration that a mass has beside the drive's: function(t, x, v, numbers), in place of -x - 2 damping v.
+
+    function: of numbers, with jax.numpy, or the name of one of ours: "duffing", "polynomial", "pendulum", "stribeck",
+    "van_der_pol" (docs/force.md). numbers: {name: number or array}, which it takes, and which are parameters of the
+    scene, "force.<name>". t is the drive's phase over its frequency: the force must repeat with the drive's period.
+    tolerance: of a step's error, over the largest of x, v, the walls' distances and the drive's amplitude.
+
+    What is compiled is kept for the function itself: define it once, and not anew for each call.
+    """
+
+    function: Callable[..., Any] | str = field(metadata={"static": True})
+    numbers: Mapping[str, Real[ArrayLike, "..."]] = field(default_factory=dict)
+    tolerance: float = field(default=TOLERANCE, metadata={"static": True})

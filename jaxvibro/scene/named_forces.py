@@ -1,0 +1,40 @@
+"""Forces with names, which scene files may ask for: accelerations of (t, x, v, numbers), in units of w0."""
+
+import jax.numpy as jnp
+
+
+def duffing(t, x, v, p):
+    """A spring that stiffens, or softens: -x - cubic x^3 - 2 damping v."""
+    return -x - p["cubic"] * x**3 - 2.0 * p["damping"] * v
+
+
+def polynomial(t, x, v, p):
+    """A spring that is a polynomial: -(c0 + c1 x + c2 x^2 + ...) - 2 damping v, of the c that are given."""
+    pull = sum((p[name] * x ** int(name[1:]) for name in sorted(p) if name != "damping"), 0.0 * x)
+    return -pull - 2.0 * p["damping"] * v
+
+
+def pendulum(t, x, v, p):
+    """A pendulum, x its angle in radians: -sin x - 2 damping v."""
+    return -jnp.sin(x) - 2.0 * p["damping"] * v
+
+
+def stribeck(t, x, v, p):
+    """A block on a belt, with dry friction that is smoothed: -x - (low + (high - low) exp(-(u / slip)^2)) tanh(u /
+    smooth), u = v - belt."""
+    u = v - p["belt"]
+    size = p["low"] + (p["high"] - p["low"]) * jnp.exp(-((u / p["slip"]) ** 2))
+    return -x - size * jnp.tanh(u / p["smooth"])
+
+
+def van_der_pol(t, x, v, p):
+    """An oscillator that drives itself: -x + gain (1 - x^2) v."""
+    return -x + p["gain"] * (1.0 - x * x) * v
+
+
+NAMED = {each.__name__: each for each in (duffing, polynomial, pendulum, stribeck, van_der_pol)}
+
+
+def name_of(function):
+    """The name of a force, None where it has none."""
+    return next((name for name, named in NAMED.items() if named is function), None)

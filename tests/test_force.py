@@ -1,0 +1,428 @@
+"""Forces of one's own: series, the strobe, its derivatives, orbits and branches, against references by hand."""
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+from jax import lax
+from mpmath import mp, mpf
+
+import jaxvibro as jv
+from jaxvibro.flight import traced_force
+from jaxvibro.flight.series import RULES, Series
+
+from .reference import own_force
+
+DAMPING, OMEGA, R = 0.05, 2.1, 0.7
+NUMBERS = {
+    "duffing": {"cubic": 0.5, "damping": DAMPING},
+    "pendulum": {"damping": DAMPING},
+    "stribeck": {"belt": 0.3, "low": 0.1, "high": 0.25, "slip": 0.8, "smooth": 0.4},
+    "van_der_pol": {"gain": 0.4},
+}
+
+
+def spring(t, x, v, p):
+    return -x - 2.0 * p["damping"] * v
+
+
+def own(force, walls=(-1.0, 1.0), amplitude=2.0, tolerance=1e-13, frequency=OMEGA, restitution=R):
+    force = jv.Force(force, NUMBERS[force], tolerance)
+    return jv.make_scene(amplitude, frequency, restitution=restitution, walls=walls, force=force)
+
+
+def _told(*given, **more):
+    return jax.tree.map(np.asarray, jv.strobe(*given, **more))
+
+
+def linear(**more):
+    return jv.make_scene(2.0, OMEGA, DAMPING, R, (-1.0, 1.0)).replace(**more)
+
+
+def linear_as_own(tolerance=1e-13, **more):
+    force = jv.Force(spring, {"damping": DAMPING}, tolerance)
+    return jv.make_scene(2.0, OMEGA, restitution=R, walls=(-1.0, 1.0), force=force).replace(**more)
+
+
+# ---- series ------------------------------------------------------------------------------------------------------
+
+SPECIAL = {
+    "add": (lambda u: u + 0.3 * u * u, None),
+    "add_any": (lambda u: u + u * u, None),
+    "sub": (lambda u: u * u - u, None),
+    "mul": (lambda u: u * (1.0 + u), None),
+    "div": (lambda u: (1.0 + u) / (2.0 + u * u), None),
+    "neg": (lambda u: -u, None),
+    "square": (lambda u: lax.square(u), lambda u: u * u),
+    "integer_pow": (lambda u: u**5 + u**-3, None),
+    "pow": (lambda u: u**1.7 + (1.0 + u) ** (0.2 + u), None),
+    "rsqrt": (lax.rsqrt, lambda u: 1 / mp.sqrt(u)),
+    "cbrt": (lax.cbrt, mp.cbrt),
+    "exp2": (lax.exp2, lambda u: mpf(2) ** u),
+    "logistic": (lax.logistic, lambda u: 1 / (1 + mp.exp(-u))),
+    "acosh": (lambda u: lax.acosh(1.5 + u), lambda u: mp.acosh(1.5 + u)),
+    "atan2": (lambda u: lax.atan2(u * u - 0.3, 0.2 - u), lambda u: mp.atan2(u * u - 0.3, 0.2 - u)),
+    "copy": (lambda u: jnp.array(u, copy=True), lambda u: u),
+}
+
+
+@pytest.mark.parametrize("name", sorted(RULES))
+def test_each_operation_has_the_taylor_coefficients_of_its_function(name):
+    function, exact = SPECIAL.get(name, (getattr(lax, name, None), getattr(mp, name, None)))
+    exact = exact or function
+    found = _coefficients(lambda t, x, v, p: function(0.4 + 0.3 * t - 0.1 * t * t), 12)
+    with mpmath.workdps(40):
+        true = mpmath.taylor(lambda t: exact(mpf(0.4) + mpf(0.3) * t - mpf(0.1) * t * t), 0, 12)
+        size = max(map(abs, true))
+        assert max(abs(a - b) for a, b in zip(found, true, strict=True)) < 4e-16 * max(1, size) * 50
+
+
+def _coefficients(function, order):
+    def found(zero):
+        time, none = Series(lambda own, k: None, zero, 1.0), Series(None, zero)
+        series = traced_force.along(jv.Force(function, {}), time, none, none)
+        return [zero if series[k] is None else series[k] + zero for k in range(order + 1)]
+
+    return list(map(float, jax.jit(found)(jnp.zeros(()))))
+
+
+def test_what_has_no_rule_is_told():
+    def looped(t, x, v, p):
+        return -jax.lax.fori_loop(0, 3, lambda k, a: a * 0.5, x)
+
+    with pytest.raises(jv.SceneError, match=r"force: .* no Taylor series is known \(scan"):
+        jv.strobe(jv.make_scene(1.0, 2.0, restitution=R, walls=(-1.0, 1.0), force=jv.Force(looped)), jv.State(0.0, 0.0))
+
+
+# ---- the strobe --------------------------------------------------------------------------------------------------
+
+
+MOVING = jv.Wall(-1.2, 0.5), jv.Wall(0.9, motion=jv.Motion(0.1, 0.4, 2))
+WAYS = [
+    pytest.param(walls, tolerance, marks=() if (place + power) % 3 == 0 else pytest.mark.slow)
+    for place, walls in enumerate([(-1.0, 1.0), (None, 0.7), MOVING])
+    for power, tolerance in enumerate([1e-13, 1e-9, 1e-6])
+]
+
+
+@pytest.mark.parametrize(("walls", "tolerance"), WAYS)
+def test_a_spring_as_a_force_of_ones_own_ends_as_the_spring(walls, tolerance):
+    rng = np.random.default_rng(1)
+    amplitude, frequency, damping = rng.uniform(0, 6, 512), rng.uniform(0.5, 5, 512), rng.uniform(0, 1.5, 512)
+    exact = jv.make_scene(amplitude, frequency, damping, R, walls)
+    force = jv.Force(spring, {"damping": damping}, tolerance)
+    found = jv.make_scene(amplitude, frequency, restitution=R, walls=walls, force=force)
+    state = jv.State(rng.uniform(-0.8, 0.6, 512), rng.normal(size=512), rng.uniform(0, 6, 512))
+    (end, hits), (other, others) = (jv.strobe(scene, state, slots=24, clearance=True) for scene in (exact, found))
+    slopes = np.asarray(jv.monodromy(exact, state))
+    # touches, and hops that are put to rest sooner or later, are left out
+    sure = (hits.least_speed > 1e-3) & (hits.least_clearance > 1e-4) & (hits.status == 0)
+    assert sure.mean() > 0.5
+    assert (np.asarray(hits.side)[sure] == np.asarray(others.side)[sure]).all()
+    allowed = 20 * tolerance * 8 * (1 + abs(slopes).max(axis=(1, 2)))  # 8: the largest length of these scenes
+    for one, two in ((end.x, other.x), (end.v, other.v)):
+        assert (abs(np.asarray(one) - np.asarray(two)) < allowed)[sure].all()
+
+
+@pytest.mark.parametrize("force", sorted(NUMBERS))
+def test_strobes_are_those_of_series_by_hand(force):
+    scene, rng = own(force), np.random.default_rng(2)
+    amplitude = rng.uniform(0, 5, 4)
+    state = jv.State(rng.uniform(-0.9, 0.9, 4), rng.normal(size=4))
+    end, hits = _told(scene.replace(amplitude=amplitude), state, slots=16)
+    with mpmath.workdps(25):
+        for k in range(4):
+            numbers = amplitude[k], OMEGA, (-1.0, 1.0), R, state.x[k], state.v[k]
+            (x, v), met, least, nearest = own_force.flown(own_force.FORCES[force], NUMBERS[force], *numbers)
+            if least < 1e-3 or nearest < 1e-6:
+                continue
+            assert hits.count[k] == len(met)
+            for row, (time, side, speed) in enumerate(met):
+                assert hits.side[k, row] == side
+                assert abs(hits.time[k, row] - time) < 1e-12 and abs(hits.speed[k, row] - speed) < 1e-12
+            assert abs(end.x[k] - x) < 1e-11 and abs(end.v[k] - v) < 1e-11
+
+
+def test_periods_of_a_pendulum_and_of_duffing_between_elastic_walls_are_elliptic_integrals():
+    for name, start in (("pendulum", 2.9), ("pendulum", 0.4), ("duffing", 1.7)):
+        force = jv.Force(name, {"damping": 0.0} | ({"cubic": 0.8} if name == "duffing" else {}), 1e-14)
+        scene = jv.make_scene(0.0, 0.05, restitution=1.0, walls=(0.0, None), force=force)
+        _, hits = _told(scene, jv.State(start, 0.0), slots=32)
+        with mpmath.workdps(30):
+            if name == "pendulum":
+                quarter, speed = mp.ellipk(mp.sin(mpf(start) / 2) ** 2), 2 * mp.sin(mpf(start) / 2)
+            else:
+                stiff = 1 + mpf("0.8") * mpf(start) ** 2
+                quarter = mp.ellipk(mpf("0.8") * mpf(start) ** 2 / (2 * stiff)) / mp.sqrt(stiff)
+                speed = mp.sqrt(mpf(start) ** 2 + mpf("0.8") * mpf(start) ** 4 / 2)
+            for k in range(5):
+                assert abs(hits.time[k] - (2 * k + 1) * quarter) < 1e-12 * (1 + 2 * k)
+                assert abs(hits.speed[k] - speed) < 1e-12
+
+
+def test_rest_and_release_and_chatter_are_those_of_the_spring():
+    """Weakly driven beside a wall on which the mass is pressed for a while."""
+    wall = jv.Wall(0.0, 0.4)
+    exact = jv.make_scene(np.linspace(0.5, 3.0, 40), 0.6, 0.1, 0.4, (wall, 5.0))
+    force = jv.Force(spring, {"damping": 0.1})
+    found = jv.make_scene(np.linspace(0.5, 3.0, 40), 0.6, restitution=0.4, walls=(wall, 5.0), force=force)
+    (end, hits), (other, others) = (jv.strobe(scene, jv.State(0.2, 0.0, 4.4), 3) for scene in (exact, found))
+    assert (np.asarray(hits.least_speed) == 0).sum() > 10 and (np.asarray(end.contact) == -2).sum() > 3
+    assert (end.contact == other.contact).all() and (hits.status == others.status).all()
+    assert np.allclose(end.x, other.x, rtol=0, atol=1e-12) and np.allclose(end.v, other.v, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("depth", [1e-3, 1e-6, 1e-9, 1e-11])
+def test_shallow_impacts_are_seen(depth):
+    """A pendulum thrown at a wall just below its turning point, or just above it."""
+    with mpmath.workdps(30):
+        speed = mpf("0.8")
+        top = 2 * mp.asin(speed / 2)
+    walls = float(top) - depth, float(top) + depth
+    force = jv.Force("pendulum", {"damping": 0.0})
+    scene = jv.make_scene(0.0, 1.0, restitution=R, walls=(None, np.array(walls)), force=force)
+    _, hits = _told(scene, jv.State(-0.3, float(mp.sqrt(speed**2 - 2 + 2 * mp.cos(mpf("0.3"))))), slots=2)
+    assert hits.count.tolist() == [1, 0]
+
+
+# ---- derivatives -------------------------------------------------------------------------------------------------
+
+
+def _end(scene, force, args):
+    x, v, amplitude, *numbers = args
+    names = [f"force.{name}" for name in NUMBERS[force]]
+    scene = scene.replace(amplitude=amplitude, **dict(zip(names, numbers, strict=True)))
+    end, hits = jv.strobe(scene, jv.State(x, v))
+    return jnp.stack([end.x, end.v, hits.time[0], hits.speed[0]])
+
+
+@pytest.mark.parametrize("force", ["duffing", pytest.param("stribeck", marks=pytest.mark.slow)])
+def test_derivatives_are_differences_of_series_by_hand(force):
+    scene, args = own(force), np.array([0.3, 0.4, 2.0, *NUMBERS[force].values()])
+    found = np.asarray(jax.jacfwd(lambda args: _end(scene, force, args))(args))
+    back = np.asarray(jax.jacrev(lambda args: _end(scene, force, args))(args))
+    assert np.allclose(found, back, rtol=0, atol=1e-12 * abs(found).max())
+
+    def at(args):
+        numbers = dict(zip(NUMBERS[force], args[3:], strict=True))
+        given = args[2], OMEGA, (-1.0, 1.0), R, args[0], args[1]
+        (x, v), met, _, _ = own_force.flown(own_force.FORCES[force], numbers, *given)
+        return [x, v, met[0][0], met[0][2]]
+
+    with mpmath.workdps(28):
+        step = mpf(10) ** -9
+        for k in range(len(args)):
+            ends = [[mpf(each) + (sign * step if j == k else 0) for j, each in enumerate(args)] for sign in (1, -1)]
+            true = [(a - b) / (2 * step) for a, b in zip(*map(at, ends), strict=True)]
+            assert max(abs(a - b) for a, b in zip(found[:, k], true, strict=True)) < 1e-10 * abs(found).max()
+
+
+@pytest.mark.slow
+def test_second_derivatives_of_a_spring_as_a_force_are_those_of_the_spring():
+    def end(scene, name):
+        def at(args):
+            moved = scene.replace(**{name: args[2]})
+            return jv.strobe(moved, jv.State(args[0], args[1]))[0].x
+
+        return np.asarray(jax.hessian(at)(np.array([0.3, 0.4, DAMPING])))
+
+    exact, found = end(linear(), "damping"), end(linear_as_own(), "force.damping")
+    assert np.allclose(found, exact, rtol=0, atol=1e-10 * abs(exact).max())
+
+
+@pytest.mark.slow
+def test_the_monodromy_matrix_is_the_derivative():
+    for force in ("duffing", "pendulum"):
+        scene, state = own(force), jv.State(0.3, 0.4)
+        by_product = np.asarray(jv.monodromy(scene, state))
+        ways = jax.jacfwd(lambda s, scene=scene: jnp.stack([(e := jv.strobe(scene, jv.State(*s))[0]).x, e.v]))
+        assert np.allclose(by_product, ways(np.array([0.3, 0.4])), rtol=0, atol=1e-11)
+
+
+# ---- orbits and branches -----------------------------------------------------------------------------------------
+
+
+def test_the_branch_of_a_spring_as_a_force_is_that_of_the_spring():
+    start, bounds = jv.State(0.9, -1.1), (0.0, 6.0)
+    exact, found = (jv.follow(jv.find_orbit(s, start), "amplitude", bounds) for s in (linear(), linear_as_own()))
+    assert [(one.kind, one.label) for one in exact.special] == [(one.kind, one.label) for one in found.special]
+    for one, two in zip(exact.special, found.special, strict=True):
+        assert abs(one.value - two.value) < 1e-12
+    assert repr(found) == repr(exact)
+
+
+@pytest.mark.slow
+def test_an_orbit_without_impacts_and_what_it_becomes_when_it_grazes():
+    scene = own("duffing", amplitude=0.5)
+    orbit = jv.find_orbit(scene, jv.State(0.0, 0.0))
+    assert orbit.label == "P100" and orbit.residual < 1e-14
+    branch = jv.follow(orbit, "amplitude", (0.0, 6.0))
+    assert [(one.kind, one.label) for one in branch.special] == [
+        ("EP", "P100"),
+        ("GR", "P100"),
+        ("SN", "P111"),
+        ("SB", "P111"),
+        ("EP", "P111"),
+    ]
+    grazing = branch.points("GR")[0]
+    with mpmath.workdps(40):  # the motion that grazes turns back at 1
+        x, v = grazing.orbit.state.x, grazing.orbit.state.v
+        numbers = grazing.value, OMEGA, (-1.0 - 1e-9, 1.0 + 1e-9), R, x, v
+        end, met, _, nearest = own_force.flown(own_force.duffing, NUMBERS["duffing"], *numbers)
+        assert not met and abs(nearest - 1e-9) < 1e-12
+        assert abs(end[0] - x) < 1e-12 and abs(end[1] - v) < 1e-12
+
+
+def test_the_determinant_of_a_multiplier_pair_says_how_much_was_lost():
+    orbit = jv.find_orbit(own("duffing"), jv.State(0.9, -1.1))
+    lost = R ** (2 * orbit.impacts.count) * np.exp(-2 * DAMPING * 2 * np.pi / OMEGA)
+    assert abs(np.prod(orbit.multipliers) - lost) < 1e-12
+
+
+@pytest.mark.slow
+def test_slopes_of_special_points_by_a_forces_numbers_are_those_by_the_springs():
+    points = []
+    for scene in (linear(), linear_as_own()):
+        branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (0.0, 6.0))
+        points.append([branch.points(kind)[0] for kind in ("SN", "SB", "GR")])
+    for exact, found in zip(*points, strict=True):
+        one, two = jv.sensitivity(exact, ["damping"]), jv.sensitivity(found, ["force.damping"])
+        assert abs(float(one[0]) - float(two[0])) < 1e-10 * (1 + abs(float(one[0])))
+    gradients = [jax.grad(jv.located(each[0]))(each[0].scene) for each in points]
+    assert abs(gradients[0].damping - gradients[1].force.numbers["damping"]) < 1e-10
+    assert abs(gradients[0].frequency - gradients[1].frequency) < 1e-10
+
+
+def _by_digits(scene, point, sign):
+    """The step to a special point by Newton's method in many digits: x, v and the amplitude."""
+
+    def map_of(x, v, amplitude):
+        numbers = {name: float(value) for name, value in scene.force.numbers.items()}
+        given = amplitude, OMEGA, (-1.0, 1.0), R, x, v, point.orbit.periods
+        return own_force.flown(own_force.duffing, numbers, *given)[0]
+
+    def left(u):
+        step = mpf(10) ** -9
+        (a, c), (b, d) = (
+            [
+                (p - q) / (2 * step)
+                for p, q in zip(map_of(*_moved(u, k, step)), map_of(*_moved(u, k, -step)), strict=True)
+            ]
+            for k in (0, 1)
+        )
+        x, v = map_of(*u)
+        return mp.matrix([x - u[0], v - u[1], 1 - sign * (a + d) + a * d - b * c])
+
+    start = [mpf(point.orbit.state.x), mpf(point.orbit.state.v), mpf(point.value)]
+    step = mpf(10) ** -6
+    columns = [(left(_moved(start, k, step)) - left(_moved(start, k, -step))) / (2 * step) for k in range(3)]
+    return mp.lu_solve(mp.matrix([[columns[k][row] for k in range(3)] for row in range(3)]), left(start))
+
+
+def _moved(u, k, step):
+    return [each + (step if place == k else 0) for place, each in enumerate(u)]
+
+
+@pytest.mark.slow
+def test_special_points_of_duffing_are_those_of_newtons_method_in_many_digits():
+    scene = own("duffing")
+    branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (0.0, 6.0))
+    doubling = jv.switch(branch.points("SB")[0])[0].points("PD")[0]
+    with mpmath.workdps(28):
+        for point, sign in ((branch.points("SN")[0], 1), (doubling, -1)):
+            assert point.orbit.state.phase == 0
+            assert abs(_by_digits(scene, point, sign)[2]) < 1e-10
+
+
+@pytest.mark.slow
+def test_attractors_and_exponents_of_a_spring_as_a_force_are_those_of_the_spring():
+    exact, found = (jv.find_attractors(s, 40) for s in (linear(amplitude=4.65), linear_as_own(amplitude=4.65)))
+    assert [one.label for one in exact] == [one.label for one in found]
+    rates = [jv.spectrum(s, "amplitude", np.array([2.0, 5.5]), jv.State(0.3, 0.2)) for s in (linear(), linear_as_own())]
+    one, two = (each["exponent"].values for each in rates)
+    errors = np.hypot(*(each["error"].values for each in rates))
+    assert (abs(one - two) < 4 * errors + 1e-9).all() and np.isfinite(one).all()
+
+
+def test_a_named_force_survives_files(tmp_path):
+    scene = own("duffing", tolerance=1e-12)
+    jv.save_scene(scene, tmp_path / "scene.toml")
+    again = jv.load_scene(tmp_path / "scene.toml")
+    assert again.numbers == scene.numbers and again.force.function is scene.force.function
+    assert again.force.tolerance == 1e-12
+    with pytest.raises(jv.ArgumentError, match=r"force.function: must be one of ours \(duffing, .*\) to be written"):
+        jv.save_scene(linear_as_own(), tmp_path / "other.toml")
+    assert not (tmp_path / "other.toml").exists()
+    text = (tmp_path / "scene.toml").read_text()
+    for change, told in (
+        (('name = "duffing"', 'name = "dufing"'), "scene.force.function: must be a function, or one of ours, perhaps"),
+        (("cubic = 0.5\n", ""), r"scene.force: cannot be traced by JAX \(KeyError: 'cubic'\)"),
+        (("restitution = 0.7", "restitution = 0.7\ndamping = 0.1"), "scene.damping: is not given beside a force"),
+    ):
+        (tmp_path / "wrong.toml").write_text(text.replace(*change))
+        with pytest.raises(jv.SceneError, match=told):
+            jv.load_scene(tmp_path / "wrong.toml")
+
+
+def test_what_knows_springs_alone_says_so():
+    scene = linear_as_own()
+    record = jv.ImpactRecord(np.array([0.5, 1.5]), np.array([1, -1]), 1e-3)
+    with pytest.raises(jv.ArgumentError, match=r"force: fit knows spring and damper alone"):
+        jv.fit(scene, record, {"force.damping": 0.1})
+
+
+# ---- bad input ---------------------------------------------------------------------------------------------------
+
+TURNS = 0
+
+
+def _python_state(t, x, v, p):
+    global TURNS
+    TURNS += 1
+    return -x * TURNS
+
+
+@pytest.mark.parametrize(
+    ("force", "told"),
+    [
+        (jv.Force(lambda t, x, v, p: -jnp.log(x)), "force: must be finite where the mass may be"),
+        (
+            jv.Force(lambda t, x, v, p: jnp.stack([x, v])),
+            r"force: must return one number of type float64, of numbers; got .float64\[2\]",
+        ),
+        (jv.Force(lambda t, x, v, p: (x, v)), "force: must return one number"),
+        (jv.Force(lambda t, x, v, p: float(x)), r"force: cannot be traced by JAX \(ConcretizationTypeError"),
+        (jv.Force(lambda t, x, v, p: -x * p["stiffness"]), r"force: cannot be traced by JAX \(KeyError"),
+        (jv.Force(lambda t, x: -x), r"force: cannot be traced by JAX \(TypeError"),
+        (jv.Force(_python_state), "force: must be the same each time"),
+        (jv.Force(lambda t, x, v, p: -x + jnp.cos(t)), "force: must repeat with the drive's period, 2.99199: "),
+        (jv.Force("duff", {}), r"force.function: must be a function, or one of ours, perhaps duffing \("),
+        (jv.Force(spring, {"damping": "much"}), "force.damping: must be a real number; got 'much'"),
+        (jv.Force(spring, {"damping": np.nan}), "force.damping: must be finite"),
+        (jv.Force(spring, {"a.b": 1.0}), "force.numbers: names must be letters"),
+        (jv.Force(spring, [1.0]), "force.numbers: must be a dict"),
+        (jv.Force(spring, {"damping": 0.1}, 1e-20), "force.tolerance: must be a number from 1e-15 to 0.001; got 1e-20"),
+        (spring, "force: must be a Force or None"),
+    ],
+)
+def test_what_is_no_force_is_refused(force, told):
+    with pytest.raises(jv.SceneError, match=told):
+        jv.make_scene(2.0, OMEGA, restitution=R, walls=(-1.0, 1.0), force=force)
+
+
+def test_beside_a_force_there_is_no_damping():
+    force = jv.Force(spring, {"damping": DAMPING})
+    with pytest.raises(jv.SceneError, match="damping: is not given beside a force"):
+        jv.make_scene(2.0, OMEGA, 0.1, R, (-1.0, 1.0), force=force)
+    with pytest.raises(jv.SceneError, match=r"damping: must be given, or a force"):
+        jv.make_scene(2.0, OMEGA, restitution=R, walls=(-1.0, 1.0))
+    with pytest.raises(jv.SceneError, match=r"right.stiffness: beside a force of one's own walls are rigid"):
+        jv.make_scene(2.0, OMEGA, restitution=R, walls=(None, jv.Wall(1.0, stiffness=9.0, damping=0.1)), force=force)
+    scene = jv.make_scene(2.0, OMEGA, restitution=R, walls=(-1.0, 1.0), force=force)
+    assert "damping" not in scene.names and scene.parameter("force.damping") == DAMPING
+    assert scene.replace(**{"force.damping": 0.2}).parameter("force.damping") == 0.2
+    with pytest.raises(
+        jv.ArgumentError, match=r"force.dumping: is not a parameter of this scene, perhaps force.damping"
+    ):
+        scene.replace(**{"force.dumping": 0.2})
