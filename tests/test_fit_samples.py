@@ -162,6 +162,7 @@ def test_a_record_of_another_scene_is_explained_by_none():
     assert found.values == {"damping": 0.05}
 
 
+@pytest.mark.slow
 def test_a_number_goes_no_further_than_its_bound():
     free = {"damping": 0.01, "right.position": 0.1}
     start = CHAOTIC.replace(**{"damping": 0.052, "right.position": 0.99})

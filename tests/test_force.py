@@ -11,6 +11,7 @@ from mpmath import mp, mpf
 import jaxvibro as jv
 from jaxvibro.flight import traced_force
 from jaxvibro.flight.series import RULES, Series
+from jaxvibro.scene.symmetry import is_symmetric
 
 from .reference import own_force
 
@@ -100,7 +101,7 @@ def test_what_has_no_rule_is_told():
 
 MOVING = jv.Wall(-1.2, 0.5), jv.Wall(0.9, motion=jv.Motion(0.1, 0.4, 2))
 WAYS = [
-    pytest.param(walls, tolerance, marks=() if (place + power) % 3 == 0 else pytest.mark.slow)
+    pytest.param(walls, tolerance, marks=() if place == power == 0 else pytest.mark.slow)
     for place, walls in enumerate([(-1.0, 1.0), (None, 0.7), MOVING])
     for power, tolerance in enumerate([1e-13, 1e-9, 1e-6])
 ]
@@ -125,7 +126,10 @@ def test_a_spring_as_a_force_of_ones_own_ends_as_the_spring(walls, tolerance):
         assert (abs(np.asarray(one) - np.asarray(two)) < allowed)[sure].all()
 
 
-@pytest.mark.parametrize("force", sorted(NUMBERS))
+@pytest.mark.parametrize(
+    "force",
+    ["duffing", *(pytest.param(name, marks=pytest.mark.slow) for name in ("pendulum", "stribeck", "van_der_pol"))],
+)
 def test_strobes_are_those_of_series_by_hand(force):
     scene, rng = own(force), np.random.default_rng(2)
     amplitude = rng.uniform(0, 5, 4)
@@ -186,6 +190,20 @@ def test_shallow_impacts_are_seen(depth):
     assert hits.count.tolist() == [1, 0]
 
 
+@pytest.mark.slow
+def test_a_motion_at_any_time_and_its_sections_are_those_of_the_spring():
+    exact, found = linear(), linear_as_own()
+    times = np.array([0.1, 0.9, 1.7, 2.3, 2.9, 4.4])
+    for start in (jv.State(0.3, 0.4), jv.State(-0.9, 2.0, 1.1)):
+        one, two = (jv.sample(s, start, times)[0] for s in (exact, found))
+        assert np.allclose(one.x, two.x, rtol=0, atol=1e-12) and np.allclose(one.v, two.v, rtol=0, atol=1e-12)
+        one, two = (jv.simulate(s, start, 2) for s in (exact, found))
+        assert np.allclose(one["x"], two["x"], rtol=0, atol=1e-12)
+    one, two = (jv.return_map(s, "right", 0.3, -1.0) for s in (exact, found))
+    assert one.found == two.found == 1
+    assert abs(one.velocity - two.velocity) < 1e-12 and abs(one.time - two.time) < 1e-12
+
+
 # ---- derivatives -------------------------------------------------------------------------------------------------
 
 
@@ -197,7 +215,8 @@ def _end(scene, force, args):
     return jnp.stack([end.x, end.v, hits.time[0], hits.speed[0]])
 
 
-@pytest.mark.parametrize("force", ["duffing", pytest.param("stribeck", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("force", ["duffing", "stribeck"])
 def test_derivatives_are_differences_of_series_by_hand(force):
     scene, args = own(force), np.array([0.3, 0.4, 2.0, *NUMBERS[force].values()])
     found = np.asarray(jax.jacfwd(lambda args: _end(scene, force, args))(args))
@@ -345,6 +364,40 @@ def test_attractors_and_exponents_of_a_spring_as_a_force_are_those_of_the_spring
     assert (abs(one - two) < 4 * errors + 1e-9).all() and np.isfinite(one).all()
 
 
+@pytest.mark.slow
+def test_a_force_that_feeds_the_motion_has_a_neimark_sacker_point():
+    """Van der Pol's oscillator between two walls: its determinant passes 1 with complex multipliers."""
+    force = jv.Force("van_der_pol", {"gain": 0.2})
+    scene = jv.make_scene(3.0, OMEGA, restitution=0.8, walls=(-1.0, 1.0), force=force)
+    branch = jv.follow(jv.find_orbit(scene, jv.State(0.3, 0.2)), "force.gain", (0.0, 1.0))
+    (point,) = branch.points("NS")
+    assert point.label == "P111" and point.orbit.state.phase == 0
+    assert abs(abs(point.multipliers) - 1.0).max() < 1e-10 and abs(point.multipliers[0].imag) > 0.1
+    with mpmath.workdps(28):
+        step, x, v = mpf(10) ** -9, mpf(point.orbit.state.x), mpf(point.orbit.state.v)
+
+        def map_of(x, v, gain):
+            return own_force.flown(own_force.van_der_pol, {"gain": gain}, 3.0, OMEGA, (-1.0, 1.0), 0.8, x, v)[0]
+
+        def area(gain):
+            (a, c), (b, d) = (
+                [(p - q) / (2 * step) for p, q in zip(map_of(*one), map_of(*two), strict=True)]
+                for one, two in (
+                    ((x + step, v, gain), (x - step, v, gain)),
+                    ((x, v + step, gain), (x, v - step, gain)),
+                )
+            )
+            return a * d - b * c
+
+        assert abs(area(mpf(point.value)) - 1) < 1e-9
+
+
+@pytest.mark.parametrize("numbers", [{"c1": 1.0, "c3": 0.4, "damping": 0.1}, {"c1": 1.0, "c2": 0.3, "damping": 0.1}])
+def test_a_scene_is_symmetric_where_its_force_is_odd(numbers):
+    scene = jv.make_scene(2.0, OMEGA, restitution=R, walls=(-1.0, 1.0), force=jv.Force("polynomial", numbers))
+    assert is_symmetric(scene) == ("c2" not in numbers)
+
+
 def test_a_named_force_survives_files(tmp_path):
     scene = own("duffing", tolerance=1e-12)
     jv.save_scene(scene, tmp_path / "scene.toml")
@@ -370,6 +423,11 @@ def test_what_knows_springs_alone_says_so():
     record = jv.ImpactRecord(np.array([0.5, 1.5]), np.array([1, -1]), 1e-3)
     with pytest.raises(jv.ArgumentError, match=r"force: fit knows spring and damper alone"):
         jv.fit(scene, record, {"force.damping": 0.1})
+    with pytest.raises(jv.ArgumentError, match=r"force: search knows spring and damper alone"):
+        jv.search(scene, "SN", {"amplitude": 1.0}, {"amplitude": (1.0, 3.0)})
+    orbit = jv.find_orbit(scene.replace(amplitude=0.1), jv.State(0.0, 0.0), settle=50)
+    with pytest.raises(jv.ArgumentError, match=r"force: margin of an orbit without impacts knows spring"):
+        jv.margin(orbit, {"amplitude": 1.0})
 
 
 # ---- bad input ---------------------------------------------------------------------------------------------------

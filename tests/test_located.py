@@ -62,3 +62,16 @@ def test_the_fold_in_closed_form(branch):
     assert jax.grad(mine)(numbers) == pytest.approx(slopes, rel=1e-12)
     found = jax.hessian(mine)(numbers)
     assert [found[0, 0], found[0, 1], found[1, 1]] == pytest.approx(bends, rel=1e-10)
+
+
+@pytest.mark.slow
+def test_a_second_derivative_of_a_fold_of_many_impacts():
+    """From six impacts on the sum of squares of the null vector was a product of matrices that did not compile."""
+    scene = jv.make_scene(1.35349688252687, 0.5681284414825132, 0.2826473694985851, 0.49, (None, 0.7418688488025945))
+    branch = jv.follow(jv.find_orbit(scene, jv.State(0.3, 0.1)), "restitution", (0.48, 0.495))
+    (fold,) = (one for one in branch.points("SN") if one.label == "P106")
+    value, at = jv.located(fold), float(scene.frequency)
+    slope = jax.grad(lambda frequency: value(fold.scene.replace(frequency=frequency)))
+    apart = 1e-5
+    near, far = (slope(at + k * apart) - slope(at - k * apart) for k in (1, 2))
+    assert abs(jax.grad(slope)(at) - (8 * near - far) / (12 * apart)) < 1e-8

@@ -92,7 +92,8 @@ def _told(scene, name, bounds, pieces):
             row = row_at(place)
             special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
     special = tuple(sorted(special, key=lambda one: one.place))
-    require_damped(name, whole[name], whole["multiplier_real"] + 1j * whole["multiplier_imag"])
+    if scene.force is None:
+        require_damped(name, whole[name], whole["multiplier_real"] + 1j * whole["multiplier_imag"])
     require_possible(special)
     return xr.Dataset(data, attrs={"parameter": name}), tuple(segments), special
 

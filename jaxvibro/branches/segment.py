@@ -19,6 +19,7 @@ from ..problem.first_touch import OrbitWatch, to_touch
 from ..problem.grazing import GrazingExit
 from ..problem.same_orbit import images, is_repeated
 from ..problem.touches import Touch, is_pressed
+from .neimark_sacker import neimark_sacker
 from .user_monitors import MonitoredPoint, crossings
 
 
@@ -111,6 +112,7 @@ class BranchWatch(OrbitWatch):
         found = event_search.events(
             task.problem, points._replace(tangent=tangent), values, task.control, task.args, known
         )
+        found += neimark_sacker(task, points, view)
         for kind, function in self.monitors.items():
             found += crossings(task, points, view, kind, function)
         return found

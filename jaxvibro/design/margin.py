@@ -131,6 +131,8 @@ def margin(
     """
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
+    if not orbit.impacts.count:
+        check.require_spring(orbit.scene, "margin of an orbit without impacts")
     if orbit.unknowns == "state" and orbit.impacts.count:
         raise OrbitError("the orbit rests on a wall, or chatters", orbit.residual, "margin takes separate impacts")
     units, kinds = units_of(orbit.scene, free), check.sequence("kinds", kinds)

@@ -105,6 +105,7 @@ def search(
     Raises ArgumentError for kinds, numbers and bounds that cannot be.
     """
     check.require_single(scene)
+    check.require_spring(scene, "search")
     kinds = check.sequence("kinds", kinds)
     if not kinds or not set(kinds) <= set(TESTS):
         raise check.ArgumentError("kinds", f"must be some of {', '.join(TESTS)}", kinds)

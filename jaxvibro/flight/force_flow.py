@@ -107,8 +107,8 @@ def _rest(terms, reach, size, tolerance):
     return total
 
 
-def scale(frame, found):
-    """A time in which the flights of a `flight_clearance.Flight` turn little, a scalar."""
+def shortest(frame, found):
+    """Half of the shortest of the first steps of some `flight_clearance.Flight`s, a scalar."""
     reach = ahead(frame, found.x, found.v, found.cosine, found.sine).reach
     return jnp.minimum(frame.reach, 0.5 * jnp.min(reach))
 

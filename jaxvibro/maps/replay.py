@@ -14,7 +14,7 @@ from jax import lax
 from jaxtyping import Float, Real
 
 from ..compiled.compiler_hints import choose, stage
-from ..flight import flow, force_flow, taylor
+from ..flight import flow, response, taylor
 from ..flight.press import press
 from ..flight.soft_contact import bounce, is_inside
 from ..flight.taylor import Now
@@ -112,11 +112,8 @@ def _resting(contact):
 
 def _fly(frame, now, time):
     """A free flight later."""
-    if frame.law is not None:
-        return Now(*force_flow.fly(frame, now.x, now.v, now.cosine, now.sine, time), now.time + time)
-    free, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, time)
-    x, v = flow.flown((free, forced), frame.force * now.cosine, frame.force * now.sine, now.x, now.v)
-    return Now(x, v, *flow.turn(now.cosine, now.sine, *angle), now.time + time)
+    place = response.with_phasor(frame, now.x, now.v, now.cosine, now.sine, time)
+    return Now(*place, now.time + time)
 
 
 def _held(frame, now, side):

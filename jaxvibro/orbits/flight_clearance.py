@@ -44,7 +44,7 @@ def without_impacts(frame, phase, periods, x, v):
 
 def samples(frame, found):
     """How many samples the longest of some flights needs."""
-    reach = force_flow.scale(frame, found) if frame.law is not None else frame.reach
+    reach = frame.reach if frame.law is None else force_flow.shortest(frame, found)
     return jnp.ceil(jnp.max(found.time) / (TURN * reach)).astype(int) + 8
 
 

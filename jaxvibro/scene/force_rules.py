@@ -13,6 +13,7 @@ from .named_forces import NAMED
 
 PLACES = 64  # at which a force is looked at
 SAME = 1e-9  # of a force's size: as much may it differ a period later
+ODD = 1e-12  # of its largest value: so far may a force be from its mirror image
 ONES = 4  # scenes of a batch whose forces are looked at
 
 
@@ -63,6 +64,22 @@ def check_force_values(scene):
         place = None if not scene.shape else tuple(int(i) for i in np.unravel_index(k, scene.shape))
         with jax.ensure_compile_time_eval():
             _look(scene, own[: len(names)], float(own[len(names)]), list(own[len(names) + 1 :]), depends, place)
+
+
+def is_odd(scene):
+    """Whether the force of a single scene is its own mirror image: -force(t, x, v) half a period later at -x, -v."""
+    rng = np.random.default_rng(1)
+    size = max([1.0, *(abs(float(wall.position)) for wall in scene.walls.values())])
+    half, dtype = np.pi / float(scene.frequency), scene.dtype
+    t = rng.uniform(0.0, 2.0 * half, PLACES)
+    x, v = size * rng.uniform(-1.0, 1.0, (2, PLACES))
+    call = _compiled(scene.force.function, tuple(scene.force.numbers))
+    with jax.ensure_compile_time_eval():
+        both = [
+            np.asarray(call(*(each.astype(dtype) for each in place), *scene.force.numbers.values()))
+            for place in ((t, x, v), (t + half, -x, -v))
+        ]
+    return bool((abs(both[0] + both[1]) <= ODD * abs(both[0]).max()).all())
 
 
 def _look(scene, numbers, frequency, walls, by_time, index):

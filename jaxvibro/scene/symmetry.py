@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 
+from .force_rules import is_odd
 from .scene import changed
 
 
@@ -12,8 +13,10 @@ def is_symmetric(scene):
     """Whether the mirror image of every motion of a single scene is a motion of it.
 
     So it is where the walls lie opposite, are of one kind with equal numbers, and move oppositely half a period apart;
-    and without walls.
+    and without walls. A force of the user's own is to be odd.
     """
+    if scene.force is not None and not is_odd(scene):
+        return False
     left, right = scene.left, scene.right
     if left is None and right is None:
         return True

@@ -1,0 +1,170 @@
+"""Forces of one's own, proved at length: `python -m tests.force_proof spring 10000` prints numbers.
+
+Others are `series 100`, scenes of each kind beside series by hand, `grazing 100000` and `points`.
+"""
+
+import sys
+import time
+
+import jax
+import mpmath
+import numpy as np
+from mpmath import mp, mpf
+
+import jaxvibro as jv
+
+from .reference import own_force
+
+jax.config.update("jax_enable_x64", True)
+
+TOLERANCES = 1e-13, 1e-9, 1e-6
+DEPTH = 100.0  # tolerances, times scale and growth: so near a wall a flight is left out
+RANGES = {
+    "duffing": {"cubic": (-0.3, 3.0), "damping": (0.0, 1.2)},
+    "pendulum": {"damping": (0.0, 1.2)},
+    "stribeck": {"belt": (-1.0, 1.0), "low": (0.0, 0.3), "high": (0.3, 0.6), "slip": (0.5, 2.0), "smooth": (0.4, 1.0)},
+}
+
+
+def plain(t, x, v, p):
+    return -x - 2.0 * p["damping"] * v
+
+
+def drawn(rng, count, structure):
+    """(walls, amplitude, frequency, damping, a restitution each, states) of scenes of a kind: one wall or two, at any
+    place, standing or moving."""
+    left = rng.uniform(-2.0, 0.5, count)
+    right = left + rng.uniform(0.3, 3.0, count)
+    bounces = rng.uniform(0.2, 1.0, (2, count))
+    swing = rng.uniform(0.0, 0.3, count) * (right - left)
+    motion = jv.Motion(swing, rng.uniform(0, 6, count), int(rng.integers(1, 4))) if structure % 2 else None
+    walls = jv.Wall(left, bounces[0]), jv.Wall(right, bounces[1], motion=motion)
+    walls = (walls, (None, walls[1]), (walls[0], None))[structure // 2 % 3]
+    low, high = left + 0.05 * (right - left), right - 0.35 * (right - left)
+    state = jv.State(rng.uniform(low, high), rng.normal(size=count) * (right - left), rng.uniform(0, 6, count))
+    numbers = rng.uniform(0, 5, count), rng.uniform(0.4, 6, count), rng.uniform(0, 1.5, count)
+    return walls, *numbers, state
+
+
+def spring(count, seed=0):
+    """Print how a spring as a force of one's own flies, beside the spring itself."""
+    rng = np.random.default_rng(seed)
+    for tolerance in TOLERANCES:
+        wrong, left_out, worst, ratios, seen = 0, 0, 0.0, [], 0
+        for structure in range(6):
+            walls, amplitude, frequency, damping, state = drawn(rng, count // 6, structure)
+            exact = jv.make_scene(amplitude, frequency, damping, 0.5, walls)
+            force = jv.Force(plain, {"damping": damping}, tolerance)
+            found = jv.make_scene(amplitude, frequency, restitution=0.5, walls=walls, force=force)
+            (end, hits), (other, others) = (told(scene, state) for scene in (exact, found))
+            ratios.append(timed(found, state) / timed(exact, state))
+            norm = abs(np.asarray(jv.monodromy(exact, state, slots=64))).max(axis=(1, 2))
+            size = np.maximum(np.maximum(abs(end.x), abs(end.v)), np.maximum(abs(np.asarray(state.v)), 4.0) + amplitude)
+            unit = tolerance * size * (1.0 + norm)
+            depth = np.minimum(hits.least_clearance, 0.5 * hits.least_speed**2 / size)
+            sure = (hits.status == 0) & (depth > DEPTH * unit) & np.isfinite(norm)
+            alike = (hits.side == others.side).all(axis=1) & (others.status == 0)
+            error = np.maximum(abs(end.x - other.x), abs(end.v - other.v)) / (20.0 * unit)
+            seen, left_out = seen + sure.size, left_out + int((~sure).sum())
+            wrong += int((sure & ~alike).sum())
+            worst = max(worst, error[sure & alike].max())
+        ratios = ", ".join(f"{each:.1f}" for each in ratios)
+        print(
+            f"tolerance {tolerance:g}: {seen} scenes, {left_out} left out, {wrong} wrong itineraries, largest error "
+            f"{worst:.2g} of what is allowed; times over the spring's {ratios}",
+            flush=True,
+        )
+
+
+def told(scene, state):
+    return jax.tree.map(np.asarray, jv.strobe(scene, state, slots=64, clearance=True))
+
+
+def timed(scene, state):
+    """Seconds of a strobe, the median of 5."""
+    found = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        jax.block_until_ready(jv.strobe(scene, state))
+        found.append(time.perf_counter() - begin)
+    return float(np.median(found))
+
+
+def series(count, seed=0, digits=34):
+    """Print how forces fly beside their series by hand, each scene with walls and numbers of its own."""
+    for kind, ranges in RANGES.items():
+        rng = np.random.default_rng(seed)
+        numbers = {name: rng.uniform(*each, count) for name, each in ranges.items()}
+        left, amplitude, frequency = (
+            rng.uniform(-1.5, -0.3, count),
+            rng.uniform(0, 4, count),
+            rng.uniform(0.6, 4, count),
+        )
+        right, bounce = left + rng.uniform(0.6, 2.5, count), rng.uniform(0.3, 1.0, count)
+        state = jv.State(rng.uniform(left + 0.02, right - 0.02), rng.normal(size=count))
+        scenes = [
+            jv.make_scene(
+                amplitude, frequency, restitution=bounce, walls=(left, right), force=jv.Force(kind, numbers, each)
+            )
+            for each in TOLERANCES
+        ]
+        found = [told(scene, state) for scene in scenes]
+        norm = abs(np.asarray(jv.monodromy(scenes[0], state, slots=64))).max(axis=(1, 2))
+        wrong, worst, seen = [0] * 3, [0.0] * 3, [0] * 3
+        with mpmath.workdps(digits):
+            for k in range(count):
+                own = {name: each[k] for name, each in numbers.items()}
+                given = amplitude[k], frequency[k], (left[k], right[k]), bounce[k], state.x[k], state.v[k]
+                (x, v), met, least, nearest = own_force.flown(own_force.FORCES[kind], own, *given)
+                size = max(abs(float(x)), abs(float(v)), abs(float(state.v[k])), 2.5 + amplitude[k])
+                for place, (tolerance, (end, hits)) in enumerate(zip(TOLERANCES, found, strict=True)):
+                    unit = tolerance * size * (1.0 + norm[k])
+                    if not min(nearest, least**2 / (2 * size)) > DEPTH * unit or hits.status[k] > 1:
+                        continue
+                    seen[place] += 1
+                    if [side for _, side, _ in met] != hits.side[k][hits.side[k] != 0].tolist():
+                        wrong[place] += 1
+                        continue
+                    error = max(abs(float(end.x[k]) - x), abs(float(end.v[k]) - v)) / (20 * unit)
+                    worst[place] = max(worst[place], float(error))
+        for tolerance, *rest in zip(TOLERANCES, seen, wrong, worst, strict=True):
+            told_of = "{} of {} scenes seen, {} wrong itineraries, largest error {:.2g} of what is allowed"
+            print(f"{kind}, tolerance {tolerance:g}:", told_of.format(rest[0], count, *rest[1:]), flush=True)
+
+
+def grazing(count, seed=0):
+    """Print which impacts of a pendulum just before it turns back are seen, by their depth, and which are invented."""
+    rng = np.random.default_rng(seed)
+    depth = 10.0 ** rng.uniform(-13, -2, count)
+    speed = rng.uniform(0.3, 1.8, count)
+    hits = rng.random(count) < 0.5
+    with mpmath.workdps(30):
+        tops = np.array([float(2 * mp.asin(mpf(each) / 2)) for each in speed])
+    start = -rng.uniform(0.2, 0.9, count) * tops
+    fast = np.sqrt(speed**2 - 4.0 * np.sin(start / 2.0) ** 2)
+    walls = tops + np.where(hits, -depth, depth)
+    force = jv.Force("pendulum", {"damping": 0.0})
+    scene = jv.make_scene(0.0, 0.45, restitution=0.7, walls=(None, walls), force=force)
+    count_met = np.minimum(told(scene, jv.State(start, fast))[1].count, 1)
+    wrong = count_met != hits
+    for low in range(-13, -2):
+        some = (depth >= 10.0**low) & (depth < 10.0 ** (low + 1))
+        missed, invented = (int((wrong & each & some).sum()) for each in (hits, ~hits))
+        print(f"1e{low}: {some.sum()} flights, {missed} missed, {invented} invented", flush=True)
+
+
+def points():
+    """Print how far special points of Duffing's oscillator without its cubic term are from the spring's."""
+    for walls, bounce in (((-1.0, 1.0), 0.7), ((None, 0.4), 0.6), ((-0.8, 1.1), 0.8)):
+        exact = jv.make_scene(2.0, 2.1, 0.05, bounce, walls)
+        force = jv.Force("duffing", {"cubic": 0.0, "damping": 0.05})
+        found = jv.make_scene(2.0, 2.1, restitution=bounce, walls=walls, force=force)
+        branches = [jv.follow(jv.find_orbit(s, jv.State(0.3, -1.1)), "amplitude", (0.0, 6.0)) for s in (exact, found)]
+        one, two = (branch.special for branch in branches)
+        apart = [abs(a.value - b.value) for a, b in zip(one, two, strict=True)]
+        print(walls, [f"{each.kind} {each.value:.6g}" for each in one], f"apart by {max(apart):.1e}", flush=True)
+
+
+if __name__ == "__main__":
+    name, *rest = sys.argv[1:]
+    {"spring": spring, "series": series, "grazing": grazing, "points": points}[name](*map(int, rest))
