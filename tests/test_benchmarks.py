@@ -192,7 +192,7 @@ def test_pictures_are_drawn(tmp_path):
     assert page.body(topic).startswith("![what](bars.png)\n\n| what |") and page.body(topic).endswith("| a |\n\n- said")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_all_of_it_runs_in_small(tmp_path):
     (tmp_path / "limit.py").write_text(YARDSTICK.format(value="0.5"))
     plain = {name: text for name, text in os.environ.items() if not name.startswith("JAX_")}

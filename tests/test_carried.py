@@ -50,7 +50,8 @@ def test_of_random_scenes_they_are_those_of_the_replay(kind, periods, monkeypatc
     assert np.nanmax(abs(found - expected) / _bent(expected)) < 1e-11
 
 
-@pytest.mark.parametrize("kind", [RIGID[1], pytest.param(RIGID[4], marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [RIGID[1], RIGID[4]])
 def test_of_random_scenes_they_are_the_product(kind):
     scene, start = usual(np.random.default_rng(4), LANES, kind)
     places = len(jax.tree.leaves(scene))

@@ -177,6 +177,13 @@ def test_rest_and_release_and_chatter_are_those_of_the_spring():
     assert np.allclose(end.x, other.x, rtol=0, atol=1e-12) and np.allclose(end.v, other.v, rtol=0, atol=1e-12)
 
 
+def test_a_mass_at_rest_at_a_wall_at_0_stays():
+    force = jv.Force("duffing", {"cubic": 0.5, "damping": 0.05})
+    scene = jv.make_scene(0.0, OMEGA, restitution=R, walls=(0.0, None), force=force)
+    end, hits = _told(scene, jv.State(0.0, 0.0))
+    assert (end.x, end.v, hits.count, hits.status) == (0.0, 0.0, 0, 0)
+
+
 @pytest.mark.parametrize("depth", [1e-3, 1e-6, 1e-9, 1e-11])
 def test_shallow_impacts_are_seen(depth):
     """A pendulum thrown at a wall just below its turning point, or just above it."""

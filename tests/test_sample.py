@@ -14,6 +14,7 @@ def scene():
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.2, 1.0))
 
 
+@pytest.mark.slow
 def test_states_and_slopes_are_those_of_exact_motions():
     state, forward, reverse = state_errors(6, kinds=[(1, 2)]).T
     assert state.max() < 1e-2

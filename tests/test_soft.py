@@ -137,6 +137,7 @@ def test_multipliers_of_orbits_are_those_of_the_product_and_of_autodiff(resonanc
         assert min(abs(roots - one).min() for one in orbit.multipliers) < 1e-11
 
 
+@pytest.mark.slow
 def test_a_branch_goes_through_the_grazings_of_soft_walls(resonance):
     _, branch = resonance
     meets = np.sqrt(np.roots([1.0, 4 * 0.05**2 - 2.0, 1.0 - 0.3**2]))  # A = sqrt(D), (8)
@@ -214,6 +215,7 @@ def test_folds_and_doublings_close_to_a_grazing_are_told_from_it():
         assert min(abs(roots - (1.0 if point.kind == "SN" else -1.0))) < 1e-6
 
 
+@pytest.mark.slow
 def test_multipliers_change_like_the_root_of_the_distance_to_a_grazing(resonance):
     _, branch = resonance
     (point,) = [one for one in branch.points("GR") if one.value < 1.0]
@@ -240,6 +242,7 @@ def test_bad_walls_are_refused(wall, key):
         jv.make_scene(**FIG10, walls=(-1.0, wall))
 
 
+@pytest.mark.slow
 def test_what_is_for_rigid_walls_says_so(resonance):
     orbit, _ = resonance
     start = jv.State(0.0, 0.0)

@@ -84,7 +84,7 @@ def ahead(frame, x, v, cosine, sine):
     """The `Ahead` of lanes."""
     count = order(frame)
     terms = coefficients(frame, x, v, cosine, sine, count)
-    size = most(most(lax.abs(x), lax.abs(v)), frame.size + 0.0 * x)
+    size = most(most(lax.abs(x), lax.abs(v)), frame.size + float(jnp.finfo(x.dtype).tiny))  # a mass at rest has none
     reach = stage(_reach, terms[-2], terms[-1], frame.reach + 0.0 * x, size, order=count, tolerance=frame.law.tolerance)
     return Ahead(terms, reach, stage(_rest, terms, reach, size, tolerance=frame.law.tolerance))
 
