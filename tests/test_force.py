@@ -425,6 +425,35 @@ def test_a_named_force_survives_files(tmp_path):
             jv.load_scene(tmp_path / "wrong.toml")
 
 
+def test_a_scene_file_with_a_force_is_run_and_says_so(tmp_path):
+    text = """
+        [scene]
+        amplitude = 2.0
+        frequency = 2.1
+        restitution = 0.7
+        left = {position = -1.0}
+        right = {position = 1.0}
+        force = {name = "duffing", numbers = {cubic = 0.5, damping = 0.05}}
+        [sweep]
+        parameter = "force.cubic"
+        count = 3
+        settle = 100
+        keep = 4
+        [[sweep.legs]]
+        name = "up"
+        from = 0.0
+        to = 1.0
+        start = {x = 0.9, v = -1.1}
+    """
+    (tmp_path / "own.toml").write_text(text)
+    jv.run(tmp_path / "own.toml", tmp_path / "out")
+    data = jv.load_data(tmp_path / "out" / "own.nc")
+    assert data.attrs["equation"].startswith("x'' = duffing(t, x, v) + amplitude cos(frequency t), ")
+    assert "force.cubic" in (tmp_path / "out" / "own.txt").read_text()
+    spring = jv.find_orbit(linear(), jv.State(0.9, -1.1))
+    assert abs(data["x"].values.reshape(3, -1)[0] - spring.state.x).max() < 1e-9
+
+
 def test_what_knows_springs_alone_says_so():
     scene = linear_as_own()
     record = jv.ImpactRecord(np.array([0.5, 1.5]), np.array([1, -1]), 1e-3)

@@ -16,7 +16,7 @@ from ..scene.scene import Scene
 from ..scene.state import State, check_start, real_state
 from .chaotic_exponents import of_motion, settled
 from .orbit_exponents import lost, of_orbits
-from .sweep import EQUATION, MEANING, UNITS, others, started, static
+from .sweep import MEANING, UNITS, equation, others, started, static
 from .tangent import LAPS, begin
 
 FEW, MANY = 8, 64  # rounds after which most values have settled, and after which the others are averaged
@@ -172,7 +172,7 @@ def _dataset(scene, name, values, state, found, resting):
         "order": ("order", [1, 2], {"long_name": "place among the exponents, the larger first"}),
         "wall": ("wall", ["left", "right"]),
     }
-    attrs = {"equation": EQUATION, "units": UNITS, "swept": name, **static(scene)}
+    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene)}
     for key, value in (others(scene, name) | {"phase": state.phase}).items():
         if np.ndim(value):
             coords[key] = (name, value)

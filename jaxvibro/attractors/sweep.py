@@ -18,11 +18,13 @@ from ..maps.strobe import strobe
 from ..output.units import LENGTH, SPEED
 from ..scene import check
 from ..scene.codes import Status
+from ..scene.named_forces import named
 from ..scene.scene import Scene
 from ..scene.state import State, check_start
 
 CHUNK = 16  # values between two reports of progress
-EQUATION = "x'' + 2 damping x' + x = amplitude cos(frequency t), y+ - v_b = -restitution (y- - v_b) at a rigid wall"
+SPRING = "x'' + 2 damping x' + x = amplitude cos(frequency t)"
+REBOUND = "y+ - v_b = -restitution (y- - v_b) at a rigid wall"
 MEANING = {"flag_values": [int(one) for one in Status], "flag_meanings": " ".join(one.word for one in Status)}
 UNITS = "lengths in that of the walls, time t in 1/w0"
 
@@ -161,7 +163,7 @@ def _dataset(scene, name, values, state, parts):
         name: ([step, *lanes][: whole.ndim], whole, {"long_name": name}),
         "period": ("period", np.arange(x.shape[-1]), {"long_name": "drive periods after those left out"}),
     }
-    attrs = {"equation": EQUATION, "units": UNITS, "swept": name, **static(scene)}
+    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene)}
     for key, value in (others(scene, name) | {"phase": state.phase}).items():
         if np.ndim(value):
             coords[key] = (lanes, np.broadcast_to(value, status.shape[1:]))
@@ -181,6 +183,13 @@ def others(scene, name):
     follows += [f"{side}.{own}" for side in scene.soft_sides for own in ("stiffness", "damping") if name == "hardness"]
     follows.append("hardness")
     return {key: scene.parameter(key) for key in scene.names if key != name and key not in follows}
+
+
+def equation(scene):
+    """The equation of motion and the law of impact, as files hold them."""
+    if scene.force is None:
+        return f"{SPRING}, {REBOUND}"
+    return f"x'' = {named(scene.force.function)}(t, x, v) + amplitude cos(frequency t), {REBOUND}"
 
 
 def static(scene):

@@ -38,3 +38,8 @@ NAMED = {each.__name__: each for each in (duffing, polynomial, pendulum, stribec
 def name_of(function):
     """The name of a force, None where it has none."""
     return next((name for name, named in NAMED.items() if named is function), None)
+
+
+def named(function):
+    """What a force is called: by its name, or as its function is."""
+    return name_of(function) or getattr(function, "__name__", "force")

@@ -18,6 +18,7 @@ from ..plot import style
 from ..plot.locus import name as of_locus
 from ..plot.orbit import title
 from ..scene.check import ArgumentError
+from ..scene.named_forces import named
 from ..scene.state import State
 from .sweep_periods import recurrence
 
@@ -191,6 +192,12 @@ def _described(scene, without):
         for name, sign in style.SYMBOLS.items()
         if name in scene.names and name not in without
     ]
+    if scene.force is not None:
+        own = {
+            name: value for name, value in scene.numbers.items() if name.startswith("force.") and name not in without
+        }
+        told = ", ".join(f"{name.removeprefix('force.')} {value:g}" for name, value in own.items())
+        plain.append(style.plain(f"force {named(scene.force.function)}" + (told and f" with {told}")))
     walls = [_wall(side, wall, without) for side, wall in scene.walls.items()]
     return ",  ".join(plain) + "\n" + (",  ".join(walls) or "no walls")
 
