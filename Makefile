@@ -51,7 +51,7 @@ test: $(VENV)/.dev ## lint, types and the tests that take seconds
 test-slow: $(VENV)/.dev ## the tests that take minutes
 	$(PYTEST) -m slow
 
-test-long: $(VENV)/.dev ## what compiles for minutes a test
+test-long: $(VENV)/.dev ## what takes minutes a test
 	$(PYTEST) -m long
 
 bench: $(VENV)/.dev ## what answers cost, ours and others', into docs/benchmarks.md

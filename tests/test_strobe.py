@@ -48,9 +48,9 @@ def same(one, other):
     return all(np.array_equal(np.asarray(a), np.asarray(b), equal_nan=True) for a, b in pairs)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_random_scenes_against_ball_arithmetic():
-    rows, _ = strobe_errors(200, seed=50_000)
+    rows, _ = strobe_errors(600, seed=50_000)
     error, right, times, speeds, clearance, count = rows.T
     assert right.all()
     assert count.mean() > 1
