@@ -70,9 +70,7 @@ def frame(scene):
         return _of_force(scene)
     dtype = scene.dtype
     force, frequency, damping = (jnp.asarray(n, dtype) for n in (scene.amplitude, scene.frequency, scene.damping))
-    given = zip(SIDES, (scene.left, scene.right), strict=True)
-    given = [(side, wall) for side, wall in given if wall is not None]
-    walls = tuple(lane(wall, scene, side, dtype) for side, wall in given)
+    walls = _walls(scene)
     rate = flow.rate(frequency, damping)
     for wall in walls:
         rate = jnp.maximum(rate, frequency * (wall.harmonic if wall.swing is not None else 1.0))
@@ -112,8 +110,7 @@ def _of_force(scene):
         told = f"has operations of which no Taylor series is known ({', '.join(unknown)})"
         raise check.SceneError("force", told, force.function)
     amplitude, frequency = (jnp.asarray(number, dtype) for number in (scene.amplitude, scene.frequency))
-    given = zip(SIDES, (scene.left, scene.right), strict=True)
-    walls = tuple(lane(wall, scene, side, dtype) for side, wall in given if wall is not None)
+    walls = _walls(scene)
     fast = max((wall.harmonic for wall in walls if wall.swing is not None), default=1)
     period, none = 2.0 * jnp.pi / frequency, jnp.zeros_like(frequency)
     reach = flow.STEP / (frequency * fast)
@@ -139,6 +136,11 @@ def _of_force(scene):
         contacts=(None,) * len(walls),
         law=jax.tree.map(lambda number: jnp.asarray(number, dtype), force),
     )
+
+
+def _walls(scene):
+    given = zip(SIDES, (scene.left, scene.right), strict=True)
+    return tuple(lane(wall, scene, side, scene.dtype) for side, wall in given if wall is not None)
 
 
 def _gap(walls, like):

@@ -9,14 +9,15 @@ from .coefficients import framed
 
 def after(frame, x, v, cosine, sine, time):
     """(x, v) a time >= 0 after a start where the drive is at this cosine and sine."""
-    return _flight(frame, x, v, cosine, sine, time)[:2]
+    flown = _sprung if frame.law is None else force_flow.fly
+    return flown(frame, x, v, cosine, sine, time)[:2]
 
 
 def with_phasor(frame, x, v, cosine, sine, time):
     """(x, v, the drive's cosine and sine) a time after."""
     if frame.law is not None:
         return force_flow.fly(frame, x, v, cosine, sine, time)
-    x, v, angle, _ = _flight(frame, x, v, cosine, sine, time)
+    x, v, angle, _ = _sprung(frame, x, v, cosine, sine, time)
     return x, v, *flow.turn(cosine, sine, *angle)
 
 
@@ -24,13 +25,12 @@ def with_matrix(frame, x, v, cosine, sine, time):
     """((x, v) a time after; how they change with x, v at the start, a matrix as `through` takes it)."""
     if frame.law is not None:
         return _slopes(frame, x, v, cosine, sine, time)
-    x, v, _, matrix = _flight(frame, x, v, cosine, sine, time)
+    x, v, _, matrix = _sprung(frame, x, v, cosine, sine, time)
     return (x, v), matrix
 
 
-def _flight(frame, x, v, cosine, sine, time):
-    if frame.law is not None:
-        return force_flow.fly(frame, x, v, cosine, sine, time)
+def _sprung(frame, x, v, cosine, sine, time):
+    """(x, v, the drive's turn, the free flow's matrix) a time after, under spring and damper."""
     free, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, time)
     return *flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v), angle, free
 

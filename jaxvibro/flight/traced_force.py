@@ -8,6 +8,7 @@ import numpy as np
 from jax.extend import core
 
 from ..compiled.compiler_hints import stage
+from ..scene.force import trace
 from .series import RULES, Series, added, times
 
 INNER = ("jaxpr", "call_jaxpr")  # the operations of one that is a function of its own
@@ -17,15 +18,7 @@ convert_element_type"""  # what may be done to numbers that are the same at all 
 PLAIN = frozenset(STILL.split())
 
 
-@lru_cache(256)
-def traced(function, names, dtype):
-    """The `ClosedJaxpr` of function(t, x, v, {name: number}), of scalars."""
-    number = jax.ShapeDtypeStruct((), dtype)
-
-    def plain(t, x, v, *numbers):
-        return function(t, x, v, dict(zip(names, numbers, strict=True)))
-
-    return jax.make_jaxpr(plain)(*[number] * (3 + len(names)))
+traced = lru_cache(256)(trace)
 
 
 @lru_cache(256)

@@ -27,3 +27,17 @@ class Force:
     function: Callable[..., Any] | str = field(metadata={"static": True})
     numbers: Mapping[str, Real[ArrayLike, "..."]] = field(default_factory=dict)
     tolerance: float = field(default=TOLERANCE, metadata={"static": True})
+
+
+def of_row(function, names):
+    """function(t, x, v, *numbers), the numbers of these names in a row."""
+
+    def plain(t, x, v, *numbers):
+        return function(t, x, v, dict(zip(names, numbers, strict=True)))
+
+    return plain
+
+
+def trace(function, names, dtype):
+    """The `ClosedJaxpr` of a force, traced anew, of scalars of a type."""
+    return jax.make_jaxpr(of_row(function, names))(*[jax.ShapeDtypeStruct((), dtype)] * (3 + len(names)))

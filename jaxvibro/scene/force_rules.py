@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from . import check
-from .force import LOOSEST, TIGHTEST, Force
+from .force import LOOSEST, TIGHTEST, Force, of_row, trace
 from .named_forces import NAMED
 
 PLACES = 64  # at which a force is looked at
@@ -108,28 +108,17 @@ def _look(scene, numbers, frequency, walls, by_time, index):
 
 @lru_cache(256)
 def _compiled(function, names):
-    def plain(t, x, v, *numbers):
-        return function(t, x, v, dict(zip(names, numbers, strict=True)))
-
-    return jax.jit(jax.vmap(plain, (0, 0, 0, *[None] * len(names))))
+    return jax.jit(jax.vmap(of_row(function, names), (0, 0, 0, *[None] * len(names))))
 
 
 @lru_cache(256)
 def _traced(function, names, dtype):
     """Whether the force depends on t; refused where it cannot be traced, or is another each time it is."""
-    number = jax.ShapeDtypeStruct((), dtype)
-
-    def trace():
-        def plain(t, x, v, *numbers):
-            return function(t, x, v, dict(zip(names, numbers, strict=True)))
-
-        try:
-            return jax.make_jaxpr(plain)(*[number] * (3 + len(names)))
-        except Exception as error:
-            reason = check.short(f"{type(error).__name__}: {error}", 160)
-            raise check.ArgumentError("force", f"cannot be traced by JAX ({reason})", function) from None
-
-    first, second = trace(), trace()
+    try:
+        first, second = (trace(function, names, dtype) for _ in range(2))
+    except Exception as error:
+        reason = check.short(f"{type(error).__name__}: {error}", 160)
+        raise check.ArgumentError("force", f"cannot be traced by JAX ({reason})", function) from None
     results = first.out_avals
     if len(results) != 1 or results[0].shape != () or results[0].dtype != dtype:
         told = ", ".join(f"{one.dtype}{list(one.shape)}" for one in results)

@@ -1,5 +1,7 @@
 """How large and how swift the motion of a scene is, before any of it is known."""
 
+from functools import lru_cache
+
 import jax
 import numpy as np
 
@@ -20,6 +22,11 @@ def scene_length(scene):
     return found if found > 0.3 * size else (size or 1.0)
 
 
+@lru_cache(256)
+def _slopes(function):
+    return jax.jit(jax.vmap(jax.grad(function, (1, 2)), (0, 0, None, None)))
+
+
 def force_rates(scene):
     """How fast a mass turns, and how fast it loses speed, by the slopes of the force of a single scene, at rest on its
     walls or at 0: two floats."""
@@ -27,6 +34,6 @@ def force_rates(scene):
     times = np.linspace(0.0, 2.0 * np.pi / float(scene.frequency), PLACES, endpoint=False)
     places = [float(wall.position) for wall in scene.walls.values()] or [0.0]
     t, x = (each.ravel().astype(dtype) for each in np.meshgrid(times, places))
-    slopes = jax.vmap(jax.grad(force.function, (1, 2)), (0, 0, None, None))(t, x, np.zeros((), dtype), force.numbers)
+    slopes = _slopes(force.function)(t, x, np.zeros((), dtype), force.numbers)
     pull, drag = (float(abs(np.asarray(each)).max()) for each in slopes)
     return max(1.0, pull**0.5), drag
