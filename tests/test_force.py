@@ -88,14 +88,6 @@ def _coefficients(function, order):
     return list(map(float, jax.jit(found)(jnp.zeros(()))))
 
 
-def test_what_has_no_rule_is_told():
-    def looped(t, x, v, p):
-        return -jax.lax.fori_loop(0, 3, lambda k, a: a * 0.5, x)
-
-    with pytest.raises(jv.SceneError, match=r"force: .* no Taylor series is known \(scan"):
-        jv.strobe(jv.make_scene(1.0, 2.0, restitution=R, walls=(-1.0, 1.0), force=jv.Force(looped)), jv.State(0.0, 0.0))
-
-
 # ---- the strobe --------------------------------------------------------------------------------------------------
 
 

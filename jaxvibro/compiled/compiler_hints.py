@@ -11,9 +11,18 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
+from jax.extend import core
 
 WIDTH = 64  # lanes of a block: its arrays stay in the first-level cache, and few lanes wait for the slowest
 NARROW = 32  # the same of lanes that lean steps have given up: few, and slow ones among them
+NOT_EMITTED = frozenset(  # operations that cannot stand within a loop that is one kernel
+    name
+    for names in (
+        "scatter scatter-add scatter_add scatter_mul scatter_min scatter_max sort top_k fft pure_callback io_callback",
+        "lu triangular_solve cholesky qr geqrf householder_product eig eigh svd schur tridiagonal tridiagonal_solve",
+    )
+    for name in names.split()
+)
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
@@ -78,7 +87,7 @@ def stage(function, *lanes, **static):
     be short, or to have few results. Only operands that the results depend on are handed over; the emitter of a whole
     loop as one kernel aborts on any other. The function is one of a module, traced once for lanes of a kind.
     """
-    call, operands = _trimmed(function, lanes, static)
+    call, operands, _ = _trimmed(function, lanes, static)
     with set_xla_metadata(inlineable="false"):
         return jax.jit(call)(*operands)
 
@@ -88,9 +97,12 @@ def one_kernel(function, *lanes, **static):
 
     Operands of one shape are handed over in one array, and given back: the emitter aborts on an operand that is a
     constant which a loop outside starts from too, and on one that XLA finds to be of no use, such as a number that a
-    loop carries and no result needs. The function is one of a module, traced once for lanes of a kind.
+    loop carries and no result needs. The function is one of a module, traced once for lanes of a kind. What has an
+    operation that is `NOT_EMITTED` is compiled as it is.
     """
-    call, operands = _trimmed(function, lanes, static)
+    call, operands, jaxpr = _trimmed(function, lanes, static)
+    if not _is_emitted(jaxpr):
+        return jax.jit(call)(*operands)
     places = {}
     for place, operand in enumerate(operands):
         places.setdefault((jnp.shape(operand), jnp.result_type(operand)), []).append(place)
@@ -110,16 +122,16 @@ def one_kernel(function, *lanes, **static):
 
 
 def _trimmed(function, lanes, static):
-    """(the function of those operands alone that its results depend on, these operands)."""
+    """(the function of those operands alone that its results depend on, these operands, its jaxpr)."""
     flat, tree = jax.tree.flatten(lanes)
     kinds = tuple((jnp.shape(lane), jnp.result_type(lane)) for lane in flat)
-    call, kept = _traced(function, tuple(static.items()), tree, kinds, jax.config.jax_enable_x64)
-    return call, [lane for lane, keep in zip(flat, kept, strict=True) if keep]
+    call, kept, jaxpr = _traced(function, tuple(static.items()), tree, kinds, jax.config.jax_enable_x64)
+    return call, [lane for lane, keep in zip(flat, kept, strict=True) if keep], jaxpr
 
 
 @lru_cache(1024)
 def _traced(function, static, tree, kinds, double):
-    """(the function of the operands that matter, which those are), for operands of these shapes and types."""
+    """(the function of the operands that matter, which those are, its jaxpr), for operands of such shapes and types."""
     blank = [jax.ShapeDtypeStruct(*kind) for kind in kinds]
     whole = jax.make_jaxpr(lambda *a: function(*tree.unflatten(a), **dict(static)), return_shape=True)
     closed, shape = whole(*blank)
@@ -131,7 +143,16 @@ def _traced(function, static, tree, kinds, double):
         full = [next(given) if keep else jnp.zeros(*kind) for keep, kind in zip(kept, kinds, strict=True)]
         return jax.tree.unflatten(jax.tree.structure(shape), jax.core.eval_jaxpr(closed.jaxpr, closed.consts, *full))
 
-    return call, kept
+    return call, kept, closed.jaxpr
+
+
+@lru_cache(1024)
+def _is_emitted(jaxpr):
+    """Whether loops of this can be one kernel."""
+    return all(
+        eqn.primitive.name not in NOT_EMITTED and all(map(_is_emitted, core.jaxprs_in_params(eqn.params)))
+        for eqn in jaxpr.eqns
+    )
 
 
 def _operands(jaxpr):

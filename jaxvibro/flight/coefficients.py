@@ -8,13 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..scene import check
 from ..scene.force import Force
 from ..scene.scale import swift
 from . import flow
 from .event import TERMS, weights
 from .soft_contact import SoftFlow, contact
-from .traced_force import without_rule
 from .wall import Lane, extent, lane, tail
 
 SIDES = (-1, 1)
@@ -105,10 +103,6 @@ def frame(scene):
 def _of_force(scene):
     """The `Frame` of a scene with a force of the user's own."""
     force, dtype = scene.force, scene.dtype
-    unknown = without_rule(force.function, tuple(force.numbers), np.dtype(dtype))
-    if unknown:
-        told = f"has operations of which no Taylor series is known ({', '.join(unknown)})"
-        raise check.SceneError("force", told, force.function)
     amplitude, frequency = (jnp.asarray(number, dtype) for number in (scene.amplitude, scene.frequency))
     walls = _walls(scene)
     fast = max((wall.harmonic for wall in walls if wall.swing is not None), default=1)

@@ -74,7 +74,7 @@ def moved(frame, motion, time, touch=None):
     Under a force of the user's own no longer than a step.
     """
     if frame.law is not None:
-        return gone(frame, motion, coefficients(frame, motion), time)
+        return gone(frame, motion, time)
     if touch is None:
         gains, more = stage(flow.gains, frame.series, frame.frequency, time), None
     else:
@@ -85,15 +85,10 @@ def moved(frame, motion, time, touch=None):
     return SlowMotion(*slow, *stage(flow.turn, *motion[4:], gains.versed, gains.sined))
 
 
-def coefficients(frame, motion):
-    """The Taylor coefficients of x under a force of the user's own, from a motion on."""
+def gone(frame, motion, time, terms=None):
+    """The `SlowMotion` a time later under a force of the user's own; terms: the coefficients of x, where known."""
     x, _, v = stage(place, frame, motion)
-    return force_flow.coefficients(frame, x, v, motion.cosine, motion.sine, force_flow.order(frame))
-
-
-def gone(frame, motion, terms, time):
-    """The `SlowMotion` a time later, from the Taylor coefficients of x."""
-    dx, dv = stage(force_flow.gained, terms, time)
+    dx, dv = force_flow.gained(frame, x, v, motion.cosine, motion.sine, time, terms)
     slow = stage(_added, motion, dx, dv)
     return SlowMotion(*slow, *stage(_turned, frame.frequency, motion.cosine, motion.sine, time))
 

@@ -1,6 +1,9 @@
-"""Free flight under a force of the user's own: Taylor steps, as long as their last terms allow (Jorba and Zou 2005)."""
+"""Free flight under a force of the user's own: Taylor steps, as long as their last terms allow (Jorba and Zou 2005); or
+those of a solver, where the force has one, see `solver_steps`."""
 
 import math
+from functools import reduce
+from importlib import import_module
 from typing import NamedTuple
 
 import jax
@@ -15,6 +18,7 @@ from .wall import course
 
 FEWEST = event.TERMS + 2  # terms of a step, beyond those of an event
 PRESSED = event.TERMS + 4  # the same of the press on a wall
+STEADY = 1e-3  # of the press, as much may be beyond an event's terms over a step
 RUSH = 2.0  # times the change of the press where hops begin: faster it may not change while they last
 MOST_STEPS = 100_000  # of a flight of any time: more would be a hang
 
@@ -26,6 +30,20 @@ class Ahead(NamedTuple):
     terms: list[Float[jax.Array, "*lanes"]]
     reach: Float[jax.Array, "*lanes"]
     rest: Float[jax.Array, "*lanes"]
+
+
+class Press(NamedTuple):
+    """The press on a wall, and its derivatives, as many as an event has terms; a bound on what is beyond them over a
+    step, and on its slope over as many; the longest step at which that is small."""
+
+    derivatives: list[Float[jax.Array, "*lanes"]]
+    rest: Float[jax.Array, "*lanes"]
+    reach: Float[jax.Array, "*lanes"]
+
+
+def _solver_steps():
+    """The steps of diffrax's solvers, which nothing else loads."""
+    return import_module(".solver_steps", __package__)
 
 
 def order(frame):
@@ -46,6 +64,8 @@ def _time(frequency, cosine, sine):
 
 def derivatives(frame, x, v, cosine, sine, order):
     """x and its derivatives up to an order."""
+    if frame.law.solver is not None:
+        return _solver_steps().derivatives(frame, x, v, cosine, sine, order)
     return as_derivatives(coefficients(frame, x, v, cosine, sine, order))
 
 
@@ -55,16 +75,26 @@ def as_derivatives(terms):
 
 
 def pressed(frame, wall, cosine, sine):
-    """(the press on a wall and its derivatives, as many as an event has terms; a bound on what is beyond them over a
-    step, and on its slope over as many)."""
-    terms, total = press_terms(frame, wall, cosine, sine, PRESSED), 0.0
-    for k in range(event.TERMS, PRESSED + 1):
-        total = total + (2.0 * k / event.TERMS) * (lax.abs(terms[k]) * frame.reach**k)
-    return as_derivatives(terms[: event.TERMS]), total
+    """The `Press` on a wall."""
+    if frame.law.solver is not None:
+        return _solver_steps().pressed(frame, wall, cosine, sine)
+    return stage(_pressed, frame.reach, press_terms(frame, wall, cosine, sine, PRESSED))
+
+
+def _pressed(longest, terms):
+    own, last = [lax.abs(term) for term in terms[: event.TERMS]], terms[event.TERMS :]
+    size, reach, rest = reduce(most, own) + float(jnp.finfo(own[0].dtype).tiny), longest + 0.0 * own[0], 0.0
+    for k, term in enumerate(last, event.TERMS):
+        reach = least(reach, lax.exp(lax.log(STEADY * size / lax.abs(term)) / float(k)))
+    for k, term in enumerate(last, event.TERMS):
+        rest = rest + (2.0 * k / event.TERMS) * (lax.abs(term) * reach**k)
+    return Press(as_derivatives(terms[: event.TERMS]), rest, reach)
 
 
 def press_terms(frame, wall, cosine, sine, order):
     """The Taylor coefficients of the press on a wall, see `press`, up to an order."""
+    if frame.law.solver is not None:
+        return _solver_steps().press_terms(frame, wall, cosine, sine, order)
     way = course(wall, frame.frequency, cosine, sine, order + 2)
     zero = jnp.zeros_like(cosine)
     where = [zero if each is None else each * (1.0 / math.factorial(k)) + zero for k, each in enumerate(way)]
@@ -82,11 +112,18 @@ def press_terms(frame, wall, cosine, sine, order):
 
 def ahead(frame, x, v, cosine, sine):
     """The `Ahead` of lanes."""
+    if frame.law.solver is not None:
+        return _solver_steps().ahead(frame, x, v, cosine, sine)
     count = order(frame)
     terms = coefficients(frame, x, v, cosine, sine, count)
-    size = most(most(lax.abs(x), lax.abs(v)), frame.size + float(jnp.finfo(x.dtype).tiny))  # a mass at rest has none
+    size = scale(frame, x, v)
     reach = stage(_reach, terms[-2], terms[-1], frame.reach + 0.0 * x, size, order=count, tolerance=frame.law.tolerance)
     return Ahead(terms, reach, stage(_rest, terms, reach, size, tolerance=frame.law.tolerance))
+
+
+def scale(frame, x, v):
+    """What a step's error is measured by."""
+    return most(most(lax.abs(x), lax.abs(v)), frame.size + float(jnp.finfo(x.dtype).tiny))  # a mass at rest has none
 
 
 def _reach(before, last, longest, size, order, tolerance):
@@ -110,6 +147,8 @@ def _rest(terms, reach, size, tolerance):
 def shortest(frame, found):
     """Half of the shortest of the first steps of some `flight_clearance.Flight`s, a scalar."""
     reach = ahead(frame, found.x, found.v, found.cosine, found.sine).reach
+    if frame.law.solver is not None:
+        reach = reach * _solver_steps().spacing(frame.law.tolerance)
     return jnp.minimum(frame.reach, 0.5 * jnp.min(reach))
 
 
@@ -123,8 +162,16 @@ def hops(frame, wall, pull, closing, cosine, sine):
     return rush, 0.5 * drag / most(lax.abs(closing), jnp.full_like(closing, jnp.finfo(closing.dtype).tiny))
 
 
-def gained(terms, time):
-    """(what x gains, what v gains) after a time."""
+def gained(frame, x, v, cosine, sine, time, terms=None):
+    """(what x gains, what v gains) after a time no longer than a step; terms: the coefficients of x, where known."""
+    if frame.law.solver is not None:
+        return _solver_steps().gained(frame, x, v, cosine, sine, time)
+    if terms is None:
+        terms = coefficients(frame, x, v, cosine, sine, order(frame))
+    return stage(_summed, terms, time)
+
+
+def _summed(terms, time):
     x = evaluated(terms[1:], time) * time
     return x, evaluated([k * term for k, term in enumerate(terms)][2:], time) * time
 
@@ -142,7 +189,7 @@ def fly(frame, x, v, cosine, sine, time):
         reach = lax.stop_gradient(found.reach)
         last = left <= reach
         length = choose(last, left, reach)
-        x, v = gained(found.terms, length)
+        x, v = gained(frame, *place, length, found.terms)
         angle = frame.frequency * length
         turned = flow.turn(*place[2:], flow.versine(angle), flow.sinus(angle))
         new = (place[0] + x, place[1] + v, *turned, choose(last, 0.0, left - length))

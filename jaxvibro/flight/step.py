@@ -3,6 +3,7 @@
 Each step is a handful of stages on lanes; a stage's results are stored, see `compiler_hints.stage`.
 """
 
+from functools import reduce
 from typing import NamedTuple
 
 import jax
@@ -33,10 +34,14 @@ class Step(NamedTuple):
 
 def micro(frame, path):
     """One certified step of every lane that has time to go; a lane that has none stays as it is."""
-    bias, whole, touch, ahead = (), frame, None, None
+    bias, whole, touch, ahead, pushes = (), frame, None, None, None
     if frame.law is not None:
         ahead = force_flow.ahead(frame, path.x, path.v, path.cosine, path.sine)
-        frame = stage(_as_far, frame, ahead.reach)
+        reach = ahead.reach
+        if frame.walls:
+            pushes = _pushes(frame, path)
+            reach = stage(_held_longer, path.contact, reach, [each.reach for each in pushes])
+        frame = stage(_as_far, frame, reach)
     if not frame.walls:
         time = positive(least(frame.reach, path.to_go))
         flown = _advance(frame, path, time, ahead)
@@ -51,7 +56,6 @@ def micro(frame, path):
         derivatives = jet(frame, path.x, path.v, path.cosine, path.sine, event.TERMS, bias)
     else:
         derivatives = stage(force_flow.as_derivatives, ahead.terms[: event.TERMS + 1])
-    pushes = None if ahead is None else _pushes(frame, path)
     side = stage(_side, frame, path, *derivatives[2:4])
     rest = None if ahead is None else ahead.rest
     nearing = stage(_progress, frame, path, derivatives, side, pushes, rest)
@@ -79,8 +83,13 @@ def _as_far(frame, reach):
     return frame._replace(reach=reach, pace=1.0 / reach, weights=event.weights(reach))
 
 
+def _held_longer(contact, reach, presses):
+    """The longest step of each lane: of one that rests that of the press, however fast it would move."""
+    return choose(lax.abs(contact) == Contact.STUCK, reduce(least, presses), reach)
+
+
 def _pushes(frame, path):
-    """Of each wall: what `force_flow.pressed` says of the press on it, where a lane rests; else zeros."""
+    """The `force_flow.Press` on each wall where a lane rests; else zeros."""
     return lax.cond(jnp.any(lax.abs(path.contact) == Contact.STUCK), _pressed, _unpressed, frame, path)
 
 
@@ -90,7 +99,7 @@ def _pressed(frame, path):
 
 def _unpressed(frame, path):
     none = lax.full_like(path.x, 0.0)
-    return [([none] * event.TERMS, none) for _ in frame.walls]
+    return [force_flow.Press([none] * event.TERMS, none, none) for _ in frame.walls]
 
 
 def _side(frame, path, pull, jerk):
@@ -131,11 +140,13 @@ def _progress(frame, path, derivatives, side, pushes, rest=None):
     walls, contact = frame.walls, path.contact * side
     if pushes is None:
         presses = [press(frame, wall, path.cosine, path.sine, event.TERMS - 1) for wall in walls]
-        pushes = list(zip(presses, frame.tails, strict=True))
-    push = picked(side, walls, [each for each, _ in pushes])
+    else:
+        presses = [each.derivatives for each in pushes]
+    push = picked(side, walls, presses)
     way = picked(side, walls, [course(wall, frame.frequency, path.cosine, path.sine, event.TERMS) for wall in walls])
     stuck, released = contact == Contact.STUCK, contact == Contact.RELEASED
-    tail, swing = chosen(side, walls, [each for _, each in pushes]), chosen(side, walls, frame.swings)
+    tails = frame.tails if pushes is None else [each.rest for each in pushes]
+    tail, swing = chosen(side, walls, tails), chosen(side, walls, frame.swings)
     on, weights = (contact == Contact.LANDED) | released, frame.weights
     if frame.soft:  # from within, y falls to 0
         inside = (contact == Contact.WITHIN) | (contact == Contact.ENTERED)
@@ -192,5 +203,5 @@ def _time(frame, path, hit, root, slack, step, other):
 
 def _advance(frame, path, time, ahead=None, touch=None):
     """The path a free flight later."""
-    motion = moved(frame, path.motion, time, touch) if ahead is None else gone(frame, path.motion, ahead.terms, time)
+    motion = moved(frame, path.motion, time, touch) if ahead is None else gone(frame, path.motion, time, ahead.terms)
     return Path(*stage(place, frame, motion), motion, *stage(remaining, path, time), path.contact)

@@ -1,75 +1,12 @@
 """The Taylor series of a motion under a force of the user's own, operation by operation of what JAX traces of it."""
 
-from functools import lru_cache
-
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.extend import core
 
 from ..compiled.compiler_hints import stage
-from ..scene.force import trace
+from ..scene.force_trace import inner_of, is_literal, traced
 from .series import RULES, Series, added, times
-
-INNER = ("jaxpr", "call_jaxpr")  # the operations of one that is a function of its own
-LOOPS = ("while", "scan", "cond")  # functions of their own that are not simply run once
-STILL = """abs sign max min floor ceil round select_n clamp is_finite not and or eq ne lt le gt ge rem stop_gradient
-convert_element_type"""  # what may be done to numbers that are the same at all times, besides what has a rule
-PLAIN = frozenset(STILL.split())
-
-
-traced = lru_cache(256)(trace)
-
-
-@lru_cache(256)
-def without_rule(function, names, dtype):
-    """The names of the operations of a force of which no Taylor series is known, as a tuple."""
-    closed = traced(function, names, dtype)
-    return tuple(sorted(_without(closed.jaxpr, [False] * 3 + [True] * len(names))[0]))
-
-
-def _without(jaxpr, still):
-    """(the names, whether each result is the same at all times), the inputs being so or not."""
-    known = dict(zip(jaxpr.invars, still, strict=True)) | dict.fromkeys(jaxpr.constvars, True)
-    found = set()
-    for eqn in jaxpr.eqns:
-        given = [_is_literal(each) or known[each] for each in eqn.invars]
-        inner = _inner(eqn)
-        if inner is not None:
-            names, results = _without(inner.jaxpr, given)
-            found |= names
-        else:
-            results = [all(given)] * len(eqn.outvars)
-            if not _has_rule(eqn, all(given)):
-                found.add(eqn.primitive.name)
-        known.update(zip(eqn.outvars, results, strict=True))
-    return found, [_is_literal(each) or known[each] for each in jaxpr.outvars]
-
-
-def _has_rule(eqn, still):
-    name = eqn.primitive.name
-    if any(each.aval.shape for each in (*eqn.invars, *eqn.outvars)):
-        return False
-    return name in RULES or (still and name in PLAIN) or (name == "convert_element_type" and _changes_nothing(eqn))
-
-
-def _changes_nothing(eqn):
-    return eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype
-
-
-def _is_literal(variable):
-    return isinstance(variable, core.Literal)
-
-
-def _inner(eqn):
-    """The `ClosedJaxpr` of an operation that is a function of its own, run once, else None."""
-    if eqn.primitive.name in LOOPS:
-        return None
-    for name in INNER:
-        inner = eqn.params.get(name)
-        if inner is not None:
-            return inner if isinstance(inner, core.ClosedJaxpr) else core.ClosedJaxpr(inner, ())
-    return None
 
 
 def along(force, time, x, v):
@@ -86,11 +23,11 @@ def _run(closed, given):
     known |= {name: Series(None, value) for name, value in zip(closed.jaxpr.constvars, closed.consts, strict=True)}
 
     def read(variable):
-        return Series(None, variable.val) if _is_literal(variable) else known[variable]
+        return Series(None, variable.val) if is_literal(variable) else known[variable]
 
     for eqn in closed.jaxpr.eqns:
         ins = [read(each) for each in eqn.invars]
-        inner = _inner(eqn)
+        inner = inner_of(eqn)
         if inner is not None:
             outs = _run(inner, ins)
         elif all(each.constant for each in ins):

@@ -20,6 +20,8 @@ class Force:
     "van_der_pol" (docs/force.md). numbers: {name: number or array}, which it takes, and which are parameters of the
     scene, "force.<name>". t is the drive's phase over its frequency: the force must repeat with the drive's period.
     tolerance: of a step's error, over the largest of x, v, the walls' distances and the drive's amplitude.
+    solver: one of diffrax's that estimate their errors, or its name; None takes Taylor steps where all operations of
+    the force have a Taylor series, else "Dopri8". A stiff force needs an implicit one, "Kvaerno5".
 
     What is compiled is kept for the function itself: define it once, and not anew for each call.
     """
@@ -27,6 +29,7 @@ class Force:
     function: Callable[..., Any] | str = field(metadata={"static": True})
     numbers: Mapping[str, Real[ArrayLike, "..."]] = field(default_factory=dict)
     tolerance: float = field(default=TOLERANCE, metadata={"static": True})
+    solver: Any = field(default=None, metadata={"static": True})
 
 
 def of_row(function, names):

@@ -3,24 +3,32 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
+from importlib import import_module
+from itertools import pairwise
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from . import check
 from .force import LOOSEST, TIGHTEST, Force, of_row, trace
-from .named_forces import NAMED
+from .force_trace import without_rule
+from .named_forces import NAMED, knots, named, tabulated
 
 PLACES = 64  # at which a force is looked at
 SAME = 1e-9  # of a force's size: as much may it differ a period later
 ODD = 1e-12  # of its largest value: so far may a force be from its mirror image
 ONES = 4  # scenes of a batch whose forces are looked at
+WITHOUT_SERIES = "Dopri8"  # the solver of a force that has an operation without a Taylor series
+TIGHTEST_OF_SOLVERS = 1e-14
+FASTEST = 1e4  # the rate of a force, over the drive's period, that explicit steps can follow
 
 
-def check_force(force, number):
-    """The force with its numbers as arrays, once it breaks no rule that needs no other number of the scene.
+def check_force(force, number, dtype):
+    """The force with its numbers as arrays and its solver, once it breaks no rule that needs another number of the
+    scene.
 
-    number: (key, value) -> the array.
+    number: (key, value) -> the array; dtype: its type.
     """
     if not isinstance(force, Force):
         raise check.ArgumentError("force", "must be a Force or None", force)
@@ -42,7 +50,63 @@ def check_force(force, number):
     if not isinstance(tolerance, float) or not TIGHTEST <= tolerance <= LOOSEST:
         raise check.ArgumentError("force.tolerance", f"must be a number from {TIGHTEST} to {LOOSEST}", tolerance)
     numbers = {name: number(f"force.{name}", value) for name, value in force.numbers.items()}
-    return replace(force, function=function, numbers=numbers)
+    if function is tabulated:
+        _check_table(numbers)
+    names, solver = tuple(numbers), force.solver
+    _traced(function, names, np.dtype(dtype))
+    if solver is None and without_rule(function, names, np.dtype(dtype)):
+        solver = WITHOUT_SERIES
+    if solver is not None:
+        solver = _checked_solver(solver)
+        if tolerance < TIGHTEST_OF_SOLVERS:
+            raise check.ArgumentError(
+                "force.tolerance", f"must be {TIGHTEST_OF_SOLVERS} or more with a solver", tolerance
+            )
+    return replace(force, function=function, numbers=numbers, solver=solver)
+
+
+def _check_table(numbers):
+    """Refuse the numbers of a `tabulated` force that are no table."""
+    count = knots(numbers)
+    needed = {f"{letter}{k}" for letter in "xf" for k in range(count)} | {"damping"}
+    if count < 3 or needed != set(numbers):
+        rule = "must be damping and x0, f0, x1, f1, ..., three places or more, and no others"
+        raise check.ArgumentError("force.numbers", rule, ", ".join(numbers))
+    places = [numbers[f"x{k}"] for k in range(count)]
+    for k, (before, after) in enumerate(pairwise(places)):
+        if not check.is_traced(before, after) and not np.all(np.asarray(before) < np.asarray(after)):
+            raise check.ArgumentError(f"force.x{k + 1}", f"must be greater than x{k}", after)
+
+
+def _checked_solver(solver):
+    """The solver itself, or that of a name, once it is one of diffrax's that estimate their errors."""
+    diffrax = import_module("diffrax")
+    kind = getattr(diffrax, solver, None) if isinstance(solver, str) else type(solver)
+    if not (isinstance(kind, type) and issubclass(kind, diffrax.AbstractAdaptiveSolver)):
+        rule = "must be one of diffrax's solvers that estimate their errors, such as diffrax.Dopri8(), or its name"
+        raise check.ArgumentError("force.solver", rule, solver)
+    try:
+        found = kind() if isinstance(solver, str) else solver
+        hash(found)
+    except TypeError as error:
+        raise check.ArgumentError("force.solver", f"cannot be used: {check.short(error, 80)}", solver) from None
+    return found
+
+
+def solver_name(solver):
+    """The name by which diffrax makes this very solver, None where there is none."""
+    name = type(solver).__name__
+    return name if getattr(import_module("diffrax"), name, None) is type(solver) and solver == type(solver)() else None
+
+
+def flow_of(force, dtype):
+    """Which steps fly under a force, and why, in a sentence."""
+    to = f"to {force.tolerance:g}"
+    unknown = without_rule(force.function, tuple(force.numbers), np.dtype(dtype))
+    if force.solver is None:
+        return f"Taylor steps {to}: each operation of the force has a Taylor series"
+    why = f"{unknown[0]} has no Taylor series" if unknown else "asked for"
+    return f"steps of diffrax's {type(force.solver).__name__} {to}: {why}"
 
 
 def check_force_values(scene):
@@ -96,6 +160,14 @@ def _look(scene, numbers, frequency, walls, by_time, index):
     if wrong.size:
         at = {name: float(each[wrong[0]]) for name, each in (("t", t), ("x", x), ("v", v))}
         raise check.ArgumentError("force", f"must be finite where the mass may be: it is {first[wrong[0]]}", at, index)
+    if force.solver is None or not isinstance(force.solver, import_module("diffrax").AbstractImplicitSolver):
+        rates = _rates(force.function, tuple(force.numbers))(
+            *(each.astype(scene.dtype) for each in (t, x, v)), *numbers
+        )
+        fast = float(np.median(rates))
+        if fast * period > FASTEST:
+            rule = f'is too stiff for explicit steps, at a rate of {fast:.2g}: solver="Kvaerno5" can'
+            raise check.ArgumentError("force", rule, named(force.function), index)
     if by_time:
         later = np.asarray(call(*(each.astype(scene.dtype) for each in (t + period, x, v)), *numbers))
         apart = abs(later - first)
@@ -109,6 +181,22 @@ def _look(scene, numbers, frequency, walls, by_time, index):
 @lru_cache(256)
 def _compiled(function, names):
     return jax.jit(jax.vmap(of_row(function, names), (0, 0, 0, *[None] * len(names))))
+
+
+@lru_cache(256)
+def _rates(function, names):
+    """How fast a motion turns or decays under a force: the larger of the two rates of what is linear about a state."""
+    plain = of_row(function, names)
+
+    def rate(t, x, v, *numbers):
+        one, none = jnp.ones_like(x), jnp.zeros_like(x)
+        pull, drag = (
+            jax.jvp(lambda x, v: plain(t, x, v, *numbers), (x, v), way)[1] for way in ((one, none), (none, one))
+        )
+        inside = 0.25 * drag * drag + pull
+        return jnp.where(inside < 0, jnp.sqrt(abs(pull)), 0.5 * abs(drag) + jnp.sqrt(abs(inside)))
+
+    return jax.jit(jax.vmap(rate, (0, 0, 0, *[None] * len(names))))
 
 
 @lru_cache(256)

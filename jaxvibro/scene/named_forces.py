@@ -32,7 +32,27 @@ def van_der_pol(t, x, v, p):
     return -x + p["gain"] * (1.0 - x * x) * v
 
 
-NAMED = {each.__name__: each for each in (duffing, polynomial, pendulum, stribeck, van_der_pol)}
+def tabulated(t, x, v, p):
+    """A spring that was measured: minus the pull f0, f1, ... at the places x0 < x1 < ..., three or more, less 2 damping
+    v. Between places a cubic with the slopes of parabolas through three of them; beyond the ends straight on."""
+    places, pulls = (jnp.stack([p[f"{letter}{k}"] for k in range(knots(p))]) for letter in "xf")
+    gaps, rises = jnp.diff(places), jnp.diff(pulls) / jnp.diff(places)
+    inner = (gaps[1:] * rises[:-1] + gaps[:-1] * rises[1:]) / (gaps[1:] + gaps[:-1])
+    slopes = jnp.concatenate([2.0 * rises[:1] - inner[:1], inner, 2.0 * rises[-1:] - inner[-1:]])
+    k = jnp.sum(x >= places[1:-1])
+    gap, rise, low, high = gaps[k], rises[k], slopes[k], slopes[k + 1]
+    s = jnp.clip((x - places[k]) / gap, 0.0, 1.0)
+    pull = pulls[k] + gap * s * (low + s * (3.0 * rise - 2.0 * low - high + s * (low + high - 2.0 * rise)))
+    beyond = slopes[0] * jnp.minimum(x - places[0], 0.0) + slopes[-1] * jnp.maximum(x - places[-1], 0.0)
+    return -(pull + beyond) - 2.0 * p["damping"] * v
+
+
+def knots(numbers):
+    """How many places a `tabulated` force has."""
+    return sum(name[0] == "x" for name in numbers)
+
+
+NAMED = {each.__name__: each for each in (duffing, polynomial, pendulum, stribeck, van_der_pol, tabulated)}
 
 
 def name_of(function):

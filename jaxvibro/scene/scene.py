@@ -15,7 +15,7 @@ from continuation.arrays import Array
 
 from . import check
 from .force import Force
-from .force_rules import check_force, check_force_values
+from .force_rules import check_force, check_force_values, flow_of
 
 SIDES = ("left", "right")
 
@@ -91,6 +91,14 @@ class Scene:
         """The shape of the batch: of all the scene's numbers, broadcast together."""
         shapes = [jnp.shape(leaf) for leaf in jax.tree.leaves(self)]
         return jnp.broadcast_shapes(*shapes) if any(shapes) else ()
+
+    @property
+    def flow(self) -> str:
+        """How the mass flies between the walls, and why, in a sentence: "exact: ..." under spring and damper, else by
+        steps, Taylor's or those of a solver."""
+        if self.force is None:
+            return "exact: the flow of spring, damper and drive is known in closed form"
+        return flow_of(self.force, self.dtype)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -275,7 +283,7 @@ def _numbers(given, dtype):
     if given["harder"] is not None:
         plain["harder"] = number("harder", given["harder"])
     if force is not None:
-        plain["force"] = check_force(force, number)
+        plain["force"] = check_force(force, number, dtype)
     return Scene(**plain, left=standing("left", given["left"]), right=standing("right", given["right"]))
 
 

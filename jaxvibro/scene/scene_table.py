@@ -4,6 +4,7 @@ from msgspec import Struct, field
 
 from . import check
 from .force import TOLERANCE, Force
+from .force_rules import solver_name
 from .named_forces import NAMED, name_of
 from .scene import Motion, Wall, make_scene
 
@@ -43,10 +44,11 @@ class ForceTable(Table, frozen=True):
     name: str
     numbers: dict[str, float] = field(default_factory=dict)
     tolerance: float = TOLERANCE
+    solver: str | None = None
 
     def force(self):
         """The `Force` described, not yet checked."""
-        return Force(self.name, self.numbers, self.tolerance)
+        return Force(self.name, self.numbers, self.tolerance, self.solver)
 
 
 class SceneTable(Table, frozen=True, kw_only=True):
@@ -92,5 +94,9 @@ def _force_table(force):
     if name is None:
         rule = f"must be one of ours ({', '.join(NAMED)}) to be written"
         raise check.ArgumentError("force.function", rule, force.function)
+    solver = force.solver and solver_name(force.solver)
+    if force.solver is not None and solver is None:
+        rule = "must be one that diffrax makes by its name alone to be written"
+        raise check.ArgumentError("force.solver", rule, force.solver)
     numbers = {key: float(value) for key, value in force.numbers.items()}
-    return ForceTable(name, numbers, force.tolerance)
+    return ForceTable(name, numbers, force.tolerance, solver)
