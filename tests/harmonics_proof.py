@@ -1,7 +1,7 @@
 """Drives of several harmonics held against ball arithmetic: `python -m tests.harmonics_proof 2000 2` prints numbers.
 
-The last number is of the processes that compute the references. What is static of a scene, its walls and harmonics, is
-of a few kinds, as each is compiled for; all else is drawn.
+The last number is of the processes that compute the references; one more is the first seed, 0 if not given. What is
+static of a scene, its walls and harmonics, is of a few kinds, as each is compiled for; all else is drawn.
 """
 
 import math
@@ -20,9 +20,10 @@ from tests.reference.draws import Draw, start
 from tests.reference.scene import Scene, Soft, Term
 from tests.reference.search import Discard
 
+WIDE = 16  # lanes at a time
 RIGID, SOFT = ("rigid", 0), ("soft", 0)
 KINDS = [  # of the walls, as in `soft_draws`, and the harmonics of the drive's further terms
-    ((RIGID, RIGID), (3,)),
+    ((RIGID, RIGID), (3, 0, 1)),
     ((None, RIGID), (0,)),
     ((RIGID, RIGID), (0, 2)),
     ((("rigid", 2), RIGID), (1, 3)),
@@ -90,7 +91,7 @@ def less(text, number):
 
 def gather(count, workers=1, seed=0):
     """({place of a kind: [(Draw, record)]} of so many draws, the reasons why others were refused)."""
-    found, refused, seeds = defaultdict(list), Counter(), iter(range(seed, 100 * count + 100))
+    found, refused, seeds = defaultdict(list), Counter(), iter(range(seed, seed + 100 * count + 100))
     with get_context("spawn").Pool(workers) as pool:
         for place, drawn, record in pool.imap(referred, seeds, chunksize=4):
             if isinstance(record, str):
@@ -104,9 +105,14 @@ def gather(count, workers=1, seed=0):
 
 
 def rows(members):
-    """The `Row`s of draws of one kind."""
+    """The `Row`s of draws of one kind; some at a time, so that what is compiled is the same for any number of them."""
+    return [row for first in range(0, len(members), WIDE) for row in _rows(members[first : first + WIDE])]
+
+
+def _rows(members):
     drawn, records = zip(*members, strict=True)
-    end, impacts = jax.tree.map(np.asarray, jv.strobe(*batch(drawn), slots=SLOTS, clearance=True))
+    filled = [drawn[k % len(drawn)] for k in range(WIDE)]
+    end, impacts = jax.tree.map(np.asarray, jv.strobe(*batch(filled), slots=SLOTS, clearance=True))
     found = []
     for k, true in enumerate(records):
         bound, sides = 1e-12 * true["scale"] * (1 + true["norm"]), [int(side) for side in impacts.side[k] if side]
@@ -122,9 +128,9 @@ def rows(members):
     return found
 
 
-def main(count, workers=1):
+def main(count, workers=1, seed=0):
     """Print what is found over so many draws."""
-    found, refused = gather(count, workers)
+    found, refused = gather(count, workers, seed)
     print(f"{sum(map(len, found.values()))} scenes; refused: {dict(refused)}", flush=True)
     every = []
     for place in sorted(found):
@@ -141,4 +147,4 @@ def main(count, workers=1):
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    main(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 1)
+    main(*map(int, sys.argv[1:4]))

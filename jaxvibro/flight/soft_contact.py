@@ -340,15 +340,3 @@ def gone(frame, contact, v, cosine, sine, time):
         for (along, across, rate), (lift, lag) in zip(given, waves(frame, contact, time), strict=True):
             found = found + along * (move - rate * lag) - across * (rate * lift)
     return found
-
-
-def jet(frame, contact, y, v, cosine, sine, order):
-    """y and its derivatives to an order."""
-    force = [frame.force * cosine, -(frame.force * sine) * frame.frequency]
-    found, given = [y, v], biases(frame, contact, cosine, sine, order - 2)
-    for k, bias in enumerate(drive.pushed(frame.terms, frame.frequency, cosine, sine, given)):
-        if k > 1:
-            force.append(-(frame.frequency * frame.frequency) * force[k - 2])
-        pull = force[k] if bias is None else force[k] + bias
-        found.append(pull - flow.pulled(frame.stiffness, found[k]) - 2.0 * frame.damping * found[k + 1])
-    return found

@@ -18,6 +18,7 @@ from .force import Force
 from .force_rules import check_force, check_force_values
 
 SIDES = ("left", "right")
+MOST_TERMS = 32  # of the drive, beside its first: each is compiled for
 
 
 @jax.tree_util.register_dataclass
@@ -296,6 +297,8 @@ def terms_of(drive):
     """The further terms of a drive as `Motion`s."""
     if not isinstance(drive, tuple | list):
         raise check.SceneError("drive", "must be a list of terms, each (amplitude, harmonic, phase) or a Motion", drive)
+    if len(drive) > MOST_TERMS:
+        raise check.SceneError("drive", f"must have at most {MOST_TERMS} terms", len(drive))
     for k, term in enumerate(drive):
         if isinstance(term, Motion):
             yield term
