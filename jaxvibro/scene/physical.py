@@ -57,7 +57,7 @@ def scene_from_physical(
         restitution=restitution,
         walls=tuple(_scaled(side, wall, of, natural, kind) for side, wall in zip(SIDES, walls, strict=True)),
         dtype=kind,
-        drive=[_weighed(f"drive.{k}", term, of, kind) for k, term in enumerate(terms_of(drive))],
+        drive=[_weighed(f"drive.{k}", of, kind, *term) for k, term in enumerate(terms_of(drive))],
     )
 
 
@@ -69,10 +69,10 @@ def _length(walls):
     return position
 
 
-def _weighed(key, term, of, kind):
+def _weighed(key, of, kind, amplitude, harmonic, phase):
     """A term of the drive in the unit K d."""
-    amplitude = check.quantity(f"{key}.amplitude", term.amplitude, kind)
-    return replace(term, amplitude=amplitude / (of["stiffness"] * of["length"]))
+    amplitude = check.quantity(f"{key}.amplitude", amplitude, kind)
+    return amplitude / (of["stiffness"] * of["length"]), harmonic, phase
 
 
 def _scaled(side, wall, of, natural, kind):

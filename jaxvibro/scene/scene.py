@@ -259,17 +259,17 @@ def _numbers(given, dtype):
     def number(key, value):
         return check.quantity(key, value, dtype)
 
-    def wave(key, motion, lowest):
+    def wave(key, lowest, amplitude, harmonic, phase):
         return Motion(
-            number(f"{key}.amplitude", motion.amplitude),
-            number(f"{key}.phase", motion.phase),
-            check.harmonic(f"{key}.harmonic", motion.harmonic, lowest),
+            number(f"{key}.amplitude", amplitude),
+            number(f"{key}.phase", phase),
+            check.harmonic(f"{key}.harmonic", harmonic, lowest),
         )
 
     def moving(side, motion):
         if motion is not None and not isinstance(motion, Motion):
             raise check.SceneError(f"{side}.motion", "must be a Motion or None", motion)
-        return None if motion is None else wave(f"{side}.motion", motion, 1)
+        return motion and wave(f"{side}.motion", 1, motion.amplitude, motion.harmonic, motion.phase)
 
     def standing(side, wall):
         if wall is None:
@@ -289,22 +289,21 @@ def _numbers(given, dtype):
         plain["harder"] = number("harder", given["harder"])
     if force is not None:
         plain["force"] = check_force(force, number)
-    plain["drive"] = tuple(wave(f"drive.{k}", term, 0) for k, term in enumerate(terms_of(given["drive"])))
+    plain["drive"] = tuple(wave(f"drive.{k}", 0, *term) for k, term in enumerate(terms_of(given["drive"])))
     return Scene(**plain, left=standing("left", given["left"]), right=standing("right", given["right"]))
 
 
 def terms_of(drive):
-    """The further terms of a drive as `Motion`s."""
+    """(amplitude, harmonic, phase) of the further terms of a drive, not yet checked."""
     if not isinstance(drive, tuple | list):
         raise check.SceneError("drive", "must be a list of terms, each (amplitude, harmonic, phase) or a Motion", drive)
     if len(drive) > MOST_TERMS:
         raise check.SceneError("drive", f"must have at most {MOST_TERMS} terms", len(drive))
     for k, term in enumerate(drive):
         if isinstance(term, Motion):
-            yield term
+            yield term.amplitude, term.harmonic, term.phase
         elif isinstance(term, tuple | list) and len(term) == 3:
-            amplitude, harmonic, phase = term
-            yield Motion(amplitude, phase, harmonic)
+            yield term
         else:
             raise check.SceneError(f"drive.{k}", "must be (amplitude, harmonic, phase) or a Motion", term)
 
