@@ -34,8 +34,13 @@ def scene_of(scenes):
         names = ("position", "stiffness", "damping") if isinstance(walls[0], Soft) else ("position", "restitution")
         return jv.Wall(**columns(walls, names), motion=motion)
 
-    drive = columns(scenes, ("amplitude", "omega", "gamma")).values()
-    return jv.make_scene(*drive, 0.5, (wall("left"), wall("right")))
+    def term(k):
+        terms = [scene.drive[k] for scene in scenes]
+        return jv.Motion(**columns(terms, ("amplitude", "phase")), harmonic=terms[0].harmonic)
+
+    plain = columns(scenes, ("amplitude", "omega", "gamma")).values()
+    drive = [term(k) for k in range(len(scenes[0].drive))]
+    return jv.make_scene(*plain, 0.5, (wall("left"), wall("right")), drive=drive)
 
 
 def batch(drawn):

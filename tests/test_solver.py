@@ -30,9 +30,9 @@ def looped(t, x, v, p):
     return -jax.lax.fori_loop(0, 1, lambda k, pull: pull + x, 0.0 * x) - 2.0 * p["damping"] * v
 
 
-def scene(function, numbers=None, tolerance=1e-10, solver=None, walls=(-1.0, 1.0), amplitude=2.0):
+def scene(function, numbers=None, tolerance=1e-10, solver=None, walls=(-1.0, 1.0), amplitude=2.0, drive=()):
     force = jv.Force(function, {"damping": DAMPING} if numbers is None else numbers, tolerance, solver)
-    return jv.make_scene(amplitude, OMEGA, restitution=R, walls=walls, force=force)
+    return jv.make_scene(amplitude, OMEGA, restitution=R, walls=walls, force=force, drive=drive)
 
 
 def linear(damping=DAMPING, amplitude=2.0, walls=(-1.0, 1.0)):
@@ -151,7 +151,8 @@ def test_a_kink_is_flown_by_dopri8_as_the_exact_flow_of_a_soft_wall_has_it():
 def test_each_solver_comes_to_where_taylor_steps_come(solver, tolerance):
     numbers = {"cubic": 0.5, "damping": DAMPING}
     walls = jv.Wall(-1.2, 0.5), jv.Wall(0.9, motion=jv.Motion(0.1, 0.4, 2))
-    given, taylor = (scene("duffing", numbers, *how, walls) for how in ((tolerance, solver), (1e-14, None)))
+    more = {"walls": walls, "drive": [(0.4, 3, 0.5), (0.2, 0, 0.0)]}
+    given, taylor = (scene("duffing", numbers, *how, **more) for how in ((tolerance, solver), (1e-14, None)))
     assert apart(given, taylor) < 20 * tolerance * 4.0
 
 

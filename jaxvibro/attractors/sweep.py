@@ -23,7 +23,8 @@ from ..scene.scene import Scene
 from ..scene.state import State, check_start
 
 CHUNK = 16  # values between two reports of progress
-SPRING = "x'' + 2 damping x' + x = amplitude cos(frequency t)"
+DRIVE = "amplitude cos(frequency t)"
+SPRING = f"x'' + 2 damping x' + x = {DRIVE}"
 REBOUND = "y+ - v_b = -restitution (y- - v_b) at a rigid wall"
 MEANING = {"flag_values": [int(one) for one in Status], "flag_meanings": " ".join(one.word for one in Status)}
 UNITS = "lengths in that of the walls, time t in 1/w0"
@@ -187,12 +188,17 @@ def others(scene, name):
 
 def equation(scene):
     """The equation of motion and the law of impact, as files hold them."""
-    if scene.force is None:
-        return f"{SPRING}, {REBOUND}"
-    return f"x'' = {named(scene.force.function)}(t, x, v) + amplitude cos(frequency t), {REBOUND}"
+    terms = [
+        f" + drive.{k}.amplitude cos({term.harmonic} frequency t + drive.{k}.phase)"
+        for k, term in enumerate(scene.drive)
+    ]
+    plain = f"x'' = {named(scene.force.function)}(t, x, v) + {DRIVE}" if scene.force is not None else SPRING
+    return f"{plain}{''.join(terms)}, {REBOUND}"
 
 
 def static(scene):
-    """What of the scene is no parameter: its walls, and the harmonics of those that move."""
+    """What of the scene is no parameter: its walls, and the harmonics of those that move and of the drive."""
     moving = {side: wall.motion.harmonic for side, wall in scene.walls.items() if wall.motion is not None}
-    return {"walls": " ".join(scene.walls) or "none"} | {f"{side}.motion.harmonic": m for side, m in moving.items()}
+    found = {f"{side}.motion.harmonic": m for side, m in moving.items()}
+    found |= {f"drive.{k}.harmonic": term.harmonic for k, term in enumerate(scene.drive)}
+    return {"walls": " ".join(scene.walls) or "none"} | found

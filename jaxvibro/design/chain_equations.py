@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from continuation.persistent_jit import persistent_jit
 
-from ..flight import flow
+from ..flight import drive, flow, response
 from ..flight.coefficients import framed
 from ..flight.wall import course, picked
 from ..orbits.saltation import meeting
@@ -106,8 +106,7 @@ def _flown(scene, sides, when, own, following, phase):
     x, v = (jnp.where(free, mine, its) for mine, its in zip(own, met.state, strict=True))
     cosine, sine = (jnp.where(free, mine, its) for mine, its in zip((cosine, sine), met.phasor, strict=True))
     time = jnp.maximum(end - begin - stay, 0.0)
-    free_flow, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, time)
-    end_x, end_v = flow.flown((free_flow, forced), frame.force * cosine, frame.force * sine, x, v)
+    end_x, end_v = response.after(frame, x, v, cosine, sine, time)
     where, pace = _wall(frame, after, *_turned(frame, phase, end))
     gap = end_x - jnp.where(free_next, following[0], where)
     excess = jnp.where(free_next, end_v - following[1], after * (end_v - pace) - following[1])
@@ -134,8 +133,12 @@ def _aimed(scene, sides, when, first, stays, phase):
     free_flow, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, time)
     force = frame.force * cosine, frame.force * sine
     still, _ = flow.flown((free_flow, forced), *force, x, 0.0 * x)
+    more = drive.responses(frame.terms, frame.frequency, frame.damping, time)
+    dx, dv = drive.forced(frame.terms, more, frame.frequency, cosine, sine)
+    still = still + dx if frame.terms else still
     where, pace_next = _wall(frame, after, *_turned(frame, phase, jnp.roll(first, -1)))
     move = free_flow[1]
     v = (where - still) / jnp.where(move == 0, 1.0, move)
     _, end = flow.flown((free_flow, forced), *force, x, v)
+    end = end + dv if frame.terms else end
     return -sides * (v - pace), after * (end - pace_next)

@@ -44,20 +44,32 @@ class WallCourse(NamedTuple):
     damping: float | None
 
 
+class Term(NamedTuple):
+    """A term of the drive: force cos(rate t + phase), since time 0."""
+
+    force: float
+    rate: float
+    phase: float
+
+
 class Motion:
-    """A scene's motions, its drive at a phase at time 0; way: 1 forward, -1 backward in time."""
+    """A scene's motions, its drive at a phase at time 0; way: 1 forward, -1 backward in time. A state is x, v, and the
+    cosine and the sine of each `Term` of the drive."""
 
     def __init__(self, scene, phase, way=1):
         self.way, self.phase, self.rate = way, phase, float(scene.frequency)
         self.walls = [wall_of(scene, side, phase) for side in scene.walls]
-        self.push = float(scene.amplitude)
-        push, damping = self.push, float(scene.damping)
-        self.matrix = way * np.array(
-            [[0, 1, 0, 0], [-1, -2 * damping, push, 0], [0, 0, 0, -self.rate], [0, 0, self.rate, 0.0]]
-        )
-        fastest = max(1.0, 2 * damping, self.rate, *(abs(wall.rate) for wall in self.walls))
+        self.drive = [Term(float(scene.amplitude), self.rate, phase)]
+        for each in scene.drive:
+            angle = each.harmonic * phase + float(each.phase)
+            self.drive.append(Term(float(each.amplitude), each.harmonic * self.rate, angle))
+        damping, size = float(scene.damping), 2 + 2 * len(self.drive)
+        matrix = np.zeros((size, size))
+        matrix[0, 1], matrix[1, :2] = 1.0, [-1.0, -2.0 * damping]
+        self.matrix = way * _driven(matrix, self.drive, 2)
+        fastest = max(1.0, 2 * damping, *(one.rate for one in self.drive), *(abs(wall.rate) for wall in self.walls))
         self.step = STEP / fastest
-        self.power, self.stays = np.eye(4)[None], {}
+        self.power, self.stays = np.eye(size)[None], {}
 
     def start(self, side, time, speed):
         """(the state (x, v, cos, sin), its time) at an impact, after it forward in time, before it backward; None of
@@ -70,8 +82,12 @@ class Motion:
             if out is None:
                 return None
             time, v = out
-        angle = self.phase + self.rate * time
-        return np.array([course(wall, time)[0], v, np.cos(angle), np.sin(angle)]), time
+        return np.array([course(wall, time)[0], v, *self._phasors(time)]), time
+
+    def _phasors(self, time):
+        """Cosine and sine of each term of the drive at a time."""
+        angles = [term.rate * time + term.phase for term in self.drive]
+        return [wave(angle) for angle in angles for wave in (np.cos, np.sin)]
 
     def onward(self, impact: Impact, until: float, count: int) -> list[Impact]:
         """The next impacts, `count` at most, as long as they come no later (backward: no earlier) than a time."""
@@ -90,7 +106,7 @@ class Motion:
         or is deepest in one, inf where it does neither; what can have been missed is taken off."""
         begun = [self.start(*one) for one in zip(nodes.sides[:-1], nodes.first[:-1], nodes.second[:-1], strict=True)]
         stuck = np.array([one is None for one in begun])
-        begun = [one or (np.zeros(4), time) for one, time in zip(begun, nodes.first, strict=False)]
+        begun = [one or (np.zeros(len(self.matrix)), time) for one, time in zip(begun, nodes.first, strict=False)]
         starts, times = (np.array(one) for one in zip(*begun, strict=True))
         spans = nodes.first[1:] - times
         steps = self._powers(int(min(MOST, np.ceil(np.max(spans, initial=0.0) / self.step))))
@@ -128,10 +144,11 @@ class Motion:
     def _passed(self, path):
         """How far the clearance may be from its cubic, of each flight."""
         x, v = np.max(abs(path[..., 0]), 0), np.max(abs(path[..., 1]), 0)
-        push, drag = abs(self.matrix[1, 2]), abs(self.matrix[1, 1])
-        second = push + drag * v + x
-        third = push * self.rate + drag * second + v
-        fourth = push * self.rate**2 + drag * third + second
+        pushes = [sum(abs(term.force) * term.rate**k for term in self.drive) for k in range(3)]
+        drag = abs(self.matrix[1, 1])
+        second = pushes[0] + drag * v + x
+        third = pushes[1] + drag * second + v
+        fourth = pushes[2] + drag * third + second
         fourth = fourth + max((abs(wall.swing) * wall.rate**4 for wall in self.walls), default=0.0)
         return 1.1 * fourth * self.step**4 / 384.0
 
@@ -187,9 +204,8 @@ class Motion:
     def _stayed(self, wall, time, v):
         """(time, velocity) at the other end of a stay within a soft wall; None of one that does not end."""
         matrix, step, powers = self._within(wall)
-        drive, own = self.phase + self.rate * time, wall.rate * time + wall.phase
-        where, _ = course(wall, time)
-        state = np.array([where, v, np.cos(drive), np.sin(drive), 1.0, np.cos(own), np.sin(own)])
+        own, (where, _) = wall.rate * time + wall.phase, course(wall, time)
+        state = np.array([where, v, 1.0, np.cos(own), np.sin(own), *self._phasors(time)])
 
         def inside(path, since):
             place, pace = course(wall, time + self.way * since)
@@ -207,18 +223,27 @@ class Motion:
         return time + self.way * (first + more), float(series(more)[1])
 
     def _within(self, wall):
-        """(the matrix of x, v, the drive's cosine and sine, 1, and the wall's own within a soft wall; a step; its
-        powers, from none on)."""
+        """(the matrix of x, v, 1, the wall's cosine and sine and the drive's within a soft wall; a step; its powers,
+        from none on)."""
         if wall.sign not in self.stays:
-            matrix, spring = np.zeros((7, 7)), wall.stiffness - 1.0
-            pulls = self.push, 0.0, spring * wall.position, spring * wall.swing, 0.0
-            matrix[0, 1], matrix[1] = 1.0, [-wall.stiffness, -2.0 * wall.damping, *pulls]
-            for k, rate in ((2, self.rate), (5, wall.rate)):
-                matrix[k, k + 1], matrix[k + 1, k] = -rate, rate
-            step = STEP / max(np.sqrt(wall.stiffness), 2.0 * wall.damping, self.rate, abs(wall.rate))
+            size, spring = 5 + 2 * len(self.drive), wall.stiffness - 1.0
+            matrix = np.zeros((size, size))
+            pulls = spring * wall.position, spring * wall.swing, 0.0
+            matrix[0, 1], matrix[1, :5] = 1.0, [-wall.stiffness, -2.0 * wall.damping, *pulls]
+            matrix[3, 4], matrix[4, 3] = -wall.rate, wall.rate
+            matrix, rates = _driven(matrix, self.drive, 5), [term.rate for term in self.drive]
+            step = STEP / max(np.sqrt(wall.stiffness), 2.0 * wall.damping, *rates, abs(wall.rate))
             one = linalg.expm(self.way * matrix * step)
-            self.stays[wall.sign] = self.way * matrix, step, _powers(np.eye(7)[None], one, SWING)
+            self.stays[wall.sign] = self.way * matrix, step, _powers(np.eye(size)[None], one, SWING)
         return self.stays[wall.sign]
+
+
+def _driven(matrix, drive, first):
+    """A matrix with the drive's terms put in, cosines and sines from a place on."""
+    for k, term in zip(range(first, len(matrix), 2), drive, strict=True):
+        matrix[1, k] = term.force
+        matrix[k, k + 1], matrix[k + 1, k] = -term.rate, term.rate
+    return matrix
 
 
 def wall_of(scene, side, phase):

@@ -21,7 +21,7 @@ from continuation.linear import solve
 from continuation.newton import OK, SINGULAR, Solved, newton
 
 from ..compiled.compiler_hints import one_kernel
-from ..flight import flow
+from ..flight import drive, flow
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from ..orbits.impact_equations import LONGEST
@@ -171,7 +171,11 @@ def _response(frame, cycle):
     """`newton.Solved` of the motion that meets no wall."""
     span = cycle.periods * frame.period
     (p00, p01, p11), forced = flow.responses(frame.frequency, frame.damping, span)
-    pushed = frame.force * (jnp.cos(cycle.phase) * jnp.stack(forced[0]) - jnp.sin(cycle.phase) * jnp.stack(forced[1]))
+    phasor = jnp.cos(cycle.phase), jnp.sin(cycle.phase)
+    pushed = frame.force * (phasor[0] * jnp.stack(forced[0]) - phasor[1] * jnp.stack(forced[1]))
+    if frame.terms:
+        more = drive.responses(frame.terms, frame.frequency, frame.damping, span)
+        pushed = pushed + jnp.stack(drive.forced(frame.terms, more, frame.frequency, *phasor))
     matrix = jnp.stack([jnp.stack([1.0 - p00, -p01]), jnp.stack([p01, 1.0 - p11])])
     found = solve(matrix, pushed)
     return Solved(found.x, 0.0 * span, 0.0 * span, found.worst, jnp.where(found.worst > 0, OK, SINGULAR))

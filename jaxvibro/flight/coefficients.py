@@ -10,7 +10,7 @@ from jaxtyping import Float
 
 from ..scene.force import Force
 from ..scene.scale import swift
-from . import flow
+from . import drive, flow
 from .event import TERMS, weights
 from .soft_contact import SoftFlow, contact
 from .wall import Lane, extent, lane, tail
@@ -22,12 +22,13 @@ TURN_LOW = 2.4492935982947064e-16  # 2 pi less its double
 class Frame(NamedTuple):
     """The oscillator, its drive, its walls, and bounds for the longest step; each number a scalar or one for each lane.
 
-    force A, frequency omega, damping gamma; walls: those that exist, left first; period 2 pi / omega and its low part;
-    swift: see `path`; series: of the flow; reach: the longest step (t), pace: 1 / reach, weights: reach^k / k!; size: a
-    length of the scene, the walls' distances and A together, to measure rounding by; curb, slope: abs x^(8) is at most
-    curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall;
-    rushes: bounds on the change of the press on each; gap: the walls are never nearer to each other; contacts: the
-    `soft_contact.SoftFlow` within each wall, None for rigid ones.
+    force A, frequency omega, damping gamma; terms: of the drive, beside A cos(omega t); walls: those that exist, left
+    first; period 2 pi / omega and its low part; swift: see `path`; series: of the flow; reach: the longest step (t),
+    pace: 1 / reach, weights: reach^k / k!; size: a length of the scene, the walls' distances and the drive's amplitudes
+    together, to measure rounding by; curb, slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a
+    step, these at its start; tails, swings: see `wall.tail`, for each wall; rushes: bounds on the change of the press
+    on each; gap: the walls are never nearer to each other; contacts: the `soft_contact.SoftFlow` within each wall, None
+    for rigid ones.
 
     stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`). law: a force of
     the user's own; then damping and swift are 0, and what bounds the linear flow is None.
@@ -55,6 +56,7 @@ class Frame(NamedTuple):
     stiffness: Float[jax.Array, "..."] | None = None
     root: Float[jax.Array, "..."] | None = None
     law: Force | None = None
+    terms: tuple[drive.Term, ...] = ()
 
     @property
     def soft(self) -> bool:
@@ -68,15 +70,17 @@ def frame(scene):
         return _of_force(scene)
     dtype = scene.dtype
     force, frequency, damping = (jnp.asarray(n, dtype) for n in (scene.amplitude, scene.frequency, scene.damping))
-    walls = _walls(scene)
+    walls, terms = _walls(scene), drive.terms(scene, frequency, damping)
     rate = flow.rate(frequency, damping)
     for wall in walls:
         rate = jnp.maximum(rate, frequency * (wall.harmonic if wall.swing is not None else 1.0))
+    if terms:
+        rate = jnp.maximum(rate, frequency * float(drive.fastest(terms)))
     reach = flow.STEP / rate
     # energy of x^(6): abs x^(6), abs x^(7) <= abs x^(6)(0) + abs x^(7)(0) + A omega^6 t, damping only helps
-    forcing, slope = abs(force) * frequency**6, jnp.sqrt(1.0 + 4.0 * damping * damping)
+    forcing, slope = drive.largest(terms, force, frequency, 6), jnp.sqrt(1.0 + 4.0 * damping * damping)
     period = 2.0 * jnp.pi / frequency
-    bounds = [tail(wall, force, frequency, damping, TERMS) for wall in walls]
+    bounds = [tail(wall, force, frequency, damping, TERMS, terms) for wall in walls]
     return Frame(
         force=force,
         frequency=frequency,
@@ -89,14 +93,15 @@ def frame(scene):
         reach=reach,
         pace=rate / flow.STEP,
         weights=weights(reach),
-        size=sum((extent(wall) for wall in walls), abs(force)),
+        size=sum((extent(wall) for wall in walls), drive.largest(terms, force, frequency, 0)),
         curb=forcing * (1.0 + slope * reach),
         slope=slope,
         tails=tuple(press for press, _ in bounds),
         swings=tuple(swing for _, swing in bounds),
-        rushes=tuple(tail(wall, force, frequency, damping, 1)[0] for wall in walls),
+        rushes=tuple(tail(wall, force, frequency, damping, 1, terms)[0] for wall in walls),
         gap=_gap(walls, force),
-        contacts=tuple(contact(wall, force, frequency) for wall in walls),
+        contacts=tuple(contact(wall, force, frequency, terms) for wall in walls),
+        terms=terms,
     )
 
 
@@ -104,8 +109,9 @@ def _of_force(scene):
     """The `Frame` of a scene with a force of the user's own."""
     force, dtype = scene.force, scene.dtype
     amplitude, frequency = (jnp.asarray(number, dtype) for number in (scene.amplitude, scene.frequency))
-    walls = _walls(scene)
+    walls, terms = _walls(scene), drive.terms(scene, frequency, None)
     fast = max((wall.harmonic for wall in walls if wall.swing is not None), default=1)
+    fast = max(fast, drive.fastest(terms))
     period, none = 2.0 * jnp.pi / frequency, jnp.zeros_like(frequency)
     reach = flow.STEP / (frequency * fast)
     return Frame(
@@ -120,7 +126,7 @@ def _of_force(scene):
         reach=reach,
         pace=1.0 / reach,
         weights=weights(reach),
-        size=sum((extent(wall) for wall in walls), abs(amplitude)),
+        size=sum((extent(wall) for wall in walls), drive.largest(terms, amplitude, frequency, 0)),
         curb=None,
         slope=None,
         tails=(),
@@ -129,6 +135,7 @@ def _of_force(scene):
         gap=_gap(walls, amplitude),
         contacts=(None,) * len(walls),
         law=jax.tree.map(lambda number: jnp.asarray(number, dtype), force),
+        terms=terms,
     )
 
 
@@ -168,7 +175,8 @@ def _split(a):
 
 def is_valid(frame):
     """Whether the scene of each lane keeps the rules that `make_scene` checks: (valid, finite)."""
-    numbers = jax.tree.leaves((frame.force, frame.frequency, frame.damping, frame.walls))
+    given = [(term.force, term.cosine) for term in frame.terms]
+    numbers = jax.tree.leaves((frame.force, frame.frequency, frame.damping, frame.walls, given))
     finite = jnp.isfinite(frame.force)
     for number in numbers:
         finite &= jnp.isfinite(number)

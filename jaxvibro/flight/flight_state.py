@@ -12,7 +12,7 @@ import jax
 from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, stage, two_sum
-from . import flow, force_flow, soft_contact
+from . import drive, flow, force_flow, soft_contact
 from .wall import course
 
 CAPPED = -1.0
@@ -77,9 +77,12 @@ def moved(frame, motion, time, touch=None):
         return gone(frame, motion, time)
     if touch is None:
         gains, more = stage(flow.gains, frame.series, frame.frequency, time), None
+        if frame.terms:
+            lifted = [stage(flow.lifts, term.series, time) for term in frame.terms]
+            more = stage(drive.moved, frame.terms, frame.frequency, *motion[4:], gains.move, lifted)
     else:
         gains = stage(soft_contact.gains, frame, touch, time)
-        waves = stage(soft_contact.waves, frame, touch, time) if soft_contact.moves(frame) else None
+        waves = stage(soft_contact.waves, frame, touch, time) if soft_contact.waved(frame) else []
         more = stage(soft_contact.pushed, frame, touch, motion, gains, waves)
     slow = stage(_carry, frame, motion, gains, touch, more)
     return SlowMotion(*slow, *stage(flow.turn, *motion[4:], gains.versed, gains.sined))
@@ -144,8 +147,9 @@ def accelerations(frame, x, v, cosine, sine, bias=(None, None)):
     """The acceleration of a free mass, and its rate of change; bias: see `flow.extend`."""
     if frame.law is not None:
         return tuple(force_flow.derivatives(frame, x, v, cosine, sine, 3)[2:])
-    drive = frame.force * cosine, -(frame.force * sine) * frame.frequency
-    return flow.extend(frame.frequency, frame.damping, frame.stiffness, drive, bias, (x, v))[1]
+    bias = drive.pushed(frame.terms, frame.frequency, cosine, sine, bias)
+    force = frame.force * cosine, -(frame.force * sine) * frame.frequency
+    return flow.extend(frame.frequency, frame.damping, frame.stiffness, force, bias, (x, v))[1]
 
 
 def jet(frame, x, v, cosine, sine, order, bias=()):
@@ -154,6 +158,8 @@ def jet(frame, x, v, cosine, sine, order, bias=()):
         return force_flow.derivatives(frame, x, v, cosine, sine, order)
     force, found = (frame.force * cosine, -(frame.force * sine) * frame.frequency), [x, v]
     bias = [*bias, *[None] * order]
+    if frame.terms:
+        bias = stage(drive.pushed, frame.terms, frame.frequency, cosine, sine, bias[:order])
     while len(found) <= order:
         pair = bias[len(found) - 2 : len(found)]
         force, new = stage(flow.extend, frame.frequency, frame.damping, frame.stiffness, force, pair, found[-2:])

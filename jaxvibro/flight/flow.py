@@ -17,6 +17,7 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
+from ..scene import check
 
 STEP = 1.0  # longest step, in units of 1 / rate
 ORDER = 18  # STEP^19 / 19! < 1e-17
@@ -192,11 +193,12 @@ def rotated(cosine, sine, angle):
 
 
 def fly(scene, state, time):
-    """The state after a free flight of a given length: walls are not looked at.
+    """The state after a free flight of a given length under A cos(omega t): walls are not looked at.
 
     scene: amplitude, frequency and damping are used; state: x, v, phase; time >= 0, in t. All broadcast together.
     Returns (x, v). Error below 1e-13 (1 + t)^2 (abs x + abs v + A) over damping [0, 5] and frequency [0.05, 20].
     """
+    check.require_one_harmonic(scene, "fly")
     values = (scene.amplitude, scene.frequency, scene.damping, state.x, state.v, state.phase, time)
     values = jnp.broadcast_arrays(*(jnp.asarray(value, scene.dtype) for value in values))
     force, frequency, damping, x, v, phase, time = values

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, most, stage
 from . import event, flow, traced_force
+from .drive import wave
 from .series import Series, evaluated
 from .wall import course
 
@@ -54,8 +55,17 @@ def order(frame):
 def coefficients(frame, x, v, cosine, sine, order):
     """The Taylor coefficients of x, from the constant up to an order, where the drive is at this cosine and sine."""
     time = stage(_time, frame.frequency, cosine, sine)
-    drive = traced_force.forced(frame.force, frame.frequency, cosine, sine, order - 1)
+    drive = _driven(frame, cosine, sine, order - 1)
     return traced_force.motion(frame.law, time, x, v, drive, order)
+
+
+def _driven(frame, cosine, sine, count):
+    """The first coefficients of the drive's force."""
+    found = traced_force.forced(frame.force, frame.frequency, cosine, sine, count)
+    for term in frame.terms:
+        own = traced_force.forced(term.force, term.rate(frame.frequency), *wave(term, cosine, sine), count)
+        found = [a + b for a, b in zip(found, own, strict=True)]
+    return found
 
 
 def _time(frequency, cosine, sine):
@@ -102,7 +112,7 @@ def press_terms(frame, wall, cosine, sine, order):
     v = Series(lambda own, k: (k + 1.0) * where[k + 1], where[1])
     time = Series(lambda own, k: None, stage(_time, frame.frequency, cosine, sine), 1.0)
     push = traced_force.along(frame.law, time, x, v)
-    drive = traced_force.forced(frame.force, frame.frequency, cosine, sine, max(order + 1, 2))
+    drive = _driven(frame, cosine, sine, max(order + 1, 2))
     found = []
     for k in range(order + 1):
         own = drive[k] - (k + 2.0) * (k + 1.0) * where[k + 2]

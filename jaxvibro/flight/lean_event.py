@@ -8,9 +8,10 @@ from jax import lax
 
 from ..compiled.compiler_hints import choose, least, most, positive, stage
 from . import event
+from .drive import wave
 from .event import TERMS, Progress
 from .lean_numbers import GIVEN_UP
-from .wall import chosen, less, wave
+from .wall import chosen, less
 
 MARGIN = 2.0**-36  # of a lane's largest length: what is nearer to a wall than this is in doubt
 LATE = 2.0**-16  # of the longest step: more than what is left to an event where a step lands

@@ -1,6 +1,7 @@
 """How hard a mass that rests on a wall is pressed on it."""
 
 from . import force_flow
+from .drive import pushed
 from .wall import press as spring_press
 
 
@@ -10,5 +11,6 @@ def press(frame, wall, cosine, sine, order):
     Times the wall's sign it is positive while the mass is pressed on.
     """
     if frame.law is None:
-        return spring_press(wall, frame.force, frame.frequency, frame.damping, cosine, sine, order)
+        found = spring_press(wall, frame.force, frame.frequency, frame.damping, cosine, sine, order)
+        return pushed(frame.terms, frame.frequency, cosine, sine, found)
     return force_flow.as_derivatives(force_flow.press_terms(frame, wall, cosine, sine, order))

@@ -3,7 +3,7 @@
 import jax
 import jax.numpy as jnp
 
-from . import flow, force_flow
+from . import drive, flow, force_flow
 from .coefficients import framed
 
 
@@ -32,7 +32,17 @@ def with_matrix(frame, x, v, cosine, sine, time):
 def _sprung(frame, x, v, cosine, sine, time):
     """(x, v, the drive's turn, the free flow's matrix) a time after, under spring and damper."""
     free, forced, angle = flow.doubled(frame.series, frame.frequency, frame.damping, time)
-    return *flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v), angle, free
+    x, v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v)
+    if frame.terms:
+        more = drive.responses(frame.terms, frame.frequency, frame.damping, time)
+        x, v = _driven(frame, more, cosine, sine, x, v)
+    return x, v, angle, free
+
+
+def _driven(frame, responses, cosine, sine, x, v):
+    """x and v with what the drive's further terms add to them."""
+    dx, dv = drive.forced(frame.terms, responses, frame.frequency, cosine, sine)
+    return x + dx, v + dv
 
 
 def _slopes(frame, x, v, cosine, sine, time):
@@ -52,9 +62,12 @@ def repeated(frame, span):
     if frame.law is not None:
         return lambda *place: force_flow.fly(frame, *place, span)
     free, forced, (versed, sined) = flow.doubled(frame.series, frame.frequency, frame.damping, span)
+    more = drive.responses(frame.terms, frame.frequency, frame.damping, span)
 
     def onwards(x, v, cosine, sine):
         x, v = flow.flown((free, forced), frame.force * cosine, frame.force * sine, x, v)
+        if frame.terms:
+            x, v = _driven(frame, more, cosine, sine, x, v)
         return x, v, *flow.turn(cosine, sine, versed, sined)
 
     return onwards
@@ -62,8 +75,8 @@ def repeated(frame, span):
 
 def of_scene(scene, x, v, phase, time):
     """`with_matrix` of a scene from a phase on, walls not looked at."""
-    if scene.force is not None:
-        return _slopes(framed(scene), x, v, jnp.cos(phase), jnp.sin(phase), time)
+    if scene.force is not None or scene.drive:
+        return with_matrix(framed(scene), x, v, jnp.cos(phase), jnp.sin(phase), time)
     responses = flow.responses(scene.frequency, scene.damping, time)
     force = scene.amplitude * jnp.cos(phase), scene.amplitude * jnp.sin(phase)
     return flow.flown(responses, *force, x, v), responses[0]

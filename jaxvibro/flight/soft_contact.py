@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
 from ..scene.codes import Contact
-from . import flow
+from . import drive, flow
 from .soft_half_swing import Plunge, plunge
 from .wall import chosen, course, less
 
@@ -23,7 +23,8 @@ from .wall import chosen, course, less
 class SoftFlow(NamedTuple):
     """The oscillator within a wall: stiffness 1 + k2 and its root; damping gamma2; series: of its flow under the drive;
     waves: under the wall's own motion, None where it stands still; plunge: the first step after an entry; reach: the
-    longest of the others; curb, slope: as the `coefficients.Frame` has them, for y."""
+    longest of the others; curb, slope: as the `coefficients.Frame` has them, for y; terms: as series, of the drive's
+    further terms."""
 
     stiffness: Float[jax.Array, "..."]
     root: Float[jax.Array, "..."]
@@ -34,6 +35,7 @@ class SoftFlow(NamedTuple):
     reach: Float[jax.Array, "..."]
     curb: Float[jax.Array, "..."]
     slope: Float[jax.Array, "..."]
+    terms: tuple[flow.Series, ...] = ()
 
 
 class Felt(NamedTuple):
@@ -50,14 +52,16 @@ class Felt(NamedTuple):
     slope: Float[jax.Array, "..."]
 
 
-def contact(wall, force, frequency):
-    """The `SoftFlow` of a wall's `Lane`, None for a rigid one."""
+def contact(wall, force, frequency, terms=()):
+    """The `SoftFlow` of a wall's `Lane`, None for a rigid one; terms: of the drive, beside its first."""
     if wall.stiffness is None:
         return None
     stiffness, damping = 1.0 + wall.stiffness, wall.damping
     root = jnp.sqrt(stiffness)
     rate, waves = flow.rate(frequency, damping, stiffness), None
-    forcing = abs(force) * frequency**6
+    forcing = drive.largest(terms, force, frequency, 6)
+    if terms:
+        rate = jnp.maximum(rate, frequency * float(drive.fastest(terms)))
     if wall.swing is not None:
         own = frequency * float(wall.harmonic)
         rate = jnp.maximum(rate, own)
@@ -67,8 +71,9 @@ def contact(wall, force, frequency):
     # energy of y^(6), as for x in `frame`: y^(7)^2 + (1 + k2) y^(6)^2
     slope = jnp.sqrt(stiffness + 4.0 * damping * damping)
     series = flow.series(frequency, damping, stiffness)
-    first = plunge(wall, force, frequency, series, waves, stiffness)
-    return SoftFlow(stiffness, root, damping, series, waves, first, reach, forcing * (1.0 + slope * reach), slope)
+    more = tuple(flow.series(term.rate(frequency), damping, stiffness) for term in terms)
+    first = plunge(wall, force, frequency, series, waves, stiffness, list(zip(terms, more, strict=True)))
+    return SoftFlow(stiffness, root, damping, series, waves, first, reach, forcing * (1.0 + slope * reach), slope, more)
 
 
 def is_inside(contact):
@@ -135,9 +140,25 @@ def gains(frame, contact, time):
     return flow.gains(_series(frame, contact), frame.frequency, time)
 
 
+def waved(frame):
+    """Whether there are `forces`."""
+    return bool(frame.terms) or moves(frame)
+
+
 def waves(frame, contact, time):
-    """(lift, lag) of each lane for the motion of the wall that it is within, where a soft wall moves."""
-    return flow.lifts(_waves(frame, contact), choose(_is_moved(frame, contact), time, 0.0))
+    """[(lift, lag)] of each lane for each of its `forces`."""
+    found = [flow.lifts(series, time) for series in _terms(frame, contact)]
+    if moves(frame):
+        found.append(flow.lifts(_waves(frame, contact), choose(_is_moved(frame, contact), time, 0.0)))
+    return found
+
+
+def forces(frame, contact, cosine, sine):
+    """[(along, across, rate)]: what drives lanes beside A cos(theta) and where the wall is, each a force along cos -
+    across sin of its own angle since now: the drive's further terms, and, where a soft wall moves, the motion of the
+    wall that a lane is within."""
+    found = drive.waves(frame.terms, frame.frequency, cosine, sine)
+    return [*found, wave(frame, contact, cosine, sine)] if moves(frame) else found
 
 
 def _is_moved(frame, contact):
@@ -151,14 +172,24 @@ def _is_moved(frame, contact):
 
 def _series(frame, contact):
     """The flow's `Series` of each lane, rows in place of arrays."""
+    return _felt_series(contact, frame.series, [each.series for each in frame.contacts if each is not None])
+
+
+def _terms(frame, contact):
+    """As `_series`, under each further term of the drive."""
+    within = zip(*(each.terms for each in frame.contacts if each is not None), strict=True)
+    return [_felt_series(contact, term.series, own) for term, own in zip(frame.terms, within, strict=True)]
+
+
+def _felt_series(contact, outside, soft):
+    """The `Series` of each lane of that outside and those within the soft walls."""
     inside = is_inside(contact)
-    soft = [each.series for each in frame.contacts if each is not None]
 
     def lanes(free, *within):
         rows = range(free.shape[0])
         return [choose(inside, _own(contact, [each[k] for each in within]), free[k]) for k in rows]
 
-    return flow.Series(*map(lanes, frame.series, *soft))
+    return flow.Series(*map(lanes, outside, *soft))
 
 
 def _waves(frame, contact):
@@ -196,13 +227,14 @@ def _bias(wall, frequency, cosine, sine, order):
 
 
 def pushed(frame, contact, motion, gains, waves):
-    """What the `biases` add to y and y' over a flight: (dx, dv)."""
+    """What the `biases`, and the drive's further terms, add to y and y' over a flight: (dx, dv); waves: see there."""
     dx, dv = rested(frame, contact, motion.cosine, gains.stay, gains.move)
-    if waves is None:
-        return dx, dv
-    lift, lag = waves
-    along, across, pace = wave(frame, contact, motion.cosine, motion.sine)
-    return dx + (along * lift - across * lag), dv + (along * (gains.move - pace * lag) - across * (pace * lift))
+    if waves:
+        given = forces(frame, contact, motion.cosine, motion.sine)
+        for (along, across, pace), (lift, lag) in zip(given, waves, strict=True):
+            dx = dx + (along * lift - across * lag)
+            dv = dv + (along * (gains.move - pace * lag) - across * (pace * lift))
+    return dx, dv
 
 
 def rested(frame, contact, like, stay, move):
@@ -234,24 +266,26 @@ def _swing(wall, frequency, cosine, sine):
 
 
 class StayResponse(NamedTuple):
-    """What a stay of a given time does: `flow.doubled`'s matrix; motions forced by the drive, and by the wall's motion
-    where a soft wall moves."""
+    """What a stay of a given time does: `flow.doubled`'s matrix; motions forced by the drive, and by each of the
+    `forces`."""
 
     free: flow.FreeFlow
     forced: flow.ForcedFlow
-    waves: flow.ForcedFlow | None
+    waves: tuple[flow.ForcedFlow, ...]
 
 
 def response(frame, contact, time):
     """The `StayResponse` of each lane over any time; frame: as the lanes feel it (`felt`)."""
     given = frame.damping, time, frame.stiffness
     free, forced, _ = flow.doubled(_series(frame, contact), frame.frequency, *given)
-    if not moves(frame):
-        return StayResponse(free, forced, None)
-    *_, rate = wave(frame, contact, 0.0 * time, 0.0 * time)
-    span = choose(_is_moved(frame, contact), time, 0.0)
-    waves = flow.doubled(_waves(frame, contact), rate, frame.damping, span, frame.stiffness)[1]
-    return StayResponse(free, forced, waves)
+    found = []
+    for term, series in zip(frame.terms, _terms(frame, contact), strict=True):
+        found.append(flow.doubled(series, term.rate(frame.frequency), *given)[1])
+    if moves(frame):
+        *_, rate = wave(frame, contact, 0.0 * time, 0.0 * time)
+        span = choose(_is_moved(frame, contact), time, 0.0)
+        found.append(flow.doubled(_waves(frame, contact), rate, frame.damping, span, frame.stiffness)[1])
+    return StayResponse(free, forced, tuple(found))
 
 
 def flown(frame, contact, response, start, cosine, sine):
@@ -261,10 +295,10 @@ def flown(frame, contact, response, start, cosine, sine):
     y, v = flow.flown((free, forced), *force, *start, frame.stiffness)
     dy, dv = rested(frame, contact, cosine, free[0] - 1.0, free[1])
     y, v = y + dy, v + dv
-    if waves is not None:
-        along, across, _ = wave(frame, contact, cosine, sine)
-        dy, dv = flow.flown((free, waves), along, across, 0.0 * y, 0.0 * v, frame.stiffness)
-        y, v = y + dy, v + dv
+    if waves:
+        for (along, across, _), forced in zip(forces(frame, contact, cosine, sine), waves, strict=True):
+            dy, dv = flow.flown((free, forced), along, across, 0.0 * y, 0.0 * v, frame.stiffness)
+            y, v = y + dy, v + dv
     return y, v
 
 
@@ -283,6 +317,10 @@ def risen(frame, contact, v, cosine, sine, time):
     force = frame.force * cosine, frame.force * sine
     dy, _ = rested(frame, contact, cosine, stay * time, 0.0 * time)
     found = v * move + time * (force[0] * lift - force[1] * (time * lag)) + dy
+    terms = drive.waves(frame.terms, frame.frequency, cosine, sine)
+    for (along, across, _), rows in zip(terms, _terms(frame, contact), strict=True):
+        lift, lag = (flow.horner(each, time) for each in rows[2:])
+        found = found + time * (along * lift - across * (time * lag))
     if moves(frame):
         along, across, _ = wave(frame, contact, cosine, sine)
         span = choose(_is_moved(frame, contact), time, 0.0)
@@ -297,20 +335,8 @@ def gone(frame, contact, v, cosine, sine, time):
     forced = frame.force * cosine * (move - frame.frequency * lag) - frame.force * sine * (frame.frequency * lift)
     _, dv = rested(frame, contact, cosine, stay, move)
     found = (1.0 + stay - 2.0 * frame.damping * move) * v + forced + dv
-    if moves(frame):
-        along, across, rate = wave(frame, contact, cosine, sine)
-        lift, lag = waves(frame, contact, time)
-        found = found + along * (move - rate * lag) - across * (rate * lift)
-    return found
-
-
-def jet(frame, contact, y, v, cosine, sine, order):
-    """y and its derivatives to an order."""
-    force = [frame.force * cosine, -(frame.force * sine) * frame.frequency]
-    found = [y, v]
-    for k, bias in enumerate(biases(frame, contact, cosine, sine, order - 2)):
-        if k > 1:
-            force.append(-(frame.frequency * frame.frequency) * force[k - 2])
-        pull = force[k] if bias is None else force[k] + bias
-        found.append(pull - flow.pulled(frame.stiffness, found[k]) - 2.0 * frame.damping * found[k + 1])
+    if waved(frame):
+        given = forces(frame, contact, cosine, sine)
+        for (along, across, rate), (lift, lag) in zip(given, waves(frame, contact, time), strict=True):
+            found = found + along * (move - rate * lag) - across * (rate * lift)
     return found

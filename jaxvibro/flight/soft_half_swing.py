@@ -13,7 +13,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
-from . import flow
+from . import drive, flow
 from .wall import tail
 
 SHARE = 0.9  # of the half-swing: the way out is then nearer than the longest step
@@ -25,7 +25,7 @@ MARGIN = 1.01
 class Plunge(NamedTuple):
     """A step of a given time: ratio, int G / G at its end, inf where there is no such step; change: of the push within
     it, a bound; free, forced, angle: `flow.doubled`'s; waves: as forced, under the wall's own motion, None where it
-    stands still."""
+    stands still; terms: as forced, under the drive's further terms."""
 
     time: Float[jax.Array, "..."]
     ratio: Float[jax.Array, "..."]
@@ -34,18 +34,25 @@ class Plunge(NamedTuple):
     forced: flow.ForcedFlow
     angle: tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]]
     waves: flow.ForcedFlow | None
+    terms: tuple[flow.ForcedFlow, ...] = ()
 
 
-def plunge(wall, force, frequency, series, waves, stiffness):
-    """The `Plunge` into a soft wall's `Lane`; series, waves: of the flow within it, stiffness: 1 + k2."""
+def plunge(wall, force, frequency, series, waves, stiffness, terms=()):
+    """The `Plunge` into a soft wall's `Lane`; series, waves: of the flow within it, stiffness: 1 + k2; terms: (the
+    drive's further `Term`, the series under it)."""
     damping, own = wall.damping, frequency * float(wall.harmonic)
-    slight = (damping * damping < SLIGHT * stiffness) & (jnp.maximum(frequency, own) < jnp.sqrt(stiffness))
+    given = [term for term, _ in terms]
+    fast = jnp.maximum(frequency, own)
+    fast = jnp.maximum(fast, frequency * float(drive.fastest(given))) if given else fast
+    slight = (damping * damping < SLIGHT * stiffness) & (fast < jnp.sqrt(stiffness))
     time = SHARE * math.pi / jnp.sqrt(choose(slight, stiffness - damping * damping, stiffness))
     free, forced, angle = flow.redoubled(series, frequency, damping, time, stiffness, DOUBLINGS)
     moved = None if waves is None else flow.redoubled(waves, own, damping, time, stiffness, DOUBLINGS)[1]
     ratio = MARGIN * (1.0 - free[0]) / (stiffness * free[1])
     ratio = choose(slight, ratio, jnp.full_like(ratio, jnp.inf))
-    return Plunge(time, ratio, tail(wall, force, frequency, damping, 1)[0] * time, free, forced, angle, moved)
+    change = tail(wall, force, frequency, damping, 1, given)[0] * time
+    more = [flow.redoubled(own, term.rate(frequency), damping, time, stiffness, DOUBLINGS)[1] for term, own in terms]
+    return Plunge(time, ratio, change, free, forced, angle, moved, tuple(more))
 
 
 def is_sure(plunge, speed, push):

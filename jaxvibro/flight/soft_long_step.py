@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, mask, merge, stage
 from ..scene.codes import Contact
-from . import event, flow, soft_contact
+from . import drive, event, flow, soft_contact
 from .flight_state import SlowMotion, remaining
 from .soft_half_swing import is_sure
 
@@ -81,7 +81,8 @@ def plunged(frame, path):
 def _plunges(frame, path):
     first, side = soft_contact.plunges(frame, path.contact), lax.sign(path.contact)
     push = frame.force * path.cosine
-    (bias,) = soft_contact.biases(frame, path.contact, path.cosine, path.sine, 0)
+    bias = soft_contact.biases(frame, path.contact, path.cosine, path.sine, 0)
+    (bias,) = drive.pushed(frame.terms, frame.frequency, path.cosine, path.sine, bias)
     sure = is_sure(first, side * path.v, side * (push if bias is None else push + bias))
     return mask((lax.abs(path.contact) == Contact.ENTERED) & sure & (path.to_go > first.time), path.x)
 
@@ -92,7 +93,8 @@ def _turned(frame, path):
 
 def _plunged(frame, path):
     first = soft_contact.plunges(frame, path.contact)
-    response = soft_contact.StayResponse(first.free, first.forced, first.waves)
+    waves = first.terms if first.waves is None else (*first.terms, first.waves)
+    response = soft_contact.StayResponse(first.free, first.forced, waves)
     return soft_contact.flown(frame, path.contact, response, (path.x, path.v), path.cosine, path.sine)
 
 
@@ -180,8 +182,8 @@ def _flown(frame, path, time):
 def _forced(frame, touch, cosine, sine):
     """The `Wave`s that drive and wall force on y; frame: as the lanes feel it. Of no use where they resonate."""
     none = 0.0 * cosine
-    drive = frame.force * cosine, frame.force * sine, frame.frequency + none
-    waves = [drive, *([soft_contact.wave(frame, touch, cosine, sine)] if soft_contact.moves(frame) else [])]
+    waves = [(frame.force * cosine, frame.force * sine, frame.frequency + none)]
+    waves += soft_contact.forces(frame, touch, cosine, sine)
     found = []
     for along, across, rate in waves:
         lag, away = 2.0 * frame.damping * rate, frame.stiffness - rate * rate

@@ -17,7 +17,7 @@ POWERS = tuple(range(DEGREE + 1))
 
 def table(frame, touch):
     """What each part of the motion adds to the polynomial of each lane, (DEGREE + 1, *lanes) each: y, the flow's
-    `Series`, and those of the walls' motion where a soft wall moves; frame: as the lanes feel it."""
+    `Series`, and those of the `soft_contact.forces`; frame: as the lanes feel it."""
     soft = [each for each in frame.contacts if each is not None]
     moving = soft_contact.moves(frame)
     tables = [_rows(each, moving, touch.ndim) for each in soft]
@@ -30,10 +30,11 @@ def _rows(soft, moving, lanes):
     """The same of one wall in powers of the time itself, for lanes of so many axes."""
     still = [soft.series.stay, soft.series.move, soft.series.lift, soft.series.lag]
     more = [jnp.zeros_like(each) for each in still[2:]] if soft.waves is None else [soft.waves.lift, soft.waves.lag]
-    parts = [jnp.ones_like(still[0][:1]), *still, *(more if moving else [])]
-    firsts = (0, 2, 1, 2, 3, 2, 3)
+    terms = [rows for term in soft.terms for rows in (term.lift, term.lag)]
+    parts = [jnp.ones_like(still[0][:1]), *still, *terms, *(more if moving else [])]
+    firsts = (0, 2, 1, *(2, 3) * (len(parts) // 2 - 1))
     rows = []
-    for part, first in zip(parts, firsts, strict=False):
+    for part, first in zip(parts, firsts, strict=True):
         around = [(first, DEGREE + 1 - first - len(part))] + [(0, 0)] * (part.ndim - 1)
         rows.append(jnp.pad(part, around))
     return [each.reshape(*each.shape, *[1] * (lanes + 1 - each.ndim)) for each in rows]
@@ -43,8 +44,7 @@ def coefficients(frame, touch, table, y, v, cosine, sine):
     """The polynomial's, (DEGREE + 1, *lanes), from y and y' on."""
     place, _ = soft_contact.rested(frame, touch, cosine, 1.0, 0.0 * cosine)
     parts = [y, y + place, v, frame.force * cosine, -(frame.force * sine)]
-    if soft_contact.moves(frame):
-        along, across, _ = soft_contact.wave(frame, touch, cosine, sine)
+    for along, across, _ in soft_contact.forces(frame, touch, cosine, sine):
         parts += [along, -across]
     return sum(part * row for part, row in zip(parts, table, strict=True))
 
@@ -82,8 +82,9 @@ def response(frame, touch, table, time):
     places = powers(step / reach)
     _, stay, move, lift, lag, *more = (value(row, places) for row in table)
     free = 1.0 + stay, move, 1.0 + stay - 2.0 * frame.damping * move
-    *_, rate = soft_contact.wave(frame, touch, 0.0 * time, 0.0 * time) if more else (frame.frequency,)
-    waves = [(lift, lag, frame.frequency + 0.0 * time)] + ([(*more, rate)] if more else [])
+    rates = [rate for *_, rate in soft_contact.forces(frame, touch, 0.0 * time, 0.0 * time)]
+    waves = [(lift, lag, frame.frequency + 0.0 * time)]
+    waves += zip(more[::2], more[1::2], rates, strict=True)
     forced = [(((u, move - rate * w), (w, rate * u)), _turn(rate * step)) for u, w, rate in waves]
 
     def double(carry):
@@ -95,7 +96,7 @@ def response(frame, touch, table, time):
 
     start = (count, free, *forced)
     _, free, *forced = lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double, start)
-    return soft_contact.StayResponse(free, forced[0][0], forced[1][0] if more else None)
+    return soft_contact.StayResponse(free, forced[0][0], tuple(each for each, _ in forced[1:]))
 
 
 def _turn(angle):

@@ -8,7 +8,7 @@ force that damps fast, which holds the error of v, and not of its change, to as 
 
 import math
 from functools import lru_cache, partial, reduce
-from typing import Any
+from typing import Any, NamedTuple
 
 import diffrax
 import equinox as eqx
@@ -22,7 +22,7 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, most
 from ..scene.force import Force
-from . import event, flow
+from . import drive, event, flow
 from .force_flow import STEADY, Ahead, Press, as_derivatives, scale
 from .wall import course
 
@@ -78,33 +78,38 @@ def _ready(solver, tolerance):
     return solver
 
 
+class Lane(NamedTuple):
+    """What moves one lane: its force, and the drive as a `coefficients.Frame` has it."""
+
+    law: Force
+    frequency: Float[jax.Array, ""]
+    force: Float[jax.Array, ""]
+    terms: tuple[drive.Term, ...]
+
+
 def _lanes(function, frame, *given):
-    """function(force, frequency, drive's amplitude, *given), of one state, for each lane."""
-    names = tuple(frame.law.numbers)
-
-    def single(frequency, amplitude, *rest):
-        own, rest = rest[: len(names)], rest[len(names) :]
-        law = Force(frame.law.function, dict(zip(names, own, strict=True)), frame.law.tolerance, frame.law.solver)
-        return function(law, frequency, amplitude, *rest)
-
-    every = (frame.frequency, frame.force, *frame.law.numbers.values(), *given)
-    return jnp.vectorize(single)(*every)
+    """function(lane, *given), of one state, for each lane."""
+    own, tree = jax.tree.flatten(Lane(frame.law, frame.frequency, frame.force, frame.terms))
+    count = len(own)
+    single = jnp.vectorize(lambda *every: function(tree.unflatten(every[:count]), *every[count:]))
+    return single(*own, *given)
 
 
-def _acceleration(law, frequency, amplitude, cosine, sine, late, x, v):
+def _acceleration(lane, cosine, sine, late, x, v):
     """The acceleration a time after the drive was at this cosine and sine."""
-    angle = frequency * late
-    drive = amplitude * (cosine * jnp.cos(angle) - sine * jnp.sin(angle))
-    return law.function(lax.atan2(sine, cosine) / frequency + late, x, v, law.numbers) + drive
+    law, frequency, force, terms = lane
+    c, s = flow.rotated(cosine, sine, frequency * late)
+    pull = law.function(lax.atan2(sine, cosine) / frequency + late, x, v, law.numbers) + force * c
+    return pull + sum(along for along, _, _ in drive.waves(terms, frequency, c, s))
 
 
-def _step(law, frequency, amplitude, x, v, cosine, sine, size, time):
-    """(x, v after a step, the acceleration there, the estimated errors of x and v)."""
-    solver = _ready(law.solver, law.tolerance)
+def _step(lane, x, v, cosine, sine, size, time):
+    """(x, v after a step, the acceleration there, the estimated error over the size)."""
+    solver = _ready(lane.law.solver, lane.law.tolerance)
 
     def field(late, y, _):
         x, v = size * y[0], size * y[1]
-        return jnp.stack([v, _acceleration(law, frequency, amplitude, cosine, sine, late, x, v)]) / size
+        return jnp.stack([v, _acceleration(lane, cosine, sine, late, x, v)]) / size
 
     term, start = diffrax.ODETerm(field), jnp.stack([x, v]) / size
     none = jnp.zeros_like(time)
@@ -113,7 +118,7 @@ def _step(law, frequency, amplitude, x, v, cosine, sine, size, time):
     right = result == diffrax.RESULTS.successful
     error = jnp.where(right, jnp.max(jnp.abs(error)), jnp.inf)
     x, v = size * end[0], size * end[1]
-    return x, v, _acceleration(law, frequency, amplitude, cosine, sine, time, x, v), error
+    return x, v, _acceleration(lane, cosine, sine, time, x, v), error
 
 
 def ahead(frame, x, v, cosine, sine):
@@ -123,13 +128,13 @@ def ahead(frame, x, v, cosine, sine):
     return Ahead(*_lanes(_searched, frame, x, v, cosine, sine, size, frame.reach + 0.0 * x))
 
 
-def _searched(law, frequency, amplitude, x, v, cosine, sine, size, longest):
-    pull_at = partial(_acceleration, law, frequency, amplitude, cosine, sine)
+def _searched(lane, x, v, cosine, sine, size, longest):
+    law, pull_at = lane.law, partial(_acceleration, lane, cosine, sine)
     pull = pull_at(jnp.zeros_like(x), x, v)
     power = -1.0 / min(_ready(law.solver, law.tolerance).order(None), 5)
 
     def attempt(time):
-        end, speed, last, error = _step(law, frequency, amplitude, x, v, cosine, sine, size, time)
+        end, speed, last, error = _step(lane, x, v, cosine, sine, size, time)
         terms = quintic(x, v, pull, end, speed, last, time)
         half = 0.5 * time
         there, pace = event.horner(terms, half)
@@ -164,8 +169,8 @@ def gained(frame, x, v, cosine, sine, time):
     """(what x gains, what v gains) by a step of the solver."""
     size = lax.stop_gradient(scale(frame, x, v))
 
-    def single(law, frequency, amplitude, x, v, cosine, sine, size, time):
-        end, speed, _, _ = _step(law, frequency, amplitude, x, v, cosine, sine, size, time)
+    def single(lane, x, v, cosine, sine, size, time):
+        end, speed, _, _ = _step(lane, x, v, cosine, sine, size, time)
         return end - x, speed - v
 
     return _lanes(single, frame, x, v, cosine, sine, size, time)
@@ -180,11 +185,9 @@ def derivatives(frame, x, v, cosine, sine, order):
     return found
 
 
-def _rates(law, frequency, amplitude, x, v, cosine, sine, count):
+def _rates(lane, x, v, cosine, sine, count):
     """The acceleration and its first derivatives along the motion, so many in all."""
-
-    def pull(late, x, v):
-        return _acceleration(law, frequency, amplitude, cosine, sine, late, x, v)
+    pull = partial(_acceleration, lane, cosine, sine)
 
     def along(function):
         return lambda late, x, v: jax.jvp(function, (late, x, v), (jnp.ones_like(late), v, pull(late, x, v)))[1]

@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from . import event, flow, force_flow
+from . import drive, event, flow, force_flow
 from .wall import course, less, picked
 
 
@@ -36,7 +36,7 @@ def pulls(frame, now, order, bias=()):
     found = [frame.force * now.cosine, -(frame.force * now.sine) * frame.frequency]
     while len(found) < order:
         found.append(-(frame.frequency * frame.frequency) * found[-2])
-    more = [*bias, *[None] * order]
+    more = drive.pushed(frame.terms, frame.frequency, now.cosine, now.sine, [*bias, *[None] * order][:order])
     return [own if each is None else own + each for own, each in zip(found[:order], more, strict=False)]
 
 

@@ -8,6 +8,8 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
 from ..scene.scene import hardened
+from . import drive
+from .drive import wave
 
 
 @jax.tree_util.register_dataclass
@@ -73,28 +75,14 @@ def course(wall, frequency, cosine, sine, order):
     return [wall.position + found[0], *found[1:]]
 
 
-def wave(wall, cosine, sine):
-    """Cosine and sine of the angle that a wall swings by."""
-    c, s = _power(cosine, sine, wall.harmonic)
-    return c * wall.cosine - s * wall.sine, s * wall.cosine + c * wall.sine
-
-
-def _power(cosine, sine, harmonic):
-    """Cosine and sine of a whole multiple of the angle, by squaring."""
-    if harmonic == 1:
-        return cosine, sine
-    c, s = _power(cosine, sine, harmonic // 2)
-    c, s = c * c - s * s, 2.0 * c * s
-    return (c * cosine - s * sine, s * cosine + c * sine) if harmonic % 2 else (c, s)
-
-
 def less(a, b):
     """a - b, b being possibly None for zero."""
     return a if b is None else a - b
 
 
 def press(wall, force, frequency, damping, cosine, sine, order):
-    """How hard a mass that rests on the wall is driven along x relative to it, x'' - x_b'', and its derivatives.
+    """How hard a mass that rests on the wall is driven along x relative to it, x'' - x_b'', by force cos(omega t), and
+    its derivatives.
 
     Times the wall's sign it is positive while the mass is pressed on.
     """
@@ -109,9 +97,12 @@ def press(wall, force, frequency, damping, cosine, sine, order):
     return found
 
 
-def tail(wall, force, frequency, damping, order):
-    """A bound on a derivative of `press`, and of the wall's own position: (number, number)."""
+def tail(wall, force, frequency, damping, order, terms=()):
+    """A bound on a derivative of `press`, and of the wall's own position: (number, number); terms: of the drive, beside
+    its first."""
     bound = abs(force) * frequency**order
+    if terms:
+        bound = bound + drive.bound(terms, frequency, order)
     if wall.swing is None:
         return bound, jnp.zeros_like(bound)
     rate = frequency * float(wall.harmonic)

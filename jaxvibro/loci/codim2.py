@@ -23,7 +23,7 @@ from continuation.persistent_jit import persistent_jit
 from continuation.points import between
 
 from ..compiled.compiler_hints import one_kernel
-from ..flight import flow
+from ..flight import drive, flow
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations
 from ..problem.diagnostics import diagnose
@@ -223,6 +223,8 @@ def _bend(curve, z, reference, order, fine):
 def _rate(built):
     """The fastest of the flights', and of what is felt within soft walls."""
     found = flow.rate(built.frequency, built.damping)
+    if built.terms:
+        found = jnp.maximum(found, built.frequency * float(drive.fastest(built.terms)))
     for soft in built.contacts:
         found = found if soft is None else jnp.maximum(found, flow.STEP / soft.reach)
     return found

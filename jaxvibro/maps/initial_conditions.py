@@ -12,12 +12,22 @@ LEAST_DIVISOR = 1e-3  # of A, sqrt(D): at resonance without damping there is no 
 def forced_amplitude(scene):
     """A / sqrt(D), the amplitude of the steady motion that meets no wall (paper, (8)); sqrt(D) at least 1e-3.
 
-    Under a force of the user's own that of a free mass, A / omega^2, or A where that is less.
+    Under a force of the user's own that of a free mass, A / omega^2, or A where that is less. The sum of those of all
+    terms of the drive.
     """
-    if scene.force is not None:
-        return abs(np.asarray(scene.amplitude, float)) / np.maximum(1.0, np.asarray(scene.frequency, float) ** 2)
-    a, w, c = (np.asarray(getattr(scene, name), float) for name in ("amplitude", "frequency", "damping"))
-    return abs(a) / np.maximum(np.hypot((1.0 - w) * (1.0 + w), 2.0 * c * w), LEAST_DIVISOR)
+    return sum(size for size, _ in _forced(scene))
+
+
+def _forced(scene):
+    """(amplitude, frequency) of the steady motion under each term of the drive."""
+    frequency = np.asarray(scene.frequency, float)
+    for a, w in ((scene.amplitude, frequency), *((term.amplitude, term.harmonic * frequency) for term in scene.drive)):
+        a = abs(np.asarray(a, float))
+        if scene.force is not None:
+            yield a / np.maximum(1.0, w**2), w
+        else:
+            c = np.asarray(scene.damping, float)
+            yield a / np.maximum(np.hypot((1.0 - w) * (1.0 + w), 2.0 * c * w), LEAST_DIVISOR), w
 
 
 def box(scene):
@@ -31,7 +41,7 @@ def box(scene):
     far = np.maximum(2.0, 2.0 * forced)
     left = np.where(np.isinf(low), np.minimum(-far, high - far), low)
     right = np.where(np.isinf(high), np.maximum(far, low + far), high)
-    return left, right, 3.0 * np.maximum(1.0, np.asarray(scene.frequency, float) * forced)
+    return left, right, 3.0 * np.maximum(1.0, sum(w * size for size, w in _forced(scene)))
 
 
 def random_starts(scene, count, seed):

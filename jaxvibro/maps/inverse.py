@@ -13,7 +13,7 @@ import jax.numpy as jnp
 
 from ..compiled.blocks import in_blocks
 from ..compiled.compiler_hints import choose, one_kernel, stage
-from ..flight import flow, integrate
+from ..flight import drive, flow, integrate
 from ..flight.coefficients import frame, is_valid
 from ..flight.entry import enter
 from ..scene import check
@@ -65,9 +65,10 @@ def reversed_frame(scene):
     built = frame(scene)
     if built.law is not None:
         law = replace(built.law, function=_backwards(built.law.function))
-        return built._replace(law=law, walls=tuple(_reversed(wall) for wall in built.walls))
+        walls, terms = (tuple(map(_reversed, built.walls)), tuple(_turned(term, built) for term in built.terms))
+        return built._replace(law=law, walls=walls, terms=terms)
     growth = jnp.exp(2.0 * built.damping * built.reach)
-    slope, forcing = built.slope * growth, abs(built.force) * built.frequency**6
+    slope, forcing = built.slope * growth, drive.largest(built.terms, built.force, built.frequency, 6)
     return built._replace(
         damping=-built.damping,
         walls=tuple(_reversed(wall) for wall in built.walls),
@@ -75,6 +76,7 @@ def reversed_frame(scene):
         series=flow.series(built.frequency, -built.damping),
         curb=forcing * (1.0 + slope * built.reach),
         slope=slope,
+        terms=tuple(_turned(term, built) for term in built.terms),
     )
 
 
@@ -91,6 +93,13 @@ def _backwards(function):
 def _reversed(wall):
     sine = None if wall.sine is None else -wall.sine
     return replace(wall, restitution=1.0 / wall.restitution, sine=sine)
+
+
+def _turned(term, built):
+    """A further term of the drive."""
+    own = built.law is None
+    series = flow.series(term.rate(built.frequency), -built.damping) if own else None
+    return replace(term, sine=-term.sine, series=series)
 
 
 def _rules(frame):

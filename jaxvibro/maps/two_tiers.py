@@ -87,9 +87,11 @@ def lean_alone(scene, state, slots, least, clearance=False):
 
 
 def takes(scene):
-    """Whether the lean tier knows such a scene: spring, damper and rigid walls, in double precision."""
+    """Whether the lean tier knows such a scene: spring, damper, a drive of one term and rigid walls, in double
+    precision."""
     walls = [wall for wall in (scene.left, scene.right) if wall is not None]
-    return scene.force is None and bool(walls) and not any(wall.soft for wall in walls) and scene.dtype == np.float64
+    plain = scene.force is None and not scene.drive
+    return plain and bool(walls) and not any(wall.soft for wall in walls) and scene.dtype == np.float64
 
 
 def _flat(scene, state):

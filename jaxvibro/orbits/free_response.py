@@ -21,9 +21,10 @@ NEAR = 1e-12  # of 1 + the largest of x and v: a step as small is the last
 def free_response(scene):
     """The `State` at phase 0 of the motion that is periodic if there are no walls; nan where, at resonance, none is.
 
-    scene: a single one. Under a force of the user's own that to which Newton's method leads from rest at 0.
+    scene: a single one. Under a force of the user's own that to which Newton's method leads from rest at 0; of the
+    linear flow under several terms of the drive its first step is the motion.
     """
-    if scene.force is not None:
+    if scene.force is not None or scene.drive:
         return _from_rest(scene)
     (p00, p01, p11), ((x, v), _) = _responses(scene)
     matrix = np.array([[1.0 - p00, -p01], [p01, 1.0 - p11]])

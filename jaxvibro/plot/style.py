@@ -24,6 +24,7 @@ _PARAMETERS = {
     "motion.amplitude": r"amplitude of motion $B\,/\,d$",
     "motion.phase": r"phase of motion (rad)",
 }
+_OF_TERM = {"amplitude": "amplitude", "phase": "phase (rad)"}
 COORDINATES = {"x": r"position $x = X\,/\,d$", "v": r"velocity $v = \dot X\,/\,(d\,\omega_0)$"}
 TIME = r"time in drive periods, $\omega t\,/\,2\pi$"
 
@@ -33,6 +34,9 @@ def label(name):
     side, _, rest = name.partition(".")
     if side == "force":
         return f"force: {plain(rest)}"
+    if side == "drive":
+        place, _, own = rest.partition(".")
+        return f"{_OF_TERM[own]} of the drive's term {place}"
     rest = "contact damping" if rest == "damping" else rest
     return f"{side} wall: {_PARAMETERS[rest]}" if rest else _PARAMETERS[name]
 

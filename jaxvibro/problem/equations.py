@@ -22,7 +22,7 @@ from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
 from ..scene.scene import Scene
 
-NONE = 1e-10  # of the drive's amplitude, per t: as small a speed is none
+NONE = 1e-10  # of the drive's amplitudes, per t: as small a speed is none
 
 
 class OrbitEquations(NamedTuple):
@@ -58,8 +58,13 @@ def there(along, z):
 
 def number_there(along, z, name):
     """A number of the scene at z, of the scene itself, as the host asks for it: a float."""
-    place = int(getattr(along.which, name))
-    return float(z[(2 * len(along.cycle.sides) or 2) + place - 1] if place else getattr(along.scene, name))
+    return _value(along, z, getattr(along.which, name), getattr(along.scene, name))
+
+
+def _value(along, z, mark, own):
+    """A number at z: its own, or the parameter that it is marked as."""
+    place = int(mark)
+    return float(z[(2 * len(along.cycle.sides) or 2) + place - 1] if place else own)
 
 
 def cycle_at(along, z):
@@ -104,8 +109,10 @@ def _flip(z, along):
 
 def _hits(z, along):
     """Whether each impact has a speed: where one has none, the equations are singular, and every test is zero."""
-    speeds = z[len(along.cycle.sides) :][along.hits]
-    return bool((speeds > NONE * abs(number_there(along, z, "amplitude"))).all())
+    speeds, strength = z[len(along.cycle.sides) :][along.hits], abs(number_there(along, z, "amplitude"))
+    for mark, term in zip(along.which.drive, along.scene.drive, strict=True):
+        strength += abs(_value(along, z, mark.amplitude, term.amplitude))
+    return bool((speeds > NONE * strength).all())
 
 
 @jax.jit

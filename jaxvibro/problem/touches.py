@@ -45,7 +45,7 @@ def scales(along, length):
 def _parameter_scale(marks, k, length):
     """The scene's length where a parameter is a length, else 1."""
     walls = marks.walls.values()
-    lengths = [marks.amplitude, *(wall.position for wall in walls)]
+    lengths = [marks.amplitude, *(term.amplitude for term in marks.drive), *(wall.position for wall in walls)]
     lengths += [wall.motion.amplitude for wall in walls if wall.motion is not None]
     return length if any(mark == k for mark in lengths) else 1.0
 

@@ -168,6 +168,7 @@ def _rate(scene):
         rates = [1.0, frequency, 2.0 * damping]
     else:
         rates = [frequency, *force_rates(scene)]
+    rates += [term.harmonic * frequency for term in scene.drive]
     for wall in scene.walls.values():
         if wall.soft:
             own = damping if wall.damping is None else damping + float(wall.damping)

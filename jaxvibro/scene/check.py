@@ -158,6 +158,13 @@ def require_spring(scene, what):
         raise ArgumentError("force", f"{what} knows spring and damper alone", scene.force.function)
 
 
+def require_one_harmonic(scene, what):
+    """Refuse further terms of the drive where only A cos(omega t) is known."""
+    if scene.drive:
+        told = ", ".join(f"harmonic {term.harmonic}" for term in scene.drive)
+        raise ArgumentError("drive", f"{what} knows a drive of amplitude cos(frequency t) alone", told)
+
+
 def require_rigid(scene, what):
     """Refuse a soft wall where only rigid ones are known."""
     for side, wall in scene.walls.items():
@@ -233,11 +240,11 @@ def _plain(value):
         return None
 
 
-def harmonic(key, value):
-    """The harmonic as an int: a whole number from 1 on (a truth value is none)."""
+def harmonic(key, value, lowest=1):
+    """The harmonic as an int: a whole number from the lowest on (a truth value is none)."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
-    if not whole or not 1 <= value <= HIGHEST_HARMONIC:
-        raise ArgumentError(key, f"must be a whole number from 1 to {HIGHEST_HARMONIC}", value)
+    if not whole or not lowest <= value <= HIGHEST_HARMONIC:
+        raise ArgumentError(key, f"must be a whole number from {lowest} to {HIGHEST_HARMONIC}", value)
     return int(value)
 
 
@@ -286,9 +293,12 @@ def obey(key, value):
         require(key, rule, value, holds(value))
 
 
+_STEPS = ("name", "key", "idx")  # of a dataclass, a dict, a tuple
+
+
 def path_name(path):
     """The dotted name of a leaf from its path in the tree."""
-    return ".".join(step.key if isinstance(step, jax.tree_util.DictKey) else step.name for step in path)
+    return ".".join(str(next(getattr(step, key) for key in _STEPS if hasattr(step, key))) for step in path)
 
 
 def shapes_agree(leaves):

@@ -1,5 +1,6 @@
 """A scene from dimensional quantities: M X'' + C X' + K X = F cos(Omega T) between walls (paper, section 1)."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from jaxtyping import ArrayLike, Real
 from numpy.typing import DTypeLike
 
 from . import check
-from .scene import SIDES, Motion, Scene, Wall, Walls, make_scene
+from .scene import SIDES, Motion, Scene, Wall, Walls, make_scene, terms_of
 
 
 @check.of_scene
@@ -22,12 +23,15 @@ def scene_from_physical(
     walls: Walls,
     length: Real[ArrayLike, "..."] | None = None,
     dtype: DTypeLike | None = None,
+    drive: Sequence[Motion | tuple[Real[ArrayLike, "..."], int, Real[ArrayLike, "..."]]] = (),
 ) -> Scene:
     """The nondimensional scene of a mass on a spring, in any consistent set of units.
 
     mass M > 0, damping C >= 0, stiffness K > 0, force F, frequency Omega > 0 in radians per unit of time, restitution
     R: numbers or arrays that broadcast. walls: (left, right) as in `make_scene`, in the units of M, C, K and F: a
     soft wall's stiffness is the force it adds over how far the mass is beyond it, its damping takes the place of C.
+
+    drive: as in `make_scene`, its amplitudes in the unit of F.
 
     length d is what the scene measures lengths in; None takes the right wall's position, which must then be above 0:
     the scene's right wall stands at 1. With w0 = sqrt(K / M) the scene has amplitude F / (K d), frequency Omega / w0,
@@ -53,6 +57,7 @@ def scene_from_physical(
         restitution=restitution,
         walls=tuple(_scaled(side, wall, of, natural, kind) for side, wall in zip(SIDES, walls, strict=True)),
         dtype=kind,
+        drive=[_weighed(f"drive.{k}", of, kind, *term) for k, term in enumerate(terms_of(drive))],
     )
 
 
@@ -62,6 +67,12 @@ def _length(walls):
     if position is None:
         raise check.SceneError("length", "must be given where there is no right wall", None)
     return position
+
+
+def _weighed(key, of, kind, amplitude, harmonic, phase):
+    """A term of the drive in the unit K d."""
+    amplitude = check.quantity(f"{key}.amplitude", amplitude, kind)
+    return amplitude / (of["stiffness"] * of["length"]), harmonic, phase
 
 
 def _scaled(side, wall, of, natural, kind):

@@ -17,8 +17,10 @@ def scene_length(scene):
     """A length to measure speeds and lengths by: the farther wall's distance; where that is small beside the motion, or
     there is none, the size of the swift part of the response to the drive (`swift`), 1 at rest."""
     found = max((abs(float(wall.position)) for wall in scene.walls.values()), default=0.0)
-    damping = 0.0 if scene.force is not None else float(scene.damping)
-    size = abs(swift(float(scene.frequency), damping, float(scene.amplitude)))
+    damping, frequency = 0.0 if scene.force is not None else float(scene.damping), float(scene.frequency)
+    size = abs(swift(frequency, damping, float(scene.amplitude)))
+    for term in scene.drive:
+        size += abs(swift(term.harmonic * frequency, damping, float(term.amplitude)))
     return found if found > 0.3 * size else (size or 1.0)
 
 

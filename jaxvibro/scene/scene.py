@@ -18,14 +18,17 @@ from .force import Force
 from .force_rules import check_force, check_force_values, flow_of
 
 SIDES = ("left", "right")
+MOST_TERMS = 32  # of the drive, beside its first: each is compiled for
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A wall's motion about its mean position: amplitude cos(harmonic omega t + phase), t being the drive's own.
+    """amplitude cos(harmonic omega t + phase), t being the drive's own: a wall's motion about its mean position, or a
+    term of the drive.
 
-    amplitude: length, any finite real number; phase: radians; harmonic: a whole number, static under transformations.
+    amplitude: length, any finite real number; phase: radians; harmonic: a whole number, static under transformations,
+    from 1 on, of the drive from 0 on: 0 with phase 0 is a constant force.
     """
 
     amplitude: Real[ArrayLike, "..."]
@@ -68,8 +71,9 @@ class Scene:
     one; beyond a soft one as `Wall` says. With a force of its own x'' = force + amplitude cos(frequency t).
 
     Every real number is an array; together they broadcast to the batch of scenes. A wall that is None is not there.
-    force: a `Force`; damping is then None. harder: by how many decades the soft walls are stiffer than they say, at the
-    same R_eff; None but along a branch. Make one with `make_scene`, which checks it.
+    drive: further terms beside amplitude cos(frequency t), `Motion`s. force: a `Force`; damping is then None. harder:
+    by how many decades the soft walls are stiffer than they say, at the same R_eff; None but along a branch. Make one
+    with `make_scene`, which checks it.
     """
 
     amplitude: Real[Array, "..."]
@@ -80,6 +84,7 @@ class Scene:
     right: Wall | None
     harder: Real[Array, "..."] | None = None
     force: Force | None = None
+    drive: tuple[Motion, ...] = ()
 
     @property
     def dtype(self) -> np.dtype:
@@ -113,6 +118,7 @@ class Scene:
             found.insert(2, "damping")
         else:
             found += [f"force.{name}" for name in self.force.numbers]
+        found += [f"drive.{k}.{name}" for k in range(len(self.drive)) for name in ("amplitude", "phase")]
         for side, wall in self.walls.items():
             own = ("position", "stiffness", "damping") if wall.soft else ("position", "restitution")
             found += [f"{side}.{name}" for name in own]
@@ -173,13 +179,15 @@ def make_scene(
     walls: Walls | None = None,
     dtype: DTypeLike | None = None,
     force: Force | None = None,
+    drive: Sequence[Motion | tuple[Real[ArrayLike, "..."], int, Real[ArrayLike, "..."]]] = (),
 ) -> Scene:
     """A checked scene.
 
     amplitude A, frequency omega > 0, damping gamma >= 0 (1 is critical), restitution 0 <= R <= 1: numbers or arrays
     that broadcast together as a batch; a list is refused. walls: (left, right), each a position, None (no wall there)
     or a `Wall`, which may have a restitution of its own; or an array of two positions. force: a `Force` in place of the
-    spring and the damper, None for these; beside one there is no damping.
+    spring and the damper, None for these; beside one there is no damping. drive: terms that are added to
+    A cos(omega t), each (amplitude, harmonic, phase) or a `Motion`; (amplitude, 0, 0.0) is a constant force.
     Units: lengths in the unit of the walls, time in 1/w0, w0 the undamped natural frequency (paper, section 1).
     dtype: None is float64 and needs jax's jax_enable_x64; jnp.float32 asks for single precision.
 
@@ -191,7 +199,7 @@ def make_scene(
         if isinstance(wall, Motion):
             raise check.SceneError(side, "must be a position, None or a Wall", wall)
     plain = {"amplitude": amplitude, "frequency": frequency, "damping": damping, "restitution": restitution}
-    return _checked({**plain, **given, "harder": None, "force": force}, dtype)
+    return _checked({**plain, **given, "harder": None, "force": force, "drive": drive}, dtype)
 
 
 def changed(scene, changes):
@@ -222,11 +230,15 @@ def hardened(stiffness, damping, harder):
 
 
 def _of(node, name):
+    if isinstance(node, tuple):
+        return node[int(name)]
     return node.numbers[name] if isinstance(node, Force) else getattr(node, name)
 
 
 def _put(node, path, value):
     head, *rest = path
+    if isinstance(node, tuple):
+        return tuple(_put(each, rest, value) if k == int(head) else each for k, each in enumerate(node))
     if isinstance(node, Force):
         return replace(node, numbers={**node.numbers, ".".join(path): value})
     return replace(node, **{head: _put(getattr(node, head), rest, value) if rest else value})
@@ -255,16 +267,17 @@ def _numbers(given, dtype):
     def number(key, value):
         return check.quantity(key, value, dtype)
 
-    def moving(side, motion):
-        if motion is None:
-            return None
-        if not isinstance(motion, Motion):
-            raise check.SceneError(f"{side}.motion", "must be a Motion or None", motion)
+    def wave(key, lowest, amplitude, harmonic, phase):
         return Motion(
-            number(f"{side}.motion.amplitude", motion.amplitude),
-            number(f"{side}.motion.phase", motion.phase),
-            check.harmonic(f"{side}.motion.harmonic", motion.harmonic),
+            number(f"{key}.amplitude", amplitude),
+            number(f"{key}.phase", phase),
+            check.harmonic(f"{key}.harmonic", harmonic, lowest),
         )
+
+    def moving(side, motion):
+        if motion is not None and not isinstance(motion, Motion):
+            raise check.SceneError(f"{side}.motion", "must be a Motion or None", motion)
+        return motion and wave(f"{side}.motion", 1, motion.amplitude, motion.harmonic, motion.phase)
 
     def standing(side, wall):
         if wall is None:
@@ -284,7 +297,23 @@ def _numbers(given, dtype):
         plain["harder"] = number("harder", given["harder"])
     if force is not None:
         plain["force"] = check_force(force, number, dtype)
+    plain["drive"] = tuple(wave(f"drive.{k}", 0, *term) for k, term in enumerate(terms_of(given["drive"])))
     return Scene(**plain, left=standing("left", given["left"]), right=standing("right", given["right"]))
+
+
+def terms_of(drive):
+    """(amplitude, harmonic, phase) of the further terms of a drive, not yet checked."""
+    if not isinstance(drive, tuple | list):
+        raise check.SceneError("drive", "must be a list of terms, each (amplitude, harmonic, phase) or a Motion", drive)
+    if len(drive) > MOST_TERMS:
+        raise check.SceneError("drive", f"must have at most {MOST_TERMS} terms", len(drive))
+    for k, term in enumerate(drive):
+        if isinstance(term, Motion):
+            yield term.amplitude, term.harmonic, term.phase
+        elif isinstance(term, tuple | list) and len(term) == 3:
+            yield term
+        else:
+            raise check.SceneError(f"drive.{k}", "must be (amplitude, harmonic, phase) or a Motion", term)
 
 
 def between(scene, phase):

@@ -16,11 +16,15 @@ class Table(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True)
 
 
 class MotionTable(Table, frozen=True):
-    """[scene.left.motion]: a `Motion`."""
+    """[scene.left.motion], or one of [[scene.drive]]: a `Motion`."""
 
     amplitude: float
     phase: float = 0.0
     harmonic: int = 1
+
+    def motion(self):
+        """The `Motion` described, not yet checked."""
+        return Motion(self.amplitude, self.phase, self.harmonic)
 
 
 class WallTable(Table, frozen=True):
@@ -34,7 +38,7 @@ class WallTable(Table, frozen=True):
 
     def wall(self):
         """The `Wall` described, not yet checked."""
-        motion = self.motion and Motion(self.motion.amplitude, self.motion.phase, self.motion.harmonic)
+        motion = self.motion and self.motion.motion()
         return Wall(self.position, self.restitution, self.stiffness, self.damping, motion)
 
 
@@ -61,12 +65,14 @@ class SceneTable(Table, frozen=True, kw_only=True):
     left: WallTable | None = None
     right: WallTable | None = None
     force: ForceTable | None = None
+    drive: list[MotionTable] = field(default_factory=list)
 
     def make(self, dtype=None):
         """The scene described, made by `make_scene`: ArgumentError where it breaks a rule."""
         walls = tuple(table and table.wall() for table in (self.left, self.right))
         force = self.force and self.force.force()
-        return make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype, force)
+        drive = [each.motion() for each in self.drive]
+        return make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype, force, drive)
 
 
 def table_of(scene):
@@ -74,17 +80,20 @@ def table_of(scene):
     if scene.shape:
         raise check.ArgumentError("scene", "only a single scene can be written, not a batch", f"shape {scene.shape}")
 
+    def wave(motion):
+        return MotionTable(float(motion.amplitude), float(motion.phase), motion.harmonic)
+
     def table(wall):
         if wall is None:
             return None
-        move = wall.motion
-        moving = move and MotionTable(amplitude=float(move.amplitude), phase=float(move.phase), harmonic=move.harmonic)
+        moving = wall.motion and wave(wall.motion)
         own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
         own = {name: float(value) for name, value in own.items() if value is not None}
         return WallTable(position=float(wall.position), **own, motion=moving)
 
     plain = {key: float(scene.parameter(key)) for key in PLAIN if key in scene.names}
-    return SceneTable(**plain, left=table(scene.left), right=table(scene.right), force=_force_table(scene.force))
+    sides = {"left": table(scene.left), "right": table(scene.right)}
+    return SceneTable(**plain, **sides, force=_force_table(scene.force), drive=[wave(term) for term in scene.drive])
 
 
 def _force_table(force):

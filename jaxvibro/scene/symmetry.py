@@ -13,9 +13,11 @@ def is_symmetric(scene):
     """Whether the mirror image of every motion of a single scene is a motion of it.
 
     So it is where the walls lie opposite, are of one kind with equal numbers, and move oppositely half a period apart;
-    and without walls. A force of the user's own is to be odd.
+    and without walls. A force of the user's own is to be odd, and so are the harmonics of the drive.
     """
     if scene.force is not None and not is_odd(scene):
+        return False
+    if any(term.harmonic % 2 == 0 and term.amplitude != 0 for term in scene.drive):
         return False
     left, right = scene.left, scene.right
     if left is None and right is None:
@@ -49,7 +51,8 @@ def _swing(motion):
 def symmetric_part(scene):
     """The scene whose walls are the means of its walls and of their mirror images, itself where it is symmetric.
 
-    Both walls are of one kind; each gets its own numbers. Smooth in all of them, except where walls cease to swing.
+    Both walls are of one kind; each gets its own numbers. Smooth in all of them, except where walls cease to swing. Of
+    the drive the even harmonics are left out.
     """
     left, right = scene.left, scene.right
     own = ("stiffness", "damping") if left.soft else ("restitution",)
@@ -57,8 +60,11 @@ def symmetric_part(scene):
     away = 0.5 * (right.position - left.position)
     motions = _opposite(left.motion, right.motion)
     sides = zip(("left", "right"), (left, right), (-away, away), motions, strict=True)
+    drive = (term if term.harmonic % 2 else replace(term, amplitude=0.0 * term.amplitude) for term in scene.drive)
     return replace(
-        scene, **{side: replace(wall, position=where, motion=motion, **means) for side, wall, where, motion in sides}
+        scene,
+        drive=tuple(drive),
+        **{side: replace(wall, position=where, motion=motion, **means) for side, wall, where, motion in sides},
     )
 
 

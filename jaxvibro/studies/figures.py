@@ -198,8 +198,16 @@ def _described(scene, without):
         }
         told = ", ".join(f"{name.removeprefix('force.')} {value:g}" for name, value in own.items())
         plain.append(style.plain(f"force {named(scene.force.function)}" + (told and f" with {told}")))
+    plain += [_term(k, term, without) for k, term in enumerate(scene.drive)]
     walls = [_wall(side, wall, without) for side, wall in scene.walls.items()]
     return ",  ".join(plain) + "\n" + (",  ".join(walls) or "no walls")
+
+
+def _term(k, term, without):
+    """A further term of the drive, but for some parameters."""
+    told = "drive " + (f"{float(term.amplitude):g} " if f"drive.{k}.amplitude" not in without else "")
+    turned = f" + {float(term.phase):g}" if f"drive.{k}.phase" not in without and float(term.phase) else ""
+    return told + rf"$\cos({term.harmonic}\omega t{turned})$"
 
 
 def _wall(side, wall, without):

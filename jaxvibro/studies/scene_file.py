@@ -24,6 +24,7 @@ _KINDS = {
     "scene.right": scene_table.WallTable,
     "scene.left.motion": scene_table.MotionTable,
     "scene.right.motion": scene_table.MotionTable,
+    "scene.drive": scene_table.MotionTable,
     "sweep": schema.SweepTable,
     "sweep.legs": schema.LegTable,
     "sweep.legs.start": schema.StartTable,

@@ -15,6 +15,11 @@ frequency = 2.1      # omega, of the drive; greater than 0
 damping = 0.05       # gamma, not negative; 1 is critical
 restitution = 0.7    # R, from 0 to 1
 
+# [[scene.drive]]    # a term more of the drive: amplitude cos(harmonic frequency t + phase)
+# amplitude = 0.4
+# harmonic = 3       # a whole number; 0 with phase 0 is a constant force
+# phase = 0.0        # radians
+
 [scene.left]         # leave a wall's table out where there is no wall
 position = -1.0
 

@@ -46,8 +46,9 @@ def _plain(table):
     left, right = (wall and wall.wall() for wall in (table.left, table.right))
     given = {name: getattr(table, name) for name in PLAIN}
     plain = {name: None if value is None else np.asarray(value) for name, value in given.items()}
+    force, drive = table.force and table.force.force(), tuple(each.motion() for each in table.drive)
     with _under("scene."):
-        return known(Scene(**plain, left=left, right=right, force=table.force and table.force.force()), np.float64)
+        return known(Scene(**plain, left=left, right=right, force=force, drive=drive), np.float64)
 
 
 @contextmanager

@@ -1,4 +1,5 @@
-"""The exact flow of x'' + 2 gamma x' + x = A cos(theta0 + omega t) in ball arithmetic (python-flint).
+"""The exact flow of x'' + 2 gamma x' + x = A cos(theta) + ..., theta = theta0 + omega t, in ball arithmetic
+(python-flint); the drive may have further terms A_j cos(m_j theta + phase_j).
 
 Every double is taken as the exact number it stores; every result is a ball that contains the true value.
 """
@@ -34,35 +35,58 @@ class Spring:
         return (c + gs, s), (-self.k * s, c - gs)
 
 
-class Oscillator(Spring):
-    """The oscillator's constants as balls, at the precision in force when it is made."""
+class Tone:
+    """A term of the drive, A cos(m theta + phase), and what answers it."""
 
-    def __init__(self, gamma, omega, amplitude):
-        super().__init__(arb(1), arb(gamma))
-        self.gamma, self.omega, self.amplitude = self.g, arb(omega), arb(amplitude)
-        self.stiff = 1 - self.omega**2
-        self.drag = 2 * self.gamma * self.omega
+    def __init__(self, gamma, omega, amplitude, harmonic, phase):
+        self.amplitude, self.harmonic, self.phase = arb(amplitude), harmonic, arb(phase)
+        self.rate = harmonic * omega
+        self.stiff, self.drag = 1 - self.rate**2, 2 * gamma * self.rate
         self.d = self.stiff**2 + self.drag**2
-        self.closed = bool(self.d > SMALL)
+
+    def wave(self, theta):
+        """A cos and A sin of its angle."""
+        sin, cos = (self.harmonic * theta + self.phase).sin_cos()
+        return self.amplitude * cos, self.amplitude * sin
 
     def forced(self, theta):
-        """The steady response (x, v) at drive phase theta: Re of A exp(i theta) / (1 - omega^2 + 2 i gamma omega)."""
-        sin, cos = theta.sin_cos()
-        x = self.amplitude * (self.stiff * cos + self.drag * sin) / self.d
-        v = self.amplitude * self.omega * (self.drag * cos - self.stiff * sin) / self.d
-        return x, v
+        """The steady answer (x, v): Re of A exp(i psi) / (1 - rate^2 + 2 i gamma rate)."""
+        cos, sin = self.wave(theta)
+        return (self.stiff * cos + self.drag * sin) / self.d, self.rate * (self.drag * cos - self.stiff * sin) / self.d
+
+
+class Oscillator(Spring):
+    """The oscillator's constants as balls, at the precision in force when it is made; drive: (amplitude, harmonic,
+    phase) of the terms beside A cos(theta)."""
+
+    def __init__(self, gamma, omega, amplitude, drive=()):
+        super().__init__(arb(1), arb(gamma))
+        self.gamma, self.omega, self.amplitude = self.g, arb(omega), arb(amplitude)
+        self.tones = [Tone(self.gamma, self.omega, *term) for term in ((amplitude, 1, 0.0), *drive)]
+        self.closed = all(bool(tone.d > SMALL) for tone in self.tones)
+
+    def force(self, theta):
+        """The drive's force."""
+        return sum((tone.wave(theta)[0] for tone in self.tones), arb(0))
+
+    def forced(self, theta):
+        """The steady response (x, v) at drive phase theta."""
+        x, v = zip(*(tone.forced(theta) for tone in self.tones), strict=True)
+        return sum(x, arb(0)), sum(v, arb(0))
 
     def flow(self, x, v, theta, t):
         """(x, v) after the time t from (x, v) at drive phase theta; all balls."""
         return Flight(self, x, v, theta)(t) if self.closed else self.flow_matrix(x, v, theta, t)
 
     def flow_matrix(self, x, v, theta, t):
-        """The same by the exponential of the augmented matrix on (x, v, A cos, A sin): right at any D."""
-        w = self.omega
-        generator = arb_mat(4, 4, [0, 1, 0, 0, -1, -2 * self.gamma, 1, 0, 0, 0, 0, -w, 0, 0, w, 0])
-        sin, cos = theta.sin_cos()
-        start = arb_mat(4, 1, [x, v, self.amplitude * cos, self.amplitude * sin])
-        end = (generator * t).exp() * start
+        """The same by the exponential of the augmented matrix on (x, v, A cos, A sin, ...): right at any D."""
+        size, start = 2 + 2 * len(self.tones), [x, v]
+        rows = [[arb(0)] * size for _ in range(size)]
+        rows[0][1], rows[1][0], rows[1][1] = arb(1), arb(-1), -2 * self.gamma
+        for k, tone in zip(range(2, size, 2), self.tones, strict=True):
+            rows[1][k], rows[k][k + 1], rows[k + 1][k] = arb(1), -tone.rate, tone.rate
+            start += tone.wave(theta)
+        end = (arb_mat(size, size, [entry for row in rows for entry in row]) * t).exp() * arb_mat(size, 1, start)
         return end[0, 0], end[1, 0]
 
 

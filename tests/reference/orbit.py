@@ -66,7 +66,7 @@ def strobe(scene, x, v, phase=0.0, contact=0.0, periods=1, precision=200):
 
 def run(scene, x, v, phase, contact, periods):
     """One attempt at the precision in force."""
-    oscillator, record, factors = Oscillator(*scene[:3]), Record(scale=static_scale(scene)), []
+    oscillator, record, factors = Oscillator(*scene[:3], scene.drive), Record(scale=static_scale(scene)), []
     t, end = arb(0), 2 * arb.pi() * periods / arb(scene.omega)
     hit = meet(scene, oscillator, x, v, phase, contact)
     touching = contact
@@ -141,7 +141,7 @@ def rebound(scene, oscillator, record, factors, at, side):
     if not side * relative > SLOWEST:
         raise Discard("a slow impact")
     after = speed - r * relative
-    force = oscillator.amplitude * theta.cos() - place
+    force = oscillator.force(theta) - place
     before_pull, after_pull = force - 2 * oscillator.gamma * v, force - 2 * oscillator.gamma * after
     shear = (after_pull + r * before_pull - (1 + r) * change) / relative
     factors.append(((-float(r), 0.0), (float(shear), -float(r))))

@@ -32,14 +32,23 @@ class Soft(NamedTuple):
     motion: Motion | None = None
 
 
+class Term(NamedTuple):
+    """A term of the drive beside A cos(theta): amplitude * cos(harmonic * theta + phase)."""
+
+    amplitude: float
+    harmonic: int
+    phase: float
+
+
 class Scene(NamedTuple):
-    """x'' + 2 gamma x' + x = A cos(omega t) between up to two walls, each a Wall or a Soft."""
+    """x'' + 2 gamma x' + x = A cos(omega t) and further terms, between up to two walls, each a Wall or a Soft."""
 
     gamma: float
     omega: float
     amplitude: float
     left: Wall | Soft | None = None
     right: Wall | Soft | None = None
+    drive: tuple[Term, ...] = ()
 
     def walls(self):
         """The walls there are, as (side, wall): side -1 left, +1 right."""
@@ -57,7 +66,10 @@ def reach(wall):
 
 
 def static_scale(scene):
-    """Largest of the walls' distances, A and the forced amplitude A / sqrt(D), left out where D = 0."""
-    d = denominator(scene.gamma, scene.omega)
-    forced = abs(scene.amplitude) / math.sqrt(d) if d > 0 else 0.0
-    return max([forced, abs(scene.amplitude)] + [reach(wall) for _, wall in scene.walls()])
+    """Largest of the walls' distances, A and the forced amplitude A / sqrt(D), left out where D = 0; of all terms of
+    the drive together."""
+    terms, forced = [(scene.amplitude, 1), *((each.amplitude, each.harmonic) for each in scene.drive)], 0.0
+    for amplitude, harmonic in terms:
+        d = denominator(scene.gamma, harmonic * scene.omega)
+        forced += abs(amplitude) / math.sqrt(d) if d > 0 else 0.0
+    return max([forced, sum(abs(each) for each, _ in terms)] + [reach(wall) for _, wall in scene.walls()])

@@ -57,6 +57,7 @@ class Course:
         if not (x.rad() < WIDEST and v.rad() < WIDEST):
             raise Undecided("a start too uncertain for the slack of the floats")
         rates = [wall.motion.harmonic * scene.omega for _, wall in scene.walls() if wall.motion]
+        rates += [term.harmonic * scene.omega for term in scene.drive]
         self.fastest = max([1 + 2 * scene.gamma, scene.omega, *rates])
 
     def state(self, t):
@@ -79,9 +80,9 @@ class Course:
 
     def clearance(self, side, wall, t):
         """c and its first two derivatives at t, as balls."""
-        x, v, _, cos = self.state(t)
+        x, v, _, _ = self.state(t)
         o = self.oscillator
-        acceleration = o.amplitude * cos - 2 * o.gamma * v - x
+        acceleration = o.force(self.theta + o.omega * t) - 2 * o.gamma * v - x
         bc, bs, rate = self.wall_motion(wall, t)
         c = wall.position + bc - x
         dc, ddc = -rate * bs - v, -rate * rate * bc - acceleration
@@ -91,12 +92,17 @@ class Course:
         """Floats: the derivatives of c at the middle, the bound for the next one, and slack for rounding."""
         s, (x, v, sin, cos) = self.scene, self.state(middle)
         x, v = float(x), float(v)
-        own = taylor.response(s.gamma, s.omega, x, v, s.amplitude * float(cos), -s.amplitude * float(sin))
+        theta = self.theta + self.oscillator.omega * middle
+        waves = [(tone.rate, *tone.wave(theta)) for tone in self.oscillator.tones[1:]]
+        more = [taylor.motion(*(float(each) for each in wave)) for wave in waves]
+        own = taylor.response(s.gamma, s.omega, x, v, s.amplitude * float(cos), -s.amplitude * float(sin), more)
         bc, bs, rate = (float(value) for value in self.wall_motion(wall, middle))
         other = taylor.motion(rate, bc, bs)
         grown, energy, b = math.exp(2 * s.gamma * radius), math.hypot(x, v), math.hypot(bc, bs)
         bound = taylor.ceiling(s.gamma, s.omega, abs(s.amplitude), energy, radius, grown) + b * rate**taylor.ORDER
-        slack = SLACK * (energy + abs(s.amplitude) + b)
+        for amplitude, harmonic, _ in s.drive:
+            bound += taylor.ceiling(s.gamma, harmonic * s.omega, abs(amplitude), 0.0, radius, grown)
+        slack = SLACK * (energy + abs(s.amplitude) + sum(abs(term.amplitude) for term in s.drive) + b)
         return [side * (w - y) for w, y in zip(other, own, strict=True)], 1.001 * bound, slack
 
 

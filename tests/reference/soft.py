@@ -78,7 +78,7 @@ class Way:
     """A mass on its way through a strobe, at the precision in force."""
 
     def __init__(self, scene, x, v, phase, contact, periods, slowest):
-        self.scene, self.oscillator = scene, Oscillator(*scene[:3])
+        self.scene, self.oscillator = scene, Oscillator(*scene[:3], scene.drive)
         self.x, self.v, self.phase, self.t = x, v, phase, arb(0)
         self.end = 2 * arb.pi() * periods / arb(scene.omega)
         self.touching, self.held, self.slowest = contact, 0, slowest
@@ -204,7 +204,7 @@ class Way:
             self.held = side
             self.salt(arb(1), -2 * (arb(wall.damping) - gamma) * self.v / relative, 1.0, (1 + wall.stiffness) ** 0.5)
             return
-        r, pull = arb(wall.restitution), self.oscillator.amplitude * self.theta().cos() - self.x
+        r, pull = arb(wall.restitution), self.oscillator.force(self.theta()) - self.x
         before, self.v = self.v, pace - r * relative
         shear = pull - 2 * gamma * self.v + r * (pull - 2 * gamma * before) - (1 + r) * change
         self.salt(-r, shear / relative, 1.0, 1.0)

@@ -2,7 +2,9 @@
 
 The depth d = side * (x - x_b) follows from the equation of motion without the large force stiffness * x_b:
 
-    d'' + 2 g d' + K d = side * (A cos(theta) - x_b - 2 g x_b' - x_b''),    K = 1 + stiffness.
+    d'' + 2 g d' + K d = side * (A cos(theta) - x_b - 2 g x_b' - x_b''),    K = 1 + stiffness,
+
+and further terms of the drive beside A cos(theta).
 
 So d is a slow part, the steady answer to the right side, and a ring, which dies out freely. W = sqrt(K) is the ring's
 rate. Where the slow part is greater than the ring can be, the mass stays beyond the wall and no step is as short as the
@@ -47,6 +49,10 @@ class Press:
         omega = arb(scene.omega)
         self.level = -side * arb(wall.position) / ring.k
         self.tones = [(omega, theta, *ring.answer(omega, arb(side * scene.amplitude), arb(0)))]
+        for amplitude, m, phase in scene.drive:
+            self.tones.append(
+                (m * omega, m * theta + arb(phase), *ring.answer(m * omega, side * arb(amplitude), arb(0)))
+            )
         if wall.motion is not None:
             b, own, m = side * arb(wall.motion.amplitude), arb(wall.motion.phase), wall.motion.harmonic
             rate = m * omega

@@ -7,14 +7,15 @@ ORDER = 8
 FACTORIAL = [1, 1, 2, 6, 24, 120, 720, 5040, 40320]
 
 
-def response(gamma, omega, x, v, drive, quadrature):
-    """x and its derivatives up to ORDER - 1; drive = A cos(theta), quadrature = -A sin(theta)."""
+def response(gamma, omega, x, v, drive, quadrature, more=()):
+    """x and its derivatives up to ORDER - 1; drive = A cos(theta), quadrature = -A sin(theta); more: further forces,
+    each with its derivatives."""
     force = [drive, omega * quadrature]
     for _ in range(ORDER - 4):
         force.append(-omega * omega * force[-2])
     series = [x, v]
     for k in range(ORDER - 2):
-        series.append(force[k] - 2 * gamma * series[k + 1] - series[k])
+        series.append(force[k] + sum(own[k] for own in more) - 2 * gamma * series[k + 1] - series[k])
     return series
 
 
