@@ -8,11 +8,9 @@ import numpy as np
 from jax.extend import core
 
 from ..compiled.compiler_hints import stage
-from ..scene.force import trace
+from ..scene.force import inner, trace
 from .series import RULES, Series, added, times
 
-INNER = ("jaxpr", "call_jaxpr")  # the operations of one that is a function of its own
-LOOPS = ("while", "scan", "cond")  # functions of their own that are not simply run once
 STILL = """abs sign max min floor ceil round select_n clamp is_finite not and or eq ne lt le gt ge rem stop_gradient
 convert_element_type"""  # what may be done to numbers that are the same at all times, besides what has a rule
 PLAIN = frozenset(STILL.split())
@@ -34,9 +32,9 @@ def _without(jaxpr, still):
     found = set()
     for eqn in jaxpr.eqns:
         given = [_is_literal(each) or known[each] for each in eqn.invars]
-        inner = _inner(eqn)
-        if inner is not None:
-            names, results = _without(inner.jaxpr, given)
+        own = inner(eqn)
+        if own is not None:
+            names, results = _without(own.jaxpr, given)
             found |= names
         else:
             results = [all(given)] * len(eqn.outvars)
@@ -61,17 +59,6 @@ def _is_literal(variable):
     return isinstance(variable, core.Literal)
 
 
-def _inner(eqn):
-    """The `ClosedJaxpr` of an operation that is a function of its own, run once, else None."""
-    if eqn.primitive.name in LOOPS:
-        return None
-    for name in INNER:
-        inner = eqn.params.get(name)
-        if inner is not None:
-            return inner if isinstance(inner, core.ClosedJaxpr) else core.ClosedJaxpr(inner, ())
-    return None
-
-
 def along(force, time, x, v):
     """The `Series` of a force where t, x and v are these `Series`."""
     names = tuple(force.numbers)
@@ -90,9 +77,9 @@ def _run(closed, given):
 
     for eqn in closed.jaxpr.eqns:
         ins = [read(each) for each in eqn.invars]
-        inner = _inner(eqn)
-        if inner is not None:
-            outs = _run(inner, ins)
+        own = inner(eqn)
+        if own is not None:
+            outs = _run(own, ins)
         elif all(each.constant for each in ins):
             outs = [Series(None, _plainly(eqn, [each[0] for each in ins]))]
         elif eqn.primitive.name == "convert_element_type":

@@ -5,10 +5,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import jax
+from jax.extend import core
 from jaxtyping import ArrayLike, Real
 
 TOLERANCE = 1e-13
 TIGHTEST, LOOSEST = 1e-15, 1e-3
+INNER = ("jaxpr", "call_jaxpr")  # the operations of one that is a function of its own
+LOOPS = ("while", "scan", "cond")  # functions of their own that are not simply run once
 
 
 @jax.tree_util.register_dataclass
@@ -41,3 +44,14 @@ def of_row(function, names):
 def trace(function, names, dtype):
     """The `ClosedJaxpr` of a force, traced anew, of scalars of a type."""
     return jax.make_jaxpr(of_row(function, names))(*[jax.ShapeDtypeStruct((), dtype)] * (3 + len(names)))
+
+
+def inner(eqn):
+    """The `ClosedJaxpr` of an operation that is a function of its own, run once, else None."""
+    if eqn.primitive.name in LOOPS:
+        return None
+    for name in INNER:
+        found = eqn.params.get(name)
+        if found is not None:
+            return found if isinstance(found, core.ClosedJaxpr) else core.ClosedJaxpr(found, ())
+    return None
