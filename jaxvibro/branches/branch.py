@@ -35,6 +35,7 @@ MEANINGS = {
     "BP": "branch point",
     "PD": "period doubling",
     "NS": "Neimark-Sacker point",
+    "NSA": "neutral saddle",
     "GR": "grazing",
     "CH": "rest after chatter",
     "EP": "end",
@@ -56,12 +57,13 @@ class Segment:
 class Special(SpecialOrbit):
     """A special point of a branch.
 
-    kind: SN, SB (symmetry breaking), BP (other branch point), PD, NS (Neimark-Sacker), GR, CH (the mass begins to rest
-    on a wall), EP (end), or a monitor's name. name, value: of the parameter. bounds: of the branch. scene: at the
-    value. itinerary: the walls hit, a word a period. multipliers: the larger first, infinite at an impact without
-    speed. residual: the largest error left in the point's equations. place: among the branch's points. spot: the orbit
-    in plain numbers; slopes: its unit tangent (times, speeds, the parameter); joins: spots of the orbits that meet at a
-    GR, a little on; aside: which of them the branch does not go on with. saved: the normal form as a file had it.
+    kind: SN, SB (symmetry breaking), BP (other branch point), PD, NS (Neimark-Sacker), NSA (neutral saddle), GR, CH
+    (the mass begins to rest on a wall), EP (end), or a monitor's name. name, value: of the parameter. bounds: of
+    the branch. scene: at the value. itinerary: the walls hit, a word a period. multipliers: the larger first,
+    infinite at an impact without speed. residual: the largest error left in the point's equations. place: among the
+    branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the parameter);
+    joins: spots of the orbits that meet at a GR, a little on; aside: which of them the branch does not go on with.
+    saved: the normal form as a file had it.
     """
 
     kind: str

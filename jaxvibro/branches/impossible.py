@@ -1,9 +1,9 @@
 """Special points that cannot be.
 
-Between passive walls the multipliers' product is that of e^(-gamma T), of each wall's R^2 and of what soft walls take:
-positive, and 1 at the most. Below 1 no two multipliers are of size 1: there is no Neimark-Sacker point, and no two of
-SN, SB and PD are one; nor has an orbit that is its own mirror image a PD, as its multipliers are the squares of those
-of half of it (Swift and Wiesenfeld, Phys. Rev. Lett. 52, 1984).
+Under spring and damper, between passive walls, the multipliers' product is that of e^(-gamma T), of each wall's R^2 and
+of what soft walls take: positive, and 1 at the most. Under any force: where it is below 1 no two multipliers are of
+size 1: there is no Neimark-Sacker point, and no two of SN, SB and PD are one; nor has an orbit that is its own mirror
+image a PD, as its multipliers are the squares of those of half of it (Swift and Wiesenfeld, Phys. Rev. Lett. 52, 1984).
 """
 
 from itertools import combinations

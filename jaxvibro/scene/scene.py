@@ -14,6 +14,7 @@ from numpy.typing import DTypeLike
 from continuation.arrays import Array
 
 from . import check
+from .dissipation import never_grow
 from .force import Force
 from .force_rules import check_force, check_force_values, flow_of
 
@@ -156,6 +157,17 @@ class Scene:
         """R of a wall, with which the velocity against it comes back; -1 of a soft one, which lets it pass."""
         wall = getattr(self, side)
         return -jnp.ones_like(wall.position) if wall.soft else self.parameter(f"{side}.restitution")
+
+    @property
+    def dissipative(self) -> bool | None:
+        """True where it is proved that areas in the state space never grow, in flight or at an impact, of no scene of
+        the batch; None where it is not proved, and where numbers are traced. It is never False.
+
+        Then no multipliers' product is above 1, and there are no Neimark-Sacker points. Areas that stay as they are,
+        without damping and with R = 1, count as such that do not grow. Of spring and damper it is always so; of a force
+        d force / d v is bounded by interval arithmetic, at all t and v and all x between the walls (docs/force.md).
+        """
+        return never_grow(self)
 
     @check.of_scene
     def replace(self, **changes: Real[ArrayLike, "..."]) -> "Scene":

@@ -1,0 +1,219 @@
+"""Whether areas are proved never to grow: intervals against many digits, forces against samples; what a branch finds
+where there is no proof."""
+
+import jax
+import jax.numpy as jnp
+import mpmath
+import numpy as np
+import pytest
+from jax import lax
+from mpmath import mp, mpf
+
+import jaxvibro as jv
+from jaxvibro.scene.dissipation import never_grow
+from jaxvibro.scene.intervals import ENTIRE, RULES, Interval, over, times
+
+from .reference import own_force
+
+WALLS = (-1.0, 1.0)
+STRIBECK = {"belt": 0.3, "low": 0.1, "high": 0.25, "slip": 0.8, "smooth": 0.4}
+EXACT = {  # of mpmath's numbers, where the name there is another
+    "add": lambda a, b: a + b,
+    "add_any": lambda a, b: a + b,
+    "sub": lambda a, b: a - b,
+    "mul": lambda a, b: a * b,
+    "div": lambda a, b: a / b,
+    "neg": lambda a: -a,
+    "square": lambda a: a * a,
+    "rsqrt": lambda a: 1 / mp.sqrt(a),
+    "pow": mp.power,
+    "cbrt": lambda a: mp.sign(a) * mp.cbrt(abs(a)),
+    "exp2": lambda a: mpf(2) ** a,
+    "logistic": lambda a: 1 / (1 + mp.exp(-a)),
+    "abs": abs,
+    "max": max,
+    "min": min,
+    "gt": lambda a, b: mpf(a > b),
+    "ge": lambda a, b: mpf(a >= b),
+    "lt": lambda a, b: mpf(a < b),
+    "le": lambda a, b: mpf(a <= b),
+    "copy": lambda a: a,
+    "convert_element_type": lambda a: a,
+}
+TWO = ["add", "add_any", "sub", "mul", "div", "pow", "max", "min", "gt", "ge", "lt", "le"]
+POSITIVE = ["sqrt", "rsqrt", "log", "pow"]
+
+
+def scene(function, numbers, walls=WALLS, **more):
+    return jv.make_scene(1.0, 2.0, restitution=0.7, walls=walls, force=jv.Force(function, numbers, **more))
+
+
+@pytest.mark.parametrize("name", sorted(set(RULES) - {"select_n", "integer_pow"}))
+def test_each_operation_stays_in_its_interval(name):
+    rng, count = np.random.default_rng(3), 40
+    exact = EXACT.get(name, getattr(mp, name, None))
+    given, inside = [], []
+    for _ in range(2 if name in TWO else 1):
+        ends = rng.normal(size=(2, count)) * 10.0 ** rng.uniform(-3, 0.8, count)
+        ends[:, :4] = [[-1, 0, 0, -1], [0, 0, 1, 1]]
+        ends = abs(ends) if name in POSITIVE else np.maximum(ends, -0.9) if name == "log1p" else ends
+        low, high = np.sort(ends, axis=0)
+        given.append(Interval(low, high))
+        inside.append([low, high, *(low + (high - low) * share for share in rng.uniform(size=(4, count)))])
+    found = RULES[name](*given)
+    assert np.isfinite(np.asarray(found.high)).sum() > count / 3 and (found.low <= found.high).all()
+    with mpmath.workdps(40):
+        for lane in range(count):
+            for places in zip(*inside, strict=True):
+                at = [mpf(float(np.clip(p[lane], *(e[lane] for e in g)))) for p, g in zip(places, given, strict=True)]
+                if (name in ("div", "rsqrt") and at[-1] == 0) or (name in ("log", "pow") and at[0] == 0):
+                    continue
+                if name in ("gt", "ge", "lt", "le") and at[0] == at[1]:
+                    continue
+                assert mpf(float(found.low[lane])) <= exact(*at) <= mpf(float(found.high[lane]))
+
+
+@pytest.mark.parametrize("power", [-3, -2, 0, 1, 2, 3, 5])
+def test_whole_powers_stay_in_their_intervals(power):
+    low, high = np.array([-2.0, -1.5, 0.0, 0.3, -1.0]), np.array([-0.1, 0.7, 0.0, 2.0, 1.0])
+    for found in (
+        RULES["integer_pow"](Interval(low, high), y=power),
+        RULES["pow"](Interval(low, high), Interval(power, power)),
+    ):
+        for share in (0.0, 0.3, 0.9, 1.0):
+            for lane, at in enumerate(np.clip(low + (high - low) * share, low, high)):
+                if at or power > 0:
+                    lowest, highest = (float(np.broadcast_to(end, 5)[lane]) for end in found)
+                    assert mpf(lowest) <= mpf(at) ** power <= mpf(highest)
+
+
+def test_intervals_without_bound_give_what_is_true_of_all_numbers():
+    assert times(Interval(0.0, np.inf), Interval(-1.0, np.inf)) == (-np.inf, np.inf)
+    assert times(ENTIRE, Interval(0.0, 0.0)) == (0.0, 0.0)
+    assert over(Interval(1.0, 1.0), Interval(1.0, np.inf)) == (0.0, 1.0)
+    assert over(Interval(1.0, 1.0), Interval(-1.0, 1.0)) == (-np.inf, np.inf)
+    assert RULES["exp"](ENTIRE) == (0.0, np.inf) and RULES["tanh"](ENTIRE) == (-1.0, 1.0)
+    assert RULES["exp"](Interval(900.0, 901.0)).low < np.inf  # no real number is as large as infinity
+    assert RULES["mul"](Interval(1e-300, 1.0), Interval(1e-300, 1.0)).low <= 1e-300 * 1e-300 == 0.0
+    assert RULES["exp"](Interval(-901.0, -900.0)).high > 0.0
+    assert RULES["atan"](ENTIRE).high > mp.pi / 2 and RULES["sin"](ENTIRE) == (-1.0, 1.0)
+
+
+PROVED = {
+    "-v |v|": (lambda t, x, v, p: -x - p["c"] * jnp.abs(v) * v, WALLS),
+    "-v root": (lambda t, x, v, p: -x - p["c"] * v * jnp.sqrt(v * v + 1e-3), WALLS),
+    "-tanh v": (lambda t, x, v, p: -x - p["c"] * jnp.tanh(v / 0.3), WALLS),
+    "-atan v": (lambda t, x, v, p: -x - p["c"] * jnp.arctan(v / 0.3), (None, None)),
+    "by x and t": (lambda t, x, v, p: -x - (0.1 + p["c"] * x**2) * v * (1.0 + 0.5 * jnp.cos(4.0 * t)), (None, 1.0)),
+    "jump in x": (lambda t, x, v, p: jnp.where(x > 0.3, -x, -2.0 * x) - p["c"] * jnp.where(x > 0.2, v, 2.0 * v), WALLS),
+    "bend in v": (lambda t, x, v, p: -x - p["c"] * jnp.maximum(v, 2.0 * v), WALLS),
+    "loop in x": (lambda t, x, v, p: -lax.fori_loop(0, 3, lambda k, a: 0.5 * a, x) - p["c"] * v, WALLS),
+}
+NOT_PROVED = {
+    "jump in v": (lambda t, x, v, p: -x + p["c"] * jnp.sign(v), WALLS),
+    "which by v": (lambda t, x, v, p: -x - p["c"] * jnp.where(v > 0.2, v, 2.0 * v), WALLS),
+    "held": (lambda t, x, v, p: -x + p["c"] * lax.stop_gradient(v), WALLS),
+    "feeds a little": (lambda t, x, v, p: -x - v**3 + 1e-3 * p["c"] * v, WALLS),
+    "feeds far off": (lambda t, x, v, p: -x - p["c"] * v * (9.0 - x**2), (-3.0, 3.0 + 1e-9)),
+    "by a loop": (lambda t, x, v, p: -x - p["c"] * lax.fori_loop(0, 3, lambda k, a: 0.5 * a, v), WALLS),
+}
+
+
+@pytest.mark.parametrize("name", [*PROVED, *NOT_PROVED])
+def test_a_force_is_proved_to_feed_nothing_or_it_is_not(name):
+    function, walls = (PROVED | NOT_PROVED)[name]
+    assert scene(function, {"c": 0.1}, walls).dissipative is (True if name in PROVED else None)
+
+
+def test_what_is_known_of_spring_and_named_forces():
+    assert jv.make_scene(1.0, 2.0, 0.05, 0.7, WALLS).dissipative is True
+    assert jv.make_scene(1.0, 2.0, 0.0, 1.0, (-1.0, jv.Wall(1.0, stiffness=9.0, damping=0.1))).dissipative is True
+    for name, numbers in (("duffing", {"cubic": 0.5}), ("pendulum", {}), ("polynomial", {"c0": 0.1, "c3": 1.0})):
+        for damping, told in ((0.05, True), (0.0, True), (-1e-9, None)):
+            assert scene(name, numbers | {"damping": damping}).dissipative is told
+    assert scene("stribeck", STRIBECK).dissipative is None
+    assert scene("stribeck", STRIBECK | {"high": 0.1}).dissipative is True
+
+
+def test_the_walls_decide_what_van_der_pol_feeds():
+    moving = jv.Wall(1.3, motion=jv.Motion(0.4)), 3.0
+    for gain, walls, told in (
+        (0.3, WALLS, None),
+        (-0.3, WALLS, True),
+        (-0.3, (-1.0, np.nextafter(1.0, 2.0)), None),
+        (0.3, (1.0, 2.0), True),
+        (0.3, (None, -1.2), True),
+        (0.3, (1.3, 3.0), True),
+        (0.3, moving, None),
+    ):
+        assert scene("van_der_pol", {"gain": gain}, walls).dissipative is told
+
+
+def test_one_answer_holds_for_all_scenes_of_a_batch():
+    gains, left, right = np.array([-0.3, 0.3]), np.array([-1.0, 1.1]), np.array([1.0, 2.0])
+    assert scene("van_der_pol", {"gain": gains}, (left, right)).dissipative is True
+    assert scene("van_der_pol", {"gain": gains[::-1]}, (left, right)).dissipative is None
+    assert scene("duffing", {"cubic": 0.5, "damping": np.append(np.ones(9000), -1.0)}).dissipative is None
+    assert jax.jit(lambda d: scene("pendulum", {"damping": d}).dissipative is None)(0.1)
+
+
+def test_between_two_scenes_all_are_asked():
+    force = jv.Force(lambda t, x, v, p: -x - (p["k"] ** 2 - 0.01) * v, {"k": 1.0})
+    ends = [
+        jv.make_scene(1.0, 2.0, restitution=0.7, walls=WALLS, force=force).replace(**{"force.k": k})
+        for k in (-1.0, 1.0)
+    ]
+    assert [one.dissipative for one in ends] == [True, True] and never_grow(*ends) is None
+    assert never_grow(ends[1], ends[1].replace(**{"force.k": 0.2})) is True
+
+
+def test_what_is_proved_is_true_of_samples():
+    """Random polynomials of x and v: where the proof says so, the derivative is nowhere positive."""
+    rng, proved, grows = np.random.default_rng(5), 0, 0
+    x, v = rng.uniform(-1, 1, 4000), rng.standard_cauchy(4000)
+
+    def force(t, x, v, p):
+        return -x - v * (p["a"] + p["b"] * x + p["c"] * x * x) - p["d"] * v**3 - p["e"] * jnp.tanh(v)
+
+    numbers = {name: rng.uniform(-0.4, 1.0, 60) for name in "abcde"}
+    for k in range(60):
+        a, b, c, d, e = (numbers[name][k] for name in "abcde")
+        told = scene(force, dict(zip("abcde", (a, b, c, d, e), strict=True))).dissipative
+        most = (-(a + b * x + c * x * x) - 3 * d * v * v - e / np.cosh(np.minimum(abs(v), 300.0)) ** 2).max()
+        assert most <= 0 or told is None
+        proved, grows = proved + (told is True), grows + (most > 0)
+    assert proved > 8 and proved + grows > 55  # there is hardly one of which nothing is known
+
+
+@pytest.mark.slow
+def test_a_neutral_saddle_is_no_neimark_sacker_point():
+    """Van der Pol's oscillator between walls, P111 beyond its symmetry breaking: two real multipliers of product 1."""
+    own = jv.make_scene(6.0, 2.1, restitution=0.8, walls=WALLS, force=jv.Force("van_der_pol", {"gain": 0.2}))
+    orbit = jv.find_orbit(own, jv.State(0.92853085, 3.21050462), periods=1, settle=0)
+    branch = jv.follow(orbit, "force.gain", (0.2, 0.5), direction="forward", stop="NSA")
+    assert [one.kind for one in branch.special] == ["EP", "NSA"] and own.dissipative is None
+    (point,) = branch.points("NSA")
+    assert abs(np.prod(point.multipliers) - 1.0) < 1e-12 and point.multipliers[0] > 8.0 and point.normal_form is None
+    with mpmath.workdps(28):
+        step, x, v = mpf(10) ** -9, mpf(point.orbit.state.x), mpf(point.orbit.state.v)
+        numbers = {"gain": mpf(point.value)}
+
+        def move(x, v):
+            return own_force.flown(own_force.van_der_pol, numbers, 6.0, 2.1, WALLS, 0.8, x, v)[0]
+
+        assert max(abs(a - b) for a, b in zip(move(x, v), (x, v), strict=True)) < 1e-12
+        ends = [[move(x + s * step, v), move(x, v + s * step)] for s in (1, -1)]
+        (a, c), (b, d) = ([(p - q) / (2 * step) for p, q in zip(ends[0][k], ends[1][k], strict=True)] for k in (0, 1))
+        assert abs(a * d - b * c - 1) < 1e-9 and abs(a + d - np.sum(point.multipliers).real) < 1e-9
+
+
+@pytest.mark.slow
+def test_areas_that_stay_as_they_are_have_no_special_points_of_rounding():
+    """A motion that is its own image in reversed time has the determinant 1, whatever the force feeds and takes."""
+    force = jv.Force(lambda t, x, v, p: -x - p["c"] * x * v, {"c": 0.2})
+    own = jv.make_scene(0.3, 2.1, restitution=1.0, walls=(-2.0, 2.0), force=force)
+    orbit = jv.find_orbit(own, jv.State(-0.09, 0.0), periods=1, settle=0)
+    branch = jv.follow(orbit, "amplitude", (0.1, 1.0))
+    products = np.prod(branch.multipliers, axis=1).real - 1.0
+    assert own.dissipative is None and (np.diff(np.sign(products)) != 0).any() and abs(products).max() < 1e-11
+    assert [one.kind for one in branch.special] == ["EP", "EP"]
