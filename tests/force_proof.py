@@ -9,10 +9,11 @@ import time
 import jax
 import mpmath
 import numpy as np
-from mpmath import mp, mpf
+from mpmath import mpf
 
 import jaxvibro as jv
 
+from .force_grazing import grazing
 from .reference import own_force
 
 jax.config.update("jax_enable_x64", True)
@@ -177,27 +178,6 @@ def with_norm(given, x, v, phase):
         other = own_force.flown(*given, mpf(x) + change[0], mpf(v) + change[1], phase=phase)
         norm = max(norm, *(abs(float((b - a) / APART)) for a, b in zip(true.end, other.end, strict=True)))
     return true, norm
-
-
-def grazing(count, seed=0):
-    """Print which impacts of a pendulum just before it turns back are seen, by their depth, and which are invented."""
-    rng = np.random.default_rng(seed)
-    depth = 10.0 ** rng.uniform(-13, -2, count)
-    speed = rng.uniform(0.3, 1.8, count)
-    hits = rng.random(count) < 0.5
-    with mpmath.workdps(30):
-        tops = np.array([float(2 * mp.asin(mpf(each) / 2)) for each in speed])
-    start = -rng.uniform(0.2, 0.9, count) * tops
-    fast = np.sqrt(speed**2 - 4.0 * np.sin(start / 2.0) ** 2)
-    walls = tops + np.where(hits, -depth, depth)
-    force = jv.Force("pendulum", {"damping": 0.0})
-    scene = jv.make_scene(0.0, 0.45, restitution=0.7, walls=(None, walls), force=force)
-    count_met = np.minimum(told(scene, jv.State(start, fast))[1].count, 1)
-    wrong = count_met != hits
-    for low in range(-13, -2):
-        some = (depth >= 10.0**low) & (depth < 10.0 ** (low + 1))
-        missed, invented = (int((wrong & each & some).sum()) for each in (hits, ~hits))
-        print(f"1e{low}: {some.sum()} flights, {missed} missed, {invented} invented", flush=True)
 
 
 def points():
