@@ -1,6 +1,7 @@
 """Forces of one's own, proved at length: `python -m tests.force_proof spring 10000` prints numbers.
 
-Others are `series 100`, scenes of each kind beside series by hand, `grazing 100000` and `points`.
+Others are `series 500`, scenes of each kind beside series by hand; `grazing 100000`, beside other solvers; `points`;
+`branch` and `located 50`, special points and their gradients.
 """
 
 import sys
@@ -14,6 +15,7 @@ from mpmath import mpf
 import jaxvibro as jv
 
 from .force_grazing import grazing
+from .force_specials import branch, located
 from .reference import own_force
 
 jax.config.update("jax_enable_x64", True)
@@ -193,5 +195,6 @@ def points():
 
 
 if __name__ == "__main__":
+    commands = {each.__name__: each for each in (spring, series, grazing, points, branch, located)}
     name, *rest = sys.argv[1:]
-    {"spring": spring, "series": series, "grazing": grazing, "points": points}[name](*map(int, rest))
+    commands[name](*map(int, rest))
