@@ -1,7 +1,7 @@
 """Forces of one's own, proved at length: `python -m tests.force_proof spring 10000` prints numbers.
 
 Others are `series 500`, scenes of each kind beside series by hand; `grazing 100000`, beside other solvers; `points`;
-`branch` and `located 50`, special points and their gradients.
+`branch` and `located 50`, special points and their gradients; `attractors`.
 """
 
 import sys
@@ -14,6 +14,7 @@ from mpmath import mpf
 
 import jaxvibro as jv
 
+from .force_attractors import attractors
 from .force_grazing import grazing
 from .force_specials import branch, located
 from .reference import own_force
@@ -195,6 +196,6 @@ def points():
 
 
 if __name__ == "__main__":
-    commands = {each.__name__: each for each in (spring, series, grazing, points, branch, located)}
+    commands = {each.__name__: each for each in (spring, series, grazing, points, branch, located, attractors)}
     name, *rest = sys.argv[1:]
     commands[name](*map(int, rest))

@@ -104,7 +104,7 @@ def points(rng, count):
         name, walls = str(rng.choice(list(ALONG))), (-rng.uniform(0.5, 1.3), rng.uniform(0.3, 1.3))
         alike = rng.random() < 0.3
         own = rng.uniform(0.5, 0.9, 2)
-        pair = jv.Wall(-walls[1] if alike else walls[0], own[alike]), jv.Wall(walls[1], own[1])
+        pair = jv.Wall(-walls[1] if alike else walls[0], own[int(alike)]), jv.Wall(walls[1], own[1])
         numbers = {"amplitude": (1.0, 5.0), "cubic": (0.1, 2.0), "damping": (0.02, 0.3), "frequency": (1.2, 3.2)}
         scene = duffing(pair, **{each: rng.uniform(*ends) for each, ends in numbers.items()})
         try:
