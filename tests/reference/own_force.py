@@ -11,7 +11,7 @@ from mpmath import mp, mpf
 
 GUARD = 24  # bits beyond the digits asked for
 FINEST = 60  # halvings of a step at most, to tell its turning points apart
-MOST = 400  # impacts
+MOST = 400  # impacts, by default
 
 
 class Flown(NamedTuple):
@@ -119,14 +119,14 @@ def series(n, force, p, drive, x, v):
     return place
 
 
-def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, phase=0, shallow=0):
+def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, phase=0, shallow=0, most=MOST):
     """`Flown` of a state over so many periods of the drive.
 
     walls: left and right, None, a position or (position, amplitude, phase, harmonic) of one that moves as position +
     amplitude cos(harmonic (omega t + phase of the drive) + phase); restitution: one, or a pair. Where the mass turns
     back at most so shallow behind a wall there is no impact, and a clearance below 0.
 
-    Raises ArithmeticError where there are more impacts than MOST, or turning points that cannot be told apart.
+    Raises ArithmeticError where there are more than the most impacts, or turning points that cannot be told apart.
     """
     n = Fixed(int(3.33 * mp.dps) + GUARD)
     count, given = int(1.2 * mp.dps), amplitude
@@ -159,7 +159,7 @@ def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, p
             x, moving = n.at(ways[side], late), n.at(derived(ways[side]), late)
             hits.append((n.back(t), side, n.back(side * (v - moving))))
             v = moving - n.times(bounce[side > 0], v - moving)
-            if len(hits) > MOST:
+            if len(hits) > most:
                 raise ArithmeticError("too many impacts")
     last = [-n.at(clearance, late) for side, clearance in ahead.items() if side != touched]
     nearest = min([clear for _, _, clear in turns] + [n.back(each) for each in last], default=mp.inf)
