@@ -1,5 +1,6 @@
 # Everything from a bare machine: Python 3.11 or newer with pip, make, git. `make` lists what there is.
-# PYTHON=python3.12 takes another interpreter; LIMIT=../shared/limit adds the yardstick kept there to `make bench`.
+# PYTHON=python3.12 takes another interpreter; LIMIT=../shared/limit adds the yardstick kept there to `make bench`,
+# PART="own force" measures that part of its page alone.
 
 PYTHON ?= python3
 UV := .tools/bin/uv
@@ -55,7 +56,7 @@ test-long: $(VENV)/.dev ## what takes minutes a test
 	$(PYTEST) -m long
 
 bench: $(VENV)/.dev ## what answers cost, ours and others', into docs/benchmarks.md
-	$(BIN)/python -m benchmarks.run $(if $(LIMIT),--limit "$(LIMIT)")
+	$(BIN)/python -m benchmarks.run $(if $(LIMIT),--limit "$(LIMIT)") $(if $(PART),--part "$(PART)")
 
 notebooks: $(VENV)/.dev ## run the notebooks as scripts, then write them as .ipynb
 	for script in notebooks/*.py; do MPLBACKEND=Agg $(BIN)/python "$$script" || exit 1; done

@@ -10,14 +10,16 @@ import optimistix
 
 from benchmarks.work import CAP, GAMMA, OMEGA, PERIOD, RESTITUTION, Strobes, held
 
-SOLVERS = {"Tsit5": diffrax.Tsit5, "Kvaerno5": diffrax.Kvaerno5}
+SOLVERS = {"Tsit5": diffrax.Tsit5, "Dopri8": diffrax.Dopri8, "Kvaerno5": diffrax.Kvaerno5}
 STEPS = 4096  # of one flight or contact: diffrax's own default
 
 
 def field(t, y, given):
-    """Right-hand side; given: A, and of soft walls (stiffness, damping, side of the one it is within or 0), or None."""
-    amplitude, press = given
+    """Right-hand side; given: A; of soft walls (stiffness, damping, side of the one it is within or 0), or None; a
+    cubic term, or None."""
+    amplitude, press, cubic = given
     force = amplitude * jnp.cos(OMEGA * t) - y[0]
+    force = force if cubic is None else force - cubic * y[0] * y[0] * y[0]
     pull = force - 2 * GAMMA * y[1]
     if press is not None:
         stiffness, damping, within = press
@@ -29,7 +31,7 @@ def passes(side):
     """The event that rises through 0 where the mass comes to the wall on a side, from within if it is there."""
 
     def event(t, y, args, **_):
-        depth, (_, press) = side * y[0] - 1.0, args
+        depth, (_, press, _) = side * y[0] - 1.0, args
         return depth if press is None else jnp.where(press[-1] == side, -depth, depth)
 
     return event
@@ -57,7 +59,7 @@ def go(time, y, given, solver, tolerance):
     return piece.ts[-1], piece.ys[-1], side, well
 
 
-def strobe_one(state, walls, solver, tolerance):
+def strobe_one(state, walls, cubic, solver, tolerance):
     """Map one state through a period; its end is nan where the integrator gives up. walls: (stiffness, damping) of
     soft ones, None for rigid ones."""
 
@@ -68,7 +70,7 @@ def strobe_one(state, walls, solver, tolerance):
     def turn(carry):
         time, y, within, count, sides, times, _ = carry
         press = None if walls is None else (*walls, within)
-        time, y, side, well = go(time, y, (state[2], press), solver, tolerance)
+        time, y, side, well = go(time, y, (state[2], press, cubic), solver, tolerance)
         met, enters = side != 0, (side != 0) & (within == 0)
         sides = sides.at[count].set(jnp.where(enters, side, 0.0).astype(jnp.int8))
         times = times.at[count].set(jnp.where(enters, time, jnp.inf))
@@ -84,18 +86,19 @@ def strobe_one(state, walls, solver, tolerance):
 
 
 @functools.partial(jax.jit, static_argnames="solver")
-def strobe_batch(states, walls, solver, tolerance):
+def strobe_batch(states, walls, cubic, solver, tolerance):
     """Map (n, 3) states at once."""
-    return jax.vmap(lambda state: strobe_one(state, walls, solver, tolerance))(states)
+    return jax.vmap(lambda state: strobe_one(state, walls, cubic, solver, tolerance))(states)
 
 
-def strobe(states, tolerance=1e-9, stiffness=None, solver="Tsit5", block=None):
+def strobe(states, tolerance=1e-9, stiffness=None, solver="Tsit5", block=None, cubic=None):
     """Map (n, 3) states x, x', A through one period with rtol = atol = tolerance; returns Strobes.
 
     block: so many at once, None: all. Lanes wait for the slowest of them.
     """
     walls, block = None if stiffness is None else (stiffness, held(stiffness)), block or len(states)
     parts = [
-        strobe_batch(states[first : first + block], walls, solver, tolerance) for first in range(0, len(states), block)
+        strobe_batch(states[first : first + block], walls, cubic, solver, tolerance)
+        for first in range(0, len(states), block)
     ]
     return jax.tree.map(lambda *each: np.concatenate(each), *parts)

@@ -73,18 +73,18 @@ def switches(told, stiffness):
 
 
 @functools.cache
-def build(tolerance, stiffness):
+def build(tolerance, stiffness, cubic):
     """Compile an integrator: itself, and what its callbacks note."""
     told = Told()
-    position, equations = rigid_system() if stiffness is None else soft_system()
+    position, equations = rigid_system(cubic) if stiffness is None else soft_system()
     meet = rebounds(told) if stiffness is None else switches(told, stiffness)
     found = events(heyoka.t_event_batch, position, meet, stiffness)
     return heyoka.taylor_adaptive_batch(equations, np.zeros((2, LANES)), tol=tolerance, t_events=found), told
 
 
-def strobe(states, tolerance=1e-15, stiffness=None):
+def strobe(states, tolerance=1e-15, stiffness=None, cubic=None):
     """Map (n, 3) states x, x', A, n a multiple of LANES, through one period; returns Strobes."""
-    integrator, told = build(tolerance, stiffness)
+    integrator, told = build(tolerance, stiffness, cubic)
     y, parameters = integrator.state, integrator.pars
     zero, until = np.zeros(LANES), np.full(LANES, PERIOD)
     result = blank(states)

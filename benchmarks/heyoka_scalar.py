@@ -16,11 +16,12 @@ COOLDOWN = 1e-12
 FREE = (GAMMA, 0.0, 0.0)  # damping, stiffness, position of the wall that presses: none does
 
 
-def rigid_system():
-    """The position's symbol and equation 3, with A as parameter 0."""
+def rigid_system(cubic):
+    """The position's symbol and equation 3, with A as parameter 0, and perhaps a cubic term."""
     x, v = heyoka.make_vars("x", "v")
     force = heyoka.par[0] * heyoka.cos(OMEGA * heyoka.time)
-    return x, [(x, v), (v, force - x - 2 * GAMMA * v)]
+    pull = force - x - 2 * GAMMA * v
+    return x, [(x, v), (v, pull if cubic is None else pull - cubic * x * x * x)]
 
 
 def soft_system():
@@ -76,18 +77,18 @@ def switches(told, stiffness):
 
 
 @functools.cache
-def build(tolerance, stiffness):
+def build(tolerance, stiffness, cubic):
     """Compile an integrator: itself, and the list of (side, time) that its callbacks fill."""
     told = []
-    position, equations = rigid_system() if stiffness is None else soft_system()
+    position, equations = rigid_system(cubic) if stiffness is None else soft_system()
     meet = rebounds(told) if stiffness is None else switches(told, stiffness)
     found = events(heyoka.t_event, position, meet, stiffness)
     return heyoka.taylor_adaptive(equations, [0.0, 0.0], tol=tolerance, t_events=found), told
 
 
-def strobe(states, tolerance=1e-15, stiffness=None):
+def strobe(states, tolerance=1e-15, stiffness=None, cubic=None):
     """Map (n, 3) states x, x', A through one period at heyoka's tolerance; returns Strobes."""
-    integrator, told = build(tolerance, stiffness)
+    integrator, told = build(tolerance, stiffness, cubic)
     y, parameters = integrator.state, integrator.pars
     result = blank(states)
     for row, end, sides, times in zip(states, *result, strict=True):

@@ -4,10 +4,25 @@ import argparse
 import os
 import pathlib
 import time
+from functools import partial
 
 import jax
 
-from benchmarks import branches, derivatives, first, kernel, limit, loci, machine, orbits, page, rigid, scenes, soft
+from benchmarks import (
+    branches,
+    derivatives,
+    first,
+    kernel,
+    limit,
+    loci,
+    machine,
+    orbits,
+    own_force,
+    page,
+    rigid,
+    scenes,
+    soft,
+)
 from benchmarks.rows import Size, Topic
 
 PAGE = "benchmarks.md"
@@ -16,36 +31,47 @@ SMALL = (
 )
 
 
-def topics(yardstick, size):
-    """Each part of the page as it is measured. Those of fresh processes come first, while this one is small."""
-    yield partly("first answers", first.measure, size)
-    yield partly("scenes", scenes.measure, size)
-    yield partly("yardstick", kernel.measure, yardstick, size)
-    yield partly("map", rigid.measure, yardstick, size)
-    yield partly("derivatives", derivatives.measure, size)
-    yield partly("orbits", orbits.measure, size)
-    yield partly("branches", branches.measure, size)
-    yield partly("loci", loci.measure, size)
-    yield partly("soft walls", soft.measure, size)
+def topics(yardstick, size, only):
+    """Each part of the page as it is measured, or one only. Those of fresh processes come first, while this one is
+    small."""
+    parts = {
+        "first answers": partial(first.measure, size),
+        "scenes": partial(scenes.measure, size),
+        "yardstick": partial(kernel.measure, yardstick, size),
+        "map": partial(rigid.measure, yardstick, size),
+        "derivatives": partial(derivatives.measure, size),
+        "orbits": partial(orbits.measure, size),
+        "branches": partial(branches.measure, size),
+        "loci": partial(loci.measure, size),
+        "soft walls": partial(soft.measure, size),
+        "own force": partial(own_force.measure, size),
+    }
+    for part, measure in parts.items():
+        if only in (None, part):
+            yield partly(part, measure)
 
 
-def partly(part, measure, *given):
+def partly(part, measure):
     """A part's `Topic`; what was compiled for it is let go."""
     print(f"{part}:", flush=True)
     begun = time.monotonic()
-    topic = measure(*given)
+    topic = measure()
     jax.clear_caches()
     print(f"  {time.monotonic() - begun:.0f} s in all", flush=True)
     return topic
 
 
-def main(directory, quick, out):
-    """Measure, then write the page and its pictures into a folder."""
+def main(directory, quick, out, only):
+    """Measure, then write the page and its pictures into a folder. only: a part, beside which the machine is told."""
     yardstick, line = limit.found(directory)
     print(f"yardstick: {line}")
-    found = list(topics(yardstick, Size(quick)))
+    found = list(topics(yardstick, Size(quick), only))
     about = (*machine.describe(), f"Yardstick: {line}", *([SMALL] if quick else []))
-    for topic in (found := [Topic("machine", [], notes=about), *found]):
+    if only:
+        found = [topic._replace(notes=(*topic.notes, "Measured by itself.", *about[:3])) for topic in found]
+    else:
+        found = [Topic("machine", [], notes=about), *found]
+    for topic in found:
         for file, (_, draw) in topic.pictures.items():
             draw(out / file)
     page.write(out / PAGE, {topic.part: page.body(topic) for topic in found})
@@ -59,8 +85,9 @@ if __name__ == "__main__":
     parser.add_argument("--limit", metavar="DIR", default=os.environ.get("LIMIT"), help="where the yardstick is kept")
     parser.add_argument("--quick", action="store_true", help="fewer states and rounds, written to out/")
     parser.add_argument("--out", metavar="DIR", help="where to write (docs, or out when quick)")
+    parser.add_argument("--part", choices=page.PARTS, help="measure this part of the page alone")
     given = parser.parse_args()
     folder = pathlib.Path(given.out or ("out" if given.quick else "docs"))
     folder.mkdir(parents=True, exist_ok=True)
     jax.config.update("jax_enable_x64", True)
-    main(given.limit, given.quick, folder)
+    main(given.limit, given.quick, folder, given.part)

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxvibro
-from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION
+from benchmarks.work import CAP, CUBIC, GAMMA, OMEGA, RESTITUTION
 
 
 def scene(amplitude, stiffness=None, damping=None):
@@ -19,6 +19,14 @@ def prepare_batch(states, stiffness=None, damping=None, slots=CAP):
     x, v, amplitude = jnp.asarray(states.T)
     many, start = scene(amplitude, stiffness, damping), jaxvibro.State(x, v)
     return lambda: jax.block_until_ready(jaxvibro.strobe(many, start, slots=slots))
+
+
+def prepare_duffing(states, tolerance, slots=CAP):
+    """The same of Duffing's oscillator, whose force is one of the user's own, at a tolerance."""
+    x, v, amplitude = jnp.asarray(states.T)
+    force = jaxvibro.Force("duffing", {"cubic": CUBIC, "damping": GAMMA}, tolerance)
+    many = jaxvibro.make_scene(amplitude, OMEGA, restitution=RESTITUTION, walls=(-1.0, 1.0), force=force)
+    return lambda: jax.block_until_ready(jaxvibro.strobe(many, jaxvibro.State(x, v), slots=slots))
 
 
 def prepare_vmap(states):

@@ -15,6 +15,7 @@ PARTS = {
     "loci": "Loci",
     "first answers": "First answers",
     "soft walls": "Soft walls",
+    "own force": "A force of one's own",
 }
 UNASKED = "(to be printed)"
 

@@ -13,6 +13,16 @@ def flight(t, y, amplitude):
     return y[1], amplitude * math.cos(OMEGA * t) - y[0] - 2 * GAMMA * y[1]
 
 
+def duffing(cubic):
+    """The same with a cubic term."""
+
+    def field(t, y, amplitude):
+        x, v = y
+        return v, amplitude * math.cos(OMEGA * t) - x - cubic * x * x * x - 2 * GAMMA * v
+
+    return field
+
+
 def passes(side, direction):
     """The event that rises, or falls (direction -1), through 0 where the mass comes to the wall on a side."""
 
@@ -36,20 +46,20 @@ def contact(side, stiffness):
     return field
 
 
-def pieces(stiffness):
+def pieces(stiffness, cubic):
     """{the side of the wall that the mass is within, 0 for none: right-hand side, events}."""
-    found = {0: (flight, WALLS)}
+    found = {0: (flight if cubic is None else duffing(cubic), WALLS)}
     if stiffness is not None:
         found |= {side: (contact(side, stiffness), (passes(side, -1.0),)) for side in (-1, 1)}
     return found
 
 
-def strobe(states, tolerance, stiffness=None, method="DOP853"):
+def strobe(states, tolerance, stiffness=None, method="DOP853", cubic=None):
     """Map (n, 3) states x, x', A through one period with rtol = atol = tolerance; returns Strobes.
 
     An end is nan where the integrator gives up or meets a wall for the CAP-th time.
     """
-    result, known = blank(states), pieces(stiffness)
+    result, known = blank(states), pieces(stiffness, cubic)
     for (x, v, amplitude), end, sides, times in zip(states, *result, strict=True):
         time, y, within, count = 0.0, [x, v], 0, 0
         while count < CAP:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 from benchmarks import diffrax_event, heyoka_batch, heyoka_scalar, ours, rk4, scipy_ivp
 from benchmarks.harness import Side
-from benchmarks.work import CAP, held
+from benchmarks.work import CAP, CUBIC, held
 
 FINE, COARSE = (1e-6, 1e-9, 1e-12, 1e-15), (1e-4, 1e-6, 1e-8, 1e-10)
 OURS = "jaxvibro"
@@ -48,17 +48,29 @@ SOFT = {
 }
 
 
+DUFFING = {
+    "heyoka, batch": Rival(heyoka_batch.strobe, 2048, FINE),
+    "heyoka, scalar": Rival(heyoka_scalar.strobe, 1024, FINE),
+    "diffrax Tsit5": Rival(diffrax_in_blocks, 512, (1e-6, 1e-9, 1e-11)),
+    "diffrax Dopri8": Rival(functools.partial(diffrax_in_blocks, solver="Dopri8"), 256, (1e-6, 1e-9, 1e-11)),
+    "SciPy DOP853": Rival(scipy_ivp.strobe, 64, (1e-6, 1e-9, 1e-12)),
+}
+TOLERANCES = (1e-13, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14)  # of ours under a force of one's own, the default first
+MANY = 10_000  # states of ours there
+
+
 def read(answer):
     """Ends and sides of Strobes."""
     return answer.ends, answer.sides
 
 
-def rivals(table, size, **walls):
-    """The Sides of a table's rivals, each at its settings. size: a `Size`; walls: the stiffness of soft ones."""
+def rivals(table, size, **more):
+    """The Sides of a table's rivals, each at its settings. size: a `Size`; more: the stiffness of soft walls, the cubic
+    of a spring."""
 
     def side(method, rival, setting):
         def prepare(rows):
-            return functools.partial(rival.strobe, rows, setting, **walls)
+            return functools.partial(rival.strobe, rows, setting, **more)
 
         return Side(method, rival.words.format(setting), size.states(rival.states), prepare, read)
 
@@ -93,3 +105,12 @@ def soft(stiffness, size):
     """Ours and the others (a list) at a stiffness."""
     prepare = functools.partial(ours.prepare_batch, stiffness=stiffness, damping=held(stiffness))
     return own(OURS, "", prepare, size.states(BESIDE)), rivals(SOFT, size, stiffness=stiffness)
+
+
+def duffing(size):
+    """Ours at its default tolerance, and the others (a list), of Duffing's oscillator; nothing recorded by ours."""
+    us, *more = (
+        own(OURS, f"tol {each:g}", functools.partial(ours.prepare_duffing, tolerance=each, slots=0), size.states(MANY))
+        for each in TOLERANCES
+    )
+    return us, more + rivals(DUFFING, size, cubic=CUBIC)

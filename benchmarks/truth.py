@@ -1,11 +1,13 @@
-"""The true ends and itineraries in ball arithmetic, and how a side's answers compare with them."""
+"""The true ends and itineraries, and how a side's answers compare with them: in ball arithmetic, under a force of one's
+own by Taylor series in many digits."""
 
 from typing import NamedTuple
 
+import mpmath
 import numpy as np
 
-from benchmarks.work import CAP, GAMMA, OMEGA, RESTITUTION, blank, held
-from tests.reference import orbit, soft
+from benchmarks.work import CAP, CUBIC, GAMMA, OMEGA, RESTITUTION, blank, held
+from tests.reference import orbit, own_force, soft
 from tests.reference.scene import Scene, Soft, Wall
 from tests.reference.search import Discard
 
@@ -51,6 +53,27 @@ def find(states, stiffness=None):
             continue
         ends[lane] = float(record.x), float(record.v)
         sides[lane, : record.count] = record.sides
+    return Truth(ends, sides, judged)
+
+
+def duffing(states):
+    """The same of Duffing's oscillator. Not judged: an impact slower than 1e-2, a turning point or an end within 1e-8
+    of a wall, more impacts than CAP."""
+    ends, sides, _ = blank(states)
+    judged = np.ones(len(states), dtype=bool)
+    numbers = {"cubic": CUBIC, "damping": GAMMA}
+    with mpmath.workdps(30):
+        for lane, (x, v, amplitude) in enumerate(states):
+            try:
+                flown = own_force.flown(
+                    own_force.duffing, numbers, amplitude, OMEGA, (-1.0, 1.0), RESTITUTION, x, v, most=CAP
+                )
+            except ArithmeticError:
+                judged[lane] = False
+                continue
+            judged[lane] = flown.least > 1e-2 and flown.nearest > 1e-8
+            ends[lane] = [float(each) for each in flown.end]
+            sides[lane, : len(flown.hits)] = [side for _, side, _ in flown.hits]
     return Truth(ends, sides, judged)
 
 

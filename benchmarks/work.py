@@ -2,7 +2,8 @@
 
 x'' + 2 gamma x' + x = A cos(omega t), y+ = -R y- at a rigid wall (Cheng and Xu 2007, equations 3 and 4); beyond a soft
 one x'' + 2 gamma2 x' + k2 (x - x_b) + x = A cos(omega t), and an entry takes an impact's place in the itinerary (39).
-A stiffness k2 of None says that the walls are rigid.
+A stiffness k2 of None says that the walls are rigid; a cubic of None that the spring is linear, else cubic x^3 is added
+to it (Duffing).
 """
 
 import math
@@ -16,6 +17,7 @@ RESTITUTION = 0.7
 PERIOD = 2 * math.pi / OMEGA
 # Complete chatter has impacts without end: every side stops a lane here, and no such lane is judged.
 CAP = 30
+CUBIC = 0.5
 STIFFNESSES = (10.0, 1e4, 1e7)
 # the share of critical damping with which a contact leaves R of the speed, R that of the rigid walls
 SHARE = -math.log(RESTITUTION) / math.hypot(math.pi, math.log(RESTITUTION))

@@ -1,6 +1,7 @@
 """Forces of one's own, proved at length: `python -m tests.force_proof spring 10000` prints numbers.
 
-Others are `series 100`, scenes of each kind beside series by hand, `grazing 100000` and `points`.
+Others are `series 500`, scenes of each kind beside series by hand; `grazing 100000`, beside other solvers; `points`;
+`branch` and `located 50`, special points and their gradients; `attractors`.
 """
 
 import sys
@@ -9,20 +10,28 @@ import time
 import jax
 import mpmath
 import numpy as np
-from mpmath import mp, mpf
+from mpmath import mpf
 
 import jaxvibro as jv
 
+from .force_attractors import attractors
+from .force_grazing import grazing
+from .force_specials import branch, located
 from .reference import own_force
 
 jax.config.update("jax_enable_x64", True)
 
 TOLERANCES = 1e-13, 1e-9, 1e-6
+SERIES = 1e-12, 1e-9, 1e-6
 DEPTH = 100.0  # tolerances, times scale and growth: so near a wall a flight is left out
+ALLOWED = 20.0  # the same, where the reference is exact
+APART = mpf(10) ** -20  # of states, for a derivative
+STRUCTURES = 1, 2  # of walls in `series`: two, one of them moving, and one
 RANGES = {
     "duffing": {"cubic": (-0.3, 3.0), "damping": (0.0, 1.2)},
     "pendulum": {"damping": (0.0, 1.2)},
     "stribeck": {"belt": (-1.0, 1.0), "low": (0.0, 0.3), "high": (0.3, 0.6), "slip": (0.5, 2.0), "smooth": (0.4, 1.0)},
+    "van_der_pol": {"gain": (0.0, 1.0)},
 }
 
 
@@ -90,67 +99,88 @@ def timed(scene, state):
     return float(np.median(found))
 
 
-def series(count, seed=0, digits=34):
-    """Print how forces fly beside their series by hand, each scene with walls and numbers of its own."""
+def series(count, seed=0, digits=40):
+    """Print how forces fly beside their series by hand, of each so many scenes, over one period of the drive."""
     for kind, ranges in RANGES.items():
-        rng = np.random.default_rng(seed)
-        numbers = {name: rng.uniform(*each, count) for name, each in ranges.items()}
-        left, amplitude, frequency = (
-            rng.uniform(-1.5, -0.3, count),
-            rng.uniform(0, 4, count),
-            rng.uniform(0.6, 4, count),
+        rng, tally = np.random.default_rng(seed), {tolerance: Tally() for tolerance in SERIES}
+        refused = 0
+        for structure in STRUCTURES:
+            some = count // len(STRUCTURES)
+            walls, amplitude, frequency, _, state = drawn(rng, some, structure)
+            numbers = {name: rng.uniform(*each, some) for name, each in ranges.items()}
+            scenes = {
+                each: jv.make_scene(
+                    amplitude, frequency, restitution=0.5, walls=walls, force=jv.Force(kind, numbers, each)
+                )
+                for each in SERIES
+            }
+            found = {each: jax.tree.map(np.asarray, jv.strobe(one, state, slots=64)) for each, one in scenes.items()}
+            with mpmath.workdps(digits):
+                for k in range(some):
+                    given = own_force.FORCES[kind], {name: each[k] for name, each in numbers.items()}
+                    given += amplitude[k], frequency[k], *plain_walls(walls, k)
+                    try:
+                        true, norm = with_norm(given, state.x[k], state.v[k], state.phase[k])
+                    except ArithmeticError:  # hops that die out
+                        refused += 1
+                        continue
+                    size = max(*map(abs, true.end), abs(state.v[k]), 4.0 + amplitude[k])
+                    for tolerance, (end, hits) in found.items():
+                        unit = tolerance * size * (1.0 + norm)
+                        tally[tolerance].add(true, size, unit, jax.tree.map(lambda leaf, k=k: leaf[k], (end, hits)))
+        for tolerance, each in tally.items():
+            print(f"{kind}, tolerance {tolerance:g}: {count} scenes, {refused} hop without end, {each}", flush=True)
+
+
+class Tally:
+    """What came of scenes beside series by hand."""
+
+    def __init__(self):
+        self.near, self.seen, self.wrong, self.worst, self.late = 0, 0, [], 0.0, 0.0
+
+    def __str__(self):
+        return (
+            f"{self.near} within the stated depth of a wall, {self.seen} seen: {len(self.wrong)} wrong itineraries, "
+            f"largest error {self.worst:.2g} of what is allowed, of impact times {self.late:.2g}"
         )
-        right, bounce = left + rng.uniform(0.6, 2.5, count), rng.uniform(0.3, 1.0, count)
-        state = jv.State(rng.uniform(left + 0.02, right - 0.02), rng.normal(size=count))
-        scenes = [
-            jv.make_scene(
-                amplitude, frequency, restitution=bounce, walls=(left, right), force=jv.Force(kind, numbers, each)
-            )
-            for each in TOLERANCES
-        ]
-        found = [told(scene, state) for scene in scenes]
-        norm = abs(np.asarray(jv.monodromy(scenes[0], state, slots=64))).max(axis=(1, 2))
-        wrong, worst, seen = [0] * 3, [0.0] * 3, [0] * 3
-        with mpmath.workdps(digits):
-            for k in range(count):
-                own = {name: each[k] for name, each in numbers.items()}
-                given = amplitude[k], frequency[k], (left[k], right[k]), bounce[k], state.x[k], state.v[k]
-                (x, v), met, least, nearest = own_force.flown(own_force.FORCES[kind], own, *given)
-                size = max(abs(float(x)), abs(float(v)), abs(float(state.v[k])), 2.5 + amplitude[k])
-                for place, (tolerance, (end, hits)) in enumerate(zip(TOLERANCES, found, strict=True)):
-                    unit = tolerance * size * (1.0 + norm[k])
-                    if not min(nearest, least**2 / (2 * size)) > DEPTH * unit or hits.status[k] > 1:
-                        continue
-                    seen[place] += 1
-                    if [side for _, side, _ in met] != hits.side[k][hits.side[k] != 0].tolist():
-                        wrong[place] += 1
-                        continue
-                    error = max(abs(float(end.x[k]) - x), abs(float(end.v[k]) - v)) / (20 * unit)
-                    worst[place] = max(worst[place], float(error))
-        for tolerance, *rest in zip(TOLERANCES, seen, wrong, worst, strict=True):
-            told_of = "{} of {} scenes seen, {} wrong itineraries, largest error {:.2g} of what is allowed"
-            print(f"{kind}, tolerance {tolerance:g}:", told_of.format(rest[0], count, *rest[1:]), flush=True)
+
+    def add(self, true, size, unit, ours):
+        """One more. unit: the tolerance, times scale and growth: 20 are allowed, and so near a wall none is judged."""
+        if not min(true.nearest, true.least**2 / (2 * size)) > ALLOWED * unit:
+            self.near += 1
+            return
+        self.seen += 1
+        end, hits = ours
+        if hits.status != 0 or [side for _, side, _ in true.hits] != hits.side[hits.side != 0].tolist():
+            self.wrong.append(true)
+            return
+        error = max(abs(float(end.x) - true.end[0]), abs(float(end.v) - true.end[1]))
+        self.worst = max(self.worst, float(error / (ALLOWED * unit)))
+        late = [abs(t - float(own)) * speed for (t, _, speed), own in zip(true.hits, hits.time, strict=False)]
+        self.late = max(self.late, float(max(late, default=0.0) / (ALLOWED * unit)))
 
 
-def grazing(count, seed=0):
-    """Print which impacts of a pendulum just before it turns back are seen, by their depth, and which are invented."""
-    rng = np.random.default_rng(seed)
-    depth = 10.0 ** rng.uniform(-13, -2, count)
-    speed = rng.uniform(0.3, 1.8, count)
-    hits = rng.random(count) < 0.5
-    with mpmath.workdps(30):
-        tops = np.array([float(2 * mp.asin(mpf(each) / 2)) for each in speed])
-    start = -rng.uniform(0.2, 0.9, count) * tops
-    fast = np.sqrt(speed**2 - 4.0 * np.sin(start / 2.0) ** 2)
-    walls = tops + np.where(hits, -depth, depth)
-    force = jv.Force("pendulum", {"damping": 0.0})
-    scene = jv.make_scene(0.0, 0.45, restitution=0.7, walls=(None, walls), force=force)
-    count_met = np.minimum(told(scene, jv.State(start, fast))[1].count, 1)
-    wrong = count_met != hits
-    for low in range(-13, -2):
-        some = (depth >= 10.0**low) & (depth < 10.0 ** (low + 1))
-        missed, invented = (int((wrong & each & some).sum()) for each in (hits, ~hits))
-        print(f"1e{low}: {some.sum()} flights, {missed} missed, {invented} invented", flush=True)
+def plain_walls(walls, k):
+    """(walls, restitutions) of the k-th scene, as the reference takes them."""
+    found, bounces = [], []
+    for wall in walls:
+        if wall is None:
+            found.append(None)
+        elif wall.motion is None:
+            found.append(wall.position[k])
+        else:
+            found.append((wall.position[k], wall.motion.amplitude[k], wall.motion.phase[k], wall.motion.harmonic))
+        bounces.append(0 if wall is None else wall.restitution[k])
+    return tuple(found), tuple(bounces)
+
+
+def with_norm(given, x, v, phase):
+    """(`Flown`, the largest entry of the derivative of its end by its start, from differences)."""
+    true, norm = own_force.flown(*given, x, v, phase=phase), 0.0
+    for change in ((APART, 0), (0, APART)):
+        other = own_force.flown(*given, mpf(x) + change[0], mpf(v) + change[1], phase=phase)
+        norm = max(norm, *(abs(float((b - a) / APART)) for a, b in zip(true.end, other.end, strict=True)))
+    return true, norm
 
 
 def points():
@@ -166,5 +196,6 @@ def points():
 
 
 if __name__ == "__main__":
+    commands = {each.__name__: each for each in (spring, series, grazing, points, branch, located, attractors)}
     name, *rest = sys.argv[1:]
-    {"spring": spring, "series": series, "grazing": grazing, "points": points}[name](*map(int, rest))
+    commands[name](*map(int, rest))

@@ -130,7 +130,7 @@ def test_strobes_are_those_of_series_by_hand(force):
     with mpmath.workdps(25):
         for k in range(4):
             numbers = amplitude[k], OMEGA, (-1.0, 1.0), R, state.x[k], state.v[k]
-            (x, v), met, least, nearest = own_force.flown(own_force.FORCES[force], NUMBERS[force], *numbers)
+            (x, v), met, least, nearest, _ = own_force.flown(own_force.FORCES[force], NUMBERS[force], *numbers)
             if least < 1e-3 or nearest < 1e-6:
                 continue
             assert hits.count[k] == len(met)
@@ -225,7 +225,7 @@ def test_derivatives_are_differences_of_series_by_hand(force):
     def at(args):
         numbers = dict(zip(NUMBERS[force], args[3:], strict=True))
         given = args[2], OMEGA, (-1.0, 1.0), R, args[0], args[1]
-        (x, v), met, _, _ = own_force.flown(own_force.FORCES[force], numbers, *given)
+        (x, v), met, *_ = own_force.flown(own_force.FORCES[force], numbers, *given)
         return [x, v, met[0][0], met[0][2]]
 
     with mpmath.workdps(28):
@@ -287,7 +287,7 @@ def test_an_orbit_without_impacts_and_what_it_becomes_when_it_grazes():
     with mpmath.workdps(40):  # the motion that grazes turns back at 1
         x, v = grazing.orbit.state.x, grazing.orbit.state.v
         numbers = grazing.value, OMEGA, (-1.0 - 1e-9, 1.0 + 1e-9), R, x, v
-        end, met, _, nearest = own_force.flown(own_force.duffing, NUMBERS["duffing"], *numbers)
+        end, met, _, nearest, _ = own_force.flown(own_force.duffing, NUMBERS["duffing"], *numbers)
         assert not met and abs(nearest - 1e-9) < 1e-12
         assert abs(end[0] - x) < 1e-12 and abs(end[1] - v) < 1e-12
 

@@ -1,134 +1,252 @@
-"""Impact oscillators under forces that are no spring: Taylor series by hand, in digits as many as one likes (mpmath).
+"""Impact oscillators under forces that are no spring: Taylor series by hand, in as many digits as mpmath is set to.
 
-x'' = f(t, x, v) + A cos(omega t), rigid walls that stand still. Each force's recurrence is written out here.
+x'' = f(t, x, v) + A cos(omega t + phase), rigid walls. Each force's recurrence is written out here. A number u is held
+as the whole number nearest to u 2^bits, as Python multiplies these many times faster than mpmath its own.
 """
+
+from operator import mul
+from typing import NamedTuple
 
 from mpmath import mp, mpf
 
-CELLS = 24  # of a step, at whose ends the clearance and its slope are looked at
+GUARD = 24  # bits beyond the digits asked for
+FINEST = 60  # halvings of a step at most, to tell its turning points apart
+MOST = 400  # impacts, by default
 
 
-def _product(a, b, k):
-    return sum((a[j] * b[k - j] for j in range(k + 1)), mpf(0))
+class Flown(NamedTuple):
+    """end: (x, v); hits: [(time, side, speed)] of the impacts; least: the slowest of these; nearest: the least
+    clearance at turning points towards a wall, and at the end; turns: [(time, side, clearance)] of the former."""
+
+    end: tuple
+    hits: list
+    least: mpf
+    nearest: mpf
+    turns: list
 
 
-def duffing(p, x, v, k, memory):
+class Fixed(NamedTuple):
+    """Numbers in units of 2^-bits."""
+
+    bits: int
+
+    def of(self, value):
+        return int(mp.nint(mp.ldexp(mpf(value), self.bits)))
+
+    def back(self, whole):
+        return mp.ldexp(mpf(whole), -self.bits)
+
+    def times(self, a, b):
+        return a * b >> self.bits
+
+    def dot(self, a, b, k):
+        """The k-th coefficient of the product of two series."""
+        return sum(map(mul, a, b[k::-1])) >> self.bits
+
+    def at(self, terms, late):
+        """The value of a series."""
+        total, bits = 0, self.bits
+        for term in reversed(terms):
+            total = (total * late >> bits) + term
+        return total
+
+
+def duffing(n, p, x, v, k, memory):
     square = memory.setdefault("square", [])
-    square.append(_product(x, x, k))
-    return -x[k] - p["cubic"] * _product(square, x, k) - 2 * p["damping"] * v[k]
+    square.append(n.dot(x, x, k))
+    return -x[k] - n.times(p["cubic"], n.dot(square, x, k)) - 2 * n.times(p["damping"], v[k])
 
 
-def pendulum(p, x, v, k, memory):
-    sine, cosine = memory.setdefault("sine", []), memory.setdefault("cosine", [])
+def pendulum(n, p, x, v, k, memory):
+    sine, cosine, slope = (memory.setdefault(name, []) for name in ("sine", "cosine", "slope"))
     if k == 0:
-        sine.append(mp.sin(x[0]))
-        cosine.append(mp.cos(x[0]))
+        sine.append(n.of(mp.sin(n.back(x[0]))))
+        cosine.append(n.of(mp.cos(n.back(x[0]))))
     else:
-        sine.append(sum(j * x[j] * cosine[k - j] for j in range(1, k + 1)) / k)
-        cosine.append(-sum(j * x[j] * sine[k - j] for j in range(1, k + 1)) / k)
-    return -sine[k] - 2 * p["damping"] * v[k]
+        slope.append(k * x[k])
+        sine.append(n.dot(slope, cosine, k - 1) // k)
+        cosine.append(-n.dot(slope, sine, k - 1) // k)
+    return -sine[k] - 2 * n.times(p["damping"], v[k])
 
 
-def stribeck(p, x, v, k, memory):
+def stribeck(n, p, x, v, k, memory):
     """-x - (low + (high - low) exp(-(u / slip)^2)) tanh(u / smooth), u = v - belt."""
-    names = ["u", "square", "bell", "tanh", "slope"]
-    u, square, bell, tanh, slope = (memory.setdefault(name, []) for name in names)
-    u.append(v[k] - (p["belt"] if k == 0 else 0))
-    square.append(_product(u, u, k) / p["slip"] ** 2)
+    names = ["u", "rises", "square", "sinks", "bell", "tanh", "slope", "size"]
+    u, rises, square, sinks, bell, tanh, slope, size = (memory.setdefault(name, []) for name in names)
     if k == 0:
-        bell.append(mp.exp(-square[0]))
-        tanh.append(mp.tanh(u[0] / p["smooth"]))
+        u.append(v[0] - p["belt"])
+        wide, narrow = (n.back(p[name]) for name in ("slip", "smooth"))
+        bell.append(n.of(mp.exp(-((n.back(u[0]) / wide) ** 2))))
+        tanh.append(n.of(mp.tanh(n.back(u[0]) / narrow)))
+        memory["over"] = n.of(1 / wide**2), n.of(1 / narrow)
     else:
-        bell.append(-sum(j * square[j] * bell[k - j] for j in range(1, k + 1)) / k)
-        tanh.append(sum(j * u[j] * slope[k - j] for j in range(1, k + 1)) / (k * p["smooth"]))
-    slope.append((1 if k == 0 else 0) - _product(tanh, tanh, k))
-    size = [(p["high"] - p["low"]) * each for each in bell]
-    size[0] += p["low"]
-    return -x[k] - _product(size, tanh, k)
+        u.append(v[k])
+        rises.append(k * v[k])
+    square.append(n.times(n.dot(u, u, k), memory["over"][0]))
+    if k:
+        sinks.append(k * square[k])
+        bell.append(-n.dot(sinks, bell, k - 1) // k)
+        tanh.append(n.times(n.dot(rises, slope, k - 1), memory["over"][1]) // k)
+    slope.append((1 << n.bits if k == 0 else 0) - n.dot(tanh, tanh, k))
+    size.append(n.times(p["high"] - p["low"], bell[k]) + (p["low"] if k == 0 else 0))
+    return -x[k] - n.dot(size, tanh, k)
 
 
-def van_der_pol(p, x, v, k, memory):
+def van_der_pol(n, p, x, v, k, memory):
     square = memory.setdefault("square", [])
-    square.append((1 if k == 0 else 0) - _product(x, x, k))
-    return -x[k] + p["gain"] * _product(square, v, k)
+    square.append((1 << n.bits if k == 0 else 0) - n.dot(x, x, k))
+    return -x[k] + n.times(p["gain"], n.dot(square, v, k))
 
 
-def series(force, p, amplitude, frequency, t, x, v):
-    """Taylor coefficients of x from t on."""
-    place, speed, memory = [mpf(x), mpf(v)], [mpf(v)], {}
-    drive = [amplitude * mp.cos(frequency * t), -amplitude * frequency * mp.sin(frequency * t)]
-    for k in range(mp.dps - 1):
-        if k > 1:
-            drive.append(-(frequency**2) * drive[k - 2] / (k * (k - 1)))
-        place.append((force(p, place, speed, k, memory) + drive[k]) / ((k + 1) * (k + 2)))
+FORCES = {"duffing": duffing, "pendulum": pendulum, "stribeck": stribeck, "van_der_pol": van_der_pol}
+
+
+def wave(n, size, frequency, angle, count):
+    """Taylor coefficients of size cos(angle + frequency s) in s; all but the angle and count in units."""
+    square = n.times(frequency, frequency)
+    terms = [n.times(size, n.of(mp.cos(angle))), -n.times(n.times(size, frequency), n.of(mp.sin(angle)))]
+    for k in range(2, count):
+        terms.append(-n.times(square, terms[k - 2]) // (k * (k - 1)))
+    return terms
+
+
+def series(n, force, p, drive, x, v):
+    """Taylor coefficients of x, two more than the drive has."""
+    place, speed, memory = [x, v], [v], {}
+    for k, push in enumerate(drive):
+        place.append((force(n, p, place, speed, k, memory) + push) // ((k + 1) * (k + 2)))
         speed.append((k + 2) * place[k + 2])
     return place
 
 
-def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1):
-    """((x, v) after so many periods of the drive, [(time, side, speed) of the impacts], the least speed of these, the
-    least clearance at turning points towards a wall)."""
-    amplitude, frequency, restitution = mpf(amplitude), mpf(frequency), mpf(restitution)
-    p = {name: mpf(value) for name, value in p.items()}
-    t, end, x, v = mpf(0), periods * 2 * mp.pi / frequency, mpf(x), mpf(v)
-    hits, nearest = [], mp.inf
+def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, phase=0, shallow=0, most=MOST):
+    """`Flown` of a state over so many periods of the drive.
+
+    walls: left and right, None, a position or (position, amplitude, phase, harmonic) of one that moves as position +
+    amplitude cos(harmonic (omega t + phase of the drive) + phase); restitution: one, or a pair. Where the mass turns
+    back at most so shallow behind a wall there is no impact, and a clearance below 0.
+
+    Raises ArithmeticError where there are more than the most impacts, or turning points that cannot be told apart.
+    """
+    n = Fixed(int(3.33 * mp.dps) + GUARD)
+    count, given = int(1.2 * mp.dps), amplitude
+    omega, p = mpf(frequency), {name: n.of(value) for name, value in p.items()}
+    amplitude, frequency, shallow = n.of(given), n.of(omega), n.of(shallow)
+    bounce = [n.of(each) for each in (restitution if isinstance(restitution, tuple) else (restitution,) * 2)]
+    t, end, x, v = 0, n.of(periods * 2 * mp.pi / omega), n.of(x), n.of(v)
+    hits, turns, touched = [], [], 0
     while t < end:
-        terms = series(force, p, amplitude, frequency, t, x, v)
-        step = min(end - t, mpf(1) / 2)
-        for k in (mp.dps - 1, mp.dps):
-            if terms[k]:
-                step = min(step, (mpf(10) ** (2 - mp.dps) / abs(terms[k])) ** (mpf(1) / k))
-        found = []
+        angle = mpf(phase) + omega * n.back(t)
+        terms = series(n, force, p, wave(n, amplitude, frequency, angle, count - 1), x, v)
+        ways = {}
         for side, wall in zip((-1, 1), walls, strict=True):
             if wall is not None:
-                hit, clear = _first(terms, step, side, mpf(wall))
-                nearest = min(nearest, clear)
-                if hit is not None:
-                    found.append((hit, side, mpf(wall)))
-        late, side, wall = min(found, default=(step, 0, None))
-        x, v, t = _value(terms, late), _slope(terms, late), t + late
+                ways[side] = course(n, wall, omega, angle, count + 1)
+        ahead = {side: [side * (a - b) for a, b in zip(terms, way, strict=True)] for side, way in ways.items()}
+        if touched:
+            ahead[touched][0] = 0
+        step = reach(n, terms, end - t, ahead, shallow)
+        found = []
+        for side, clearance in ahead.items():
+            hit, some = first(n, clearance, step, shallow)
+            turns += [(n.back(t + late), side, n.back(-value)) for late, value in some if hit is None or late < hit]
+            if hit is not None:
+                found.append((hit, side))
+        late, side = min(found, default=(step, 0))
+        turns = [one for one in turns if one[0] <= n.back(t + late)]
+        x, v, t, touched = n.at(terms, late), n.at(derived(terms), late), t + late, side
         if side:
-            hits.append((t, side, side * v))
-            x, v = wall, -restitution * v
-    return (x, v), hits, min((speed for _, _, speed in hits), default=mp.inf), nearest
+            x, moving = n.at(ways[side], late), n.at(derived(ways[side]), late)
+            hits.append((n.back(t), side, n.back(side * (v - moving))))
+            v = moving - n.times(bounce[side > 0], v - moving)
+            if len(hits) > most:
+                raise ArithmeticError("too many impacts")
+    last = [-n.at(clearance, late) for side, clearance in ahead.items() if side != touched]
+    nearest = min([clear for _, _, clear in turns] + [n.back(each) for each in last], default=mp.inf)
+    least = min((speed for _, _, speed in hits), default=mp.inf)
+    return Flown((n.back(x), n.back(v)), hits, least, nearest, turns)
 
 
-def _value(terms, late):
-    total = mpf(0)
-    for term in reversed(terms):
-        total = total * late + term
-    return total
+def course(n, wall, omega, angle, count):
+    """Taylor coefficients of a wall's place."""
+    if not isinstance(wall, tuple):
+        return [n.of(wall)] + [0] * (count - 1)
+    position, swing, own, harmonic = wall
+    terms = wave(n, n.of(swing), n.of(harmonic * omega), harmonic * angle + mpf(own), count)
+    return [terms[0] + n.of(position), *terms[1:]]
 
 
-def _slope(terms, late):
-    return _value([k * term for k, term in enumerate(terms)][1:], late)
+def reach(n, terms, longest, ahead, shallow):
+    """A step over which the series is good, at whose end the mass is not about to touch."""
+    unit, step = 10 ** (-mpf(mp.dps)), 1 << n.bits
+    for k in (len(terms) - 2, len(terms) - 1):
+        if terms[k]:
+            step = min(step, n.of((unit / abs(n.back(terms[k]))) ** (mpf(1) / k)))
+    if step >= longest:
+        return longest
+    while shallow and any(abs(n.at(clearance, step)) <= 2 * shallow for clearance in ahead.values()):
+        step = step * 9 // 10
+    return step
 
 
-def _first(terms, step, side, wall):
-    """(when the wall is first met, None if it is not; the least clearance at a turning point towards it before)."""
-    ahead = [side * term for term in terms]
-    ahead[0] -= side * wall
-    begins = abs(ahead[0]) < mpf(10) ** (8 - mp.dps)
-    if begins and ahead[1] < 0:
-        ahead[0] = mpf(0)
-    clear, low = mp.inf, mpf(0)
-    for cell in range(CELLS):
-        high = step * (cell + 1) / CELLS
-        slopes = _slope(ahead, low), _slope(ahead, high)
-        if slopes[0] > 0 > slopes[1]:
-            top = _root(lambda s: _slope(ahead, s), low, high)
-            value = _value(ahead, top)
-            if value >= 0:
-                return _root(lambda s: _value(ahead, s), low, top), clear
-            clear = min(clear, -value)
-        elif _value(ahead, high) >= 0 and slopes[1] > 0:
-            return _root(lambda s: _value(ahead, s), low, high), clear
-        low = high
-    return None, clear
+def derived(terms):
+    return [k * term for k, term in enumerate(terms)][1:]
 
 
-def _root(function, low, high):
-    return mp.findroot(function, (low, high), solver="anderson", tol=mpf(10) ** (6 - 2 * mp.dps), maxsteps=200)
+def first(n, ahead, step, shallow):
+    """(when the wall is first met, None if it is not; [(when, -clearance)] of turning points before): ahead is below 0
+    between the walls, or 0 and about to fall. Halves of the step are halved until bounds on a derivative say that it,
+    or its slope, goes one way."""
+    slope, bend = derived(ahead), derived(derived(ahead))
+    steepest, most = (bound(n, derived(each), step) for each in (slope, bend))
+    turns, below, todo = [], 0, [(0, step, 0)]
+    while todo:
+        low, high, depth = todo.pop()
+        middle, half = (low + high) // 2, n.back(high - low) / 2
+        rises = abs(n.back(n.at(slope, middle))) > steepest * half
+        if not rises and not abs(n.back(n.at(bend, middle))) > most * half:
+            if depth == FINEST:
+                raise ArithmeticError("turning points that cannot be told apart")
+            todo += [(middle, high, depth + 1), (low, middle, depth + 1)]
+            continue
+        before, after = n.at(slope, low), n.at(slope, high)
+        if before > 0 > after:
+            top = root(n, slope, bend, low, high)
+            value = n.at(ahead, top)
+            if value >= shallow:
+                return root(n, ahead, slope, below, top), turns
+            turns.append((top, value))
+            below = high
+        elif before <= 0 < after:
+            below = root(n, slope, bend, low, high)
+        elif after <= 0:
+            below = high
+        if after > 0 and n.at(ahead, high) >= shallow:
+            return root(n, ahead, slope, below, high), turns
+        if n.at(ahead, high) < 0:
+            below = high
+    return None, turns
 
 
-FORCES = {"duffing": duffing, "pendulum": pendulum, "stribeck": stribeck, "van_der_pol": van_der_pol}
+def bound(n, terms, step):
+    """A bound on the size of a series over a step."""
+    return n.back(n.at([abs(term) for term in terms], step)) + mpf(10) ** (3 - mp.dps)
+
+
+def root(n, terms, slopes, low, high):
+    """Where a series passes 0 between two places where its signs differ: Newton's method, halving where it leaves."""
+    falls = n.at(terms, low) > 0 or n.at(terms, high) < 0
+    place = (low + high) // 2
+    for _ in range(4 * n.bits):
+        value, slope = n.at(terms, place), n.at(slopes, place)
+        if (value > 0) is not falls:
+            high = place
+        else:
+            low = place
+        new = place - (value << n.bits) // slope if slope else high
+        if not low < new < high:
+            new = (low + high) // 2
+        if abs(new - place) <= 1 or high - low <= 2:
+            return new
+        place = new
+    raise ArithmeticError("a root that Newton's method does not find")
