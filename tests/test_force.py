@@ -1,5 +1,7 @@
 """Forces of one's own: series, the strobe, its derivatives, orbits and branches, against references by hand."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import mpmath
@@ -512,3 +514,14 @@ def test_beside_a_force_there_is_no_damping():
         jv.ArgumentError, match=r"force.dumping: is not a parameter of this scene, perhaps force.damping"
     ):
         scene.replace(**{"force.dumping": 0.2})
+
+
+@pytest.mark.slow
+def test_the_error_that_steps_leave_of_a_point_is_told_by_two_tolerances():
+    orbit = jv.find_orbit(own("duffing", tolerance=1e-8), jv.State(0.9, -1.1))
+    point = jv.follow(orbit, "amplitude", bounds=(0.0, 6.0)).points("SN")[0]
+    told = jv.located(point).flow_error()
+    tight = replace(point.scene, force=replace(point.scene.force, tolerance=1e-14))
+    true = abs(float(jv.located(replace(point, scene=tight))(tight)) - point.value)
+    assert 1e-11 < true < 1e-7
+    assert 0.2 * true < told < 5.0 * true

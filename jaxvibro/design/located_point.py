@@ -19,8 +19,11 @@ from ..orbits import impact_equations
 from ..orbits.flight_clearance import is_real
 from ..scene import check
 from ..scene.codes import SolutionStatus
+from ..scene.force import LOOSEST
 from ..scene.scene import SIDES, Scene
 from .point_equations import STATIC, PointEquations, at_point, mark, whole
+
+LOOSER = 100.0  # the steps by which the flow's error is estimated
 
 
 @jax.tree_util.register_dataclass
@@ -45,12 +48,14 @@ class Located:
     """A special point as a function of scenes, made by `located`: `value(scene)` is the parameter's value there,
     `value.solve(scene)` a `LocatedPoint`.
 
-    special: the point that it was made of; name: of the parameter. A scene has the walls of the point's; a batch of
-    scenes gives arrays of its shape. Under jit, vmap and grad, forward and reverse, at any order.
+    special: the point that it was made of; name: of the parameter; wall: that is touched, where it was given. A scene
+    has the walls of the point's; a batch of scenes gives arrays of its shape. Under jit, vmap and grad, forward and
+    reverse, at any order.
     """
 
     special: Special
     name: str
+    wall: str | None
     _equations: PointEquations = field(repr=False)
     _start: Float[np.ndarray, " unknowns"] = field(repr=False)
 
@@ -76,6 +81,18 @@ class Located:
         sides = tuple(int(side) for side in np.asarray(cycle.sides))
         return replace(found, sides=sides, periods=float(cycle.periods))
 
+    def flow_error(self) -> float:
+        """How far the flow's own error has the value off, as two tolerances tell: what it changes by where steps under
+        a `Force` are to be `LOOSER` times as loose, over that. 0 under spring and damper, whose flow is exact."""
+        scene = self.special.scene
+        if scene.force is None:
+            return 0.0
+        loose = min(LOOSER * scene.force.tolerance, LOOSEST)
+        special = replace(self.special, scene=replace(scene, force=replace(scene.force, tolerance=loose)))
+        other = located_point(special, self.name, self.wall)
+        change = abs(float(other(special.scene)) - float(self(scene)))
+        return change * scene.force.tolerance / loose
+
 
 def located_point(special: Special, name: str | None = None, wall: str | None = None) -> Located:
     """The `Located` of a special point, as `located_orbit.located` tells."""
@@ -87,7 +104,7 @@ def located_point(special: Special, name: str | None = None, wall: str | None = 
     point, unknowns = _only(start, name, wall)
     if name == "hardness":
         unknowns[point.size] = 0.0
-    return Located(special, name, point, unknowns)
+    return Located(special, name, wall, point, unknowns)
 
 
 def _only(start, name, wall):
