@@ -82,7 +82,7 @@ def test_random_scenes_against_ball_arithmetic():
     assert max(row.clearance for row in rows) < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("place", [5, 9])
 def test_moving_and_soft_walls_against_ball_arithmetic(place):
     kinds = len(harmonics_proof.KINDS)
@@ -98,7 +98,7 @@ def test_a_term_of_the_first_harmonic_is_the_drive_itself():
     near(told(driven((2.0, 1, 0.0), amplitude=0.0), state), told(driven(), state), 1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_terms_without_amplitude_are_a_scene_without_them():
     state = starts(3)
     near(told(driven((2.0, 1, 0.0), amplitude=0.0), state), told(plain(), state), 1e-13)
@@ -215,7 +215,7 @@ def spring(t, x, v, p):
     return -x - 2.0 * p["damping"] * v
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_beside_a_force_that_is_the_spring_it_is_the_same():
     scene, state = driven(*TERMS), starts(2)
     force = jv.Force(spring, {"damping": GAMMA})
@@ -266,7 +266,7 @@ def test_searched_impacts_are_those_of_ball_arithmetic():
     assert max(abs(one.time - time) for one, time in zip(found, times[1:], strict=True)) < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_fit_finds_the_numbers_of_terms():
     scene = driven(*TERMS)
     _, hits = jv.strobe(scene, jv.State(0.3, 1.5), periods=12, slots=60)
@@ -354,7 +354,7 @@ def test_terms_of_a_scene_in_units():
     assert abs(float(scene.drive[0].amplitude) - 1.0 / (8.0 * 0.5)) < 1e-15 and scene.drive[0].harmonic == 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_soft_scene_of_several_terms_is_that_of_ball_arithmetic_in_its_derivative():
     place = 8
     kinds = len(harmonics_proof.KINDS)
