@@ -1,6 +1,7 @@
-"""What a scene needs: nanoseconds a map, and seconds to compile, by its walls, each kind in a process of its own.
+"""What a scene needs: nanoseconds a map, and seconds to compile, by its walls and its force, each kind in a process of
+its own.
 
-`python -m benchmarks.scenes WALLS MOVING SOFT STATES ROUNDS` measures one and prints JSON.
+`python -m benchmarks.scenes WALLS MOVING SOFT FORCE STATES ROUNDS` measures one and prints JSON.
 """
 
 import json
@@ -17,13 +18,28 @@ from benchmarks.work import GAMMA, OMEGA, RESTITUTION, draw, held
 STATES, ROUNDS = 32_768, 9
 STIFFNESS = 1e4  # of soft walls, with the damping that leaves as much of a speed as the rigid ones do
 ASKED = {"nothing recorded": (0, False), "4 impacts": (4, False), "4 impacts and least clearance": (4, True)}
-KINDS = [(0, 0, 0), *((walls, moving, soft) for soft in (0, 1) for walls in (1, 2) for moving in (0, 1))]
+FORCES = [  # in place of spring and damper, and the tolerance; None: these
+    (None, None),
+    *(("duffing", tolerance) for tolerance in (1e-13, 1e-9, 1e-6)),
+    *((name, 1e-13) for name in ("pendulum", "stribeck", "van_der_pol")),
+]
+NUMBERS = {
+    "duffing": {"cubic": 0.5, "damping": GAMMA},
+    "pendulum": {"damping": GAMMA},
+    "stribeck": {"belt": 0.3, "low": 0.1, "high": 0.25, "slip": 0.8, "smooth": 0.4},
+    "van_der_pol": {"gain": 0.2},
+}
+KINDS = [
+    (0, 0, 0, 0),
+    *((walls, moving, soft, 0) for soft in (0, 1) for walls in (1, 2) for moving in (0, 1)),
+    *((2, 0, 0, force) for force in range(1, len(FORCES))),
+]
 WALLS = ("no wall", "one wall", "two walls")
 HEAD = ("scene", *(f"ns per map: {name}" for name in ASKED), "compiling, s: nothing recorded")
 NOTES = (
     f"{STATES:,} random states of figure 4's kind, those of walls that move drawn from 0.8 of the gap; one core, "
     "medians and quartiles, warm. Walls that move swing by 0.1, once a period. Soft walls: k2 = 1e4, R = 0.7 "
-    "of a contact.",
+    "of a contact. A force of one's own is flown to the tolerance that is told.",
     "Compiling: processor seconds of the first strobe of a fresh process, less those of a warm one; no compile cache.",
 )
 
@@ -31,29 +47,35 @@ NOTES = (
 def measure(size):
     """The `Topic`."""
     lines = []
-    for walls, moving, soft in size.few(KINDS):
+    for walls, moving, soft, force in size.few(KINDS):
         words = WALLS[walls] + (f", {'soft' if soft else 'rigid'}, {'moving' if moving else 'still'}" if walls else "")
-        given = map(str, (walls, moving, soft, size.states(STATES), size.rounds(ROUNDS)))
+        name, tolerance = FORCES[force]
+        words += f", {name} to {tolerance:g}" if force else ""
+        given = map(str, (walls, moving, soft, force, size.states(STATES), size.rounds(ROUNDS)))
         seconds, *costs = json.loads(fresh.ask("benchmarks.scenes", *given))
         print(f"  {words}: {seconds:.2f} s, {', '.join(map(page.spread, costs))} ns")
         lines.append((words, *map(page.spread, costs), f"{seconds:.2g}"))
     return Topic("scenes", [], (page.table(HEAD, lines),), NOTES)
 
 
-def given(walls, moving, soft, states):
+def given(walls, moving, soft, force, states):
     """The scene of a kind, and states."""
     swing = jaxvibro.Motion(0.1, 0.3, 1) if moving else None
     hard = {"stiffness": STIFFNESS, "damping": held(STIFFNESS)} if soft else {}
     left, right = (jaxvibro.Wall(place, motion=swing, **hard) for place in (-1.0, 1.0))
     x, v, amplitude = jnp.asarray((draw(states) * [0.8 if moving else 1.0, 1.0, 1.0]).T)
     pair = (left if walls == 2 else None, right if walls else None)
-    return jaxvibro.make_scene(amplitude, OMEGA, GAMMA, RESTITUTION, pair), jaxvibro.State(x, v)
+    name, tolerance = FORCES[force]
+    own = jaxvibro.Force(name, NUMBERS[name], tolerance) if name else None
+    damping = None if own else GAMMA
+    scene = jaxvibro.make_scene(amplitude, OMEGA, damping, RESTITUTION, pair, force=own)
+    return scene, jaxvibro.State(x, v)
 
 
-def main(walls, moving, soft, states, rounds):
+def main(walls, moving, soft, force, states, rounds):
     """Measure a kind: seconds of compiling, then for all that may be asked for the nanoseconds."""
     jax.config.update("jax_enable_x64", True)
-    scene, state = given(walls, moving, soft, states)
+    scene, state = given(walls, moving, soft, force, states)
     found = []
     for slots, clearance in ASKED.values():
 

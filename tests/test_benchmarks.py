@@ -174,8 +174,9 @@ def test_the_share_done_in_full_is_that_of_all_periods(monkeypatch):
 
 @pytest.mark.parametrize("kind", scenes.KINDS)
 def test_the_scenes_are_of_all_kinds(kind):
-    walls, moving, soft = kind
+    walls, moving, soft, force = kind
     scene, state = scenes.given(*kind, 8)
+    assert (scene.force is not None) == bool(force)
     there = list(scene.walls.values())
     assert len(there) == walls and all(wall.soft == bool(soft) for wall in there)
     assert all((wall.motion is not None) == bool(moving) for wall in there)

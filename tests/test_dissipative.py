@@ -99,12 +99,17 @@ def test_intervals_without_bound_give_what_is_true_of_all_numbers():
     assert RULES["atan"](ENTIRE).high > mp.pi / 2 and RULES["sin"](ENTIRE) == (-1.0, 1.0)
 
 
+def _squared(u):
+    return u * u
+
+
 PROVED = {
     "-v |v|": (lambda t, x, v, p: -x - p["c"] * jnp.abs(v) * v, WALLS),
     "-v root": (lambda t, x, v, p: -x - p["c"] * v * jnp.sqrt(v * v + 1e-3), WALLS),
     "-tanh v": (lambda t, x, v, p: -x - p["c"] * jnp.tanh(v / 0.3), WALLS),
     "-atan v": (lambda t, x, v, p: -x - p["c"] * jnp.arctan(v / 0.3), (None, None)),
     "by x and t": (lambda t, x, v, p: -x - (0.1 + p["c"] * x**2) * v * (1.0 + 0.5 * jnp.cos(4.0 * t)), (None, 1.0)),
+    "by a square": (lambda t, x, v, p: -x - p["c"] * _squared(x - 0.3) * v, WALLS),
     "jump in x": (lambda t, x, v, p: jnp.where(x > 0.3, -x, -2.0 * x) - p["c"] * jnp.where(x > 0.2, v, 2.0 * v), WALLS),
     "bend in v": (lambda t, x, v, p: -x - p["c"] * jnp.maximum(v, 2.0 * v), WALLS),
     "loop in x": (lambda t, x, v, p: -lax.fori_loop(0, 3, lambda k, a: 0.5 * a, x) - p["c"] * v, WALLS),

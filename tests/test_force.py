@@ -411,7 +411,7 @@ def test_a_named_force_survives_files(tmp_path):
     text = (tmp_path / "scene.toml").read_text()
     for change, told in (
         (('name = "duffing"', 'name = "dufing"'), "scene.force.function: must be a function, or one of ours, perhaps"),
-        (("cubic = 0.5\n", ""), r"scene.force: cannot be traced by JAX \(KeyError: 'cubic'\)"),
+        (("cubic = 0.5\n", ""), r"scene.force.numbers: those of duffing are cubic, damping; got 'damping'"),
         (("restitution = 0.7", "restitution = 0.7\ndamping = 0.1"), "scene.damping: is not given beside a force"),
     ):
         (tmp_path / "wrong.toml").write_text(text.replace(*change))
@@ -480,9 +480,22 @@ def _python_state(t, x, v, p):
             r"force: must return one number of type float64, of numbers; got .float64\[2\]",
         ),
         (jv.Force(lambda t, x, v, p: (x, v)), "force: must return one number"),
-        (jv.Force(lambda t, x, v, p: float(x)), r"force: cannot be traced by JAX \(ConcretizationTypeError"),
-        (jv.Force(lambda t, x, v, p: -x * p["stiffness"]), r"force: cannot be traced by JAX \(KeyError"),
-        (jv.Force(lambda t, x: -x), r"force: cannot be traced by JAX \(TypeError"),
+        (jv.Force(lambda t, x, v, p: [x]), r"force: must return one number .*; got 'list of float64\[\]'"),
+        (jv.Force(lambda t, x, v, p: None), "force: must return one number .*; got 'nothing'"),
+        (jv.Force(lambda t, x, v, p: x * 1j), r"force: must return one number .*; got 'complex128\[\]'"),
+        (jv.Force(lambda t, x, v, p: -x if x > 0 else x), r"force: .* \(TracerBoolConversionError\): no if, and"),
+        (
+            jv.Force(lambda t, x, v, p: float(x)),
+            r"force: cannot be traced by JAX \(ConcretizationTypeError\): jax.numpy",
+        ),
+        (jv.Force(lambda t, x, v, p: -np.sin(x)), r"force: .* \(TracerArrayConversionError\): jax.numpy in place"),
+        (
+            jv.Force(lambda t, x, v, p: -x * p["stiffness"], {"damping": 0.1}),
+            r"force: cannot be traced by JAX \(KeyError: 'stiffness'\): its numbers are damping; got '<lambda>'",
+        ),
+        (jv.Force(lambda t, x: -x), r"force: .* \(TypeError: .*\): it is called with \(t, x, v, numbers\)"),
+        (jv.Force("van_der_pol", {"damping": 0.1}), "force.numbers: those of van_der_pol are gain; got 'damping'"),
+        (jv.Force("polynomial", {"cx": 0.1, "damping": 0.1}), "force.numbers: those of polynomial are c0, c1, c2, ..."),
         (jv.Force(_python_state), "force: must be the same each time"),
         (jv.Force(lambda t, x, v, p: -x + jnp.cos(t)), "force: must repeat with the drive's period, 2.99199: "),
         (jv.Force("duff", {}), r"force.function: must be a function, or one of ours, perhaps duffing \("),

@@ -13,7 +13,7 @@ from ..output.units import LENGTH, SPEED, TIME
 from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, is_own_image, itinerary
 from ..scene.symmetry import is_symmetric
-from .branch import Branch, Segment, frequency_at, special_of, spot_of
+from .branch import Branch, Segment, frequency_at, scene_at, special_of, spot_of
 from .impossible import require_damped, require_possible
 
 START = End.START.reason()
@@ -123,7 +123,7 @@ def _columns(one, name, widest, place):
         "multiplier_imag": found.imag,
         "stable": (abs(found) < 1.0 - MARGIN).all(axis=1).astype(np.int8),
         "least_speed": slow.min(axis=1, initial=np.inf),
-        "least_clearance": look.clear.min(axis=(1, 2)),
+        "least_clearance": look.clear.min(axis=(1, 2), initial=np.inf),
         "residual": one.points.residual,
         "time_slope": impacts(turn[:, :count] if rows else slow, np.nan),
         "speed_slope": impacts(quick, np.nan),
@@ -162,7 +162,7 @@ def _special(scene, name, bounds, mark, place, row):
     kind = mark.kind
     if kind == "BP" and is_symmetric(scene):
         spot = spot_of(row, name)
-        kind = "SB" if is_own_image(spot, frequency_at(scene, name, spot.value)) else kind
+        kind = "SB" if is_own_image(scene_at(scene, name, spot.value), spot) else kind
     joins, aside = ([_joined(way) for way in mark.more.exits], mark.more.aside) if mark.more else ((), ())
     return special_of(scene, name, bounds, place, row, kind, mark.residual, joins, aside)
 

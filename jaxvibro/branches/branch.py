@@ -84,7 +84,7 @@ class Special(SpecialOrbit):
     @cached_property
     def normal_form(self) -> NormalForm | None:
         """The `NormalForm` of an SN, PD, SB or GR: on which side the others are, and the consequence. None of other
-        kinds, and where the equations are too singular to say."""
+        kinds, of an orbit without impacts but at a GR, and where the equations are too singular to say."""
         given = self.kind, self.name, self.scene, self.spot, self.multipliers, self.joins
         return self.saved or forms.normal_form(*given)
 

@@ -48,7 +48,7 @@ def require_possible(special):
         if product < 1.0 - rounding:
             damped.append((one, product))
     for one, product in damped:
-        if one.kind == "PD" and is_symmetric(one.scene) and is_own_image(one.spot, float(one.scene.frequency)):
+        if one.kind == "PD" and is_symmetric(one.scene) and is_own_image(one.scene, one.spot):
             raise ImpossibleError("PD of an orbit that is its own mirror image", one.name, one.value, product)
     for (one, product), (other, _) in combinations(damped, 2):
         if tuple(sorted((one.kind, other.kind))) in PAIRS and _is_one(one, other):

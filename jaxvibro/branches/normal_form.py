@@ -49,9 +49,10 @@ class NormalForm:
 
 
 def normal_form(kind, name, scene, spot, roots, joins):
-    """The `NormalForm` of a special point, None of other kinds, and where its equations are too singular to say. scene:
-    at the point; spot: its orbit; roots: the multipliers; joins: `OrbitPoint`s of the orbits that meet at a GR."""
-    if kind not in KINDS:
+    """The `NormalForm` of a special point, None of other kinds, of one of an orbit without impacts but a GR, and where
+    its equations are too singular to say. scene: at the point; spot: its orbit; roots: the multipliers; joins:
+    `OrbitPoint`s of the orbits that meet at a GR."""
+    if kind not in KINDS or (kind != "GR" and not len(spot.times)):
         return None
     try:
         with np.errstate(all="ignore"):

@@ -103,12 +103,13 @@ class BranchWatch(OrbitWatch):
     def events(self, task, points, view, known, end):
         """Where the contact at the end has no speed each test is zero: it is given the sign that the multipliers come
         there with."""
-        flip, tangent = view.flip, points.tangent
+        hits, tangent = len(self.equations.cycle.sides), points.tangent
+        flip = view.flip if hits else 1.0 + view.trace + view.determinant
         if end is not None and soft_grazing.is_singular(self.equations, end.mark.more.touches):
             doubled, folded = (1.0 + sign * view.trace[-2:] + view.determinant[-2:] for sign in (1.0, -1.0))
             flip = np.append(flip[:-1], flip[-2] * _turned(*doubled))
             tangent = np.vstack([tangent[:-1], tangent[-2] * _turned(*folded)])
-        values = {"PD": flip} if len(self.equations.cycle.sides) else {}
+        values = {"PD": flip} if hits or self.equations.scene.force is not None else {}  # none under a spring
         found = event_search.events(
             task.problem, points._replace(tangent=tangent), values, task.control, task.args, known
         )

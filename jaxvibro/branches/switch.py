@@ -158,6 +158,9 @@ def _doubled(special, along, z):
     spot, span = special.spot, special.spot.periods * 2.0 * np.pi / float(special.scene.frequency)
     late = np.concatenate([spot.times, spot.times + span])
     twice = along._replace(cycle=along.cycle._replace(periods=np.asarray(2.0 * spot.periods)))
+    if not count:  # of z = (x, v, the parameter)
+        tangent = np.append(null, 0.0)
+        return [(twice, start_point(z, tangent / np.linalg.norm(scales(twice, scene_length(special.scene)) * tangent)))]
     listed = zip(late, np.tile(spot.speeds, 2), np.tile(spot.sides, 2), strict=True)
     twice = twice._replace(cycle=padded(twice, list(listed)))
     wide = len(twice.cycle.sides)

@@ -104,6 +104,9 @@ def equations(start, names, whole=False):
     each touch, which leaves the others out. A tuple of names is one, of several that have one value. whole: of the
     whole orbit, be it symmetric, unless an SB asks for half of it. Raises ArgumentError."""
     scene, spot = start.scene, start.spot
+    if start.kind != "GR" and not len(spot.times):
+        rule = "must be one of an orbit with impacts: of others a GR alone has derivatives and a locus"
+        raise check.ArgumentError("special", rule, f"{start.kind} without impacts")
     impacts = _impacts(start)
     values = [tied(scene, name) for name in names]
     numbered, which = marked(scene, *names)
@@ -165,7 +168,7 @@ def _is_half(start, impacts, names):
         return False
     times, speeds, sides = np.array(impacts).T
     whole = start.spot._replace(times=times, speeds=speeds, sides=sides)
-    return is_own_image(whole, float(start.scene.frequency))
+    return is_own_image(start.scene, whole)
 
 
 def impacts_of(curve, zs):

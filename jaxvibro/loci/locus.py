@@ -171,7 +171,7 @@ def _data(names, one):
     per_impact = {"time": (times, "since phase 0", TIME), "speed": (speeds, "abs(y- - v_b)", SPEED)}
     plain = {
         "least_speed": (speed, "of the impacts but for that which grazes", SPEED),
-        "least_clearance": (look.clear.min(axis=(1, 2)), "at turning points, inf: none", LENGTH),
+        "least_clearance": (look.clear.min(axis=(1, 2), initial=np.inf), "at turning points, inf: none", LENGTH),
         "residual": (one.points.residual, "largest error left in the equations", LENGTH),
     }
     columns = {name: ("point", z[:, 2 * rows + k], {"long_name": "a parameter"}) for k, name in enumerate(names)}

@@ -54,6 +54,9 @@ def clearances(frame, found, samples):
     found: the `impact_equations.Flights`. Shapes (rows, walls); inf where there is none. Below 0 the flight passes
     through.
     """
+    if not frame.walls:
+        none = jnp.zeros((len(found.time), 0), found.time.dtype)
+        return none, none
     span = found.time / samples
     crest, cell, past = (jnp.stack(each) for each in zip(*_nearest(frame, found, span, samples), strict=True))
 

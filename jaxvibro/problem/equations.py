@@ -130,8 +130,13 @@ def _free(z, along):
     return left, slopes
 
 
+def _free_flip(z, along):
+    """M + I, singular where the period doubles."""
+    return _free(z, along)[1][:, :2] + 2.0 * jnp.eye(2, dtype=z.dtype)
+
+
 IMPACTS = Problem(impacts, cyclic_system.bordered, _plain, (Test("PD", _flip),), one_kernel, _hits)
-FREE = Problem(_free, bordered, _free, (), one_kernel)
+FREE = Problem(_free, bordered, _free, (Test("PD", _free_flip),), one_kernel)
 
 
 @singledispatch

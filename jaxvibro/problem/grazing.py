@@ -24,6 +24,7 @@ ASIDE = 1e-5, 1e-7  # steps, in scaled lengths, after which a branch that leaves
 SURE, LOOSE = 1e-12, 1e-10  # Newton's tolerance there, with impacts added and with none: slow ones leave rounding
 FLAT = 1e-6  # of a speed's or a distance's rate along a branch: as small is none
 ROUNDS = 12  # of Newton's steps to an orbit without impacts
+SINGULAR = 1e-7  # of the largest singular value: one as small is a direction that is not solved for
 FEW = 4  # touches at once, of which every choice is tried
 
 
@@ -164,7 +165,10 @@ def free_start(along, value, near):
     start = np.array([*(near if of_force and np.isfinite(near).all() else (0.0, 0.0)), value])
     for _ in range(ROUNDS if of_force else 1):
         rest, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), start, along))
-        step = np.linalg.solve(slopes[:, :2], rest)
+        matrix = slopes[
+            :, :2
+        ]  # at a fold or a branch point, which a force may have, no step leads along its null vector
+        step = np.linalg.lstsq(matrix, rest, SINGULAR)[0] if of_force else np.linalg.solve(matrix, rest)
         start[:2] -= step
         if abs(step).max() <= locate.SMALL * (1.0 + abs(start).max()):
             break

@@ -6,6 +6,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from continuation import locate
+
 from ..maps import itinerary as words
 from ..orbits.by_impacts import by_section
 from ..orbits.impact_equations import Cycle
@@ -15,7 +17,7 @@ from ..scene.codes import Status
 from ..scene.parameters import marked
 from ..scene.state import Impacts, State
 from .diagnostics import diagnose
-from .equations import OrbitEquations
+from .equations import OrbitEquations, problem
 from .grazing import free_start, padded
 
 SAME = 1e-6  # of the largest speed: two impacts as near are one
@@ -46,10 +48,24 @@ def impacts(spot, frequency, length=None):
     return meetings(frequency, spot.times, spot.sides, spot.speeds, length or spot.speeds.max(initial=0.0) or 1.0)
 
 
-def is_own_image(spot, frequency):
-    """Whether an orbit is its own mirror image."""
-    points = impacts(spot, frequency)
+def is_own_image(scene, spot):
+    """Whether an orbit of a symmetric scene, at the point, is its own mirror image."""
+    if not len(spot.times) and scene.force is not None:
+        return _turns_back(scene, spot)
+    points = impacts(spot, float(scene.frequency))
     return is_same_orbit(points, mirrored(points), SAME)
+
+
+def _turns_back(scene, spot):
+    """Whether an orbit without impacts is at -x, -v after half of its periods; of an even number of them none is its
+    own image."""
+    if spot.periods % 2 == 0:
+        return False
+    blank, value = np.zeros(0), float(scene.amplitude)
+    cycle = Cycle(blank, blank, blank, *_numbers(0.0, 0.5 * spot.periods))
+    half, start = OrbitEquations(*marked(scene, "amplitude"), cycle), np.array([spot.x, spot.v])
+    moved, _ = locate.evaluated(problem(half), np.append(start, value), half)
+    return bool(abs(np.asarray(moved) + 2.0 * start).max() <= SAME * (1.0 + abs(start).max()))
 
 
 def described_orbit(scene, spot):

@@ -13,7 +13,7 @@ import numpy as np
 from . import check
 from .force import LOOSEST, TIGHTEST, Force, of_row, trace
 from .force_trace import without_rule
-from .named_forces import NAMED, knots, named, tabulated
+from .named_forces import NAMED, knots, named, tabulated, takes
 
 PLACES = 64  # at which a force is looked at
 SAME = 1e-9  # of a force's size: as much may it differ a period later
@@ -22,6 +22,11 @@ ONES = 4  # scenes of a batch whose forces are looked at
 WITHOUT_SERIES = "Dopri8"  # the solver of a force that has an operation without a Taylor series
 TIGHTEST_OF_SOLVERS = 1e-14
 FASTEST = 1e4  # the rate of a force, over the drive's period, that explicit steps can follow
+ADVICE = {  # for what JAX raises
+    "TracerBoolConversionError": "no if, and, or, while on t, x, v or its numbers",
+    "ConcretizationTypeError": "jax.numpy in place of math, and no float()",
+    "TracerArrayConversionError": "jax.numpy in place of numpy",
+}
 
 
 def check_force(force, number, dtype):
@@ -31,7 +36,7 @@ def check_force(force, number, dtype):
     number: (key, value) -> the array; dtype: its type.
     """
     if not isinstance(force, Force):
-        raise check.ArgumentError("force", "must be a Force or None", force)
+        raise check.ArgumentError("force", "must be a Force or None: jv.Force(function, {name: number})", force)
     function = force.function
     if isinstance(function, str):
         if function not in NAMED:
@@ -46,6 +51,10 @@ def check_force(force, number, dtype):
     for name in force.numbers:
         if not isinstance(name, str) or not name.isidentifier():
             raise check.ArgumentError("force.numbers", "names must be letters, digits and _", name)
+    wanted = takes(function, force.numbers)
+    if wanted is not None:
+        given = ", ".join(force.numbers) or "none"
+        raise check.ArgumentError("force.numbers", f"those of {named(function)} are {wanted}", given)
     tolerance = force.tolerance
     if not isinstance(tolerance, float) or not TIGHTEST <= tolerance <= LOOSEST:
         raise check.ArgumentError("force.tolerance", f"must be a number from {TIGHTEST} to {LOOSEST}", tolerance)
@@ -204,16 +213,31 @@ def _traced(function, names, dtype):
     """Whether the force depends on t; refused where it cannot be traced, or is another each time it is."""
     try:
         first, second = (trace(function, names, dtype) for _ in range(2))
+        form = jax.eval_shape(of_row(function, names), *[jax.ShapeDtypeStruct((), dtype)] * (3 + len(names)))
     except Exception as error:
-        reason = check.short(f"{type(error).__name__}: {error}", 160)
-        raise check.ArgumentError("force", f"cannot be traced by JAX ({reason})", function) from None
+        raise check.ArgumentError("force", f"cannot be traced by JAX ({_why(error, names)}", named(function)) from None
     results = first.out_avals
-    if len(results) != 1 or results[0].shape != () or results[0].dtype != dtype:
-        told = ", ".join(f"{one.dtype}{list(one.shape)}" for one in results)
+    alone = jax.tree.structure(form) == jax.tree.structure(0.0)
+    if not alone or results[0].shape != () or results[0].dtype != dtype:
+        told = ", ".join(f"{one.dtype}{list(one.shape)}" for one in results) or "nothing"
+        told = told if alone or not results else f"{type(form).__name__} of {told}"
         raise check.ArgumentError("force", f"must return one number of type {dtype}, of numbers", told)
     alike = len(first.consts) == len(second.consts)
     alike = alike and all(np.array_equal(a, b) for a, b in zip(first.consts, second.consts, strict=True))
     if not alike or str(first) != str(second):
-        raise check.ArgumentError("force", "must be the same each time: it depends on something besides", function)
+        raise check.ArgumentError(
+            "force", "must be the same each time: it depends on something besides", named(function)
+        )
     time = first.jaxpr.invars[0]
     return any(each is time for eqn in first.jaxpr.eqns for each in eqn.invars) or first.jaxpr.outvars[0] is time
+
+
+def _why(error, names):
+    """The name of what was raised while a force was traced, what it says, and the advice that there is for it."""
+    name = type(error).__name__
+    if name in ADVICE:
+        return f"{name}): {ADVICE[name]}"
+    reason = check.short(f"{name}: {error}", 160) + ")"
+    if isinstance(error, KeyError):
+        return f"{reason}: its numbers are {', '.join(names) or 'none'}"
+    return f"{reason}: it is called with (t, x, v, numbers)" if "positional argument" in reason else reason

@@ -1,5 +1,7 @@
 """Forces with names, which scene files may ask for: accelerations of (t, x, v, numbers), in units of w0."""
 
+import re
+
 import jax.numpy as jnp
 
 
@@ -53,6 +55,23 @@ def knots(numbers):
 
 
 NAMED = {each.__name__: each for each in (duffing, polynomial, pendulum, stribeck, van_der_pol, tabulated)}
+
+NUMBERS = {
+    duffing: ("cubic", "damping"),
+    pendulum: ("damping",),
+    stribeck: ("belt", "low", "high", "slip", "smooth"),
+    van_der_pol: ("gain",),
+}
+COEFFICIENT = re.compile(r"c(0|[1-9]\d?)")
+
+
+def takes(function, names):
+    """None where a force of ours takes numbers of these names, and where it is none of ours; else which it takes."""
+    if function is polynomial:
+        others = [name for name in names if not COEFFICIENT.fullmatch(name)]
+        return None if others == ["damping"] else "c0, c1, c2, ... c99, those that are to be, and damping"
+    known = NUMBERS.get(function)
+    return None if known is None or set(names) == set(known) else ", ".join(known)
 
 
 def name_of(function):
