@@ -10,6 +10,7 @@ from typing import NamedTuple
 from mpmath import mp, mpf
 
 GUARD = 24  # bits beyond the digits asked for
+NOISE = 32  # units, by which the value of a series may be off
 FINEST = 60  # halvings of a step at most, to tell its turning points apart
 MOST = 400  # impacts, by default
 
@@ -240,6 +241,8 @@ def root(n, terms, slopes, low, high):
     place = (low + high) // 2
     for _ in range(4 * n.bits):
         value, slope = n.at(terms, place), n.at(slopes, place)
+        if abs(value) <= NOISE:
+            return place
         if (value > 0) is not falls:
             high = place
         else:
