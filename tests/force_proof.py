@@ -26,7 +26,7 @@ SERIES = 1e-12, 1e-9, 1e-6
 DEPTH = 100.0  # tolerances, times scale and growth: so near a wall a flight is left out
 SLOTS = 64  # impacts a period at most
 ALLOWED = 20.0  # the same, where the reference is exact
-APART = mpf(10) ** -20  # of states, for a derivative
+APART, FEW = mpf(10) ** -8, 20  # of states, for a derivative's size, and digits
 STRUCTURES = 1, 2  # of walls in `series`: two, one of them moving, and one
 RANGES = {
     "duffing": {"cubic": (-0.3, 3.0), "damping": (0.0, 1.2)},
@@ -178,9 +178,10 @@ def plain_walls(walls, k):
 def with_norm(given, x, v, phase):
     """(`Flown`, the largest entry of the derivative of its end by its start, from differences)."""
     true, norm = own_force.flown(*given, x, v, phase=phase, most=SLOTS), 0.0
-    for change in ((APART, 0), (0, APART)):
-        other = own_force.flown(*given, mpf(x) + change[0], mpf(v) + change[1], phase=phase, most=SLOTS)
-        norm = max(norm, *(abs(float((b - a) / APART)) for a, b in zip(true.end, other.end, strict=True)))
+    with mpmath.workdps(FEW):
+        for change in ((APART, 0), (0, APART)):
+            other = own_force.flown(*given, mpf(x) + change[0], mpf(v) + change[1], phase=phase, most=SLOTS)
+            norm = max(norm, *(abs(float((b - a) / APART)) for a, b in zip(true.end, other.end, strict=True)))
     return true, norm
 
 

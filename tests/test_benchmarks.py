@@ -163,7 +163,7 @@ def test_our_own_sides_map_as_the_reference_does():
 
 @pytest.mark.slow
 def test_duffings_oscillator_is_mapped_as_the_reference_does():
-    states = draw(24)
+    states = draw(32)  # a multiple of heyoka's lanes
     true = truth.duffing(states)
     assert true.judged.sum() > 12
     answers = [ours.read(ours.prepare_duffing(states, 1e-13)())]
