@@ -22,7 +22,7 @@ STYLES = {
     "heyoka, scalar": ("#56B4E9", "v"),
     "paper's RK4": ("#009E73", "s"),
     "diffrax Tsit5": ("#E69F00", "D"),
-    "diffrax Dopri8": ("#F0E442", "h"),
+    "diffrax Dopri8": ("#8C6000", "h"),
     "diffrax Kvaerno5": ("#8C6000", "d"),
     "SciPy DOP853": ("#7F7F7F", "^"),
     "SciPy RK45": ("#009E73", "^"),

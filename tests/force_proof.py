@@ -24,8 +24,9 @@ jax.config.update("jax_enable_x64", True)
 TOLERANCES = 1e-13, 1e-9, 1e-6
 SERIES = 1e-12, 1e-9, 1e-6
 DEPTH = 100.0  # tolerances, times scale and growth: so near a wall a flight is left out
+SLOTS = 64  # impacts a period at most
 ALLOWED = 20.0  # the same, where the reference is exact
-APART = mpf(10) ** -20  # of states, for a derivative
+APART, FEW = mpf(10) ** -8, 20  # of states, for a derivative's size, and digits
 STRUCTURES = 1, 2  # of walls in `series`: two, one of them moving, and one
 RANGES = {
     "duffing": {"cubic": (-0.3, 3.0), "damping": (0.0, 1.2)},
@@ -114,7 +115,7 @@ def series(count, seed=0, digits=40):
                 )
                 for each in SERIES
             }
-            found = {each: jax.tree.map(np.asarray, jv.strobe(one, state, slots=64)) for each, one in scenes.items()}
+            found = {each: jax.tree.map(np.asarray, jv.strobe(one, state, slots=SLOTS)) for each, one in scenes.items()}
             with mpmath.workdps(digits):
                 for k in range(some):
                     given = own_force.FORCES[kind], {name: each[k] for name, each in numbers.items()}
@@ -176,10 +177,11 @@ def plain_walls(walls, k):
 
 def with_norm(given, x, v, phase):
     """(`Flown`, the largest entry of the derivative of its end by its start, from differences)."""
-    true, norm = own_force.flown(*given, x, v, phase=phase), 0.0
-    for change in ((APART, 0), (0, APART)):
-        other = own_force.flown(*given, mpf(x) + change[0], mpf(v) + change[1], phase=phase)
-        norm = max(norm, *(abs(float((b - a) / APART)) for a, b in zip(true.end, other.end, strict=True)))
+    true, norm = own_force.flown(*given, x, v, phase=phase, most=SLOTS), 0.0
+    with mpmath.workdps(FEW):
+        for change in ((APART, 0), (0, APART)):
+            other = own_force.flown(*given, mpf(x) + change[0], mpf(v) + change[1], phase=phase, most=SLOTS)
+            norm = max(norm, *(abs(float((b - a) / APART)) for a, b in zip(true.end, other.end, strict=True)))
     return true, norm
 
 

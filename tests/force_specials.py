@@ -11,7 +11,7 @@ from .reference import own_force_points as reference
 KINDS = ("SN", "SB", "PD", "GR")
 ALONG = {"amplitude": (0.0, 6.0), "force.cubic": (-0.3, 6.0)}
 POINTS = 12  # of a branch, whose orbits are solved anew
-MOST = 3, 8  # periods, impacts
+MOST = 1, 2  # periods, impacts: others are compiled each by themselves
 
 
 def duffing(walls=(-1.0, 1.0), amplitude=2.0, cubic=0.5, damping=0.05, frequency=2.1, restitution=0.7):

@@ -1,7 +1,8 @@
-"""Nearest bifurcations of random designs: `python -m tests.margin_proof loci N`, `... rays N`.
+"""Nearest bifurcations of random designs: `python -m tests.margin_proof loci N`, `... rays N`, `... force N`.
 
 loci: in two numbers, against the curves of special points that are traced in them. rays: in three to five numbers,
-against where the orbit ends along 500 other ways, and Newton's method from other ends of ways.
+against where the orbit ends along 500 other ways, and Newton's method from other ends of ways. force: as loci, in the
+amplitude and the cubic term of Duffing oscillators between two walls that both are hit once a period.
 """
 
 import sys
@@ -11,9 +12,11 @@ import numpy as np
 
 import jaxvibro as jv
 from tests.branch_proof import scene_of
+from tests.force_specials import duffing
 
 NAMES = ("amplitude", "frequency", "damping", "right.position", "restitution")
 UNITS = {"amplitude": 0.5, "frequency": 0.2, "damping": 0.1, "right.position": 0.2, "restitution": 0.2}
+UNITS |= {"force.cubic": 0.5}
 FIT = 2  # points on either side of the nearest, through which a polynomial is laid
 
 
@@ -30,6 +33,20 @@ def designs(rng, sizes):
         names = [name for name in NAMES if name in scene.names]
         names = rng.choice(names, rng.choice(sizes), replace=False)
         yield orbit, {str(name): UNITS[name] for name in names}
+
+
+def duffings(rng):
+    """The same of Duffing oscillators; what is compiled is the same for all."""
+    while True:
+        walls = (-rng.uniform(0.8, 1.2), rng.uniform(0.8, 1.2))
+        ends = {"amplitude": (2.0, 4.5), "cubic": (0.2, 1.0), "damping": (0.03, 0.15), "frequency": (1.8, 2.6)}
+        scene = duffing(walls, restitution=0.7, **{name: rng.uniform(*each) for name, each in ends.items()})
+        try:
+            orbit = jv.find_orbit(scene, jv.State(walls[1] - 0.1, 0.0))
+        except (jv.OrbitError, jv.ArgumentError):
+            continue
+        if orbit.label == "P111":
+            yield orbit, {name: UNITS[name] for name in ("amplitude", "force.cubic")}
 
 
 def nearest_on(locus, orbit, free):
@@ -85,13 +102,13 @@ def main(what, count, seed=0):
     jax.config.update("jax_enable_x64", True)
     rng, worst, left, kinds = np.random.default_rng(seed), 0.0, 0, {}
     found = 0
-    for orbit, free in designs(rng, (2,) if what == "loci" else (3, 4, 5)):
+    for orbit, free in duffings(rng) if what == "force" else designs(rng, (2,) if what == "loci" else (3, 4, 5)):
         near = jv.margin(orbit, free)
         if not near.points or near.points[0].at_bound:
             continue
         found += 1
         kinds[near.points[0].kind] = kinds.get(near.points[0].kind, 0) + 1
-        if what == "loci":
+        if what != "rays":
             try:
                 error = by_loci(orbit, near, free)
             except (jv.OrbitError, jv.ArgumentError, ArithmeticError) as problem:

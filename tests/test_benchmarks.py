@@ -11,9 +11,23 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from benchmarks import harness, kernel, limit, ours, page, pictures, scenes, truth
+from benchmarks import (
+    harness,
+    heyoka_batch,
+    heyoka_scalar,
+    kernel,
+    limit,
+    ours,
+    own_force,
+    page,
+    pictures,
+    scenes,
+    scipy_ivp,
+    truth,
+)
 from benchmarks.rows import Row, Size, Topic
-from benchmarks.work import draw
+from benchmarks.sides import OURS
+from benchmarks.work import CUBIC, draw
 from continuation import in_numpy
 from jaxvibro.scene.codes import Status
 
@@ -145,6 +159,34 @@ def test_our_own_sides_map_as_the_reference_does():
         assert (recorded is not None) == sides
         verdict = truth.judge(ends, recorded, true)
         assert verdict.wrong == 0 and verdict.worst < 1e-11 and verdict.judged > 12
+
+
+@pytest.mark.slow
+def test_duffings_oscillator_is_mapped_as_the_reference_does():
+    states = draw(32)  # a multiple of heyoka's lanes
+    true = truth.duffing(states)
+    assert true.judged.sum() > 12
+    answers = [ours.read(ours.prepare_duffing(states, 1e-13)())]
+    for strobe in (heyoka_batch.strobe, heyoka_scalar.strobe, scipy_ivp.strobe):
+        answer = strobe(states, 1e-12, cubic=CUBIC)
+        answers.append((answer.ends, answer.sides))
+    for answer in answers:
+        verdict = truth.judge(*answer, true)
+        assert verdict.wrong == 0 and verdict.worst < 1e-9
+
+
+def test_at_equal_error_the_cheapest_of_ours_that_is_as_exact_is_what_counts():
+    def judged(method, setting, own, error):
+        timing = harness.Timing(np.array([own, own]), np.array([10.0, 10.0]), 0.0, None, None)
+        side = harness.Side(method, setting, 4, None, None)
+        return side, timing, truth.Verdict(4, 0, error, error, error)
+
+    mine = [judged(OURS, "tol 1e-13", 10.0, 1e-13), judged(OURS, "tol 1e-06", 5.0, 1e-7)]
+    others = [judged("SciPy DOP853", "a", 5000.0, 1e-6), judged("SciPy DOP853", "b", 9000.0, 1e-9)]
+    more = [judged("heyoka, batch", "c", 30.0, 1e-15), judged("diffrax Dopri8", "d", 100.0, 1e-13)]
+    diffrax, scipy, heyoka = own_force.rows(mine + others + more)
+    assert (diffrax.found[0], scipy.found[0], heyoka.found) == (10.0, 900.0, None)
+    assert scipy.kept and not diffrax.kept and heyoka.remark == own_force.UNLIKE
 
 
 @pytest.mark.parametrize("work", [kernel.Work(8), kernel.Work(8, walls=1), kernel.Work(8, moving=True)])

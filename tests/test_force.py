@@ -15,7 +15,8 @@ from jaxvibro.flight import traced_force
 from jaxvibro.flight.series import RULES, Series
 from jaxvibro.scene.symmetry import is_symmetric
 
-from .reference import own_force
+from .force_specials import solved
+from .reference import own_force, own_force_points
 
 DAMPING, OMEGA, R = 0.05, 2.1, 0.7
 NUMBERS = {
@@ -314,45 +315,14 @@ def test_slopes_of_special_points_by_a_forces_numbers_are_those_by_the_springs()
     assert abs(gradients[0].frequency - gradients[1].frequency) < 1e-10
 
 
-def _by_digits(scene, point, sign):
-    """The step to a special point by Newton's method in many digits: x, v and the amplitude."""
-
-    def map_of(x, v, amplitude):
-        numbers = {name: float(value) for name, value in scene.force.numbers.items()}
-        given = amplitude, OMEGA, (-1.0, 1.0), R, x, v, point.orbit.periods
-        return own_force.flown(own_force.duffing, numbers, *given)[0]
-
-    def left(u):
-        step = mpf(10) ** -9
-        (a, c), (b, d) = (
-            [
-                (p - q) / (2 * step)
-                for p, q in zip(map_of(*_moved(u, k, step)), map_of(*_moved(u, k, -step)), strict=True)
-            ]
-            for k in (0, 1)
-        )
-        x, v = map_of(*u)
-        return mp.matrix([x - u[0], v - u[1], 1 - sign * (a + d) + a * d - b * c])
-
-    start = [mpf(point.orbit.state.x), mpf(point.orbit.state.v), mpf(point.value)]
-    step = mpf(10) ** -6
-    columns = [(left(_moved(start, k, step)) - left(_moved(start, k, -step))) / (2 * step) for k in range(3)]
-    return mp.lu_solve(mp.matrix([[columns[k][row] for k in range(3)] for row in range(3)]), left(start))
-
-
-def _moved(u, k, step):
-    return [each + (step if place == k else 0) for place, each in enumerate(u)]
-
-
 @pytest.mark.slow
 def test_special_points_of_duffing_are_those_of_newtons_method_in_many_digits():
-    scene = own("duffing")
-    branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (0.0, 6.0))
-    doubling = jv.switch(branch.points("SB")[0])[0].points("PD")[0]
-    with mpmath.workdps(28):
-        for point, sign in ((branch.points("SN")[0], 1), (doubling, -1)):
-            assert point.orbit.state.phase == 0
-            assert abs(_by_digits(scene, point, sign)[2]) < 1e-10
+    branch = jv.follow(jv.find_orbit(own("duffing"), jv.State(0.9, -1.1)), "amplitude", (0.0, 6.0))
+    points = [branch.points(kind)[0] for kind in ("SN", "SB", "GR")]
+    points.append(jv.switch(points[1])[0].points("PD")[0])
+    with mpmath.workdps(own_force_points.DIGITS):
+        for point in points:
+            assert abs(solved(point)[1][2] - point.value) < 1e-11
 
 
 @pytest.mark.slow

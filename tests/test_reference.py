@@ -8,7 +8,7 @@ import pytest
 from flint import arb, ctx
 from mpmath import mp, mpf, nstr, odefun
 
-from tests.reference import ball, closed, contacts, draws, flights, orbit, plain, search
+from tests.reference import ball, closed, contacts, draws, flights, orbit, own_force, plain, search
 from tests.reference.scene import Motion, Scene, Wall
 
 
@@ -50,6 +50,28 @@ def test_flow_against_an_ode_solver(gamma, omega):
         expected = solve(mpf(0.9))
         got = [to_mp(value) for value in ball.flow(gamma, omega, 3.0, 0.7, 0.3, -1.1, 0.9)]
         assert max(abs(a - b) for a, b in zip(expected, got, strict=True)) < 1e-26
+
+
+def test_series_of_whole_numbers_are_the_exact_flow_where_the_force_is_a_spring():
+    """Duffing's without its cubic term, one wall or two, some of which move."""
+    checked = 0
+    for _, (scene, x, v, phase), record in fair_draws(range(12)):
+        walls, numbers = [None, None], {"cubic": 0, "damping": scene.gamma}
+        bounces = [0, 0]
+        for side, wall in scene.walls():
+            place = side > 0
+            bounces[place] = wall.restitution
+            walls[place] = wall.position if wall.motion is None else (wall.position, *wall.motion)
+        with mp.workdps(34):
+            given = scene.amplitude, scene.omega, walls, tuple(bounces), x, v
+            found = own_force.flown(own_force.duffing, numbers, *given, phase=phase)
+            assert [side for _, side, _ in found.hits] == record.sides
+            true = [record.x, record.v] + [b for pair in zip(record.times, record.speeds, strict=True) for b in pair]
+            mine = [*found.end, *(each for time, _, speed in found.hits for each in (time, speed))]
+            apart = max(abs(a - to_mp(b)) for a, b in zip(mine, true, strict=True))
+            assert apart < 1e-25 * record.scale * (1 + record.norm)
+            checked += bool(record.sides)
+    assert checked > 5
 
 
 def test_the_two_exact_flows_agree():

@@ -10,6 +10,7 @@ from typing import NamedTuple
 from mpmath import mp, mpf
 
 GUARD = 24  # bits beyond the digits asked for
+NOISE = 32  # units, by which the value of a series may be off
 FINEST = 60  # halvings of a step at most, to tell its turning points apart
 MOST = 400  # impacts, by default
 
@@ -145,7 +146,7 @@ def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, p
         ahead = {side: [side * (a - b) for a, b in zip(terms, way, strict=True)] for side, way in ways.items()}
         if touched:
             ahead[touched][0] = 0
-        step = reach(n, terms, end - t, ahead, shallow)
+        step = reach(n, [terms, *ways.values()], end - t, ahead, shallow)
         found = []
         for side, clearance in ahead.items():
             hit, some = first(n, clearance, step, shallow)
@@ -176,12 +177,13 @@ def course(n, wall, omega, angle, count):
     return [terms[0] + n.of(position), *terms[1:]]
 
 
-def reach(n, terms, longest, ahead, shallow):
-    """A step over which the series is good, at whose end the mass is not about to touch."""
+def reach(n, some, longest, ahead, shallow):
+    """A step over which some series are good, at whose end the mass is not about to touch."""
     unit, step = 10 ** (-mpf(mp.dps)), 1 << n.bits
-    for k in (len(terms) - 2, len(terms) - 1):
-        if terms[k]:
-            step = min(step, n.of((unit / abs(n.back(terms[k]))) ** (mpf(1) / k)))
+    for terms in some:
+        for k in (len(terms) - 2, len(terms) - 1):
+            if terms[k]:
+                step = min(step, n.of((unit / abs(n.back(terms[k]))) ** (mpf(1) / k)))
     if step >= longest:
         return longest
     while shallow and any(abs(n.at(clearance, step)) <= 2 * shallow for clearance in ahead.values()):
@@ -239,6 +241,8 @@ def root(n, terms, slopes, low, high):
     place = (low + high) // 2
     for _ in range(4 * n.bits):
         value, slope = n.at(terms, place), n.at(slopes, place)
+        if abs(value) <= NOISE:
+            return place
         if (value > 0) is not falls:
             high = place
         else:

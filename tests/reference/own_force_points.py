@@ -7,10 +7,10 @@ from mpmath import mp, mpf
 
 from . import own_force
 
-APART = mpf(10) ** -14  # of states, for the map's derivative: right to 28 digits
-STEP = mpf(10) ** -8  # of unknowns and numbers, for derivatives of equations: right to 15
+APART = mpf(10) ** -11  # of states, for the map's derivative: right to 22 digits
+STEP = mpf(10) ** -8  # of unknowns and numbers, for derivatives of equations: right to 13
 SHALLOW = mpf(10) ** -5  # no impact where the mass turns back so little behind a wall
-DIGITS, CLOSE = 50, mpf(10) ** -24
+DIGITS, CLOSE = 40, mpf(10) ** -18
 TRIES = 8
 
 
