@@ -121,7 +121,7 @@ def whole(scene):
     that is the same for all scenes with walls of these kinds."""
     own = {f"{side}.{name}": scene.parameter(name) for side, wall in scene.walls.items() for name in wall.taken}
     scene = changed(scene, own)
-    if scene.soft_sides and scene.harder is None:
+    if scene.hardens and scene.harder is None:
         scene = replace(scene, harder=jnp.zeros_like(scene.amplitude))
     return jax.tree.map(partial(jnp.asarray, dtype=scene.dtype), scene)
 

@@ -14,7 +14,7 @@ from ..scene.scale import swift
 from . import flow
 from .event import TERMS, weights
 from .soft_contact import SoftFlow, contact
-from .traced_force import without_rule
+from .traced_force import is_series_of_root, without_rule
 from .wall import Lane, extent, lane, tail
 
 SIDES = (-1, 1)
@@ -29,7 +29,8 @@ class Frame(NamedTuple):
     length of the scene, the walls' distances and A together, to measure rounding by; curb, slope: abs x^(8) is at most
     curb + slope (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall;
     rushes: bounds on the change of the press on each; gap: the walls are never nearer to each other; contacts: the
-    `soft_contact.SoftFlow` within each wall, None for rigid ones.
+    `soft_contact.SoftFlow` within each wall, under a force of the user's own its `Lane` (`pushed_flow`), None for rigid
+    ones.
 
     stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`). law: a force of
     the user's own; then damping and swift are 0, and what bounds the linear flow is None.
@@ -53,7 +54,7 @@ class Frame(NamedTuple):
     swings: tuple[Float[jax.Array, "..."], ...]
     rushes: tuple[Float[jax.Array, "..."], ...]
     gap: Float[jax.Array, "..."]
-    contacts: tuple[SoftFlow | None, ...] = ()
+    contacts: tuple[SoftFlow | Lane | None, ...] = ()
     stiffness: Float[jax.Array, "..."] | None = None
     root: Float[jax.Array, "..."] | None = None
     law: Force | None = None
@@ -62,6 +63,11 @@ class Frame(NamedTuple):
     def soft(self) -> bool:
         """Whether there is a soft wall."""
         return any(each is not None for each in self.contacts)
+
+    @property
+    def pushes(self) -> bool:
+        """Whether there is a soft wall, and stays in it are flown by themselves (`pushed_stay`)."""
+        return self.soft and self.law is not None
 
 
 def frame(scene):
@@ -109,6 +115,9 @@ def _of_force(scene):
     if unknown:
         told = f"has operations of which no Taylor series is known ({', '.join(unknown)})"
         raise check.SceneError("force", told, force.function)
+    for side, wall in scene.walls.items():
+        if wall.law is not None:
+            _require_series(f"{side}.law", wall.law, dtype)
     amplitude, frequency = (jnp.asarray(number, dtype) for number in (scene.amplitude, scene.frequency))
     walls = _walls(scene)
     fast = max((wall.harmonic for wall in walls if wall.swing is not None), default=1)
@@ -133,9 +142,20 @@ def _of_force(scene):
         swings=tuple(tail(wall, none, frequency, none, TERMS)[1] for wall in walls),
         rushes=(),
         gap=_gap(walls, amplitude),
-        contacts=(None,) * len(walls),
+        contacts=tuple(None if wall.restitution is not None else wall for wall in walls),
         law=jax.tree.map(lambda number: jnp.asarray(number, dtype), force),
     )
+
+
+def _require_series(key, law, dtype):
+    """Refuse the law of a wall that is no power series in the root of the depth."""
+    given = law.function, tuple(law.numbers), np.dtype(dtype)
+    unknown = without_rule(*given, 2)
+    if unknown:
+        told = f"has operations of which no Taylor series is known ({', '.join(unknown)})"
+        raise check.SceneError(key, told, law.function)
+    if not is_series_of_root(*given):
+        raise check.SceneError(key, "must be a power series in the root of the depth", law.function)
 
 
 def _walls(scene):
@@ -180,6 +200,8 @@ def is_valid(frame):
         finite &= jnp.isfinite(number)
     valid = (frame.frequency > 0) & (frame.damping >= 0)
     for wall in frame.walls:
+        if wall.law is not None:
+            continue
         if wall.stiffness is None:
             valid &= (wall.restitution >= 0) & (wall.restitution <= 1)
         else:

@@ -9,7 +9,7 @@ from jax.extend import core
 
 from ..compiled.compiler_hints import stage
 from ..scene.force import trace
-from .series import RULES, Series, added, times
+from .series import RULES, Series, Square, added, times
 
 INNER = ("jaxpr", "call_jaxpr")  # the operations of one that is a function of its own
 LOOPS = ("while", "scan", "cond")  # functions of their own that are not simply run once
@@ -22,10 +22,21 @@ traced = lru_cache(256)(trace)
 
 
 @lru_cache(256)
-def without_rule(function, names, dtype):
-    """The names of the operations of a force of which no Taylor series is known, as a tuple."""
-    closed = traced(function, names, dtype)
-    return tuple(sorted(_without(closed.jaxpr, [False] * 3 + [True] * len(names))[0]))
+def without_rule(function, names, dtype, given=3):
+    """The names of the operations of a force of which no Taylor series is known, as a tuple; given: as of `trace`."""
+    closed = traced(function, names, dtype, given)
+    return tuple(sorted(_without(closed.jaxpr, [False] * given + [True] * len(names))[0]))
+
+
+@lru_cache(256)
+def is_series_of_root(function, names, dtype):
+    """Whether the push of a wall is a power series in the root of the depth, also at the depth 0."""
+    closed, one = traced(function, names, dtype, 2), np.ones((), dtype)
+    with jax.ensure_compile_time_eval():
+        depth = Square(Series(lambda own, k: None, 0.0 * one, one))
+        rate = Series(lambda own, k: None, 0.3 * one, one)
+        (found,) = _run(closed, [depth, rate, *(Series(None, 0.7 * one) for _ in names)])
+        return all(found[k] is None or bool(jnp.isfinite(found[k])) for k in range(4))
 
 
 def _without(jaxpr, still):
@@ -78,6 +89,14 @@ def along(force, time, x, v):
     closed = traced(force.function, names, np.dtype(jnp.result_type(*jax.tree.leaves((x[0], v[0])))))
     numbers = [Series(None, force.numbers[name]) for name in names]
     (found,) = _run(closed, [time, x, v, *numbers])
+    return found
+
+
+def pushed(law, depth, rate):
+    """The `Series` of a wall's push, of a depth that is the `Square` of its root."""
+    names = tuple(law.numbers)
+    closed = traced(law.function, names, np.dtype(jnp.result_type(*jax.tree.leaves((depth[0], rate[0])))), 2)
+    (found,) = _run(closed, [depth, rate, *(Series(None, law.numbers[name]) for name in names)])
     return found
 
 
