@@ -12,6 +12,7 @@ _HOMES = {
     "Motion": "scene.scene",
     "make_scene": "scene.scene",
     "Force": "scene.force",
+    "Push": "scene.push",
     "SceneError": "scene.check",
     "ArgumentError": "scene.check",
     "scene_from_physical": "scene.physical",

@@ -64,6 +64,7 @@ from .scene.check import SceneError as SceneError
 from .scene.codes import SolutionStatus as SolutionStatus
 from .scene.force import Force as Force
 from .scene.physical import scene_from_physical as scene_from_physical
+from .scene.push import Push as Push
 from .scene.scene import Motion as Motion
 from .scene.scene import Scene as Scene
 from .scene.scene import Wall as Wall

@@ -114,7 +114,7 @@ def dissipates(scene):
     """Whether motions of a single scene draw together at all: it is damped, or a wall is not elastic. Of a force of the
     user's own it is taken for granted where the force depends on the speed."""
     if scene.force is not None:
-        return force_rates(scene)[1] > 0 or any(bool(scene.bounce(side) < 1) for side in scene.walls)
+        return force_rates(scene)[1] > 0 or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)
     damped = any(bool(scene.parameter(name) > 0) for name in scene.names if name.endswith("damping"))
     return damped or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)  # -1: a soft one
 

@@ -93,9 +93,12 @@ def of_cycle(built, given):
     begin, span = given.times, found.time
     if built.soft:
         inside = soft_contact.gives(built, given.sides)
-        here = soft_contact.felt(built, given.sides * float(Contact.WITHIN))
         stay = jnp.where(inside & hit, jnp.maximum(found.met.stay, 0.0), 0.0)
-        best = _highest(at, begin, stay, jnp.min(here.reach), best)
+        if built.pushes:
+            reach = jnp.maximum(jnp.max(stay), jnp.finfo(stay.dtype).tiny)
+        else:
+            reach = jnp.min(soft_contact.felt(built, given.sides * float(Contact.WITHIN)).reach)
+        best = _highest(at, begin, stay, reach, best)
         begin = begin + stay
     best = _highest(at, begin, span, built.reach, best)
     return jnp.max(jnp.where(hit, best, 0.0))

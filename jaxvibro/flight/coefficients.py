@@ -8,11 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..scene import check
 from ..scene.force import Force
+from ..scene.force_trace import without_rule
 from ..scene.scale import swift
 from . import drive, flow
 from .event import TERMS, weights
 from .soft_contact import SoftFlow, contact
+from .traced_force import is_series_of_root
 from .wall import Lane, extent, lane, tail
 
 SIDES = (-1, 1)
@@ -27,8 +30,8 @@ class Frame(NamedTuple):
     pace: 1 / reach, weights: reach^k / k!; size: a length of the scene, the walls' distances and the drive's amplitudes
     together, to measure rounding by; curb, slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a
     step, these at its start; tails, swings: see `wall.tail`, for each wall; rushes: bounds on the change of the press
-    on each; gap: the walls are never nearer to each other; contacts: the `soft_contact.SoftFlow` within each wall, None
-    for rigid ones.
+    on each; gap: the walls are never nearer to each other; contacts: the `soft_contact.SoftFlow` within each wall,
+    under a force of the user's own its `Lane` (`pushed_flow`), None for rigid ones.
 
     stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`). law: a force of
     the user's own; then damping and swift are 0, and what bounds the linear flow is None.
@@ -52,7 +55,7 @@ class Frame(NamedTuple):
     swings: tuple[Float[jax.Array, "..."], ...]
     rushes: tuple[Float[jax.Array, "..."], ...]
     gap: Float[jax.Array, "..."]
-    contacts: tuple[SoftFlow | None, ...] = ()
+    contacts: tuple[SoftFlow | Lane | None, ...] = ()
     stiffness: Float[jax.Array, "..."] | None = None
     root: Float[jax.Array, "..."] | None = None
     law: Force | None = None
@@ -62,6 +65,11 @@ class Frame(NamedTuple):
     def soft(self) -> bool:
         """Whether there is a soft wall."""
         return any(each is not None for each in self.contacts)
+
+    @property
+    def pushes(self) -> bool:
+        """Whether there is a soft wall, and stays in it are flown by themselves (`pushed_stay`)."""
+        return self.soft and self.law is not None
 
 
 def frame(scene):
@@ -108,6 +116,9 @@ def frame(scene):
 def _of_force(scene):
     """The `Frame` of a scene with a force of the user's own."""
     force, dtype = scene.force, scene.dtype
+    for side, wall in scene.walls.items():
+        if wall.law is not None:
+            _require_series(f"{side}.law", wall.law, dtype)
     amplitude, frequency = (jnp.asarray(number, dtype) for number in (scene.amplitude, scene.frequency))
     walls, terms = _walls(scene), drive.terms(scene, frequency, None)
     fast = max((wall.harmonic for wall in walls if wall.swing is not None), default=1)
@@ -133,10 +144,21 @@ def _of_force(scene):
         swings=tuple(tail(wall, none, frequency, none, TERMS)[1] for wall in walls),
         rushes=(),
         gap=_gap(walls, amplitude),
-        contacts=(None,) * len(walls),
+        contacts=tuple(None if wall.restitution is not None else wall for wall in walls),
         law=jax.tree.map(lambda number: jnp.asarray(number, dtype), force),
         terms=terms,
     )
+
+
+def _require_series(key, law, dtype):
+    """Refuse the law of a wall that is no power series in the root of the depth."""
+    given = law.function, tuple(law.numbers), np.dtype(dtype)
+    unknown = without_rule(*given, 2)
+    if unknown:
+        told = f"has operations of which no Taylor series is known ({', '.join(unknown)})"
+        raise check.SceneError(key, told, law.function)
+    if not is_series_of_root(*given):
+        raise check.SceneError(key, "must be a power series in the root of the depth", law.function)
 
 
 def _walls(scene):
@@ -182,6 +204,8 @@ def is_valid(frame):
         finite &= jnp.isfinite(number)
     valid = (frame.frequency > 0) & (frame.damping >= 0)
     for wall in frame.walls:
+        if wall.law is not None:
+            continue
         if wall.stiffness is None:
             valid &= (wall.restitution >= 0) & (wall.restitution <= 1)
         else:

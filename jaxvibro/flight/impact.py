@@ -81,7 +81,7 @@ def strike(frame, path, side, late):
 
 def _bias(frame, path):
     """What `soft_contact.biases` says of the path."""
-    return biases(frame, path.contact, path.cosine, path.sine, 1) if frame.soft else (None, None)
+    return biases(frame, path.contact, path.cosine, path.sine, 1) if frame.soft and not frame.pushes else (None, None)
 
 
 def part(frame, path, side, late, strike, time):

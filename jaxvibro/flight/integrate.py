@@ -14,7 +14,7 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, mask, merge, stage
 from ..scene.codes import Contact
-from . import impact_log, soft_long_step, turning_points
+from . import impact_log, pushed_stay, soft_long_step, turning_points
 from .flight_state import CAPPED, Path
 from .soft_contact import is_inside
 from .step import micro
@@ -60,7 +60,7 @@ def begin(frame, path, slots, end, clearance=False):
 def cap(frame, periods):
     """The `Cap` for some drive periods."""
     reach = frame.reach
-    for each in frame.contacts:
+    for each in () if frame.pushes else frame.contacts:
         reach = reach if each is None else lax.min(reach, each.reach)
     steps = 4.0 * IMPACTS + lax.min(STEPS * frame.period / reach, lax.full_like(frame.period, MOST_STEPS))
     return Cap(lax.full_like(frame.period, IMPACTS * periods), steps * periods)
@@ -89,14 +89,20 @@ def run(frame, journey, cap, again=None):
 
     def leg(journey):
         slots, journey = journey.slots, journey._replace(slots=None)
-        journey = lax.while_loop(lambda j: _need(j) == GOING, turn, journey)
-        if frame.soft:
+        journey = lax.while_loop(lambda j: _need(j, frame.pushes) == GOING, turn, journey)
+        if frame.pushes:
+            need = _need(journey, True)
+            waits = ((need & WAITING) != 0) | ((need & GOING) == 0)
+            path = lax.cond(waits, partial(pushed_stay.stayed, frame), lambda same: same, journey.path)
+            journey = journey._replace(path=path, wait=jnp.zeros_like(journey.wait))
+            journey = again(journey) if again else journey
+        elif frame.soft:
             waits = (_need(journey) & WAITING) != 0
             path, wait = lax.cond(
                 waits, partial(soft_long_step.leap, frame), lambda *same: same, journey.path, journey.wait
             )
             journey = journey._replace(path=path, wait=wait)
-        need = _need(journey)
+        need = _need(journey, frame.pushes)
         over = (need & GOING) == 0
         pours, measures = over | ((need & FULL) != 0), over | ((need & CROWDED) != 0)
         book, slots = lax.cond(pours, impact_log.pour, lambda *same: same, journey.log, slots)
@@ -132,9 +138,12 @@ def _waited(wait, contact):
     return choose(is_inside(contact), wait + 1.0, 0.0)
 
 
-def _need(journey):
-    """What some lane needs: a sum of GOING, FULL and CROWDED."""
-    need = choose(journey.path.to_go > 0, jnp.int8(GOING), jnp.int8(0))
+def _need(journey, waits=False):
+    """What some lane needs: a sum of GOING, FULL and CROWDED. waits: whether what is within a wall waits there."""
+    moves = journey.path.to_go > 0
+    if waits:
+        moves &= ~is_inside(journey.path.contact)
+    need = choose(moves, jnp.int8(GOING), jnp.int8(0))
     need |= choose(impact_log.is_full(journey.log), jnp.int8(FULL), jnp.int8(0))
     if journey.calls is not None:
         need |= choose(turning_points.is_crowded(journey.calls), jnp.int8(CROWDED), jnp.int8(0))

@@ -10,6 +10,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ..compiled.compiler_hints import stage
@@ -102,6 +103,14 @@ def product(a, b):
     return Series(lambda own, k: products([(a[j], b[k - j]) for j in range(k + 1)]))
 
 
+class Square(Series):
+    """The square of a series, of which powers by halves are those of the series itself, also where it passes zero."""
+
+    def __init__(self, root: Series) -> None:
+        super().__init__(lambda own, k: products(*_halves(root, k)))
+        self.root = root
+
+
 def _halves(a, k):
     """(pairs, weights) of the k-th coefficient of a square."""
     pairs = [(a[j], a[k - j]) for j in range(k // 2 + 1)]
@@ -189,6 +198,8 @@ def square_and(number, sign, u):
 
 
 def root(a):
+    if isinstance(a, Square):
+        return a.root
     return power(a, 0.5, at_first("sqrt", a))
 
 
@@ -212,9 +223,19 @@ def _over(name, weight):
 
 def _general_power(given, **_):
     base, exponent = given
+    halves = _halves_of(exponent) if isinstance(base, Square) else None
+    if halves is not None:
+        return whole_power(base.root, halves)
     if exponent.constant:
         return power(base, exponent[0], at_first("pow", base, exponent))
     return exponential(product(exponent, logarithm(base)))
+
+
+def _halves_of(exponent):
+    """How many halves an exponent is, None where that is not a whole number that stands in the force itself."""
+    known = exponent.constant and isinstance(exponent[0], float | np.floating | np.ndarray)
+    twice = 2.0 * float(exponent[0]) if known else 0.5
+    return int(twice) if twice.is_integer() else None
 
 
 def _angle(given, **_):

@@ -47,7 +47,10 @@ def micro(frame, path):
         flown = _advance(frame, path, time, ahead)
         none = lax.full_like(path.x, 0.0)
         return Step(time, flown, flown, none, impact.Strike(none, none, none))
-    if frame.soft:
+    if frame.pushes:  # what is within a wall waits there
+        waiting = path.to_go
+        path = path._replace(to_go=choose(is_inside(path.contact), 0.0, waiting))
+    elif frame.soft:
         frame = frame._replace(**stage(felt, frame, path.contact)._asdict())
         path = soft_long_step.plunged(frame, path)
         touch = path.contact
@@ -71,6 +74,8 @@ def micro(frame, path):
     slack = stage(event.slack, nearing, guess, root)
     hit = stage(_lands, frame, path, nearing, root, slack, other, side)
     time = stage(_time, frame, path, hit, root, slack, step, other)
+    if frame.pushes:
+        path = path._replace(to_go=waiting)
     flown = _advance(frame, path, time, ahead, touch)
     late = stage(impact.late, frame, flown, hit)
     strike = stage(impact.strike, frame, flown, hit, late)
@@ -148,7 +153,7 @@ def _progress(frame, path, derivatives, side, pushes, rest=None):
     tails = frame.tails if pushes is None else [each.rest for each in pushes]
     tail, swing = chosen(side, walls, tails), chosen(side, walls, frame.swings)
     on, weights = (contact == Contact.LANDED) | released, frame.weights
-    if frame.soft:  # from within, y falls to 0
+    if frame.soft and not frame.pushes:  # from within, y falls to 0
         inside = (contact == Contact.WITHIN) | (contact == Contact.ENTERED)
         way = [None if where is None else choose(inside, 0.0, where + 0.0 * side) for where in way]
         on |= contact == Contact.ENTERED

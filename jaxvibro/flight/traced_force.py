@@ -1,12 +1,25 @@
 """The Taylor series of a motion under a force of the user's own, operation by operation of what JAX traces of it."""
 
+from functools import lru_cache
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from ..compiled.compiler_hints import stage
 from ..scene.force_trace import inner_of, is_literal, traced
-from .series import RULES, Series, added, times
+from .series import RULES, Series, Square, added, times
+
+
+@lru_cache(256)
+def is_series_of_root(function, names, dtype):
+    """Whether the push of a wall is a power series in the root of the depth, also at the depth 0."""
+    closed, one = traced(function, names, dtype, 2), np.ones((), dtype)
+    with jax.ensure_compile_time_eval():
+        depth = Square(Series(lambda own, k: None, 0.0 * one, one))
+        rate = Series(lambda own, k: None, 0.3 * one, one)
+        (found,) = _run(closed, [depth, rate, *(Series(None, 0.7 * one) for _ in names)])
+        return all(found[k] is None or bool(jnp.isfinite(found[k])) for k in range(4))
 
 
 def along(force, time, x, v):
@@ -15,6 +28,14 @@ def along(force, time, x, v):
     closed = traced(force.function, names, np.dtype(jnp.result_type(*jax.tree.leaves((x[0], v[0])))))
     numbers = [Series(None, force.numbers[name]) for name in names]
     (found,) = _run(closed, [time, x, v, *numbers])
+    return found
+
+
+def pushed(law, depth, rate):
+    """The `Series` of a wall's push, of a depth that is the `Square` of its root."""
+    names = tuple(law.numbers)
+    closed = traced(law.function, names, np.dtype(jnp.result_type(*jax.tree.leaves((depth[0], rate[0])))), 2)
+    (found,) = _run(closed, [depth, rate, *(Series(None, law.numbers[name]) for name in names)])
     return found
 
 

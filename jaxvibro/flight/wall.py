@@ -7,6 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
+from ..scene.push import Push
 from ..scene.scene import hardened
 from . import drive
 from .drive import wave
@@ -18,7 +19,7 @@ class Lane:
     """One wall, its numbers scalars or lanes: x_b = position + swing cos(harmonic omega t + phase).
 
     sign: -1 for the left wall, +1 for the right; swing: None where it stands still; cosine, sine: of its phase;
-    restitution: of a rigid wall; stiffness k2, damping gamma2: of a soft one, which has them in its place.
+    restitution: of a rigid wall; stiffness k2, damping gamma2: of a soft one, which has them in its place, or a law.
     """
 
     position: Float[jax.Array, "..."]
@@ -30,6 +31,7 @@ class Lane:
     harmonic: int = field(default=1, metadata={"static": True})
     stiffness: Float[jax.Array, "..."] | None = None
     damping: Float[jax.Array, "..."] | None = None
+    law: Push | None = None
 
 
 def lane(wall, scene, sign, dtype):
@@ -39,7 +41,9 @@ def lane(wall, scene, sign, dtype):
         return jnp.asarray(value, dtype)
 
     position, motion = number(wall.position), wall.motion
-    if wall.soft:
+    if wall.law is not None:
+        own = {"restitution": None, "law": jax.tree.map(number, wall.law)}
+    elif wall.soft:
         stiffness = number(wall.stiffness)
         damping = number(scene.damping if wall.damping is None else wall.damping)
         if scene.harder is not None:

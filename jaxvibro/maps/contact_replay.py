@@ -8,6 +8,7 @@ from ..flight import flow, soft_contact, taylor
 from ..flight.soft_contact import is_inside
 from ..flight.taylor import Now
 from ..scene.codes import Contact
+from . import pushed_replay
 from .contact_duration import QUICK, duration, leave
 
 
@@ -107,6 +108,9 @@ def shifted(frame, now, touch, late, order):
     free = taylor.shifted(free, late, order), taylor.shifted(free[1:], late, order)
     if not frame.soft:
         return free
+    if frame.pushes:
+        within = pushed_replay.shifted(frame, now, touch, late, order)
+        return tuple(choose(is_inside(touch), new, old) for new, old in zip(within, free, strict=True))
     here = soft_contact.feeling(frame, touch)
     where, pace = taylor.placed(taylor.way(frame, now, touch, order), 0.0 * late, order)
     path = _within(frame, here, touch, now._replace(x=now.x - where, v=now.v - pace), order)

@@ -34,6 +34,7 @@ from ..scene.state import State, real_state
 from . import contact_replay, one_period
 from .contact_duration import carried, duration, from_wall_to_wall, product, share
 from .one_period import SLOTS
+from .pushed_replay import through
 
 
 def monodromy(scene: Scene, state: State, periods: int = 1, slots: int = SLOTS) -> Float[jax.Array, "*lanes 2 2"]:
@@ -151,7 +152,10 @@ def _product_under_force(frame, state, rows, most, zero, periods):
     """The same where a flight's matrix depends on where it begins."""
 
     def turn(carry):
-        k, past, x, v, cosine, sine, matrix = carry
+        k, past, x, v, cosine, sine, matrix, *lanes = carry
+        if frame.pushes:
+            now = past, x, v, cosine, sine, matrix
+            past, x, v, cosine, sine, matrix = _pushed(frame, lanes, k > 0, whole, *now)
         time, side, speed = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in rows)
         last = k == most
         hit = (side != 0) & ~last
@@ -167,12 +171,25 @@ def _product_under_force(frame, state, rows, most, zero, periods):
                 frame, choose(hit, side, lax.full_like(side, float(frame.walls[0].sign))), cosine, sine
             )[:2]
             x, v = choose(hit, where + zero, x), choose(hit, pace - bounce * side * speed, v)
-        return k + 1, past + span, x, v, cosine, sine, matrix
+        if frame.pushes:
+            lanes = choose(hit & gives(frame, side), side * Contact.ENTERED, 0.0), zero, side * speed
+        return k + 1, past + span, x, v, cosine, sine, matrix, *lanes
 
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     whole, one = zero + periods * frame.period, (zero + 1.0, zero, zero, zero + 1.0)
-    start = jnp.int32(0), zero, state.x + zero, state.v + zero, cosine, sine, one
-    return lax.while_loop(lambda carry: carry[0] <= most, turn, start)[-1]
+    start = zero, state.x + zero, state.v + zero, cosine, sine, one
+    lanes = ()
+    if frame.pushes:
+        lanes = contact_replay.initial(frame, Now(*start[1:5], zero), state.contact + zero)
+    return lax.while_loop(lambda carry: carry[0] <= most, turn, (jnp.int32(0), *start, *lanes))[6]
+
+
+def _pushed(frame, lanes, outside, whole, past, x, v, cosine, sine, matrix):
+    """(past, x, v, cosine, sine, matrix) after the stay of lanes within a wall, beside a force of the user's own."""
+    inside = is_inside(lanes[0])
+    found = through(frame, lanes, cosine, sine, whole - past, outside)
+    new = past + found.time, *found[1:5], product(found.matrix, matrix)
+    return jax.tree.map(lambda new, old: choose(inside, new, old), new, (past, x, v, cosine, sine, matrix))
 
 
 def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):

@@ -20,7 +20,7 @@ from ..flight.soft_contact import bounce, is_inside
 from ..flight.taylor import Now
 from ..flight.wall import course, less, picked
 from ..scene.codes import Contact
-from . import contact_replay
+from . import contact_replay, pushed_replay
 
 
 class KnownImpacts(NamedTuple):
@@ -58,10 +58,13 @@ def _replayed(frame, state, known, span, order):
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     start = _held(frame, Now(state.x + zero, state.v + zero, cosine, sine, zero), _resting(state.contact) + zero)
     whole = lax.stop_gradient(span) + zero
-    if frame.soft:
+    entry = None
+    if frame.pushes:
+        entry = pushed_replay.begun(frame, start, contact_replay.initial(frame, start, state.contact + zero, order))
+    elif frame.soft:
         start = contact_replay.begun(frame, start, state.contact + zero, whole, order)
     if frame.walls:
-        end, times, speeds = _journey(frame, start, known, whole, order)
+        end, times, speeds = _journey(frame, start, known, whole, order, entry)
     else:
         end, times, speeds = _fly(frame, start, whole), known.times, jnp.zeros_like(known.times)
     late = span - whole
@@ -73,13 +76,16 @@ def _within(contact):
     return choose(is_inside(contact), contact, 0.0)
 
 
-def _journey(frame, start, known, whole, order):
-    """(where the lanes are after so much time, times, speeds of the impacts)."""
+def _journey(frame, start, known, whole, order, entry=None):
+    """(where the lanes are after so much time, times, speeds of the impacts); entry: `pushed_replay.Entry`, of the
+    start."""
     most = lax.min(jnp.max(known.count).astype(jnp.int32), jnp.int32(len(known.times)))
 
     def turn(carry):
         """To the next impact, or to the release before it, or, after all impacts, to the end."""
-        k, freed, now, *rows = carry
+        k, freed, now, entry, *rows = carry
+        if frame.pushes:
+            now = pushed_replay.gone(frame, now, entry, whole, order)
         time, side = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in (known.times, known.sides))
         last = k == most
         time, side = choose(last, whole, time), choose(last, 0.0, side)
@@ -92,12 +98,15 @@ def _journey(frame, start, known, whole, order):
         late, speed, x, v = stage(_kick, frame, now, side, order=order)
         rows = [_put(*each, k, hit) for each in zip(rows, (time + late, speed), strict=True)]
         now = now._replace(x=choose(hit, x, now.x), v=choose(hit, v, now.v))
-        if frame.soft:
+        if frame.pushes:
+            entry = pushed_replay.entered(frame, now, choose(hit, side, 0.0), late, order)
+        elif frame.soft:
             now = contact_replay.entered(frame, now, choose(hit, side, 0.0), late, whole, order)
-        return k + (~waits).astype(jnp.int32), choose(due, -1.0, freed), now, *rows
+        return k + (~waits).astype(jnp.int32), choose(due, -1.0, freed), now, entry, *rows
 
-    carry = (jnp.int32(0), known.freed, start, known.times, jnp.zeros_like(known.times))
-    return lax.while_loop(lambda carry: carry[0] <= most, turn, carry)[2:]
+    carry = (jnp.int32(0), known.freed, start, entry, known.times, jnp.zeros_like(known.times))
+    _, _, now, _, *rows = lax.while_loop(lambda carry: carry[0] <= most, turn, carry)
+    return now, *rows
 
 
 def _put(rows, new, k, where):

@@ -19,6 +19,7 @@ from ..flight.flight_state import accelerations
 from ..flight.wall import course, picked
 from ..maps.contact_duration import carried, share
 from ..scene.codes import Contact
+from . import pushed_meeting
 from .stay import guess, leave
 
 
@@ -27,7 +28,7 @@ class Meeting(NamedTuple):
     against the wall; the acceleration before. And of the start of the flight that follows: the stay before it, None
     where all walls are rigid; (x, v); the drive's (cosine, sine); how (x, v) change with the impact's time and speed,
     the flight's start being kept; the velocity against the wall. gives: whether it is a stay, None where all walls are
-    rigid; free: the free flow's matrix over it."""
+    rigid; free: the free flow's matrix over it, beside a force of the user's own `pushed_meeting.Leaving.slopes`."""
 
     cosine: Float[Array, "*shape"]
     sine: Float[Array, "*shape"]
@@ -43,7 +44,7 @@ class Meeting(NamedTuple):
     by_speed: tuple[Float[Array, "*shape"], Float[Array, "*shape"]]
     opening: Float[Array, "*shape"]
     gives: Bool[Array, "*shape"] | None = None
-    free: tuple[Float[Array, "*shape"], Float[Array, "*shape"], Float[Array, "*shape"]] | None = None
+    free: tuple[Float[Array, "*shape"], ...] | None = None
 
 
 def meeting(frame, sides, cosine, sine, speed, still=None):
@@ -64,6 +65,8 @@ def _softened(frame, sides, speed, met, still):
     """The `Meeting` with stays in place of impacts where the wall is soft."""
     gives = soft_contact.gives(frame, sides)
     gives = gives if still is None else gives & (still == 0)
+    if frame.pushes:
+        return _pushed(frame, sides, gives, speed, met)
     side, none = choose(gives, sides, 0.0), jnp.zeros_like(speed)
     given = met.cosine, met.sine, speed
     out = leave(frame, side, *given, guess(frame, side, *given))
@@ -96,6 +99,20 @@ def _softened(frame, sides, speed, met, still):
     )
 
 
+def _pushed(frame, sides, gives, speed, met):
+    """The `Meeting` with stays beside a force of the user's own in place of impacts where the wall gives."""
+    out = pushed_meeting.leave(frame, gives, sides, met.cosine, met.sine, speed)
+    where, pace, bend = _way(frame, sides, out.cosine, out.sine)
+    opening = sides * out.speed
+    after, _ = accelerations(frame, where, pace + opening, out.cosine, out.sine)
+    by_time, by_speed = pushed_meeting.at_a_time(out, out.speed, bend, after, sides)
+    soft = (where, pace + opening), (out.cosine, out.sine), by_time, by_speed, opening, out.time
+    hard = met.state, met.phasor, met.by_time, met.by_speed, met.opening, jnp.zeros_like(speed)
+    told = jax.tree.map(lambda soft, hard: jnp.where(gives, soft, hard), soft, hard)
+    names = "state", "phasor", "by_time", "by_speed", "opening", "stay"
+    return met._replace(**dict(zip(names, told, strict=True)), gives=gives, free=out.slopes)
+
+
 def _way(frame, sides, cosine, sine):
     """Position, velocity and acceleration of the walls on these sides."""
     ways = [course(wall, frame.frequency, cosine, sine, 2) for wall in frame.walls]
@@ -112,14 +129,25 @@ def jump(frame, met, sides):
     hard = (-met.bounce, jnp.zeros_like(shear), shear, -met.bounce), met.bounce * met.bounce
     if not frame.soft:
         return hard
+    _, pace, bend = _way(frame, sides, *met.phasor)
+    if frame.pushes:
+        drawn = sides * (before - met.bend), sides * (after - bend)
+        soft = pushed_meeting.matrix(met.free, drawn, (sides * met.closing, sides * met.opening))
+        return jax.tree.map(lambda soft, hard: jnp.where(met.gives, soft, hard), soft, hard)
     touch, stay = choose(met.gives, sides * float(Contact.WITHIN), 0.0), jnp.maximum(met.stay, 0.0)
-    _, pace, _ = _way(frame, sides, *met.phasor)
     soft = carried(frame, touch, stay, met.free, share(met.pace, met.closing), share(pace, met.opening))
     return jax.tree.map(lambda soft, hard: jnp.where(met.gives, soft, hard), soft, hard)
 
 
 def stayed(frame, met, sides, k, since, state):
     """(x, v) a time after the meetings in rows k: within the wall during the stay, else the state given."""
+    if frame.pushes:
+        within = met.gives[k] & (since < met.stay[k])
+        side, span = sides[k], jnp.where(within, since, 0.0)
+        given = side, met.cosine[k], met.sine[k], side * met.closing[k]
+        depth, rate = pushed_meeting.inside(frame, within, *given, span)
+        where, pace, _ = _way(frame, side, *flow.rotated(*given[1:3], frame.frequency * span))
+        return choose(within, where + side * depth, state[0]), choose(within, pace + side * rate, state[1])
     touch = choose(met.gives, sides * float(Contact.WITHIN), 0.0)[k]
     here = soft_contact.feeling(frame, touch)
     inside = (touch != 0) & (since < met.stay[k])

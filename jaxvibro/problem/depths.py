@@ -55,6 +55,7 @@ def _root(scene, side, away, time):
         return 0.0
     turns = wall.motion.harmonic * float(scene.frequency)
     pace = -float(wall.motion.amplitude) * turns * np.sin(turns * time + float(wall.motion.phase))
-    jump = side * 2.0 * (float(wall.damping) - float(scene.damping)) * pace
+    free = 0.0 if scene.force is not None else float(scene.damping)
+    jump = side * 2.0 * (float(wall.damping) - free) * pace
     within = away + jump
     return float(2.0 * np.sqrt(2.0 * away) * abs(jump) / within) if within > 0 else np.inf

@@ -153,11 +153,17 @@ def _step(scene, along, z, v):
     flights = np.append(z[hits[1:]], z[hits[0]] + span(along, z)) - z[hits] - stays(along, z)[hits]
     change = [
         (times + np.roll(times, -1)) / (FLIGHT * flights),
-        np.maximum(times, speeds / length) * _rate(scene) / APART,
+        np.maximum(times, speeds / length) * max(_rate(scene), *_swings(scene, along, z)) / APART,
     ]
     if scene.soft_sides:
         change.append(speeds / (FLIGHT * abs(z[rows + hits])))
     return 1.0 / float(np.max(change))
+
+
+def _swings(scene, along, z):
+    """How fast what is within soft walls beside a force swings, by how long it stays: numbers, one at least."""
+    held = stays(along, z)[along.hits] if scene.soft_sides and scene.force is not None else np.zeros(0)
+    return [0.0, *(np.pi / held[held > 0])]
 
 
 def _rate(scene):
@@ -170,7 +176,7 @@ def _rate(scene):
         rates = [frequency, *force_rates(scene)]
     rates += [term.harmonic * frequency for term in scene.drive]
     for wall in scene.walls.values():
-        if wall.soft:
+        if wall.soft and scene.force is None:
             own = damping if wall.damping is None else damping + float(wall.damping)
             rates += [np.sqrt(1.0 + float(wall.stiffness)), 2.0 * own]
         if wall.motion is not None:

@@ -137,11 +137,22 @@ def require_apart(*names):
 
 
 def require_one_kind(side, wall):
-    """Refuse a wall that is neither rigid nor soft."""
+    """Refuse a wall that is neither rigid nor soft, and one that is soft in two ways."""
+    for name in ("restitution", "stiffness", "damping") if wall.law is not None else ():
+        if getattr(wall, name) is not None:
+            raise ArgumentError(f"{side}.{name}", "a wall with a law of its own has none", getattr(wall, name))
+    if wall.law is not None:
+        return
     if wall.stiffness is not None and wall.restitution is not None:
         raise ArgumentError(f"{side}.restitution", "a wall with stiffness has none", wall.restitution)
     if wall.stiffness is None and wall.damping is not None:
         raise ArgumentError(f"{side}.damping", "a wall without stiffness has none", wall.damping)
+
+
+def require_own_damping(side, wall, force):
+    """Refuse a soft wall that would take the scene's damping beside a force, where there is none."""
+    if force is not None and wall.stiffness is not None and wall.damping is None:
+        raise ArgumentError(f"{side}.damping", "must be given beside a force, on top of which it comes", None)
 
 
 def require_spring_or_force(force, damping):
@@ -163,6 +174,14 @@ def require_one_harmonic(scene, what):
     if scene.drive:
         told = ", ".join(f"harmonic {term.harmonic}" for term in scene.drive)
         raise ArgumentError("drive", f"{what} knows a drive of amplitude cos(frequency t) alone", told)
+
+
+def require_known_stays(scene, what):
+    """Refuse a soft wall beside a force of the user's own where such a wall is known beside the spring alone."""
+    if scene.force is not None:
+        for side, wall in scene.walls.items():
+            if wall.soft:
+                raise ArgumentError(side, f"{what} knows soft walls beside spring and damper alone", "a soft wall")
 
 
 def require_rigid(scene, what):

@@ -32,15 +32,15 @@ class Force:
     solver: Any = field(default=None, metadata={"static": True})
 
 
-def of_row(function, names):
-    """function(t, x, v, *numbers), the numbers of these names in a row."""
+def of_row(function, names, given=3):
+    """function(t, x, v, *numbers), the numbers of these names in a row; given: how many it takes besides."""
 
-    def plain(t, x, v, *numbers):
-        return function(t, x, v, dict(zip(names, numbers, strict=True)))
+    def plain(*row):
+        return function(*row[:given], dict(zip(names, row[given:], strict=True)))
 
     return plain
 
 
-def trace(function, names, dtype):
-    """The `ClosedJaxpr` of a force, traced anew, of scalars of a type."""
-    return jax.make_jaxpr(of_row(function, names))(*[jax.ShapeDtypeStruct((), dtype)] * (3 + len(names)))
+def trace(function, names, dtype, given=3):
+    """The `ClosedJaxpr` of a force, traced anew, of scalars of a type; given: as of `of_row`."""
+    return jax.make_jaxpr(of_row(function, names, given))(*[jax.ShapeDtypeStruct((), dtype)] * (given + len(names)))

@@ -122,9 +122,12 @@ def check_force_values(scene):
     """Refuse the force of a scene that is no real number of t, x, v and its numbers, that is not finite where the mass
     may be, or that does not repeat with the drive."""
     force = scene.force
-    if scene.soft_sides:
-        rule = "beside a force of one's own walls are rigid"
-        raise check.ArgumentError(f"{scene.soft_sides[0]}.stiffness", rule, "a soft wall")
+    if force.solver is not None and scene.soft_sides:
+        unknown = without_rule(force.function, tuple(force.numbers), np.dtype(scene.dtype))
+        why = f": {unknown[0]} has no Taylor series" if unknown else ""
+        raise check.ArgumentError(
+            "force.solver", f"beside a soft wall a force flies by Taylor steps{why}", force.solver
+        )
     names, dtype = tuple(force.numbers), np.dtype(scene.dtype)
     depends = _traced(force.function, names, dtype)
     known = (*force.numbers.values(), scene.frequency)
@@ -155,11 +158,15 @@ def is_odd(scene):
     return bool((abs(both[0] + both[1]) <= ODD * abs(both[0]).max()).all())
 
 
+def _holds(wall):
+    return wall is not None and not wall.soft
+
+
 def _look(scene, numbers, frequency, walls, by_time, index):
     force, rng = scene.force, np.random.default_rng(0)
     size = max([1.0, *map(abs, walls)])
-    low = walls[0] if scene.left is not None else min([*walls, 0.0]) - 2.0 * size
-    high = walls[-1] if scene.right is not None else max([*walls, 0.0]) + 2.0 * size
+    low = walls[0] if _holds(scene.left) else min([*walls, 0.0]) - 2.0 * size
+    high = walls[-1] if _holds(scene.right) else max([*walls, 0.0]) + 2.0 * size
     period = 2.0 * np.pi / frequency
     t, x = rng.uniform(0.0, period, PLACES), rng.uniform(low, high, PLACES)
     v = rng.uniform(-2.0, 2.0, PLACES) * size * (1.0 + frequency)

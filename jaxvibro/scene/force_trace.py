@@ -19,11 +19,11 @@ traced = lru_cache(256)(trace)
 
 
 @lru_cache(256)
-def without_rule(function, names, dtype):
+def without_rule(function, names, dtype, given=3):
     """The names of the operations of a force of which no Taylor series is known, as a tuple; "... of arrays" where
-    it is known of numbers alone."""
-    closed = traced(function, names, dtype)
-    return tuple(sorted(_without(closed.jaxpr, [False] * 3 + [True] * len(names))[0]))
+    it is known of numbers alone. given: as of `trace`."""
+    closed = traced(function, names, dtype, given)
+    return tuple(sorted(_without(closed.jaxpr, [False] * given + [True] * len(names))[0]))
 
 
 def _without(jaxpr, still):

@@ -62,7 +62,7 @@ def marked(scene, *names):
     scene = jax.tree.map(np.asarray, scene)
     for name in flat(names):
         scene = changed(scene, {name: 0.0 if name == "hardness" else scene.parameter(name)})
-    if scene.soft_sides:
+    if scene.hardens:
         scene = replace(scene, harder=np.zeros(()))
     marks = jax.tree.map(lambda leaf: np.int32(0), scene)
     for k, given in enumerate(names, 1):

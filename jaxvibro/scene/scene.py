@@ -17,6 +17,8 @@ from . import check
 from .dissipation import never_grow
 from .force import Force
 from .force_rules import check_force, check_force_values, flow_of
+from .push import Push
+from .push_rules import check_push
 
 SIDES = ("left", "right")
 MOST_TERMS = 32  # of the drive, beside its first: each is compiled for
@@ -42,9 +44,12 @@ class Motion:
 class Wall:
     """A wall: its mean position, what it does to the mass, its motion (None stands still).
 
+    law: a `Push`, in place of stiffness and damping; beside a `Force` alone.
+
     A rigid wall has a restitution (None takes the scene's). A soft one has a stiffness k2 > 0 in its place, and a
     damping gamma2 >= 0 (None takes the scene's): beyond it x'' + 2 gamma2 x' + k2 (x - x_b) + x = A cos(omega t), until
-    x is back at x_b (paper, (39)).
+    x is back at x_b (paper, (39)). Beside a `Force`, which stays beyond it, its damping is its own and comes on top:
+    x'' + 2 gamma2 x' + k2 (x - x_b) = force + A cos(omega t).
     """
 
     position: Real[ArrayLike, "..."]
@@ -52,15 +57,25 @@ class Wall:
     stiffness: Real[ArrayLike, "..."] | None = None
     damping: Real[ArrayLike, "..."] | None = None
     motion: Motion | None = None
+    law: Push | None = None
 
     @property
     def soft(self) -> bool:
         """Whether the wall gives way."""
-        return self.stiffness is not None
+        return self.stiffness is not None or self.law is not None
+
+    @property
+    def own(self) -> tuple[str, ...]:
+        """The names of the numbers that say what it does."""
+        if self.law is not None:
+            return tuple(f"law.{name}" for name in self.law.numbers)
+        return ("stiffness", "damping") if self.soft else ("restitution",)
 
     @property
     def taken(self) -> tuple[str, ...]:
         """The names of what it takes from the scene."""
+        if self.law is not None:
+            return ()
         name = "damping" if self.soft else "restitution"
         return () if getattr(self, name) is not None else (name,)
 
@@ -110,9 +125,9 @@ class Scene:
     def names(self) -> tuple[str, ...]:
         """The names of the scene's parameters, those of a wall dotted: "right.motion.phase".
 
-        Where there is a soft wall, "hardness" is one: the decimal logarithm of its stiffness, of the left one's where
-        there are two. Naming it multiplies the stiffness of all soft walls by one number, and changes the damping of
-        each so that its R_eff stays (`effective_restitution`).
+        Where there is a soft wall beside the spring, "hardness" is one: the decimal logarithm of its stiffness, of the
+        left one's where there are two. Naming it multiplies the stiffness of all soft walls by one number, and changes
+        the damping of each so that its R_eff stays (`effective_restitution`).
         """
         found = ["amplitude", "frequency", "restitution"]
         if self.force is None:
@@ -121,10 +136,9 @@ class Scene:
             found += [f"force.{name}" for name in self.force.numbers]
         found += [f"drive.{k}.{name}" for k in range(len(self.drive)) for name in ("amplitude", "phase")]
         for side, wall in self.walls.items():
-            own = ("position", "stiffness", "damping") if wall.soft else ("position", "restitution")
-            found += [f"{side}.{name}" for name in own]
+            found += [f"{side}.{name}" for name in ("position", *wall.own)]
             found += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
-        return (*found, "hardness") if self.soft_sides else tuple(found)
+        return (*found, "hardness") if self.hardens else tuple(found)
 
     @property
     def walls(self) -> dict[str, Wall]:
@@ -135,6 +149,11 @@ class Scene:
     def soft_sides(self) -> tuple[str, ...]:
         """The sides of its soft walls, left first."""
         return tuple(side for side, wall in self.walls.items() if wall.soft)
+
+    @property
+    def hardens(self) -> bool:
+        """Whether it has a hardness: R_eff of its soft walls is that beside the spring."""
+        return bool(self.soft_sides) and self.force is None
 
     def parameter(self, name: str) -> Float[Array, "..."] | np.floating | float | int:
         """The value of a parameter, an array; a wall without a restitution, or damping, of its own gives the scene's.
@@ -244,14 +263,14 @@ def hardened(stiffness, damping, harder):
 def _of(node, name):
     if isinstance(node, tuple):
         return node[int(name)]
-    return node.numbers[name] if isinstance(node, Force) else getattr(node, name)
+    return node.numbers[name] if isinstance(node, Force | Push) else getattr(node, name)
 
 
 def _put(node, path, value):
     head, *rest = path
     if isinstance(node, tuple):
         return tuple(_put(each, rest, value) if k == int(head) else each for k, each in enumerate(node))
-    if isinstance(node, Force):
+    if isinstance(node, Force | Push):
         return replace(node, numbers={**node.numbers, ".".join(path): value})
     return replace(node, **{head: _put(getattr(node, head), rest, value) if rest else value})
 
@@ -297,9 +316,11 @@ def _numbers(given, dtype):
         if not isinstance(wall, Wall):
             return Wall(number(f"{side}.position", wall))
         check.require_one_kind(side, wall)
+        check.require_own_damping(side, wall, given["force"])
         own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
         own = {name: number(f"{side}.{name}", value) for name, value in own.items() if value is not None}
-        return Wall(number(f"{side}.position", wall.position), **own, motion=moving(side, wall.motion))
+        law = None if wall.law is None else check_push(side, wall, number, dtype, given["force"])
+        return Wall(number(f"{side}.position", wall.position), **own, motion=moving(side, wall.motion), law=law)
 
     force = given["force"]
     check.require_spring_or_force(force, given["damping"])

@@ -6,6 +6,7 @@ from . import check
 from .force import TOLERANCE, Force
 from .force_rules import solver_name
 from .named_forces import NAMED, name_of
+from .push import NAMED_PUSHES, Push, name_of_push
 from .scene import Motion, Wall, make_scene
 
 PLAIN = ("amplitude", "frequency", "damping", "restitution")
@@ -27,6 +28,13 @@ class MotionTable(Table, frozen=True):
         return Motion(self.amplitude, self.phase, self.harmonic)
 
 
+class PushTable(Table, frozen=True):
+    """[scene.left.law]: a `Push` with one of our names, and its numbers."""
+
+    name: str
+    numbers: dict[str, float] = field(default_factory=dict)
+
+
 class WallTable(Table, frozen=True):
     """[scene.left]: a `Wall`; a rigid one without restitution has the scene's, a soft one without damping too."""
 
@@ -35,11 +43,13 @@ class WallTable(Table, frozen=True):
     stiffness: float | None = None
     damping: float | None = None
     motion: MotionTable | None = None
+    law: PushTable | None = None
 
     def wall(self):
         """The `Wall` described, not yet checked."""
         motion = self.motion and self.motion.motion()
-        return Wall(self.position, self.restitution, self.stiffness, self.damping, motion)
+        law = self.law and Push(self.law.name, self.law.numbers)
+        return Wall(self.position, self.restitution, self.stiffness, self.damping, motion, law)
 
 
 class ForceTable(Table, frozen=True):
@@ -89,11 +99,21 @@ def table_of(scene):
         moving = wall.motion and wave(wall.motion)
         own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
         own = {name: float(value) for name, value in own.items() if value is not None}
-        return WallTable(position=float(wall.position), **own, motion=moving)
+        return WallTable(position=float(wall.position), **own, motion=moving, law=_push_table(wall.law))
 
     plain = {key: float(scene.parameter(key)) for key in PLAIN if key in scene.names}
     sides = {"left": table(scene.left), "right": table(scene.right)}
     return SceneTable(**plain, **sides, force=_force_table(scene.force), drive=[wave(term) for term in scene.drive])
+
+
+def _push_table(law):
+    if law is None:
+        return None
+    name = name_of_push(law.function)
+    if name is None:
+        rule = f"must be one of ours ({', '.join(NAMED_PUSHES)}) to be written"
+        raise check.ArgumentError("law.function", rule, law.function)
+    return PushTable(name, {key: float(value) for key, value in law.numbers.items()})
 
 
 def _force_table(force):

@@ -26,8 +26,11 @@ def is_symmetric(scene):
         return False
     if float(left.position) != -float(right.position) or left.soft != right.soft:
         return False
-    own = ("stiffness", "damping") if left.soft else ("restitution",)
-    if any(scene.parameter(f"left.{name}") != scene.parameter(f"right.{name}") for name in own):
+    if (left.law and left.law.function) is not (right.law and right.law.function):
+        return False
+    if left.own != right.own:
+        return False
+    if any(scene.parameter(f"left.{name}") != scene.parameter(f"right.{name}") for name in left.own):
         return False
     (m, swing), (k, opposite) = (_swing(wall.motion) for wall in (left, right))
     if swing == 0 or opposite == 0:
@@ -55,17 +58,15 @@ def symmetric_part(scene):
     the drive the even harmonics are left out.
     """
     left, right = scene.left, scene.right
-    own = ("stiffness", "damping") if left.soft else ("restitution",)
-    means = {name: 0.5 * (scene.parameter(f"left.{name}") + scene.parameter(f"right.{name}")) for name in own}
+    for name in left.own:
+        mean = 0.5 * (scene.parameter(f"left.{name}") + scene.parameter(f"right.{name}"))
+        scene = changed(scene, {f"left.{name}": mean, f"right.{name}": mean})
     away = 0.5 * (right.position - left.position)
     motions = _opposite(left.motion, right.motion)
-    sides = zip(("left", "right"), (left, right), (-away, away), motions, strict=True)
+    sides = zip(("left", "right"), (scene.left, scene.right), (-away, away), motions, strict=True)
     drive = (term if term.harmonic % 2 else replace(term, amplitude=0.0 * term.amplitude) for term in scene.drive)
-    return replace(
-        scene,
-        drive=tuple(drive),
-        **{side: replace(wall, position=where, motion=motion, **means) for side, wall, where, motion in sides},
-    )
+    walls = {side: replace(wall, position=where, motion=motion) for side, wall, where, motion in sides}
+    return replace(scene, drive=tuple(drive), **walls)
 
 
 def _opposite(left, right):

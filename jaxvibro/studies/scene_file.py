@@ -25,6 +25,8 @@ _KINDS = {
     "scene.left.motion": scene_table.MotionTable,
     "scene.right.motion": scene_table.MotionTable,
     "scene.drive": scene_table.MotionTable,
+    "scene.left.law": scene_table.PushTable,
+    "scene.right.law": scene_table.PushTable,
     "sweep": schema.SweepTable,
     "sweep.legs": schema.LegTable,
     "sweep.legs.start": schema.StartTable,

@@ -1,0 +1,79 @@
+"""A stay within a soft wall beside a force of the user's own, as the equations of the impacts ask for it (`saltation`).
+
+When and how fast the mass leaves is a smooth function of when and how fast it comes, also where that speed is zero; its
+derivatives are by jvp along the steps of `pushed_stay`.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jaxtyping import Float
+
+from continuation.arrays import Array
+
+from ..flight import flow
+from ..flight.pushed_flow import passed
+from ..flight.pushed_stay import entering, stay
+
+LONGEST = 8.0  # drive periods that a stay is searched for
+ORDER = 3  # to which derivatives of its end are right
+
+
+class Leaving(NamedTuple):
+    """time of the stay, nan where it does not end in `LONGEST`; speed: the rate of the depth at its end; the drive's
+    cosine and sine there; and how time and speed change with the time of the entry and with its speed, by rows."""
+
+    time: Float[Array, "*lanes"]
+    speed: Float[Array, "*lanes"]
+    cosine: Float[Array, "*lanes"]
+    sine: Float[Array, "*lanes"]
+    slopes: tuple[Float[Array, "*lanes"], ...]
+
+
+def leave(frame, gives, side, cosine, sine, speed):
+    """The `Leaving` of lanes that meet the soft wall on a side, which gives; benign in others."""
+    side, speed = jnp.where(gives, side, 1.0), jnp.where(gives, speed, 1.0)
+    left = jnp.where(gives, LONGEST * frame.period, 0.0)
+    known = passed(*lax.stop_gradient((frame, side, entering(speed, cosine, sine), left)))
+    none, one = jnp.zeros_like(speed), jnp.ones_like(speed)
+
+    def ends(late, speed):
+        start = entering(speed, *flow.rotated(cosine, sine, frame.frequency * late))
+        found = stay(frame, side, start, left, late, ORDER, known)
+        return late + found.time, found.rate
+
+    (time, after), (later, quicker) = jax.jvp(ends, (none, speed), (one, none))
+    _, (by_speed, faster) = jax.jvp(ends, (none, speed), (none, one))
+    time = jnp.where(gives & ~known.leaves, jnp.nan, time)
+    return Leaving(time, after, *flow.rotated(cosine, sine, frame.frequency * time), (later, by_speed, quicker, faster))
+
+
+def at_a_time(out, speed, bend, after, side):
+    """(how (x, v) change with the time of the entry, with its speed) where the flight after a stay begins, at a fixed
+    time; speed: `Leaving.speed`; bend, after: the accelerations of the wall and of the free mass there."""
+    later, by_speed, quicker, faster = out.slopes
+    by_time = -side * speed * later, (bend - after) * later + side * quicker
+    return by_time, (-side * speed * by_speed, (bend - after) * by_speed + side * faster)
+
+
+def matrix(slopes, drawn, speeds):
+    """(how (x, v) after a stay change with those before it, both at a fixed time, by rows; the determinant).
+
+    drawn: the accelerations into the wall before it and after; speeds: the rates of the depth.
+    """
+    (later, by_speed, quicker, faster), (before, after), (first, last) = slopes, drawn, speeds
+    ratio = jnp.where(first == 0, -1.0, last / jnp.where(first == 0, 1.0, first))
+    when, fast = later + before * by_speed, quicker + before * faster
+    shear = jnp.where(first == 0, 0.0, (after * when - fast) / jnp.where(first == 0, 1.0, first))
+    rows = ratio * when, -last * by_speed, shear, faster - after * by_speed
+    return rows, ratio * (later * faster - by_speed * quicker)
+
+
+def inside(frame, gives, side, cosine, sine, speed, since):
+    """(depth, its rate) so long after the entry of lanes that are still within the wall then; benign in others."""
+    side, speed = jnp.where(gives, side, 1.0), jnp.where(gives, speed, 1.0)
+    span = jnp.where(gives, since, 0.0)
+    found = stay(frame, side, entering(speed, cosine, sine), span, 0.0 * span, 1)
+    return found.depth, found.rate
