@@ -25,10 +25,6 @@ class Term:
     series: flow.Series | None
     harmonic: int = field(metadata={"static": True})
 
-    def rate(self, frequency):
-        """How fast its angle grows."""
-        return frequency * float(self.harmonic)
-
 
 def terms(scene, frequency, damping):
     """The further `Term`s of a scene's drive; damping: None under a force of the user's own."""
@@ -41,6 +37,11 @@ def terms(scene, frequency, damping):
     return tuple(found)
 
 
+def rate_of(term, frequency):
+    """How fast its angle grows."""
+    return frequency * float(term.harmonic)
+
+
 def fastest(terms):
     """The highest of their harmonics, 0 of none."""
     return max((each.harmonic for each in terms), default=0)
@@ -48,7 +49,7 @@ def fastest(terms):
 
 def bound(terms, frequency, order):
     """A bound on the derivative of an order of their force."""
-    return sum(abs(each.force) * each.rate(frequency) ** order for each in terms)
+    return sum(abs(each.force) * rate_of(each, frequency) ** order for each in terms)
 
 
 def largest(terms, force, frequency, order):
@@ -63,7 +64,7 @@ def waves(terms, frequency, cosine, sine):
     found = []
     for each in terms:
         c, s = wave(each, cosine, sine)
-        found.append((each.force * c, each.force * s, each.rate(frequency)))
+        found.append((each.force * c, each.force * s, rate_of(each, frequency)))
     return found
 
 
@@ -98,7 +99,7 @@ def moved(terms, frequency, cosine, sine, move, lifted):
 
 def responses(terms, frequency, damping, time):
     """x and v after a start from rest under the cosine, the sine of each one's angle over any time >= 0."""
-    return [flow.doubled(each.series, each.rate(frequency), damping, time)[1] for each in terms]
+    return [flow.doubled(each.series, rate_of(each, frequency), damping, time)[1] for each in terms]
 
 
 def forced(terms, responses, frequency, cosine, sine):

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, most, stage
 from . import event, flow, traced_force
-from .drive import wave
+from .drive import rate_of, wave
 from .series import Series, evaluated
 from .wall import course
 
@@ -63,7 +63,7 @@ def _driven(frame, cosine, sine, count):
     """The first coefficients of the drive's force."""
     found = traced_force.forced(frame.force, frame.frequency, cosine, sine, count)
     for term in frame.terms:
-        own = traced_force.forced(term.force, term.rate(frame.frequency), *wave(term, cosine, sine), count)
+        own = traced_force.forced(term.force, rate_of(term, frame.frequency), *wave(term, cosine, sine), count)
         found = [a + b for a, b in zip(found, own, strict=True)]
     return found
 

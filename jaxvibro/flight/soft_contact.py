@@ -71,7 +71,7 @@ def contact(wall, force, frequency, terms=()):
     # energy of y^(6), as for x in `frame`: y^(7)^2 + (1 + k2) y^(6)^2
     slope = jnp.sqrt(stiffness + 4.0 * damping * damping)
     series = flow.series(frequency, damping, stiffness)
-    more = tuple(flow.series(term.rate(frequency), damping, stiffness) for term in terms)
+    more = tuple(flow.series(drive.rate_of(term, frequency), damping, stiffness) for term in terms)
     first = plunge(wall, force, frequency, series, waves, stiffness, list(zip(terms, more, strict=True)))
     return SoftFlow(stiffness, root, damping, series, waves, first, reach, forcing * (1.0 + slope * reach), slope, more)
 
@@ -280,7 +280,7 @@ def response(frame, contact, time):
     free, forced, _ = flow.doubled(_series(frame, contact), frame.frequency, *given)
     found = []
     for term, series in zip(frame.terms, _terms(frame, contact), strict=True):
-        found.append(flow.doubled(series, term.rate(frame.frequency), *given)[1])
+        found.append(flow.doubled(series, drive.rate_of(term, frame.frequency), *given)[1])
     if moves(frame):
         *_, rate = wave(frame, contact, 0.0 * time, 0.0 * time)
         span = choose(_is_moved(frame, contact), time, 0.0)

@@ -51,7 +51,10 @@ def plunge(wall, force, frequency, series, waves, stiffness, terms=()):
     ratio = MARGIN * (1.0 - free[0]) / (stiffness * free[1])
     ratio = choose(slight, ratio, jnp.full_like(ratio, jnp.inf))
     change = tail(wall, force, frequency, damping, 1, given)[0] * time
-    more = [flow.redoubled(own, term.rate(frequency), damping, time, stiffness, DOUBLINGS)[1] for term, own in terms]
+    more = [
+        flow.redoubled(own, drive.rate_of(term, frequency), damping, time, stiffness, DOUBLINGS)[1]
+        for term, own in terms
+    ]
     return Plunge(time, ratio, change, free, forced, angle, moved, tuple(more))
 
 

@@ -98,7 +98,7 @@ def _reversed(wall):
 def _turned(term, built):
     """A further term of the drive."""
     own = built.law is None
-    series = flow.series(term.rate(built.frequency), -built.damping) if own else None
+    series = flow.series(drive.rate_of(term, built.frequency), -built.damping) if own else None
     return replace(term, sine=-term.sine, series=series)
 
 
