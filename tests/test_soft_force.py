@@ -81,6 +81,7 @@ def as_spring(count, moving, seed=0):
     return exact, found, jv.State(rng.uniform(left, right), rng.normal(size=count), rng.uniform(0, 6, count))
 
 
+@pytest.mark.slow
 def test_a_spring_as_a_force_between_soft_walls():
     exact, found, state = as_spring(120, False)
     (end, hits), (other, others) = (told(scene, state, slots=32) for scene in (exact, found))
@@ -198,7 +199,7 @@ def test_what_does_not_know_such_walls_says_so():
     scene = mixed(False)
     for ask in (
         lambda: jv.find_orbits(scene),
-        lambda: jv.solve_orbits(scene, "R", jv.State(0.1, 0.2)),
+        lambda: jv.solve_orbits(scene, jv.State(0.1, 0.2), ("R",)),
         lambda: jv.explore(scene, "amplitude", bounds=(0.0, 3.0)),
     ):
         with pytest.raises(jv.ArgumentError, match=r"left: .* knows soft walls beside spring and damper alone"):

@@ -129,12 +129,13 @@ def jump(frame, met, sides):
     hard = (-met.bounce, jnp.zeros_like(shear), shear, -met.bounce), met.bounce * met.bounce
     if not frame.soft:
         return hard
-    _, pace, bend = _way(frame, sides, *met.phasor)
     if frame.pushes:
+        _, _, bend = _way(frame, sides, *met.phasor)
         drawn = sides * (before - met.bend), sides * (after - bend)
         soft = pushed_meeting.matrix(met.free, drawn, (sides * met.closing, sides * met.opening))
         return jax.tree.map(lambda soft, hard: jnp.where(met.gives, soft, hard), soft, hard)
     touch, stay = choose(met.gives, sides * float(Contact.WITHIN), 0.0), jnp.maximum(met.stay, 0.0)
+    _, pace, _ = _way(frame, sides, *met.phasor)
     soft = carried(frame, touch, stay, met.free, share(met.pace, met.closing), share(pace, met.opening))
     return jax.tree.map(lambda soft, hard: jnp.where(met.gives, soft, hard), soft, hard)
 
