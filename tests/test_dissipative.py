@@ -212,7 +212,7 @@ def test_a_neutral_saddle_is_no_neimark_sacker_point():
         assert abs(a * d - b * c - 1) < 1e-9 and abs(a + d - np.sum(point.multipliers).real) < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_areas_that_stay_as_they_are_have_no_special_points_of_rounding():
     """A motion that is its own image in reversed time has the determinant 1, whatever the force feeds and takes."""
     force = jv.Force(lambda t, x, v, p: -x - p["c"] * x * v, {"c": 0.2})

@@ -55,7 +55,7 @@ def test_a_pendulum_tilts_and_doubles_its_period_where_digits_say_so():
             ask()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_duffings_resonance_folds_where_digits_say_so():
     """The hard spring without walls: driven at 1.6, between two folds two motions are stable."""
     force = jv.Force("duffing", {"cubic": 1.0, "damping": 0.05})
