@@ -8,8 +8,8 @@ __version__ = "0.1.0"
 # Where each public name lives. A name is loaded when it is first asked for: `jaxvibro --help` never imports jax.
 _HOMES = {
     "Scene": "scene.scene",
-    "Wall": "scene.scene",
-    "Motion": "scene.scene",
+    "Wall": "scene.wall",
+    "Motion": "scene.wall",
     "make_scene": "scene.scene",
     "Force": "scene.force",
     "Push": "scene.push",

@@ -65,15 +65,15 @@ from .scene.codes import SolutionStatus as SolutionStatus
 from .scene.force import Force as Force
 from .scene.physical import scene_from_physical as scene_from_physical
 from .scene.push import Push as Push
-from .scene.scene import Motion as Motion
 from .scene.scene import Scene as Scene
-from .scene.scene import Wall as Wall
 from .scene.scene import make_scene as make_scene
 from .scene.soft_walls import contact_damping as contact_damping
 from .scene.soft_walls import effective_restitution as effective_restitution
 from .scene.soft_walls import soften as soften
 from .scene.state import Impacts as Impacts
 from .scene.state import State as State
+from .scene.wall import Motion as Motion
+from .scene.wall import Wall as Wall
 from .studies.run import run as run
 from .studies.scene_file import load_scene as load_scene
 from .studies.scene_file import save_scene as save_scene

@@ -11,7 +11,7 @@ import numpy as np
 
 import jaxvibro as jv
 
-from .reference import own_force, soft_force
+from .reference import soft_force
 
 jax.config.update("jax_enable_x64", True)
 
@@ -53,7 +53,7 @@ def compared(law, count, tolerances=TOLERANCES, digits=34, seed=0):
         for k in range(count):
             own, law_own = ({name: each[k] for name, each in given.items()} for given in (force, numbers))
             given = plain[2][k], plain[3][k], (plain[0][k], plain[1][k]), state.x[k], state.v[k]
-            laws = own_force.FORCES["duffing"], own, soft_force.LAWS[law], law_own
+            laws = soft_force.duffing, own, soft_force.LAWS[law], law_own
             (x, v), met, slowest, nearest = soft_force.flown(*laws, *given)
             size = max(abs(float(x)), abs(float(v)), abs(float(state.v[k])), 2.5 + plain[2][k])
             for place, (tolerance, (end, hits)) in enumerate(zip(tolerances, found, strict=True)):

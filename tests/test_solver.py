@@ -98,9 +98,7 @@ def test_a_bad_solver_is_one_error(given, rule):
 
 def test_a_solver_beside_a_soft_wall_is_one_error():
     soft = jv.Wall(0.4, stiffness=3.0, damping=DAMPING)
-    with pytest.raises(
-        jv.SceneError, match=r"force.solver: beside a soft wall .* Taylor steps: select_n has no .*Dopri8"
-    ):
+    with pytest.raises(jv.SceneError, match=r"force.solver: beside a soft wall .* Taylor steps: gt has no .*Dopri8"):
         scene(bilinear, {"damping": DAMPING, "stiffness": 3.0}, walls=(-1.0, soft))
 
 

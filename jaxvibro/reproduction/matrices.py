@@ -5,8 +5,9 @@ import numpy as np
 
 from ..maps.one_period import SLOTS
 from ..maps.strobe import strobe
-from ..scene.scene import Motion, Wall, make_scene
+from ..scene.scene import make_scene
 from ..scene.state import State
+from ..scene.wall import Motion, Wall
 from .claim import statement
 from .located import ROUNDING
 

@@ -4,7 +4,8 @@ import numpy as np
 
 from .. import plot
 from ..branches.explore import explore
-from ..scene.scene import Motion, Wall, make_scene
+from ..scene.scene import make_scene
+from ..scene.wall import Motion, Wall
 from . import closed
 from .claim import own, statement
 from .located import ROUNDING, twice, value

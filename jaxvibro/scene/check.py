@@ -10,8 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import get_opaque_trace_state
 
-from .wall_gap import least_gap
-
 HIGHEST_HARMONIC = 1000
 LONGEST = 300  # characters of a message
 MOST_PERIODS = 32  # of an orbit that is looked for; `iterate` keeps twice as many
@@ -275,51 +273,6 @@ def require(key, rule, value, holds):
         raise ArgumentError(key, rule, value[place], place or None)
 
 
-def check_scene(scene):
-    """The scene itself, once it breaks no rule: shapes always, values where they are known."""
-    leaves = [(path_name(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(scene)]
-    shapes_agree(leaves)
-    for key, leaf in leaves:
-        obey(key, leaf)
-    if scene.left is not None and scene.right is not None:
-        walls_apart(scene.left, scene.right)
-    return scene
-
-
-_FRACTION = ("must lie between 0 and 1", lambda value: (value >= 0) & (value <= 1))
-_POSITIVE = ("must be greater than 0", lambda value: value > 0)
-_NOT_NEGATIVE = ("must not be negative", lambda value: value >= 0)
-_RULES = {
-    "frequency": _POSITIVE,
-    "damping": _NOT_NEGATIVE,
-    "restitution": _FRACTION,
-    "left.restitution": _FRACTION,
-    "right.restitution": _FRACTION,
-    "left.stiffness": _POSITIVE,
-    "right.stiffness": _POSITIVE,
-    "left.damping": _NOT_NEGATIVE,
-    "right.damping": _NOT_NEGATIVE,
-    "mass": _POSITIVE,
-    "stiffness": _POSITIVE,
-    "length": _POSITIVE,
-}
-
-
-def obey(key, value):
-    """Refuse a known value that breaks the rule of its key; without a rule any real number will do."""
-    if key in _RULES and not is_traced(value):
-        rule, holds = _RULES[key]
-        require(key, rule, value, holds(value))
-
-
-_STEPS = ("name", "key", "idx")  # of a dataclass, a dict, a tuple
-
-
-def path_name(path):
-    """The dotted name of a leaf from its path in the tree."""
-    return ".".join(str(next(getattr(step, key) for key in _STEPS if hasattr(step, key))) for step in path)
-
-
 def shapes_agree(leaves):
     """Refuse the first array that does not broadcast with those before it."""
     if not any(leaf.shape for _, leaf in leaves):
@@ -330,22 +283,6 @@ def shapes_agree(leaves):
             shape = np.broadcast_shapes(shape, leaf.shape)
         except ValueError:
             raise ArgumentError(key, f"must broadcast with the shape {shape} of the others", leaf) from None
-
-
-def walls_apart(left, right):
-    """Refuse walls out of order, and walls that touch or cross at some phase of their motion."""
-    if is_traced(left.position, right.position):
-        return
-    rule = "must lie to the right of left.position"
-    require("right.position", rule, right.position, left.position < right.position)
-    if is_traced(*jax.tree.leaves((left.motion, right.motion))):
-        return
-    if left.motion is not None or right.motion is not None:
-        gap = least_gap(left, right)
-        side = "left" if right.motion is None else "right"
-        require(
-            f"{side}.motion", "walls may not touch or cross as they move: the least gap must exceed 0", gap, gap > 0
-        )
 
 
 def whole(key, value, least):

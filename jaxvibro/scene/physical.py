@@ -9,7 +9,9 @@ from jaxtyping import ArrayLike, Real
 from numpy.typing import DTypeLike
 
 from . import check
-from .scene import SIDES, Motion, Scene, Wall, Walls, make_scene, terms_of
+from .scene import SIDES, Scene, Walls, make_scene, terms_of
+from .scene_rules import obey
+from .wall import Motion, Wall
 
 
 @check.of_scene
@@ -47,7 +49,7 @@ def scene_from_physical(
     of = {key: check.quantity(key, value, kind) for key, value in given.items()}
     check.shapes_agree(of.items())
     for key, value in of.items():
-        check.obey(key, value)
+        obey(key, value)
     xp = jnp if check.is_traced(*of.values()) else np
     natural = xp.sqrt(of["stiffness"] / of["mass"])
     return make_scene(

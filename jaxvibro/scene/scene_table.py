@@ -7,7 +7,8 @@ from .force import TOLERANCE, Force
 from .force_rules import solver_name
 from .named_forces import NAMED, name_of
 from .push import NAMED_PUSHES, Push, name_of_push
-from .scene import Motion, Wall, make_scene
+from .scene import make_scene
+from .wall import Motion, Wall
 
 PLAIN = ("amplitude", "frequency", "damping", "restitution")
 

@@ -16,6 +16,7 @@ from continuation.arrays import Array
 
 from . import check
 from .scene import Scene
+from .scene_rules import obey
 
 
 def effective_restitution(
@@ -76,6 +77,6 @@ def _numbers(**given):
     for key, value in given.items():
         if not check.is_traced(value):
             value = check.number(key, value, np.float64)
-            check.obey(key, value)
+            obey(key, value)
         numbers.append(value)
     return (jnp if check.is_traced(*numbers) else np), *numbers

@@ -6,9 +6,29 @@ the series are in s, depth = e^2 and dt = 2 e ds, in which k depth^1.5 is k e^3.
 
 from mpmath import mp, mpf
 
-from .own_force import _product, series
-
 CELLS = 24  # of a step, at whose ends what is to keep its sign is looked at
+
+
+def _product(a, b, k):
+    return sum((a[j] * b[k - j] for j in range(k + 1)), mpf(0))
+
+
+def duffing(p, x, v, k, memory):
+    square = memory.setdefault("square", [])
+    square.append(_product(x, x, k))
+    return -x[k] - p["cubic"] * _product(square, x, k) - 2 * p["damping"] * v[k]
+
+
+def series(force, p, amplitude, frequency, t, x, v):
+    """Taylor coefficients of x from t on."""
+    place, speed, memory = [mpf(x), mpf(v)], [mpf(v)], {}
+    drive = [amplitude * mp.cos(frequency * t), -amplitude * frequency * mp.sin(frequency * t)]
+    for k in range(mp.dps - 1):
+        if k > 1:
+            drive.append(-(frequency**2) * drive[k - 2] / (k * (k - 1)))
+        place.append((force(p, place, speed, k, memory) + drive[k]) / ((k + 1) * (k + 2)))
+        speed.append((k + 2) * place[k + 2])
+    return place
 
 
 def linear(q, square, cube, w, k):

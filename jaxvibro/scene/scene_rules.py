@@ -1,0 +1,64 @@
+"""The rules for the numbers of a scene, by name, and for its walls together."""
+
+import jax
+
+from . import check
+from .wall_gap import least_gap
+
+FRACTION = ("must lie between 0 and 1", lambda value: (value >= 0) & (value <= 1))
+POSITIVE = ("must be greater than 0", lambda value: value > 0)
+NOT_NEGATIVE = ("must not be negative", lambda value: value >= 0)
+RULES = {
+    "frequency": POSITIVE,
+    "damping": NOT_NEGATIVE,
+    "restitution": FRACTION,
+    "left.restitution": FRACTION,
+    "right.restitution": FRACTION,
+    "left.stiffness": POSITIVE,
+    "right.stiffness": POSITIVE,
+    "left.damping": NOT_NEGATIVE,
+    "right.damping": NOT_NEGATIVE,
+    "mass": POSITIVE,
+    "stiffness": POSITIVE,
+    "length": POSITIVE,
+}
+STEPS = ("name", "key", "idx")  # of a dataclass, a dict, a tuple
+
+
+def check_scene(scene):
+    """The scene itself, once it breaks no rule: shapes always, values where they are known."""
+    leaves = [(path_name(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(scene)]
+    check.shapes_agree(leaves)
+    for key, leaf in leaves:
+        obey(key, leaf)
+    if scene.left is not None and scene.right is not None:
+        walls_apart(scene.left, scene.right)
+    return scene
+
+
+def obey(key, value):
+    """Refuse a known value that breaks the rule of its key; without a rule any real number will do."""
+    if key in RULES and not check.is_traced(value):
+        rule, holds = RULES[key]
+        check.require(key, rule, value, holds(value))
+
+
+def path_name(path):
+    """The dotted name of a leaf from its path in the tree."""
+    return ".".join(str(next(getattr(step, key) for key in STEPS if hasattr(step, key))) for step in path)
+
+
+def walls_apart(left, right):
+    """Refuse walls out of order, and walls that touch or cross at some phase of their motion."""
+    if check.is_traced(left.position, right.position):
+        return
+    rule = "must lie to the right of left.position"
+    check.require("right.position", rule, right.position, left.position < right.position)
+    if check.is_traced(*jax.tree.leaves((left.motion, right.motion))):
+        return
+    if left.motion is not None or right.motion is not None:
+        gap = least_gap(left, right)
+        side = "left" if right.motion is None else "right"
+        check.require(
+            f"{side}.motion", "walls may not touch or cross as they move: the least gap must exceed 0", gap, gap > 0
+        )
