@@ -54,6 +54,7 @@ def starts(seed=0, phase=0.0):
 def told(scene, state):
     """The strobe, as `harmonics_proof` asks for it, so that it is compiled for once."""
     lanes = jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (LANES,)), scene)
+    lanes = replace(lanes, restitution=scene.restitution)
     given = jv.State(state.x, state.v, state.phase)
     return jax.tree.map(np.asarray, jv.strobe(lanes, given, slots=SLOTS, clearance=True))
 
