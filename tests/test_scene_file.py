@@ -56,7 +56,7 @@ BAD = [
     (
         "scene.left.stifness = 3",
         "scene.left.stifness",
-        "is not a key here, perhaps stiffness (position, restitution, stiffness, damping, motion)",
+        "is not a key here, perhaps stiffness (position, restitution, stiffness, damping, motion, law)",
     ),
     ("scene.left.stiffness = -3", "scene.left.stiffness", "must be greater than 0; got -3"),
     ("scene.left.damping = 3", "scene.left.damping", "a wall without stiffness has none; got 3"),

@@ -205,7 +205,7 @@ def test_what_does_not_know_such_walls_says_so():
         with pytest.raises(jv.ArgumentError, match=r"left: .* knows soft walls beside spring and damper alone"):
             ask()
     with pytest.raises(jv.ArgumentError, match=r"is for rigid walls only"):
-        jv.basins(scene)
+        jv.basins(scene, [-0.5, 0.5], [-1.0, 1.0])
 
 
 def test_parameters_and_files(tmp_path):
