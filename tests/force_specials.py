@@ -1,4 +1,4 @@
-"""Orbits and special points of scenes with a force of their own against Newton's method in 50 digits."""
+"""Orbits and special points of scenes with a force of their own against Newton's method in 40 digits."""
 
 import jax
 import mpmath
