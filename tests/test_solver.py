@@ -65,7 +65,7 @@ def test_a_loop_is_flown_by_dopri8_as_the_exact_flow_of_its_spring_has_it():
 def test_a_scene_says_how_it_flies():
     assert linear().flow.startswith("exact")
     assert scene("duffing", {"cubic": 0.5, "damping": 0.1}).flow.startswith("Taylor steps to 1e-10")
-    assert scene(looped).flow == "steps of diffrax's Dopri8 to 1e-10: scan has no Taylor series"
+    assert scene(looped).flow == "steps of diffrax's Dopri8 to 1e-10: no Taylor series is known of scan"
     told = scene("pendulum", solver=diffrax.Kvaerno5(), tolerance=1e-7).flow
     assert told == "steps of diffrax's Kvaerno5 to 1e-07: asked for"
     table = {"x0": -1.0, "f0": -1.0, "x1": 0.0, "f1": 0.0, "x2": 1.0, "f2": 1.0, "damping": 0.1}
@@ -98,7 +98,10 @@ def test_a_bad_solver_is_one_error(given, rule):
 
 def test_a_solver_beside_a_soft_wall_is_one_error():
     soft = jv.Wall(0.4, stiffness=3.0, damping=DAMPING)
-    with pytest.raises(jv.SceneError, match=r"force.solver: beside a soft wall .* Taylor steps: gt has no .*Dopri8"):
+    with pytest.raises(
+        jv.SceneError,
+        match=r"force.solver: beside a soft wall .* Taylor steps, which are not known of gt, select_n; got .*Dopri8",
+    ):
         scene(bilinear, {"damping": DAMPING, "stiffness": 3.0}, walls=(-1.0, soft))
 
 

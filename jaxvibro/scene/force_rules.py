@@ -114,7 +114,7 @@ def flow_of(force, dtype):
     unknown = without_rule(force.function, tuple(force.numbers), np.dtype(dtype))
     if force.solver is None:
         return f"Taylor steps {to}: each operation of the force has a Taylor series"
-    why = f"{unknown[0]} has no Taylor series" if unknown else "asked for"
+    why = f"no Taylor series is known of {', '.join(unknown)}" if unknown else "asked for"
     return f"steps of diffrax's {type(force.solver).__name__} {to}: {why}"
 
 
@@ -124,7 +124,7 @@ def check_force_values(scene):
     force = scene.force
     if force.solver is not None and scene.soft_sides:
         unknown = without_rule(force.function, tuple(force.numbers), np.dtype(scene.dtype))
-        why = f": {unknown[0]} has no Taylor series" if unknown else ""
+        why = f", which are not known of {', '.join(unknown)}" if unknown else ""
         raise check.ArgumentError(
             "force.solver", f"beside a soft wall a force flies by Taylor steps{why}", force.solver
         )
