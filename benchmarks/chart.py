@@ -9,7 +9,7 @@ from matplotlib import patheffects
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-from benchmarks.sides import OURS, PLAIN, VMAP, YARDSTICK
+from benchmarks.sides import BY_SOLVER, OURS, PLAIN, VMAP, YARDSTICK
 from benchmarks.work import words
 
 # Okabe and Ito's colours, told apart by colour-blind readers; markers tell them apart in grey. Each picture draws those
@@ -17,6 +17,7 @@ from benchmarks.work import words
 STYLES = {
     OURS: ("#D55E00", "*"),
     VMAP: ("#CC79A7", "P"),
+    BY_SOLVER: ("#CC79A7", "X"),
     YARDSTICK: ("#000000", "X"),
     "heyoka, batch": ("#0072B2", "o"),
     "heyoka, scalar": ("#56B4E9", "v"),

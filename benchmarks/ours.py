@@ -21,10 +21,10 @@ def prepare_batch(states, stiffness=None, damping=None, slots=CAP):
     return lambda: jax.block_until_ready(jaxvibro.strobe(many, start, slots=slots))
 
 
-def prepare_duffing(states, tolerance, slots=CAP):
-    """The same of Duffing's oscillator, whose force is one of the user's own, at a tolerance."""
+def prepare_duffing(states, tolerance, solver=None, slots=CAP):
+    """The same of Duffing's oscillator, whose force is one of the user's own, at a tolerance; solver: of diffrax's."""
     x, v, amplitude = jnp.asarray(states.T)
-    force = jaxvibro.Force("duffing", {"cubic": CUBIC, "damping": GAMMA}, tolerance)
+    force = jaxvibro.Force("duffing", {"cubic": CUBIC, "damping": GAMMA}, tolerance, solver)
     many = jaxvibro.make_scene(amplitude, OMEGA, restitution=RESTITUTION, walls=(-1.0, 1.0), force=force)
     return lambda: jax.block_until_ready(jaxvibro.strobe(many, jaxvibro.State(x, v), slots=slots))
 

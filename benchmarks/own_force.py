@@ -6,7 +6,7 @@ import numpy as np
 
 from benchmarks import chart, harness, page, rigid, sides, truth
 from benchmarks.rows import Row, Topic
-from benchmarks.sides import OURS
+from benchmarks.sides import BY_SOLVER, OURS
 from benchmarks.work import CUBIC, GAMMA, OMEGA, RESTITUTION, draw
 
 JUDGED, ROUNDS = 1024, 7
@@ -73,6 +73,7 @@ def notes(rounds, judged):
         f"One core, every line timed in turn with ours at tolerance 1e-13, {rounds} rounds; medians and quartiles of "
         "the processor time. Compiling is left out; the first call includes it. Ours records nothing, the others the "
         "itinerary.",
+        f"{BY_SOLVER}: diffrax's steps behind our own search for impacts, as a force without Taylor series has them.",
         "At equal error: the cheapest of ours whose median error is not larger. Of each rival the row is of the "
         "setting that comes nearest to ours.",
         f"Errors against Taylor series by hand in 30 digits on {judged.sum():,} of the first {judged.size:,} states or "

@@ -11,6 +11,7 @@ from benchmarks.work import CAP, CUBIC, held
 FINE, COARSE = (1e-6, 1e-9, 1e-12, 1e-15), (1e-4, 1e-6, 1e-8, 1e-10)
 OURS = "jaxvibro"
 VMAP = "jaxvibro, user's vmap"
+BY_SOLVER = "jaxvibro by Dopri8"
 YARDSTICK = "yardstick"
 PLAIN = "SciPy LSODA, no events"
 STATES = 98_304
@@ -57,6 +58,7 @@ DUFFING = {
 }
 TOLERANCES = (1e-13, 1e-6, 1e-8, 1e-10, 1e-12, 1e-14)  # of ours under a force of one's own, the default first
 MANY = 10_000  # states of ours there
+BY_DOPRI8, FEW = (1e-6, 1e-9, 1e-12), 512  # tolerances and states of ours by a solver
 
 
 def read(answer):
@@ -113,4 +115,13 @@ def duffing(size):
         own(OURS, f"tol {each:g}", functools.partial(ours.prepare_duffing, tolerance=each, slots=0), size.states(MANY))
         for each in TOLERANCES
     )
+    more += [
+        own(
+            BY_SOLVER,
+            f"tol {each:g}",
+            functools.partial(ours.prepare_duffing, tolerance=each, solver="Dopri8", slots=0),
+            size.states(FEW),
+        )
+        for each in BY_DOPRI8
+    ]
     return us, more + rivals(DUFFING, size, cubic=CUBIC)
