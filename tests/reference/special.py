@@ -213,9 +213,8 @@ def moved(y, j, h):
 
 def exact(record):
     """A record of floats as one of mpfs of the same value."""
-    return record._make(
-        exact(each) if isinstance(each, tuple) else None if each is None else mpf(each) for each in record
-    )
+    numbers = (exact(each) if isinstance(each, tuple) else None if each is None else mpf(each) for each in record)
+    return record._make(numbers) if hasattr(record, "_make") else tuple(numbers)
 
 
 def with_value(record, name, value):
