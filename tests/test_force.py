@@ -96,7 +96,7 @@ def _coefficients(function, order):
 
 MOVING = jv.Wall(-1.2, 0.5), jv.Wall(0.9, motion=jv.Motion(0.1, 0.4, 2))
 WAYS = [
-    pytest.param(walls, tolerance, marks=() if place == power == 0 else pytest.mark.slow)
+    pytest.param(walls, tolerance, marks=() if place == power == 0 else pytest.mark.long if power else pytest.mark.slow)
     for place, walls in enumerate([(-1.0, 1.0), (None, 0.7), MOVING])
     for power, tolerance in enumerate([1e-13, 1e-9, 1e-6])
 ]
@@ -239,7 +239,7 @@ def test_derivatives_are_differences_of_series_by_hand(force):
             assert max(abs(a - b) for a, b in zip(found[:, k], true, strict=True)) < 1e-10 * abs(found).max()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_second_derivatives_of_a_spring_as_a_force_are_those_of_the_spring():
     def end(scene, name):
         def at(args):
@@ -315,7 +315,7 @@ def test_slopes_of_special_points_by_a_forces_numbers_are_those_by_the_springs()
     assert abs(gradients[0].frequency - gradients[1].frequency) < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_special_points_of_duffing_are_those_of_newtons_method_in_many_digits():
     branch = jv.follow(jv.find_orbit(own("duffing"), jv.State(0.9, -1.1)), "amplitude", (0.0, 6.0))
     points = [branch.points(kind)[0] for kind in ("SN", "SB", "GR")]
@@ -325,7 +325,7 @@ def test_special_points_of_duffing_are_those_of_newtons_method_in_many_digits():
             assert abs(solved(point)[1][2] - point.value) < 1e-11
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_attractors_and_exponents_of_a_spring_as_a_force_are_those_of_the_spring():
     exact, found = (jv.find_attractors(s, 40) for s in (linear(amplitude=4.65), linear_as_own(amplitude=4.65)))
     assert [one.label for one in exact] == [one.label for one in found]
@@ -499,7 +499,7 @@ def test_beside_a_force_there_is_no_damping():
         scene.replace(**{"force.dumping": 0.2})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_error_that_steps_leave_of_a_point_is_told_by_two_tolerances():
     orbit = jv.find_orbit(own("duffing", tolerance=1e-8), jv.State(0.9, -1.1))
     point = jv.follow(orbit, "amplitude", bounds=(0.0, 6.0)).points("SN")[0]

@@ -29,6 +29,7 @@ def hitting(amplitude, damping):
     return max(found, key=lambda one: one.speed)
 
 
+@pytest.mark.slow
 def test_speeds_and_multipliers_are_those_of_the_closed_form(scene, orbit):
     speeds, multipliers = jv.located(orbit, "speeds"), jv.located(orbit, "multipliers")
     with workdps(40):
@@ -43,6 +44,7 @@ def test_speeds_and_multipliers_are_those_of_the_closed_form(scene, orbit):
     assert speeds.solve(moved).status == OK
 
 
+@pytest.mark.slow
 def test_the_peak_of_a_motion_without_impacts(scene):
     free = jv.find_orbit(scene, jv.State(-0.585, 0.03))
     peak = jv.located(free, "peak")

@@ -25,6 +25,7 @@ def one_wall():
     return jv.make_scene(1.5, 1.7, 0.12, 0.6, (None, 0.8))
 
 
+@pytest.mark.slow
 def test_a_boundary_that_is_known_is_met(one_wall):
     bounds = {"amplitude": (0.9, 1.9), "frequency": (1.5, 1.9)}
     found = jv.search(one_wall, "GR", FREE, bounds, starts=60, max_period=1)

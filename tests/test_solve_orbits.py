@@ -56,6 +56,7 @@ def test_without_impacts_it_is_the_linear_response():
     assert np.asarray(slope(scene.amplitude)) == pytest.approx(np.full(9, response.real[0]))
 
 
+@pytest.mark.slow
 def test_statuses(orbit):
     scene, times, speeds = orbit.scene, orbit.impacts.time, orbit.impacts.speed
     behind = jv.solve_orbits(scene.replace(**{"right.position": np.array([0.8, 3.0])}), orbit.state, orbit.itinerary)

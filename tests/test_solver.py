@@ -155,8 +155,14 @@ def test_a_kink_is_flown_by_dopri8_as_the_exact_flow_of_a_soft_wall_has_it():
     assert error.max() < 20 * 1e-10 * 2.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("solver", "tolerance"), [("Tsit5", 1e-8), ("Dopri8", 1e-12), ("Kvaerno5", 1e-8)])
+@pytest.mark.parametrize(
+    ("solver", "tolerance"),
+    [
+        pytest.param("Tsit5", 1e-8, marks=pytest.mark.long),
+        pytest.param("Dopri8", 1e-12, marks=pytest.mark.long),
+        pytest.param("Kvaerno5", 1e-8, marks=pytest.mark.slow),
+    ],
+)
 def test_each_solver_comes_to_where_taylor_steps_come(solver, tolerance):
     numbers = {"cubic": 0.5, "damping": DAMPING}
     walls = jv.Wall(-1.2, 0.5), jv.Wall(0.9, motion=jv.Motion(0.1, 0.4, 2))
@@ -190,7 +196,7 @@ def test_kvaerno5_rests_and_flies_in_thick_oil_as_the_exact_flow_does():
     np.testing.assert_allclose(end.x, true.x, rtol=0, atol=20 * 1e-9 * 2000.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_table_of_a_line_is_the_spring_and_one_of_a_curve_what_scipy_makes_of_it():
     places = np.linspace(-1.5, 1.5, 7)
     line = {f"{letter}{k}": x for k, x in enumerate(places) for letter in "xf"} | {"damping": DAMPING}

@@ -116,6 +116,7 @@ def test_a_step_that_strays_is_refused():
     assert 0 < np.diff(found.p["p"]).min() < np.diff(found.p["p"]).max() < 0.4 * period
 
 
+@pytest.mark.slow
 def test_every_fold_of_many_is_seen_once_and_monitors_and_stops():
     found = co.trace(
         WAVE, [0.0], {"p": 0.0}, "p", (-3.0, 3.0), monitors={"far": lambda u, p, args: u[0] - 10.0}, stop=["far"]
