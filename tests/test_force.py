@@ -273,7 +273,7 @@ def test_the_branch_of_a_spring_as_a_force_is_that_of_the_spring():
     assert repr(found) == repr(exact)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_orbit_without_impacts_and_what_it_becomes_when_it_grazes():
     scene = own("duffing", amplitude=0.5)
     orbit = jv.find_orbit(scene, jv.State(0.0, 0.0))
@@ -301,7 +301,7 @@ def test_the_determinant_of_a_multiplier_pair_says_how_much_was_lost():
     assert abs(np.prod(orbit.multipliers) - lost) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_slopes_of_special_points_by_a_forces_numbers_are_those_by_the_springs():
     points = []
     for scene in (linear(), linear_as_own()):

@@ -9,10 +9,14 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
+LONGEST = ("04", "08", "09")
+MARKED = [
+    pytest.param(path, id=path.name, marks=pytest.mark.long if path.name.startswith(LONGEST) else pytest.mark.slow)
+    for path in NOTEBOOKS
+]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", MARKED)
 def test_a_notebook_runs_and_draws(path, tmp_path):
     environment = os.environ | {"MPLBACKEND": "Agg", "PYTHONPATH": str(ROOT)}
     ended = subprocess.run(
