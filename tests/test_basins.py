@@ -62,6 +62,7 @@ def test_labels_are_those_of_states_run_on_alone(name, phase):
     np.testing.assert_allclose(data["fraction"], shares, atol=1e-15)
 
 
+@pytest.mark.long
 def test_the_mirrored_picture_half_a_period_later_has_the_twins_swapped():
     scene, attractors = known("figure 5")
     x, v = np.linspace(-1.0, 1.0, 41), np.linspace(-3.0, 3.0, 41)

@@ -99,7 +99,9 @@ def test_numbers_are_those_of_another_minimiser():
     assert found.covariance.values == pytest.approx(np.linalg.inv(theirs.jac.T @ theirs.jac)[:2, :2], rel=1e-3)
 
 
-@pytest.mark.parametrize(("often", "periods", "velocities"), [(16, 30, False), (1, 60, True)])
+@pytest.mark.parametrize(
+    ("often", "periods", "velocities"), [pytest.param(16, 30, False, marks=pytest.mark.long), (1, 60, True)]
+)
 def test_numbers_that_made_a_chaotic_record_are_found(often, periods, velocities):
     """Of x(t), and of a section once a period, in which neighbouring motions have long parted."""
     found = jv.fit(begun(), noisy(often, periods, velocities), FREE)

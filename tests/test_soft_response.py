@@ -90,6 +90,7 @@ def by_hardness(decades):
     return exact_fold(k2, A, GAMMA, gamma2, NEAR[10])
 
 
+@pytest.mark.slow
 def test_a_fold_moves_with_the_hardness_as_differences_of_the_reference_say(branches):
     point, step = fold(branches[10]), 1e-5
     slope, by_amplitude = jv.sensitivity(point, ("hardness", "amplitude")).values
@@ -101,6 +102,7 @@ def test_a_fold_moves_with_the_hardness_as_differences_of_the_reference_say(bran
         jv.sensitivity(point, ("hardness", "left.stiffness"))
 
 
+@pytest.mark.slow
 def test_a_fold_along_the_hardness_moves_with_the_frequency(branches):
     near = branches[10].orbit(fold(branches[10]).place - 2)
     (point,) = jv.follow(near, "hardness", (0.8, 1.2), "backward", stop="SN").points("SN")
@@ -121,6 +123,7 @@ def test_a_grazing_moves_as_the_closed_form(free):
     assert share == 1.0 and point.value == pytest.approx(float(compliant.grazing(0.4, 0.05)), abs=1e-13)
 
 
+@pytest.mark.slow
 def test_figure_10_fitted_is_the_reference_to_ten_digits(branches, free):
     folds, (graze,) = [fold(one) for one in branches.values()], free.points("GR")
     both = fitting.fitted([hold(one, ("damping",)) for one in folds], [1.48, 1.74], [0.05], 0.0, 0.5)
