@@ -24,18 +24,18 @@ def is_series_of_root(function, names, dtype):
 
 def along(force, time, x, v):
     """The `Series` of a force where t, x and v are these `Series`."""
-    names = tuple(force.numbers)
-    closed = traced(force.function, names, np.dtype(jnp.result_type(*jax.tree.leaves((x[0], v[0])))))
-    numbers = [Series(None, force.numbers[name]) for name in names]
-    (found,) = _run(closed, [time, x, v, *numbers])
-    return found
+    return _series(force, np.dtype(jnp.result_type(*jax.tree.leaves((x[0], v[0])))), [time, x, v])
 
 
 def pushed(law, depth, rate):
     """The `Series` of a wall's push, of a depth that is the `Square` of its root."""
-    names = tuple(law.numbers)
-    closed = traced(law.function, names, np.dtype(jnp.result_type(*jax.tree.leaves((depth[0], rate[0])))), 2)
-    (found,) = _run(closed, [depth, rate, *(Series(None, law.numbers[name]) for name in names)])
+    return _series(law, np.dtype(jnp.result_type(*jax.tree.leaves((depth[0], rate[0])))), [depth, rate])
+
+
+def _series(force, dtype, given):
+    """The `Series` of a function of these, and of its numbers."""
+    closed = traced(force.function, tuple(force.numbers), dtype, len(given))
+    (found,) = _run(closed, [*given, *(Series(None, number) for number in force.numbers.values())])
     return found
 
 

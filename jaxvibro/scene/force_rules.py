@@ -37,20 +37,7 @@ def check_force(force, number, dtype):
     """
     if not isinstance(force, Force):
         raise check.ArgumentError("force", "must be a Force or None: jv.Force(function, {name: number})", force)
-    function = force.function
-    if isinstance(function, str):
-        if function not in NAMED:
-            raise check.ArgumentError(
-                "force.function", f"must be a function, or one of ours{check.among(function, NAMED)}", function
-            )
-        function = NAMED[function]
-    if not callable(function):
-        raise check.ArgumentError("force.function", "must be a function of (t, x, v, numbers)", function)
-    if not isinstance(force.numbers, Mapping):
-        raise check.ArgumentError("force.numbers", "must be a dict {name: number}", force.numbers)
-    for name in force.numbers:
-        if not isinstance(name, str) or not name.isidentifier():
-            raise check.ArgumentError("force.numbers", "names must be letters, digits and _", name)
+    function = called("force", force, NAMED, "t, x, v, numbers")
     wanted = takes(function, force.numbers)
     if wanted is not None:
         given = ", ".join(force.numbers) or "none"
@@ -72,6 +59,24 @@ def check_force(force, number, dtype):
                 "force.tolerance", f"must be {TIGHTEST_OF_SOLVERS} or more with a solver", tolerance
             )
     return replace(force, function=function, numbers=numbers, solver=solver)
+
+
+def called(key, given, named, of):
+    """The function of a `Force` or a `Push`, once it is one, of ours by name or not, and its numbers have names."""
+    function = given.function
+    if isinstance(function, str):
+        if function not in named:
+            rule = f"must be a function, or one of ours{check.among(function, named)}"
+            raise check.ArgumentError(f"{key}.function", rule, function)
+        function = named[function]
+    if not callable(function):
+        raise check.ArgumentError(f"{key}.function", f"must be a function of ({of})", function)
+    if not isinstance(given.numbers, Mapping):
+        raise check.ArgumentError(f"{key}.numbers", "must be a dict {name: number}", given.numbers)
+    for name in given.numbers:
+        if not isinstance(name, str) or not name.isidentifier():
+            raise check.ArgumentError(f"{key}.numbers", "names must be letters, digits and _", name)
+    return function
 
 
 def _check_table(numbers):

@@ -1,6 +1,5 @@
 """The rules for the law of a soft wall: each broken one names the key, the rule and the value, like a scene's."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from functools import lru_cache
 
@@ -9,6 +8,7 @@ import numpy as np
 
 from . import check
 from .force import of_row, trace
+from .force_rules import called
 from .push import NAMED_PUSHES, Push, hertz, hunt_crossley
 
 GIVEN = 2  # depth and rate
@@ -27,19 +27,7 @@ def check_push(side, wall, number, dtype, force):
     if force is None:
         rule = "needs a force beside it; the spring is jv.Force('polynomial', {'c1': 1.0, 'damping': ...})"
         raise check.ArgumentError(key, rule, law.function)
-    function = law.function
-    if isinstance(function, str):
-        if function not in NAMED_PUSHES:
-            rule = f"must be a function, or one of ours{check.among(function, NAMED_PUSHES)}"
-            raise check.ArgumentError(f"{key}.function", rule, function)
-        function = NAMED_PUSHES[function]
-    if not callable(function):
-        raise check.ArgumentError(f"{key}.function", "must be a function of (depth, rate, numbers)", function)
-    if not isinstance(law.numbers, Mapping):
-        raise check.ArgumentError(f"{key}.numbers", "must be a dict {name: number}", law.numbers)
-    for name in law.numbers:
-        if not isinstance(name, str) or not name.isidentifier():
-            raise check.ArgumentError(f"{key}.numbers", "names must be letters, digits and _", name)
+    function = called(key, law, NAMED_PUSHES, "depth, rate, numbers")
     numbers = {name: number(f"{key}.{name}", value) for name, value in law.numbers.items()}
     _obey(key, function, numbers)
     names = tuple(numbers)
