@@ -125,6 +125,20 @@ def test_a_pressed_mass_stays_within_a_very_stiff_wall():
     assert abs((float(end.x) - 1.0) * (1.0 + 1e10) - 2.0) < 1e-2
 
 
+def test_periods_within_a_wall_are_all_flown():
+    """A long step may end where a period does: the next is flown all the same."""
+    stiffness, damping, amplitude, frequency = 1e6, 0.1, 0.3, 1.3
+    scene = jv.make_scene(amplitude, frequency, 0.05, 0.7, (None, jv.Wall(-1.0, stiffness=stiffness, damping=damping)))
+    end, impacts = jv.strobe(scene, jv.State(-1.0 + 1.9e-6, 0.0), periods=3)
+    own, rate = 1.0 + stiffness, np.sqrt(1.0 + stiffness - damping**2)
+    time, drive = 3 * 2 * np.pi / frequency, amplitude / (own - frequency**2 + 2j * damping * frequency)
+    begin = 1.9e-6 - 1.0 / own - drive.real
+    swing = begin, (0.0 - (1j * frequency * drive).real + damping * begin) / rate
+    fade = np.exp(-damping * time)
+    y = fade * (swing[0] * np.cos(rate * time) + swing[1] * np.sin(rate * time)) + 1.0 / own + drive.real
+    assert not impacts.status and abs((end.x + 1.0) - y) < 1e-15 and end.contact == Contact.WITHIN
+
+
 @pytest.mark.slow
 def test_multipliers_of_orbits_are_those_of_the_product_and_of_autodiff(resonance):
     orbit, _ = resonance

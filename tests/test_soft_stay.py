@@ -13,7 +13,7 @@ from continuation.in_numpy import Tried
 from jaxvibro.compiled.compiler_hints import one_kernel
 from jaxvibro.flight import flow
 from jaxvibro.flight.coefficients import frame
-from jaxvibro.flight.flight_state import accelerations
+from jaxvibro.flight.spring_flow import accelerations
 from jaxvibro.flight.soft_return import first_return
 from jaxvibro.flight.wall import course, picked
 from jaxvibro.maps import contact_duration

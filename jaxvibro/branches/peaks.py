@@ -9,15 +9,15 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from ..flight import response, soft_contact
+from ..flight import soft_contact
 from ..flight.coefficients import framed
-from ..orbits import flight_clearance, impact_equations
+from ..flight.flows import flow_of
+from ..orbits import flight_clearance, impact_equations, saltation
 from ..orbits.orbit import Orbit
 from ..problem.diagnostics import each_of, flight
 from ..problem.equations import cycle_at, there
 from ..problem.orbit_on_branch import OrbitPoint, place_orbit
 from ..scene import check
-from ..scene.codes import Contact
 from .branch import Branch, row_of, spot_of
 
 ROUNDS = 6  # of false position: x at a turning point is right to the square of its time's error
@@ -91,14 +91,10 @@ def of_cycle(built, given):
 
     best = jnp.where(hit, abs(found.met.where), 0.0)
     begin, span = given.times, found.time
-    if built.soft:
+    if found.met.stay is not None:
         inside = soft_contact.gives(built, given.sides)
         stay = jnp.where(inside & hit, jnp.maximum(found.met.stay, 0.0), 0.0)
-        if built.pushes:
-            reach = jnp.maximum(jnp.max(stay), jnp.finfo(stay.dtype).tiny)
-        else:
-            reach = jnp.min(soft_contact.felt(built, given.sides * float(Contact.WITHIN)).reach)
-        best = _highest(at, begin, stay, reach, best)
+        best = _highest(at, begin, stay, saltation.reach(built, found.met, given.sides), best)
         begin = begin + stay
     best = _highest(at, begin, span, built.reach, best)
     return jnp.max(jnp.where(hit, best, 0.0))
@@ -112,7 +108,7 @@ def of_flight(built, found):
     """The largest abs x of the flight of a motion without impacts."""
 
     def at(time):
-        return response.after(built, found.x, found.v, found.cosine, found.sine, time)
+        return flow_of(built).fly(built, found.x, found.v, found.cosine, found.sine, time)[:2]
 
     none = jnp.zeros_like(found.x)
     return jnp.max(_highest(at, none, found.time, built.reach, none))

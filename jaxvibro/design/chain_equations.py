@@ -15,8 +15,9 @@ from jaxtyping import Float
 
 from continuation.persistent_jit import persistent_jit
 
-from ..flight import drive, flow, response
+from ..flight import drive, flow
 from ..flight.coefficients import framed
+from ..flight.flows import flow_of
 from ..flight.wall import course, picked
 from ..orbits.saltation import meeting
 from ..scene.scene import SIDES
@@ -106,7 +107,7 @@ def _flown(scene, sides, when, own, following, phase):
     x, v = (jnp.where(free, mine, its) for mine, its in zip(own, met.state, strict=True))
     cosine, sine = (jnp.where(free, mine, its) for mine, its in zip((cosine, sine), met.phasor, strict=True))
     time = jnp.maximum(end - begin - stay, 0.0)
-    end_x, end_v = response.after(frame, x, v, cosine, sine, time)
+    end_x, end_v = flow_of(frame).fly(frame, x, v, cosine, sine, time)[:2]
     where, pace = _wall(frame, after, *_turned(frame, phase, end))
     gap = end_x - jnp.where(free_next, following[0], where)
     excess = jnp.where(free_next, end_v - following[1], after * (end_v - pace) - following[1])

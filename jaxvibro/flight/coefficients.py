@@ -1,6 +1,7 @@
 """What a flight needs of a scene, worked out once."""
 
 import math
+from enum import Enum
 from typing import NamedTuple
 
 import jax
@@ -20,6 +21,15 @@ from .wall import Lane, extent, lane, tail
 
 SIDES = (-1, 1)
 TURN_LOW = 2.4492935982947064e-16  # 2 pi less its double
+
+
+class Stays(Enum):
+    """What stays within soft walls are: none, where all walls are rigid; of a spring and a damper on top of the
+    oscillator's; or pushed back beside a force of the user's own."""
+
+    NONE = "none"
+    SPRING = "spring"
+    PUSHED = "pushed"
 
 
 class Frame(NamedTuple):
@@ -62,14 +72,11 @@ class Frame(NamedTuple):
     terms: tuple[drive.Term, ...] = ()
 
     @property
-    def soft(self) -> bool:
-        """Whether there is a soft wall."""
-        return any(each is not None for each in self.contacts)
-
-    @property
-    def pushes(self) -> bool:
-        """Whether there is a soft wall, and stays in it are flown by themselves (`pushed_stay`)."""
-        return self.soft and self.law is not None
+    def stays(self) -> Stays:
+        """What its stays within soft walls are: asked for here alone."""
+        if all(each is None for each in self.contacts):
+            return Stays.NONE
+        return Stays.SPRING if self.law is None else Stays.PUSHED
 
 
 def frame(scene):

@@ -12,6 +12,7 @@ from .coefficients import is_valid
 from .flight_state import Path, SlowMotion, motion
 from .soft_contact import is_inside
 from .wall import course, extent, less
+from .within_wall import within
 
 WIDE = 0.4  # of the exponents: lengths whose squares and products stay finite, and are not lost
 
@@ -49,8 +50,9 @@ def enter(frame, state, rules=is_valid):
         path = path._replace(**dict(zip(("x", "v", "contact"), (choose(inside, *each) for each in kept), strict=True)))
         valid &= fits & (given != (Contact.WITHIN if soft is None else Contact.STUCK))
         known |= given > 0
-    if frame.soft:
-        frame = frame._replace(swift=choose(is_inside(path.contact), 0.0, frame.swift + none))
+    inside = within(frame, path.contact)
+    if inside is not None:
+        frame = frame._replace(swift=choose(inside, 0.0, frame.swift + none))
     path = path._replace(motion=motion(frame, path.x, path.v, cosine, sine))
     fault = choose(finite, choose(valid & known, lax.full_like(none, Status.OK), Status.INVALID), Status.NONFINITE)
     return path, fault

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import jax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, stage, two_sum
-from . import drive, flow, force_flow, soft_contact
+from ..compiled.compiler_hints import choose, two_sum
+from . import flow, soft_contact
 from .wall import course
 
 CAPPED = -1.0
@@ -68,61 +68,15 @@ def place(frame, motion):
     return x, low + slow_x_low, slow_v + (slow_v_low - frame.swift * frame.frequency * sine)
 
 
-def moved(frame, motion, time, touch=None):
-    """The `SlowMotion` a time later. touch: the lanes' contact, where they may be within a soft wall.
-
-    Under a force of the user's own no longer than a step.
-    """
-    if frame.law is not None:
-        return gone(frame, motion, time)
-    if touch is None:
-        gains, more = stage(flow.gains, frame.series, frame.frequency, time), None
-        if frame.terms:
-            lifted = [stage(flow.lifts, term.series, time) for term in frame.terms]
-            more = stage(drive.moved, frame.terms, frame.frequency, *motion[4:], gains.move, lifted)
-    else:
-        gains = stage(soft_contact.gains, frame, touch, time)
-        waves = stage(soft_contact.waves, frame, touch, time) if soft_contact.waved(frame) else []
-        more = stage(soft_contact.pushed, frame, touch, motion, gains, waves)
-    slow = stage(_carry, frame, motion, gains, touch, more)
-    return SlowMotion(*slow, *stage(flow.turn, *motion[4:], gains.versed, gains.sined))
-
-
-def gone(frame, motion, time, terms=None):
-    """The `SlowMotion` a time later under a force of the user's own; terms: the coefficients of x, where known."""
-    x, _, v = stage(place, frame, motion)
-    dx, dv = force_flow.gained(frame, x, v, motion.cosine, motion.sine, time, terms)
-    slow = stage(_added, motion, dx, dv)
-    return SlowMotion(*slow, *stage(_turned, frame.frequency, motion.cosine, motion.sine, time))
-
-
-def _added(motion, dx, dv):
+def added(motion, dx, dv):
+    """(slow_x, slow_x_low, slow_v, slow_v_low) of a motion that has gained so much."""
     return *two_sum(motion.slow_x, dx + motion.slow_x_low), *two_sum(motion.slow_v, dv + motion.slow_v_low)
 
 
-def _turned(frequency, cosine, sine, time):
+def turned(frequency, cosine, sine, time):
+    """The drive's cosine and sine a time later."""
     angle = frequency * time
     return flow.turn(cosine, sine, flow.versine(angle), flow.sinus(angle))
-
-
-def _carry(frame, motion, gains, touch, more):
-    """(slow_x, slow_x_low, slow_v, slow_v_low) after a flight; more: what the drive's force is not the cause of."""
-    twist = frame.damping * frame.frequency
-    along = -2.0 * frame.swift * (motion.cosine + twist * (motion.cosine - motion.sine))
-    across = -2.0 * frame.swift * (motion.sine + twist * (motion.sine + motion.cosine))
-    if touch is not None:
-        inside = soft_contact.is_inside(touch)
-        along = choose(inside, frame.force * motion.cosine, along)
-        across = choose(inside, frame.force * motion.sine, across)
-    stay, move, lift, lag = gains[:4]
-    dx = stay * motion.slow_x + (move * motion.slow_v + (along * lift - across * lag))
-    forced = along * (move - frame.frequency * lag) - across * (frame.frequency * lift)
-    dv = (stay - 2.0 * frame.damping * move) * motion.slow_v + (
-        forced - move * flow.pulled(frame.stiffness, motion.slow_x)
-    )
-    if more is not None:
-        dx, dv = dx + more[0], dv + more[1]
-    return _added(motion, dx, dv)
 
 
 def remaining(path, time):
@@ -141,27 +95,3 @@ def absolute(frame, path):
             x = choose(inside, where + path.x, x)
             v = v if pace is None else choose(inside, pace + path.v, v)
     return x, v
-
-
-def accelerations(frame, x, v, cosine, sine, bias=(None, None)):
-    """The acceleration of a free mass, and its rate of change; bias: see `flow.extend`."""
-    if frame.law is not None:
-        return tuple(force_flow.derivatives(frame, x, v, cosine, sine, 3)[2:])
-    bias = drive.pushed(frame.terms, frame.frequency, cosine, sine, bias)
-    force = frame.force * cosine, -(frame.force * sine) * frame.frequency
-    return flow.extend(frame.frequency, frame.damping, frame.stiffness, force, bias, (x, v))[1]
-
-
-def jet(frame, x, v, cosine, sine, order, bias=()):
-    """x and its derivatives, two at a time so that each is computed once: at least as many as the order."""
-    if frame.law is not None:
-        return force_flow.derivatives(frame, x, v, cosine, sine, order)
-    force, found = (frame.force * cosine, -(frame.force * sine) * frame.frequency), [x, v]
-    bias = [*bias, *[None] * order]
-    if frame.terms:
-        bias = stage(drive.pushed, frame.terms, frame.frequency, cosine, sine, bias[:order])
-    while len(found) <= order:
-        pair = bias[len(found) - 2 : len(found)]
-        force, new = stage(flow.extend, frame.frequency, frame.damping, frame.stiffness, force, pair, found[-2:])
-        found += new
-    return found

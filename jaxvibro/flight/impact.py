@@ -8,11 +8,13 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, positive, two_sum
 from ..scene.codes import Contact
-from . import event, flow, force_flow
-from .flight_state import CAPPED, Path, SlowMotion, accelerations, motion
-from .press import press
-from .soft_contact import biases, bounce, gives, is_inside
-from .wall import chosen, course, less, picked
+from . import event, flow
+from .flight_state import CAPPED, Path, SlowMotion, motion
+from .flows import flow_of
+from .soft_contact import bounce, gives
+from .stays import stays_of
+from .wall import course, less, picked
+from .within_wall import counted, within
 
 ENDLESS = -1.0  # the least speed of a chatter
 HOPS = 4.85  # 2 (1 + sqrt(2)), and for rounding
@@ -37,13 +39,10 @@ def late(frame, path, side):
     """
     phasor = path.cosine, path.sine
     where, speed, bend = picked(side, frame.walls, [course(wall, frame.frequency, *phasor, 2) for wall in frame.walls])
-    push, change = picked(side, frame.walls, [press(frame, wall, *phasor, 1) for wall in frame.walls])
-    pull, _ = accelerations(frame, path.x, path.v, path.cosine, path.sine, _bias(frame, path))
-    if frame.soft:
-        inside = is_inside(path.contact)
-        where, speed, bend = (
-            None if each is None else choose(inside, 0.0, each + 0.0 * side) for each in (where, speed, bend)
-        )
+    presses = [flow_of(frame).press(frame, wall, *phasor, 1) for wall in frame.walls]
+    push, change = picked(side, frame.walls, presses)
+    pull, _ = _pulled(frame, path)
+    where, speed, bend = counted(within(frame, path.contact), side, (where, speed, bend))
     closing, bending = less(path.v, speed), less(pull, bend)
     stuck = lax.abs(path.contact) == Contact.STUCK
     time = choose(stuck, -push, (where - path.x) - path.x_low) / choose(stuck, change, closing)
@@ -57,31 +56,26 @@ def strike(frame, path, side, late):
     stuck = lax.abs(path.contact) == Contact.STUCK
     cosine, sine = _turned(frame, path, late)
     _, speed, push, change = surface(frame, choose(stuck, path.contact, side), cosine, sine)
-    pull, jerk = accelerations(frame, path.x, path.v, path.cosine, path.sine, _bias(frame, path))
-    inside = is_inside(path.contact) if frame.soft else None
-    if frame.soft:
-        speed = choose(inside, 0.0, speed + 0.0 * side)
+    pull, jerk = _pulled(frame, path)
+    inside = within(frame, path.contact)
+    (speed,) = counted(inside, side, (speed,))
     closing = side * (path.v + late * (pull + 0.5 * late * jerk) - speed)
     again = bounce(frame, side)
     leaving = again * closing
     state = settle(frame, leaving, side * push, side * change)
-    if frame.law is None:
-        rush = chosen(side, frame.walls, frame.rushes)
-    else:
-        own = [force_flow.hops(frame, wall, pull, closing, cosine, sine) for wall in frame.walls]
-        rush, damping = picked(side, frame.walls, own)
-        frame = frame._replace(damping=damping)
-    ends = chatters(frame, leaving, side * push, again, rush, path.to_go)
+    rush, damping = flow_of(frame).hops(frame, side, pull, closing, cosine, sine)
+    ends = chatters(frame._replace(damping=damping), leaving, side * push, again, rush, path.to_go)
     state = choose(stuck, Contact.RELEASED, choose(ends, Contact.STUCK, state))
-    if frame.soft:
+    if inside is not None:
         state = choose(inside, Contact.LANDED, choose(gives(frame, side), Contact.ENTERED, state))
     least_speed = choose((state == Contact.STUCK) & (leaving > 0), ENDLESS, closing)
     return Strike(choose(stuck, 0.0, closing), least_speed, choose(side != 0, side * state, path.contact))
 
 
-def _bias(frame, path):
-    """What `soft_contact.biases` says of the path."""
-    return biases(frame, path.contact, path.cosine, path.sine, 1) if frame.soft and not frame.pushes else (None, None)
+def _pulled(frame, path):
+    """The acceleration of the mass and its rate of change."""
+    bias = stays_of(frame).bias(frame, path)
+    return flow_of(frame).accelerations(frame, path.x, path.v, path.cosine, path.sine, bias)
 
 
 def part(frame, path, side, late, strike, time):
@@ -95,11 +89,12 @@ def part(frame, path, side, late, strike, time):
     on = (side != 0) | stuck
     leaving = bounce(frame, side) * strike.speed
     keeps = lax.abs(strike.contact) == Contact.LANDED
-    if frame.soft:
+    inside = within(frame, path.contact)
+    if inside is not None:
         enters = (side != 0) & (lax.abs(strike.contact) == Contact.ENTERED)
         keeps |= enters
-        leaving = choose(enters | is_inside(path.contact), -strike.speed, leaving)
-        where, speed = choose(enters, 0.0, where + 0.0 * side), choose(enters, 0.0, speed + 0.0 * side)
+        leaving = choose(enters | inside, -strike.speed, leaving)
+        where, speed = counted(enters, side, (where, speed))
         frame = frame._replace(swift=choose(enters, 0.0, frame.swift))
     after = speed - side * choose(keeps, leaving, 0.0)
     x, v = choose(on, where, path.x), choose(on, after, path.v)
@@ -109,8 +104,8 @@ def part(frame, path, side, late, strike, time):
     to_go, to_go_low = two_sum(path.to_go, path.to_go_low - late)
     idle = (time > 0) & ~on
     contact = choose(idle, 0.0, strike.contact)
-    if frame.soft:
-        inside = (side == 0) & is_inside(path.contact)
+    if inside is not None:
+        inside &= side == 0
         contact = choose(inside & (time > 0), lax.sign(path.contact) * Contact.WITHIN, contact)
     to_go = choose(path.to_go == CAPPED, CAPPED, positive(to_go))
     return Path(x, choose(on, 0.0, path.x_low), v, moved, to_go, to_go_low, contact)
@@ -125,7 +120,7 @@ def surface(frame, side, cosine, sine):
     """Position, speed, press and the press's change of the wall on a side."""
     courses = [course(wall, frame.frequency, cosine, sine, 1) for wall in frame.walls]
     where, speed = picked(side, frame.walls, courses)
-    presses = [press(frame, wall, cosine, sine, 1) for wall in frame.walls]
+    presses = [flow_of(frame).press(frame, wall, cosine, sine, 1) for wall in frame.walls]
     return where, 0.0 if speed is None else speed, *picked(side, frame.walls, presses)
 
 

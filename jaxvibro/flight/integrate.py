@@ -4,7 +4,6 @@ At each turn every lane flies a step, lands and rebounds, or is done. The loop p
 measured or impacts have to be put into their slots: work that is the same for all lanes and rarely due.
 """
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -14,9 +13,10 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, mask, merge, stage
 from ..scene.codes import Contact
-from . import impact_log, pushed_stay, soft_long_step, turning_points
+from . import impact_log, soft_long_step, turning_points
 from .flight_state import CAPPED, Path
 from .soft_contact import is_inside
+from .stays import stays_of
 from .step import micro
 
 IMPACTS = 1000  # of one lane in one period, the cap
@@ -54,21 +54,20 @@ def begin(frame, path, slots, end, clearance=False):
     calls = turning_points.nothing(path.x) if frame.walls and clearance else None
     none = jnp.zeros_like(path.x)
     steps = jnp.zeros((), path.x.dtype)
-    return Journey(path, *impact_log.empty(path.x, slots, end), calls, none - 1.0, steps, none if frame.soft else None)
+    wait = stays_of(frame).unbegun(none)
+    return Journey(path, *impact_log.empty(path.x, slots, end), calls, none - 1.0, steps, wait)
 
 
 def cap(frame, periods):
     """The `Cap` for some drive periods."""
-    reach = frame.reach
-    for each in () if frame.pushes else frame.contacts:
-        reach = reach if each is None else lax.min(reach, each.reach)
+    reach = stays_of(frame).reach(frame)
     steps = 4.0 * IMPACTS + lax.min(STEPS * frame.period / reach, lax.full_like(frame.period, MOST_STEPS))
     return Cap(lax.full_like(frame.period, IMPACTS * periods), steps * periods)
 
 
 def run(frame, journey, cap, again=None):
     """The journey when no lane has time to go; again: gives the lanes that have ended a period their next."""
-    walls, watched = bool(frame.walls), journey.calls is not None
+    walls, watched, stays = bool(frame.walls), journey.calls is not None, stays_of(frame)
 
     def turn(journey):
         step = micro(frame, journey.path)
@@ -77,7 +76,7 @@ def run(frame, journey, cap, again=None):
         side = stage(_struck, step.side, contact)
         book = impact_log.write(journey.log, side, step.strike.speed, step.strike.least, rest)
         calls = turning_points.note(frame, journey.path, step, journey.calls) if watched else None
-        wait = stage(_waited, journey.wait, step.path.contact) if frame.soft else None
+        wait = None if journey.wait is None else stage(_waited, journey.wait, step.path.contact)
         journey = journey._replace(path=step.path, log=book, calls=calls, freed=freed, wait=wait)
         journey = journey._replace(steps=journey.steps + 1.0)
         journey = again(journey) if again else journey
@@ -89,20 +88,14 @@ def run(frame, journey, cap, again=None):
 
     def leg(journey):
         slots, journey = journey.slots, journey._replace(slots=None)
-        journey = lax.while_loop(lambda j: _need(j, frame.pushes) == GOING, turn, journey)
-        if frame.pushes:
-            need = _need(journey, True)
-            waits = ((need & WAITING) != 0) | ((need & GOING) == 0)
-            path = lax.cond(waits, partial(pushed_stay.stayed, frame), lambda same: same, journey.path)
-            journey = journey._replace(path=path, wait=jnp.zeros_like(journey.wait))
-            journey = again(journey) if again else journey
-        elif frame.soft:
-            waits = (_need(journey) & WAITING) != 0
-            path, wait = lax.cond(
-                waits, partial(soft_long_step.leap, frame), lambda *same: same, journey.path, journey.wait
-            )
+        journey = lax.while_loop(lambda journey: _need(stays, journey) == GOING, turn, journey)
+        if journey.wait is not None:
+            need = _need(stays, journey)
+            waits = (need & WAITING) != 0, (need & GOING) == 0
+            path, wait = stays.paused(frame, journey.path, journey.wait, *waits)
             journey = journey._replace(path=path, wait=wait)
-        need = _need(journey, frame.pushes)
+            journey = again(journey) if again else journey
+        need = _need(stays, journey)
         over = (need & GOING) == 0
         pours, measures = over | ((need & FULL) != 0), over | ((need & CROWDED) != 0)
         book, slots = lax.cond(pours, impact_log.pour, lambda *same: same, journey.log, slots)
@@ -138,12 +131,9 @@ def _waited(wait, contact):
     return choose(is_inside(contact), wait + 1.0, 0.0)
 
 
-def _need(journey, waits=False):
-    """What some lane needs: a sum of GOING, FULL and CROWDED. waits: whether what is within a wall waits there."""
-    moves = journey.path.to_go > 0
-    if waits:
-        moves &= ~is_inside(journey.path.contact)
-    need = choose(moves, jnp.int8(GOING), jnp.int8(0))
+def _need(stays, journey):
+    """What some lane needs: a sum of GOING, FULL, CROWDED and WAITING."""
+    need = choose(stays.going(journey.path).to_go > 0, jnp.int8(GOING), jnp.int8(0))
     need |= choose(impact_log.is_full(journey.log), jnp.int8(FULL), jnp.int8(0))
     if journey.calls is not None:
         need |= choose(turning_points.is_crowded(journey.calls), jnp.int8(CROWDED), jnp.int8(0))

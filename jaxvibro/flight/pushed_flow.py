@@ -12,7 +12,8 @@ from jax import lax
 from jaxtyping import Bool, Float, Int
 
 from ..compiled.compiler_hints import choose, most, positive, stage, two_sum
-from . import event, force_flow, push_series
+from . import event, push_series, taylor_steps
+from .force_flow import MOST_STEPS
 from .push_series import Within, chosen_lanes, onwards
 
 ROUNDS = 60  # of Newton's steps, or halvings, to the time that a stay is followed for
@@ -42,7 +43,7 @@ def passed(frame, side, start, left, left_low=None):
     low = none if left_low is None else left_low
 
     def going(passage):
-        return jnp.any((passage.left > 0) & ~passage.leaves) & (passage.steps < force_flow.MOST_STEPS)
+        return jnp.any((passage.left > 0) & ~passage.leaves) & (passage.steps < MOST_STEPS)
 
     return lax.while_loop(
         going,
@@ -53,7 +54,7 @@ def passed(frame, side, start, left, left_low=None):
 
 def _step(frame, side, passage):
     now, left = passage.now, passage.left
-    terms = push_series.coefficients(frame, side, now, force_flow.order(frame))
+    terms = push_series.coefficients(frame, side, now, taylor_steps.order(frame))
     longest = push_series.reach(frame, terms, now.scale)
     nearing = stage(_nearing, terms.root, longest, tolerance=frame.law.tolerance)
     bound = event.bound(nearing, stage(event.cubic, nearing))
@@ -151,11 +152,11 @@ def fly(frame, side, start, span):
     none = jnp.zeros_like(span)
 
     def going(carry):
-        return jnp.any(carry[2] > 0) & (carry[3] < force_flow.MOST_STEPS)
+        return jnp.any(carry[2] > 0) & (carry[3] < MOST_STEPS)
 
     def step(carry):
         now, gone, left, count = carry
-        terms = push_series.coefficients(frame, side, now, force_flow.order(frame))
+        terms = push_series.coefficients(frame, side, now, taylor_steps.order(frame))
         reach = lax.stop_gradient(push_series.reach(frame, terms, now.scale))
         last = left <= reach
         length = choose(last, left, reach)

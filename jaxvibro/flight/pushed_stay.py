@@ -1,5 +1,6 @@
 """Stays within a soft wall beside a force of the user's own: of lanes on their path, and as smooth functions."""
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -9,13 +10,50 @@ from jaxtyping import Bool, Float
 
 from ..compiled.compiler_hints import choose, least, stage
 from ..scene.codes import Contact
-from . import force_flow, push_series, pushed_flow, taylor
+from . import push_series, pushed_flow, taylor
 from .flight_state import CAPPED, motion
 from .push_series import Within
 from .soft_contact import is_inside
+from .taylor_steps import as_derivatives
 from .wall import course, picked
 
 SOON = 1e-9  # drive periods, after which a mass that is pressed into a wall from rest is on its way
+
+
+def begin(frame, path):
+    """As `no_stay.begin`."""
+    return frame, path, None, ()
+
+
+def going(path):
+    """The path of the lanes that a step is for: what is within a wall waits there."""
+    return path._replace(to_go=choose(is_inside(path.contact), 0.0, path.to_go))
+
+
+def facing(frame, contact, side, way, on, swing):
+    """As `no_stay.facing`."""
+    return way, on, swing, side, frame.weights
+
+
+def bias(frame, path):
+    """As `no_stay.bias`."""
+    return None, None
+
+
+def reach(frame):
+    """The longest step of a free flight."""
+    return frame.reach
+
+
+def unbegun(none):
+    """As `spring_stay.unbegun`."""
+    return none
+
+
+def paused(frame, path, wait, due, idle):
+    """As `no_stay.paused`: through the whole stay, once all that can wait does, or one has waited long enough."""
+    path = lax.cond(due | idle, partial(stayed, frame), lambda same: same, path)
+    return path, jnp.zeros_like(wait)
 
 
 def stayed(frame, path):
@@ -115,7 +153,7 @@ def ended(frame, side, now, beyond, leaves, order):
     """(depth, its rate, how much later) at the end of a stay, 0 later but for derivatives: where the mass leaves, or
     where the time is over that beyond says how long ago that was."""
     terms = push_series.coefficients(frame, side, now, order + 1)
-    root, rate, time = (force_flow.as_derivatives(each) for each in terms)
+    root, rate, time = (as_derivatives(each) for each in terms)
     ends = [choose(leaves, *each) for each in zip(root, [beyond, *time[1:]], strict=True)]
     span = taylor.root(ends[: order + 1], order)
     root, rate, time = (taylor.shifted(each, span, order) for each in (root, rate, time))

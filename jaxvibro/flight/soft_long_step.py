@@ -11,7 +11,7 @@ import jax
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, least, mask, merge, stage
+from ..compiled.compiler_hints import choose, least, mask, merge, positive, stage
 from ..scene.codes import Contact
 from . import drive, event, flow, soft_contact
 from .flight_state import SlowMotion, remaining
@@ -135,7 +135,7 @@ def leap(frame, path, wait, flown=by_series):
         x_low=choose(taken, 0.0, path.x_low),
         v=choose(taken, v, path.v),
         motion=moved,
-        to_go=choose(taken, to_go, path.to_go),
+        to_go=choose(taken, positive(to_go), path.to_go),
         to_go_low=choose(taken, low, path.to_go_low),
         contact=choose(taken, sign * Contact.WITHIN, path.contact),
     )

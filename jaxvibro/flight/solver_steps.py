@@ -23,7 +23,7 @@ from jaxtyping import Float
 from ..compiled.compiler_hints import choose, most
 from ..scene.force import Force
 from . import drive, event, flow
-from .force_flow import STEADY, Ahead, Press, as_derivatives, scale
+from .taylor_steps import STEADY, Ahead, Press, as_derivatives, scale
 from .wall import course
 
 TRIES = 60  # of a step: each that fails is shorter than the last
@@ -122,7 +122,7 @@ def _step(lane, x, v, cosine, sine, size, time):
 
 
 def ahead(frame, x, v, cosine, sine):
-    """The `force_flow.Ahead` of lanes, a constant for derivatives."""
+    """The `taylor_steps.Ahead` of lanes, a constant for derivatives."""
     frame, x, v, cosine, sine = lax.stop_gradient((frame, x, v, cosine, sine))
     size = scale(frame, x, v)
     return Ahead(*_lanes(_searched, frame, x, v, cosine, sine, size, frame.reach + 0.0 * x))
@@ -165,7 +165,7 @@ def quintic(x, v, pull, end, speed, last, time):
     return x, v, 0.5 * pull, cubic / time**3, quartic / time**4, (6.0 * gap - 3.0 * rise + 0.5 * bend) / time**5
 
 
-def gained(frame, x, v, cosine, sine, time):
+def gained(frame, x, v, cosine, sine, time, terms=None):
     """(what x gains, what v gains) by a step of the solver."""
     size = lax.stop_gradient(scale(frame, x, v))
 
@@ -221,7 +221,7 @@ def press_terms(frame, wall, cosine, sine, order):
 
 
 def pressed(frame, wall, cosine, sine):
-    """The `force_flow.Press` on a wall, from the press at some times of a step, which is shortened to them."""
+    """The `taylor_steps.Press` on a wall, from the press at some times of a step, which is shortened to them."""
     start = _press(frame, wall, cosine, sine, jnp.zeros_like(cosine))
 
     def terms(reach):
@@ -242,6 +242,6 @@ def pressed(frame, wall, cosine, sine):
     return Press(own, 2.0 * lax.abs(found[event.TERMS]), reach)
 
 
-def spacing(tolerance):
-    """How much longer than a step the polynomial of a motion is right to 1e-4 of its size."""
-    return (1e-4 / tolerance) ** (1.0 / 6.0)
+def spaced(frame, reach):
+    """How far the polynomials of steps so long are right to 1e-4 of their size."""
+    return reach * (1e-4 / frame.law.tolerance) ** (1.0 / 6.0)

@@ -3,21 +3,20 @@
 Each step is a handful of stages on lanes; a stage's results are stored, see `compiler_hints.stage`.
 """
 
-from functools import reduce
 from typing import NamedTuple
 
 import jax
-import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, least, most, positive, stage
 from ..scene.codes import Contact
-from . import event, flow, force_flow, impact, soft_long_step
-from .flight_state import Path, gone, jet, moved, place, remaining
-from .press import press
-from .soft_contact import biases, felt, is_inside
+from . import event, impact
+from .flight_state import Path, place, remaining
+from .flows import flow_of
+from .stays import stays_of
 from .wall import chosen, course, less, picked
+from .within_wall import within
 
 SLOW = 0.25  # of the speed that the acceleration makes over the longest step
 
@@ -34,77 +33,36 @@ class Step(NamedTuple):
 
 def micro(frame, path):
     """One certified step of every lane that has time to go; a lane that has none stays as it is."""
-    bias, whole, touch, ahead, pushes = (), frame, None, None, None
-    if frame.law is not None:
-        ahead = force_flow.ahead(frame, path.x, path.v, path.cosine, path.sine)
-        reach = ahead.reach
-        if frame.walls:
-            pushes = _pushes(frame, path)
-            reach = stage(_held_longer, path.contact, reach, [each.reach for each in pushes])
-        frame = stage(_as_far, frame, reach)
+    flow, stays, whole = flow_of(frame), stays_of(frame), frame
+    frame, look = flow.look(frame, path)
     if not frame.walls:
         time = positive(least(frame.reach, path.to_go))
-        flown = _advance(frame, path, time, ahead)
+        flown = _advance(frame, path, time, None, look)
         none = lax.full_like(path.x, 0.0)
         return Step(time, flown, flown, none, impact.Strike(none, none, none))
-    if frame.pushes:  # what is within a wall waits there
-        waiting = path.to_go
-        path = path._replace(to_go=choose(is_inside(path.contact), 0.0, waiting))
-    elif frame.soft:
-        frame = frame._replace(**stage(felt, frame, path.contact)._asdict())
-        path = soft_long_step.plunged(frame, path)
-        touch = path.contact
-        bias = stage(biases, frame, touch, path.cosine, path.sine, order=event.TERMS - 2)
-    if ahead is None:
-        derivatives = jet(frame, path.x, path.v, path.cosine, path.sine, event.TERMS, bias)
-    else:
-        derivatives = stage(force_flow.as_derivatives, ahead.terms[: event.TERMS + 1])
+    frame, path, touch, bias = stays.begin(frame, path)
+    waiting, path = path, stays.going(path)
+    derivatives = flow.to_event(frame, path, look, bias)
     side = stage(_side, frame, path, *derivatives[2:4])
-    rest = None if ahead is None else ahead.rest
-    nearing = stage(_progress, frame, path, derivatives, side, pushes, rest)
+    beyond = flow.beyond(look)
+    nearing = stage(_progress, frame, path, derivatives, side, beyond)
     bound = event.bound(nearing, stage(event.cubic, nearing))
     near = stage(event.free_step, bound)
     other = lax.full_like(near, 1.0)
     if len(frame.walls) == 2:
-        behind = stage(_behind, frame, path, derivatives, side, pushes, rest)
-        other = stage(_other, path, behind, soft=frame.soft)
+        behind = stage(_behind, frame, path, derivatives, side, beyond)
+        other = stage(_other, path, within(frame, path.contact), behind)
     guess = stage(event.quadratic, *bound[:3])
     step = stage(event.sure_step, bound, stage(event.horizon, bound, guess), near)
     root = stage(event.newton, nearing, stage(event.halley, nearing, guess))
     slack = stage(event.slack, nearing, guess, root)
     hit = stage(_lands, frame, path, nearing, root, slack, other, side)
     time = stage(_time, frame, path, hit, root, slack, step, other)
-    if frame.pushes:
-        path = path._replace(to_go=waiting)
-    flown = _advance(frame, path, time, ahead, touch)
+    flown = _advance(frame, waiting, time, touch, look)
     late = stage(impact.late, frame, flown, hit)
     strike = stage(impact.strike, frame, flown, hit, late)
     after = stage(impact.part, whole, flown, hit, late, strike, time)
     return Step(time, flown, after, hit, strike)
-
-
-def _as_far(frame, reach):
-    """The frame with this longest step of each lane."""
-    return frame._replace(reach=reach, pace=1.0 / reach, weights=event.weights(reach))
-
-
-def _held_longer(contact, reach, presses):
-    """The longest step of each lane: of one that rests that of the press, however fast it would move."""
-    return choose(lax.abs(contact) == Contact.STUCK, reduce(least, presses), reach)
-
-
-def _pushes(frame, path):
-    """The `force_flow.Press` on each wall where a lane rests; else zeros."""
-    return lax.cond(jnp.any(lax.abs(path.contact) == Contact.STUCK), _pressed, _unpressed, frame, path)
-
-
-def _pressed(frame, path):
-    return [stage(force_flow.pressed, frame, wall, path.cosine, path.sine) for wall in frame.walls]
-
-
-def _unpressed(frame, path):
-    none = lax.full_like(path.x, 0.0)
-    return [force_flow.Press([none] * event.TERMS, none, none) for _ in frame.walls]
 
 
 def _side(frame, path, pull, jerk):
@@ -125,8 +83,8 @@ def _side(frame, path, pull, jerk):
     nearer = (other_clear < clear) | ((other_clear == clear) & drawn)
     sooner = (other_quick > quick) | ((other_quick == quick) & nearer)
     right = choose(nearer, other_held | sooner, sooner & ~held)
-    if frame.soft:
-        inside = is_inside(path.contact)
+    inside = within(frame, path.contact)
+    if inside is not None:
         right = (inside & (path.contact > 0)) | (~inside & right)
     return choose(right, lax.full_like(path.x, 1.0), -1.0)
 
@@ -139,26 +97,16 @@ def _holds(frame, contact, clear, closing, bend, change):
     return slow | hops | (contact == Contact.STUCK)
 
 
-def _progress(frame, path, derivatives, side, pushes, rest=None):
-    """The `event.Progress` towards the wall on a side. Under a force of the user's own pushes: what `_pushes` says;
-    rest: a bound, in lengths, on what is beyond the derivatives."""
-    walls, contact = frame.walls, path.contact * side
-    if pushes is None:
-        presses = [press(frame, wall, path.cosine, path.sine, event.TERMS - 1) for wall in walls]
-    else:
-        presses = [each.derivatives for each in pushes]
+def _progress(frame, path, derivatives, side, beyond):
+    """The `event.Progress` towards the wall on a side; beyond: what the flow says is beyond the derivatives."""
+    flow, walls, contact = flow_of(frame), frame.walls, path.contact * side
+    presses, tails = zip(*flow.presses(frame, path, beyond), strict=True)
     push = picked(side, walls, presses)
     way = picked(side, walls, [course(wall, frame.frequency, path.cosine, path.sine, event.TERMS) for wall in walls])
     stuck, released = contact == Contact.STUCK, contact == Contact.RELEASED
-    tails = frame.tails if pushes is None else [each.rest for each in pushes]
     tail, swing = chosen(side, walls, tails), chosen(side, walls, frame.swings)
-    on, weights = (contact == Contact.LANDED) | released, frame.weights
-    if frame.soft and not frame.pushes:  # from within, y falls to 0
-        inside = (contact == Contact.WITHIN) | (contact == Contact.ENTERED)
-        way = [None if where is None else choose(inside, 0.0, where + 0.0 * side) for where in way]
-        on |= contact == Contact.ENTERED
-        swing, side = choose(inside, 0.0, swing + 0.0 * side), choose(inside, -side, side)
-        weights = event.weights(frame.reach)
+    on = (contact == Contact.LANDED) | released
+    way, on, swing, side, weights = stays_of(frame).facing(frame, contact, side, way, on, swing)
     clear = [less(place, where) for place, where in zip(derivatives, way, strict=True)]
     clear[0] = clear[0] + path.x_low
     terms = [
@@ -166,26 +114,20 @@ def _progress(frame, path, derivatives, side, pushes, rest=None):
         for pushed, free, weight in zip(push, clear, weights, strict=False)
     ]
     terms[1:3] = (choose(released, 0.0, term) for term in terms[1:3])
-    if rest is None:
-        sixth, seventh = flow.pulled(frame.root, lax.abs(derivatives[6])), lax.abs(derivatives[7])
-        bound = frame.reach * (frame.curb + frame.slope * (sixth + seventh)) + seventh
-        remainder = (choose(stuck, tail, bound) + swing) * weights[event.TERMS]
-    else:
-        remainder = choose(stuck, tail, rest) + swing * weights[event.TERMS]
-    return event.progress(terms, remainder, on)
+    return event.progress(terms, flow.remainder(frame, derivatives, beyond, stuck, tail, swing, weights), on)
 
 
-def _behind(frame, path, derivatives, side, pushes, rest):
+def _behind(frame, path, derivatives, side, beyond):
     """The `event.Bound` towards the wall that is not aimed at."""
-    progress = _progress(frame, path, derivatives, -side, pushes, rest)
+    progress = _progress(frame, path, derivatives, -side, beyond)
     return event.bound(progress, event.cubic(progress))
 
 
-def _other(path, bound, soft):
+def _other(path, inside, bound):
     """A step that is certain not to meet the wall that is not aimed at."""
     held = lax.abs(path.contact) == Contact.STUCK
-    if soft:
-        held |= is_inside(path.contact)
+    if inside is not None:
+        held |= inside
     return choose(held, 1.0, event.free_step(bound))
 
 
@@ -206,7 +148,7 @@ def _time(frame, path, hit, root, slack, step, other):
     return positive(least(choose(hit != 0, root, short) * frame.reach, path.to_go))
 
 
-def _advance(frame, path, time, ahead=None, touch=None):
+def _advance(frame, path, time, touch, look):
     """The path a free flight later."""
-    motion = moved(frame, path.motion, time, touch) if ahead is None else gone(frame, path.motion, time, ahead.terms)
+    motion = flow_of(frame).advance(frame, path.motion, time, touch, look)
     return Path(*stage(place, frame, motion), motion, *stage(remaining, path, time), path.contact)

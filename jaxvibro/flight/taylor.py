@@ -1,7 +1,4 @@
-"""Flights and walls near a known time, as Taylor polynomials as long as the order of the derivatives asked for.
-
-frame: as the lanes feel it; within a soft wall x is counted from the wall, and bias is what `soft_contact.biases` says.
-"""
+"""Taylor polynomials near a known time, as long as the order of the derivatives asked for."""
 
 import math
 from typing import NamedTuple
@@ -10,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Float
 
-from . import drive, event, flow, force_flow
+from . import event
 from .wall import course, less, picked
 
 
@@ -22,41 +19,6 @@ class Now(NamedTuple):
     cosine: Float[jax.Array, "*lanes"]
     sine: Float[jax.Array, "*lanes"]
     time: Float[jax.Array, "*lanes"]
-
-
-def jet(frame, now, order, bias=()):
-    """x and its derivatives, one more than the order."""
-    if frame.law is not None:
-        return force_flow.derivatives(frame, now.x, now.v, now.cosine, now.sine, order + 1)
-    return free(frame, now.x, now.v, pulls(frame, now, order, bias))
-
-
-def pulls(frame, now, order, bias=()):
-    """The force and its derivatives, one less than the order."""
-    found = [frame.force * now.cosine, -(frame.force * now.sine) * frame.frequency]
-    while len(found) < order:
-        found.append(-(frame.frequency * frame.frequency) * found[-2])
-    more = drive.pushed(frame.terms, frame.frequency, now.cosine, now.sine, [*bias, *[None] * order][:order])
-    return [own if each is None else own + each for own, each in zip(found[:order], more, strict=False)]
-
-
-def free(frame, x, v, pulls):
-    """x and its derivatives under these forces."""
-    found = [x, v]
-    for pull in pulls:
-        found.append(pull - flow.pulled(frame.stiffness, found[-2]) - 2.0 * frame.damping * found[-1])
-    return found
-
-
-def back(frame, now, x, v, late, order, bias=()):
-    """x and v now of a flight that is at x, v a little later."""
-    if frame.law is not None:
-        phasor = flow.rotated(now.cosine, now.sine, frame.frequency * late)
-        path = force_flow.derivatives(frame, x, v, *phasor, order + 1)
-        return shifted(path, -late, order), shifted(path[1:], -late, order)
-    force = pulls(frame, now, order, bias)
-    path = free(frame, x, v, [shifted(force[k:], late, order - 1 - k) for k in range(order)])
-    return shifted(path, -late, order), shifted(path[1:], -late, order)
 
 
 def way(frame, now, side, order):

@@ -15,9 +15,10 @@ from jaxtyping import Float
 from ..compiled.compiler_hints import choose, least, mask, merge, most, stage
 from ..scene.codes import Contact
 from . import event
-from .flight_state import SlowMotion, accelerations, jet, moved, place
-from .soft_contact import is_inside
+from .flight_state import SlowMotion, place
+from .flows import flow_of
 from .wall import course, less, picked
+from .within_wall import within
 
 BOTH = 4.0  # added to the mark of two turns, in longest steps
 TERMS = 9  # of the Taylor polynomial of x, an odd number
@@ -81,14 +82,14 @@ def measure(frame, calls):
     leaves an error below 1e-3 of the longest step, and that of the clearance is its fourth power.
     """
     motion, span, mark = calls.noted
-    side = choose(mark < 0, lax.full_like(mark, -1.0), 1.0)
+    side, flow = choose(mark < 0, lax.full_like(mark, -1.0), 1.0), flow_of(frame)
     x, _, v = stage(place, frame, motion)
-    speeds = stage(_speeds, frame, side, motion, jet(frame, x, v, motion.cosine, motion.sine, TERMS))
+    speeds = stage(_speeds, frame, side, motion, flow.jet(frame, x, v, motion.cosine, motion.sine, TERMS))
     both, time = stage(_told, frame, mark)
     for _ in range(ROUNDS):
         time = stage(_newton, speeds, time)
     other = stage(_other, frame, side, speeds, time, span)
-    near = stage(_relative, frame, side, moved(frame, motion, time))
+    near = stage(_relative, frame, side, flow.moved(frame, motion, time))
     step = stage(_halley, *near[1:])
     found = -side * (near[0] + step * (near[1] + step * (0.5 * near[2] + step * (near[3] / 6.0))))
     time, edge = time + step, frame.reach * event.rounding(time.dtype) ** 0.5
@@ -136,8 +137,9 @@ def _mark(frame, path, flown, time):
     or, where x - x_b turns twice within the step, a parabola's.
     """
     free = lax.abs(path.contact) != Contact.STUCK
-    if frame.soft:
-        free &= ~is_inside(path.contact)
+    inside = within(frame, path.contact)
+    if inside is not None:
+        free &= ~inside
     mark, nearest = (lax.full_like(time, value) for value in (0.0, jnp.inf))
     turns = lax.full_like(time, 0.0)
     still = all(wall.swing is None for wall in frame.walls)
@@ -185,7 +187,7 @@ def _crest(u, a, w, b, share):
 
 def _closing(frame, wall, path):
     """x - x_b, its speed and its acceleration."""
-    pull, _ = accelerations(frame, path.x, path.v, path.cosine, path.sine)
+    pull, _ = flow_of(frame).accelerations(frame, path.x, path.v, path.cosine, path.sine)
     where, speed, bend = course(wall, frame.frequency, path.cosine, path.sine, 2)
     return (path.x - where) + path.x_low, less(path.v, speed), less(pull, bend)
 
@@ -198,6 +200,6 @@ def _relative(frame, side, motion):
     """x - x_b of the wall on a side, and its first three derivatives."""
     x, x_low, v = place(frame, motion)
     ways = [course(wall, frame.frequency, motion.cosine, motion.sine, 3) for wall in frame.walls]
-    free = x, v, *accelerations(frame, x, v, motion.cosine, motion.sine)
+    free = x, v, *flow_of(frame).accelerations(frame, x, v, motion.cosine, motion.sine)
     found = [less(one, way) for one, way in zip(free, picked(side, frame.walls, ways), strict=True)]
     return [found[0] + x_low, *found[1:]]

@@ -14,6 +14,7 @@ from jaxtyping import Float
 from ..compiled.compiler_hints import choose, stage
 from ..flight import flow, soft_contact, soft_long_step, taylor
 from ..flight.flight_state import Path, SlowMotion
+from ..flight.flows import flow_of
 from ..flight.soft_contact import is_inside
 from ..flight.step import micro
 from ..flight.taylor import Now
@@ -140,6 +141,6 @@ def _long(here, touch, v, cosine, sine, time, order):
         here, touch, soft_contact.response(here, touch, time), (lax.full_like(v, 0.0), v), cosine, sine
     )
     now = Now(y, v, *flow.rotated(cosine, sine, here.frequency * time), time)
-    path = taylor.jet(here, now, order, soft_contact.biases(here, touch, *now[2:4], order))
+    path = flow_of(here).jet_at(here, now, order, soft_contact.biases(here, touch, *now[2:4], order))
     late = taylor.root(path[: order + 1], order)
     return time + late, taylor.shifted(path[1:], late, order)

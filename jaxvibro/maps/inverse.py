@@ -6,19 +6,18 @@ flight grows like exp(2 gamma t), which the bound on its derivatives has to allo
 """
 
 from dataclasses import replace
-from functools import lru_cache
 
 import jax
 import jax.numpy as jnp
 
 from ..compiled.blocks import in_blocks
 from ..compiled.compiler_hints import choose, one_kernel, stage
-from ..flight import drive, flow, integrate
+from ..flight import integrate
 from ..flight.coefficients import frame, is_valid
 from ..flight.entry import enter
+from ..flight.flows import flow_of
 from ..scene import check
 from ..scene.codes import Status
-from ..scene.scale import swift
 from ..scene.state import State
 from .one_period import blank, finish
 
@@ -58,48 +57,15 @@ def _through(scene, state):
 
 
 def reversed_frame(scene):
-    """The `Frame` of a scene with time reversed.
-
-    The energy of x^(6) is at most exp(2 gamma t) times that without damping, for which `frame` has its bounds.
-    """
+    """The `Frame` of a scene with time reversed."""
     built = frame(scene)
-    if built.law is not None:
-        law = replace(built.law, function=_backwards(built.law.function))
-        walls, terms = (tuple(map(_reversed, built.walls)), tuple(_turned(term, built) for term in built.terms))
-        return built._replace(law=law, walls=walls, terms=terms)
-    growth = jnp.exp(2.0 * built.damping * built.reach)
-    slope, forcing = built.slope * growth, drive.largest(built.terms, built.force, built.frequency, 6)
-    return built._replace(
-        damping=-built.damping,
-        walls=tuple(_reversed(wall) for wall in built.walls),
-        swift=swift(built.frequency, -built.damping, built.force),
-        series=flow.series(built.frequency, -built.damping),
-        curb=forcing * (1.0 + slope * built.reach),
-        slope=slope,
-        terms=tuple(_turned(term, built) for term in built.terms),
-    )
-
-
-@lru_cache(256)
-def _backwards(function):
-    """A force as it is seen with time reversed."""
-
-    def force(t, x, v, numbers):
-        return function(-t, x, -v, numbers)
-
-    return force
+    walls = tuple(_reversed(wall) for wall in built.walls)
+    return flow_of(built).reversed_in_time(built)._replace(walls=walls)
 
 
 def _reversed(wall):
     sine = None if wall.sine is None else -wall.sine
     return replace(wall, restitution=1.0 / wall.restitution, sine=sine)
-
-
-def _turned(term, built):
-    """A further term of the drive."""
-    own = built.law is None
-    series = flow.series(drive.rate_of(term, built.frequency), -built.damping) if own else None
-    return replace(term, sine=-term.sine, series=series)
 
 
 def _rules(frame):

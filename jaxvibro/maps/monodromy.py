@@ -18,23 +18,23 @@ from jaxtyping import Float
 
 from ..compiled.blocks import LEAST, batched, in_blocks
 from ..compiled.compiler_hints import OPTIONS, choose, one_kernel, stage
-from ..flight import flow
-from ..flight.coefficients import frame
-from ..flight.flight_state import accelerations
+from ..flight.coefficients import Stays, frame
+from ..flight.flows import flow_of
 from ..flight.impact import surface
-from ..flight.response import by_rows, with_matrix
 from ..flight.soft_contact import bounce as restitution
-from ..flight.soft_contact import feeling, flown, gives, is_inside, response
+from ..flight.soft_contact import gives
 from ..flight.taylor import Now
-from ..flight.wall import chosen, course, less, picked
+from ..flight.wall import course, less, picked
 from ..scene import check
 from ..scene.codes import Contact, Status
 from ..scene.scene import Scene
 from ..scene.state import State, real_state
-from . import contact_replay, one_period
-from .contact_duration import carried, duration, from_wall_to_wall, product, share
+from . import contact_matrix, one_period, pushed_matrix, start_within
+from .contact_duration import product
 from .one_period import SLOTS
-from .pushed_replay import through
+from .onward import Onward
+
+THROUGH = {Stays.NONE: None, Stays.SPRING: contact_matrix.through, Stays.PUSHED: pushed_matrix.through}
 
 
 def monodromy(scene: Scene, state: State, periods: int = 1, slots: int = SLOTS) -> Float[jax.Array, "*lanes 2 2"]:
@@ -107,116 +107,48 @@ def passage(scene, state, periods, slots, clearance=False):
 
 
 def _product(scene, state, impacts, zero, periods, slots):
-    """P of each flight and Q of each impact, multiplied, by rows; zero: of every lane."""
+    """P of each flight, Q of each impact, the matrix of each stay, multiplied, by rows; zero: of every lane."""
     built = frame(scene)
-    rows = (impacts.time, impacts.side.astype(zero.dtype), impacts.speed)
+    flow, through = flow_of(built), THROUGH[built.stays]
+    rows = impacts.time, impacts.side.astype(zero.dtype), impacts.speed
     rows = [jnp.moveaxis(each, -1, 0) for each in rows]
     most = lax.min(jnp.max(impacts.count), jnp.int32(slots)) if built.walls else jnp.int32(0)
 
-    if built.law is not None:
-        return _product_under_force(built, state, rows, most, zero, periods)
-
     def turn(carry):
-        """A flight and the impact at its end, or, after all impacts, the flight to the end."""
-        k, past, cosine, sine, matrix = carry
+        """A stay where one is due, a flight and the impact at its end, or, after all impacts, the flight to the end."""
+        k, lanes, now = carry
+        if lanes:
+            now = through(built, lanes, k > 0, whole, now)
         time, side, speed = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in rows)
         last = k == most
         hit = (side != 0) & ~last
-        span = choose(last, whole - past, choose(hit, time - past, 0.0))
-        free, _, angle = flow.doubled(built.series, built.frequency, built.damping, span)
-        p00, p01, p11 = free
-        cosine, sine = flow.turn(cosine, sine, *angle)
-        matrix = product((p00, p01, -p01, p11), matrix)
+        span = choose(last, whole - now.time, choose(hit, time - now.time, 0.0))
+        place, cosine, sine, free = flow.passed(built, now.place, now.cosine, now.sine, span)
+        matrix = product(free, now.matrix)
         if built.walls:
             bounce, shear = stage(saltation, built, side, speed, cosine, sine)
             after = product((-bounce, zero, shear, -bounce), matrix)
             matrix = tuple(choose(hit, new, old) for new, old in zip(after, matrix, strict=True))
-        past = past + span
-        if built.soft:
-            touch = choose(hit & gives(built, side), side * Contact.ENTERED, 0.0)
-            return k + 1, *_stayed(built, (touch, zero, side * speed), True, past, whole, cosine, sine, matrix)
-        return k + 1, past, cosine, sine, matrix
+        if built.walls and place:
+            place = _bounced(built, hit, side, speed, bounce, cosine, sine, place)
+        if lanes:
+            lanes = choose(hit & gives(built, side), side * Contact.ENTERED, 0.0), zero, side * speed
+        return k + 1, lanes, Onward(now.time + span, place, cosine, sine, matrix)
 
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     whole, one = zero + periods * built.period, (zero + 1.0, zero, zero, zero + 1.0)
-    start = zero, cosine, sine, one
-    if built.soft:
-        touch = contact_replay.initial(
-            built, Now(state.x + zero, state.v + zero, cosine, sine, zero), state.contact + zero
-        )
-        start = _stayed(built, touch, False, zero, whole, cosine, sine, one)
-    return lax.while_loop(lambda carry: carry[0] <= most, turn, (jnp.int32(0), *start))[-1]
+    place = () if flow.LINEAR and not through else (state.x + zero, state.v + zero)
+    lanes = start_within.within(built, Now(*place, cosine, sine, zero), state.contact) if through else ()
+    start = Onward(zero, () if flow.LINEAR else place, cosine, sine, one)
+    return lax.while_loop(lambda carry: carry[0] <= most, turn, (jnp.int32(0), lanes, start))[-1].matrix
 
 
-def _product_under_force(frame, state, rows, most, zero, periods):
-    """The same where a flight's matrix depends on where it begins."""
-
-    def turn(carry):
-        k, past, x, v, cosine, sine, matrix, *lanes = carry
-        if frame.pushes:
-            now = past, x, v, cosine, sine, matrix
-            past, x, v, cosine, sine, matrix = _pushed(frame, lanes, k > 0, whole, *now)
-        time, side, speed = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in rows)
-        last = k == most
-        hit = (side != 0) & ~last
-        span = choose(last, whole - past, choose(hit, time - past, 0.0))
-        (x, v), free = with_matrix(frame, x, v, cosine, sine, span)
-        cosine, sine = flow.rotated(cosine, sine, frame.frequency * span)
-        matrix = product(by_rows(free), matrix)
-        if frame.walls:
-            bounce, shear = stage(saltation, frame, side, speed, cosine, sine)
-            after = product((-bounce, zero, shear, -bounce), matrix)
-            matrix = tuple(choose(hit, new, old) for new, old in zip(after, matrix, strict=True))
-            where, pace = surface(
-                frame, choose(hit, side, lax.full_like(side, float(frame.walls[0].sign))), cosine, sine
-            )[:2]
-            x, v = choose(hit, where + zero, x), choose(hit, pace - bounce * side * speed, v)
-        if frame.pushes:
-            lanes = choose(hit & gives(frame, side), side * Contact.ENTERED, 0.0), zero, side * speed
-        return k + 1, past + span, x, v, cosine, sine, matrix, *lanes
-
-    cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
-    whole, one = zero + periods * frame.period, (zero + 1.0, zero, zero, zero + 1.0)
-    start = zero, state.x + zero, state.v + zero, cosine, sine, one
-    lanes = ()
-    if frame.pushes:
-        lanes = contact_replay.initial(frame, Now(*start[1:5], zero), state.contact + zero)
-    return lax.while_loop(lambda carry: carry[0] <= most, turn, (jnp.int32(0), *start, *lanes))[6]
-
-
-def _pushed(frame, lanes, outside, whole, past, x, v, cosine, sine, matrix):
-    """(past, x, v, cosine, sine, matrix) after the stay of lanes within a wall, beside a force of the user's own."""
-    inside = is_inside(lanes[0])
-    found = through(frame, lanes, cosine, sine, whole - past, outside)
-    new = past + found.time, *found[1:5], product(found.matrix, matrix)
-    return jax.tree.map(lambda new, old: choose(inside, new, old), new, (past, x, v, cosine, sine, matrix))
-
-
-def _stayed(frame, lanes, enters, past, whole, cosine, sine, matrix):
-    """(past, cosine, sine, matrix) after the stay of lanes that are within a wall, or at the end.
-
-    lanes: contact, y, y'; enters: whether they have come from outside just now.
-    """
-    touch, y, v = lanes
-    inside, left = is_inside(touch), whole - past
-    time = choose(inside, duration(frame, touch, y, v, cosine, sine, left), 0.0)
-    here = feeling(frame, touch)
-    angle = frame.frequency * time
-    after = flow.turn(cosine, sine, jnp.cos(angle) - 1.0, jnp.sin(angle))
-    answer = response(here, touch, time)
-    _, opening = flown(here, touch, answer, (y, v), cosine, sine)
-    shares = []
-    for phasor, speed in (((cosine, sine), v), (after, opening)):
-        paces = [course(wall, frame.frequency, *phasor, 1)[1] for wall in frame.walls]
-        pace = chosen(touch, frame.walls, [0.0 * v if each is None else each + 0.0 * v for each in paces])
-        shares.append(share(pace, speed))
-    out = inside & (time < left)
-    last, whole = choose(out, shares[1], 0.0), (out, v, cosine, sine)
-    free = from_wall_to_wall(here, touch, time, answer, whole) if enters else answer.free
-    new = carried(frame, touch, time, free, shares[0] if enters else 0.0, last)[0]
-    new = product(new, matrix)
-    new = tuple(choose(inside, one, old) for one, old in zip(new, matrix, strict=True))
-    return past + time, *after, new
+def _bounced(frame, hit, side, speed, bounce, cosine, sine, place):
+    """(x, v) of the lanes that hit after the impact, of others as it is."""
+    aim = choose(hit, side, lax.full_like(side, float(frame.walls[0].sign)))
+    where, pace = surface(frame, aim, cosine, sine)[:2]
+    x, v = place
+    return choose(hit, where, x), choose(hit, pace - bounce * side * speed, v)
 
 
 def saltation(frame, side, speed, cosine, sine):
@@ -226,6 +158,7 @@ def saltation(frame, side, speed, cosine, sine):
     bounce = restitution(frame, side) + 0.0 * speed
     pace = 0.0 if pace is None else pace
     closing = side * speed
+    accelerations = flow_of(frame).accelerations
     before, _ = accelerations(frame, where, pace + closing, cosine, sine)
     after, _ = accelerations(frame, where, pace - bounce * closing, cosine, sine)
     shift = after + bounce * before

@@ -10,14 +10,12 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose
 from ..flight import flow, taylor
-from ..flight.flight_state import accelerations
-from ..flight.push_series import Within, chosen_lanes
-from ..flight.pushed_flow import passed
+from ..flight.flows import flow_of
+from ..flight.push_series import Within
 from ..flight.pushed_stay import drawn_in, ended, entering, stay
 from ..flight.soft_contact import gives, is_inside
 from ..flight.taylor import Now
-from ..flight.wall import course, less, picked
-from ..scene.codes import Contact
+from . import start_within
 
 
 class Entry(NamedTuple):
@@ -29,9 +27,9 @@ class Entry(NamedTuple):
     late: Float[jax.Array, "*lanes"]
 
 
-def begun(frame, now, lanes):
-    """The `Entry` of lanes that start within a soft wall; lanes: (contact, y, y')."""
-    touch, y, v = lanes
+def begun(frame, now, given, whole, order):
+    """(now, the `Entry` of lanes that start within a soft wall); given: the contact."""
+    touch, y, v = start_within.within(frame, now, given, order)
     inside, side = is_inside(touch), _side(touch)
     depth, rate = side * y, side * v
     fresh = inside & (lax.stop_gradient(depth) <= 0)
@@ -45,18 +43,17 @@ def begun(frame, now, lanes):
         choose(deep, 1.0, enters.scale),
         *(choose(fresh, new, old) for new, old in zip(_turned(frame, now, late), (now.cosine, now.sine), strict=True)),
     )
-    return Entry(choose(inside, side, 0.0), start, late)
+    return now, Entry(choose(inside, side, 0.0), start, late)
 
 
-def entered(frame, now, side, late, order):
-    """The `Entry` of lanes that enter the soft wall on a side a little later than now; side: 0 of lanes that hit
-    none."""
+def entered(frame, now, side, late, whole, order):
+    """(now, the `Entry` of lanes that enter the soft wall on a side a little later); side: 0 of lanes that hit none."""
     inside = gives(frame, side) & (side != 0)
     side = choose(inside, side, 1.0)
     _, pace = taylor.placed(taylor.way(frame, now, side, order), late, order)
-    rate = side * (taylor.shifted(taylor.jet(frame, now, order)[1:], late, order) - pace)
+    rate = side * (taylor.shifted(flow_of(frame).jet_at(frame, now, order)[1:], late, order) - pace)
     start = entering(rate, *_turned(frame, now, late), inside)
-    return Entry(choose(inside, side, 0.0), start, choose(inside, late, 0.0))
+    return now, Entry(choose(inside, side, 0.0), start, choose(inside, late, 0.0))
 
 
 def gone(frame, now, entry, whole, order):
@@ -70,20 +67,20 @@ def gone(frame, now, entry, whole, order):
     end = Now(now.x, now.v, cosine, sine, now.time + time)
     where, pace = taylor.placed(taylor.way(frame, end, side, order), late, order)
     x, v = where + side * found.depth, pace + side * found.rate
-    free = taylor.back(frame, end, where, v, late, order)
+    free = flow_of(frame).back(frame, end, where, v, late, order)
     x, v = (choose(found.leaves, *each) for each in zip(free, (x, v), strict=True))
     return Now(*(choose(inside, new, old) for new, old in zip(end._replace(x=x, v=v), now, strict=True)))
 
 
-def shifted(frame, now, touch, late, order):
-    """(x, v) a time later, 0 with derivatives, of lanes that are within a soft wall; of no meaning in others."""
-    inside, side = is_inside(touch), _side(touch)
+def shifted(frame, now, contact, free, late, order):
+    """(x, v) a time later, 0 with derivatives; contact, free: see `no_replay`."""
+    inside, side = is_inside(contact), _side(contact)
     where, pace = taylor.placed(taylor.way(frame, now, side, order), 0.0 * late, order)
     depth = choose(inside, side * (now.x - where), 1.0)
     start = Within(lax.sqrt(depth), side * (now.v - pace), jnp.ones_like(depth), now.cosine, now.sine)
     depth, rate, _ = ended(frame, side, start, -late, inside != inside, order)
     where, pace = taylor.placed(taylor.way(frame, now, side, order), late, order)
-    return where + side * depth, pace + side * rate
+    return tuple(choose(inside, *each) for each in zip((where + side * depth, pace + side * rate), free, strict=True))
 
 
 def _side(touch):
@@ -92,74 +89,3 @@ def _side(touch):
 
 def _turned(frame, now, late):
     return flow.rotated(now.cosine, now.sine, frame.frequency * late)
-
-
-class Through(NamedTuple):
-    """What a stay makes of lanes: its time; x, v and the drive's cosine and sine at its end; how x and v there change
-    with those at its start, by rows."""
-
-    time: Float[jax.Array, "*lanes"]
-    x: Float[jax.Array, "*lanes"]
-    v: Float[jax.Array, "*lanes"]
-    cosine: Float[jax.Array, "*lanes"]
-    sine: Float[jax.Array, "*lanes"]
-    matrix: tuple[Float[jax.Array, "*lanes"], ...]
-
-
-def through(frame, lanes, cosine, sine, left, outside):
-    """The `Through` of lanes within a soft wall. lanes: (contact, y, y'), benign where they are in none; left: the time
-    that they have; outside: which of those that have just entered come from there.
-
-    A later entry and a faster one change when and how fast the mass leaves; the accelerations on both sides of the
-    wall say what that is at a time (the saltation matrix).
-    """
-    touch, y, v = lanes
-    inside, side = is_inside(touch), _side(touch)
-    enters = inside & (lax.abs(touch) == Contact.ENTERED)
-    left = choose(inside, left, 0.0)
-    depth = choose(inside & ~enters, side * y, 1.0)
-    rate = choose(inside, side * v, 0.0)
-    before = choose(outside, *(each(frame, side, rate, cosine, sine) for each in (_drawn, drawn_in)))
-    speed = choose(enters, rate, 1.0)
-    start = Within(lax.sqrt(depth), rate, jnp.ones_like(depth), cosine, sine)
-    start = chosen_lanes(enters, entering(rate, cosine, sine, enters), start)
-    known = passed(frame, side, start, left)
-
-    def ends(by_depth, by_rate):
-        """(when, depth, rate) at the end of a stay, of changes of its start at a time."""
-        late = choose(enters, -by_depth / speed, 0.0)
-        fast = rate + by_rate
-        turned = flow.rotated(cosine, sine, frame.frequency * late)
-        fresh = entering(fast + before * late, *turned, enters)
-        deep = Within(lax.sqrt(depth + by_depth), fast, jnp.ones_like(depth), cosine, sine)
-        found = stay(frame, side, chosen_lanes(enters, fresh, deep), left, late, 1, known)
-        return late + found.time, found.depth, found.rate
-
-    def along(by_depth, by_rate):
-        none = jnp.zeros_like(rate)
-        return jax.jvp(ends, (none, none), (by_depth + none, by_rate + none))
-
-    unit = jnp.eye(2, dtype=jnp.result_type(rate))
-    (time, deep, fast), moved = jax.vmap(along, out_axes=(None, 0))(unit[0], unit[1])
-    turned = flow.rotated(cosine, sine, frame.frequency * time)
-    after = _drawn(frame, side, fast, *turned)
-    when, by_depth, by_rate = moved
-    first = choose(known.leaves, -fast * when, by_depth)
-    second = choose(known.leaves, by_rate - after * when, by_rate)
-    where, pace = _course(frame, side, *turned)
-    matrix = first[0], first[1], second[0], second[1]
-    return Through(time, where + side * deep, pace + side * fast, *turned, matrix)
-
-
-def _drawn(frame, side, rate, cosine, sine):
-    """The acceleration into the wall of a mass at the wall, which does not push it yet, or no longer."""
-    ways = [course(wall, frame.frequency, cosine, sine, 2) for wall in frame.walls]
-    where, pace, bend = picked(side, frame.walls, ways)
-    v = side * rate if pace is None else pace + side * rate
-    pull, _ = accelerations(frame, where + 0.0 * rate, v, cosine, sine)
-    return side * less(pull, bend)
-
-
-def _course(frame, side, cosine, sine):
-    where, pace = picked(side, frame.walls, [course(wall, frame.frequency, cosine, sine, 1) for wall in frame.walls])
-    return where, jnp.zeros_like(cosine) if pace is None else pace

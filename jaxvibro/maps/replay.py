@@ -14,13 +14,13 @@ from jax import lax
 from jaxtyping import Float, Real
 
 from ..compiled.compiler_hints import choose, stage
-from ..flight import flow, response, taylor
-from ..flight.press import press
-from ..flight.soft_contact import bounce, is_inside
+from ..flight import flow, taylor
+from ..flight.flows import flow_of
+from ..flight.soft_contact import bounce
 from ..flight.taylor import Now
 from ..flight.wall import course, less, picked
 from ..scene.codes import Contact
-from . import contact_replay, pushed_replay
+from .stay_replays import replay_of
 
 
 class KnownImpacts(NamedTuple):
@@ -58,34 +58,28 @@ def _replayed(frame, state, known, span, order):
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     start = _held(frame, Now(state.x + zero, state.v + zero, cosine, sine, zero), _resting(state.contact) + zero)
     whole = lax.stop_gradient(span) + zero
-    entry = None
-    if frame.pushes:
-        entry = pushed_replay.begun(frame, start, contact_replay.initial(frame, start, state.contact + zero, order))
-    elif frame.soft:
-        start = contact_replay.begun(frame, start, state.contact + zero, whole, order)
+    stays = replay_of(frame)
+    start, entry = stays.begun(frame, start, state.contact, whole, order)
     if frame.walls:
-        end, times, speeds = _journey(frame, start, known, whole, order, entry)
+        end, times, speeds = _journey(frame, start, entry, known, whole, order)
     else:
         end, times, speeds = _fly(frame, start, whole), known.times, jnp.zeros_like(known.times)
     late = span - whole
-    x, v = contact_replay.shifted(frame, end, _within(known.rests), late, order)
+    free = flow_of(frame).jet_at(frame, end, order)
+    free = taylor.shifted(free, late, order), taylor.shifted(free[1:], late, order)
+    x, v = stays.shifted(frame, end, known.rests, free, late, order)
     return start, end._replace(x=x, v=v), late, times, speeds
 
 
-def _within(contact):
-    return choose(is_inside(contact), contact, 0.0)
-
-
-def _journey(frame, start, known, whole, order, entry=None):
-    """(where the lanes are after so much time, times, speeds of the impacts); entry: `pushed_replay.Entry`, of the
-    start."""
+def _journey(frame, start, entry, known, whole, order):
+    """(where the lanes are after so much time, times, speeds of the impacts); start, entry: as the stays have them."""
+    stays = replay_of(frame)
     most = lax.min(jnp.max(known.count).astype(jnp.int32), jnp.int32(len(known.times)))
 
     def turn(carry):
         """To the next impact, or to the release before it, or, after all impacts, to the end."""
         k, freed, now, entry, *rows = carry
-        if frame.pushes:
-            now = pushed_replay.gone(frame, now, entry, whole, order)
+        now = stays.gone(frame, now, entry, whole, order)
         time, side = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in (known.times, known.sides))
         last = k == most
         time, side = choose(last, whole, time), choose(last, 0.0, side)
@@ -98,10 +92,7 @@ def _journey(frame, start, known, whole, order, entry=None):
         late, speed, x, v = stage(_kick, frame, now, side, order=order)
         rows = [_put(*each, k, hit) for each in zip(rows, (time + late, speed), strict=True)]
         now = now._replace(x=choose(hit, x, now.x), v=choose(hit, v, now.v))
-        if frame.pushes:
-            entry = pushed_replay.entered(frame, now, choose(hit, side, 0.0), late, order)
-        elif frame.soft:
-            now = contact_replay.entered(frame, now, choose(hit, side, 0.0), late, whole, order)
+        now, entry = stays.entered(frame, now, choose(hit, side, 0.0), late, whole, order)
         return k + (~waits).astype(jnp.int32), choose(due, -1.0, freed), now, entry, *rows
 
     carry = (jnp.int32(0), known.freed, start, entry, known.times, jnp.zeros_like(known.times))
@@ -121,7 +112,7 @@ def _resting(contact):
 
 def _fly(frame, now, time):
     """A free flight later."""
-    place = response.with_phasor(frame, now.x, now.v, now.cosine, now.sine, time)
+    place = flow_of(frame).fly(frame, now.x, now.v, now.cosine, now.sine, time)
     return Now(*place, now.time + time)
 
 
@@ -140,21 +131,21 @@ def _left(frame, now, due, order):
 
     Of two walls it is the one with the lesser press.
     """
-    pushes = [press(frame, wall, now.cosine, now.sine, order) for wall in frame.walls]
+    pushes = [flow_of(frame).press(frame, wall, now.cosine, now.sine, order) for wall in frame.walls]
     side = lax.full_like(now.x, float(frame.walls[0].sign))
     if len(pushes) == 2:
         side = choose(lax.abs(pushes[1][0]) < lax.abs(pushes[0][0]), 1.0, side)
     late = taylor.root(picked(side, frame.walls, pushes), order)
     way = taylor.way(frame, now, side, order)
-    x, v = taylor.back(frame, now, *taylor.placed(way, late, order), late, order)
+    x, v = flow_of(frame).back(frame, now, *taylor.placed(way, late, order), late, order)
     return now._replace(x=choose(due, x, now.x), v=choose(due, v, now.v))
 
 
 def _kick(frame, now, side, order):
     """(late, speed against the wall, x, v) of an impact about now, brought back to now."""
-    path, way = taylor.jet(frame, now, order), taylor.way(frame, now, side, order)
+    path, way = flow_of(frame).jet_at(frame, now, order), taylor.way(frame, now, side, order)
     late = taylor.root([less(a, b) for a, b in zip(path[: order + 1], way, strict=False)], order)
     (where, speed), v = taylor.placed(way, late, order), taylor.shifted(path[1:], late, order)
     closing = v - speed
     after = v - (1.0 + bounce(frame, side)) * closing
-    return late, side * closing, *taylor.back(frame, now, where, after, late, order)
+    return late, side * closing, *flow_of(frame).back(frame, now, where, after, late, order)

@@ -24,7 +24,7 @@ from ..compiled.compiler_hints import OPTIONS
 from ..flight import flow, integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
-from ..flight.flight_state import accelerations
+from ..flight.flows import flow_of
 from ..flight.impact import surface
 from ..flight.soft_contact import bounce
 from ..flight.step import micro
@@ -151,8 +151,8 @@ def _shift(frame, step, side, speed, again, matrix):
     cosine, sine = step.path.cosine, step.path.sine
     where, pace, push, change = surface(frame, side, cosine, sine)
     push, change = side * push, side * change
-    pull, _ = accelerations(frame, where, pace + side * speed, cosine, sine)
-    bend = accelerations(frame, where, pace, cosine, sine)[0] - side * push  # the wall's own
+    pull, _ = flow_of(frame).accelerations(frame, where, pace + side * speed, cosine, sine)
+    bend = flow_of(frame).accelerations(frame, where, pace, cosine, sine)[0] - side * push  # the wall's own
     hops = 2.0 * again / ((1.0 - again) * push)
     early = -side / speed
     late = 1.0 + hops * side * (pull - bend) - hops * speed * change / push

@@ -13,8 +13,7 @@ from jaxtyping import Float
 
 from continuation.arrays import Array
 
-from ..flight import force_flow, response
-from ..flight.flight_state import accelerations
+from ..flight.flows import flow_of
 from ..flight.wall import course, less
 
 TURN = 0.1  # between samples, of the fastest angle: the drive's, a wall's, the free oscillation's, in radians
@@ -44,7 +43,7 @@ def without_impacts(frame, phase, periods, x, v):
 
 def samples(frame, found):
     """How many samples the longest of some flights needs."""
-    reach = frame.reach if frame.law is None else force_flow.shortest(frame, found)
+    reach = flow_of(frame).shortest(frame, found)
     return jnp.ceil(jnp.max(found.time) / (TURN * reach)).astype(int) + 8
 
 
@@ -84,7 +83,7 @@ def is_real(frame, found, speeds, grazes=False):
 
 def place(frame, found, time):
     """(x, v, the drive's cosine and sine) a time after each flight's start."""
-    return response.with_phasor(frame, found.x, found.v, found.cosine, found.sine, time)
+    return flow_of(frame).fly(frame, found.x, found.v, found.cosine, found.sine, time)
 
 
 def relative(frame, found, time):
@@ -93,7 +92,7 @@ def relative(frame, found, time):
 
 
 def _towards(frame, x, v, cosine, sine):
-    pull, _ = accelerations(frame, x, v, cosine, sine)
+    pull, _ = flow_of(frame).accelerations(frame, x, v, cosine, sine)
     found = []
     for wall in frame.walls:
         where, pace, bend = course(wall, frame.frequency, cosine, sine, 2)
@@ -104,7 +103,7 @@ def _towards(frame, x, v, cosine, sine):
 def _nearest(frame, found, span, samples):
     """For each wall the nearest turning point as the samples see it: (its distance, inf: none; the samples' cell; how
     far into the cell Newton's steps begin)."""
-    none, onwards = jnp.zeros_like(span), response.repeated(frame, span)
+    none, onwards = jnp.zeros_like(span), flow_of(frame).repeated(frame, span)
 
     def advance(k, carry):
         place, before, best = carry

@@ -18,7 +18,7 @@ from continuation.newton import newton
 
 from ..flight import response
 from ..flight.coefficients import framed
-from ..flight.flight_state import accelerations
+from ..flight.flows import flow_of
 from ..maps.contact_duration import product
 from .saltation import Meeting, jump, meeting, stayed
 
@@ -44,7 +44,7 @@ class Cycle(NamedTuple):
 
 class Flights(NamedTuple):
     """The flight that follows each impact: its time; x, v, and the drive's cosine and sine at its start; x and v at its
-    end; the matrix of `response.with_matrix`; the row of the impact at its end, and -1 where that is met as its mirror
+    end; the matrix of a flow's `matrix`; the row of the impact at its end, and -1 where that is met as its mirror
     image, else 1; and the `saltation.Meeting` at its start."""
 
     time: Float[Array, " rows"]
@@ -75,7 +75,7 @@ def flights(frame, cycle):
     time = time if met.stay is None else time - met.stay
     time = jnp.where(sides != 0, jnp.maximum(time, 0.0), 0.0)
     (x, v), (cosine, sine) = met.state, met.phasor
-    (end_x, end_v), matrix = response.with_matrix(frame, x, v, cosine, sine, time)
+    (end_x, end_v), matrix = flow_of(frame).matrix(frame, x, v, cosine, sine, time)
     return Flights(time, x, v, cosine, sine, end_x, end_v, matrix, follows, sign, met)
 
 
@@ -125,7 +125,7 @@ def equations(frame, cycle, found=None):
 
     aim, met = ahead(sides), found.met
     speed = found.end_v - ahead(met.pace)
-    pull, _ = accelerations(frame, found.end_x, found.end_v, ahead(met.cosine), ahead(met.sine))
+    pull, _ = flow_of(frame).accelerations(frame, found.end_x, found.end_v, ahead(met.cosine), ahead(met.sine))
     gap = found.end_x - ahead(met.where)
     excess = aim * speed - _following(cycle, cycle.speeds, found.follows)
     (a, c), (b, d) = (response.through(found.matrix, x, v) for x, v in (met.by_time, met.by_speed))
@@ -218,5 +218,5 @@ def at(frame, cycle, found, time):
     k = jnp.argmin(since, axis=1)
     since = jnp.take_along_axis(since, k[:, None], 1)[:, 0]
     late = since if found.met.stay is None else jnp.maximum(since - found.met.stay[k], 0.0)
-    state = response.after(frame, found.x[k], found.v[k], found.cosine[k], found.sine[k], late)
+    state = flow_of(frame).fly(frame, found.x[k], found.v[k], found.cosine[k], found.sine[k], late)[:2]
     return state if found.met.stay is None else stayed(frame, found.met, cycle.sides, k, since, state)

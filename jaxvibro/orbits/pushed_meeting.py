@@ -13,9 +13,12 @@ from jaxtyping import Float
 
 from continuation.arrays import Array
 
+from ..compiled.compiler_hints import choose
 from ..flight import flow
+from ..flight.flows import flow_of
 from ..flight.pushed_flow import passed
 from ..flight.pushed_stay import entering, stay
+from .meeting_wall import way
 
 LONGEST = 8.0  # drive periods that a stay is searched for
 ORDER = 3  # to which derivatives of its end are right
@@ -50,20 +53,31 @@ def leave(frame, gives, side, cosine, sine, speed):
     return Leaving(time, after, *flow.rotated(cosine, sine, frame.frequency * time), (later, by_speed, quicker, faster))
 
 
-def at_a_time(out, speed, bend, after, side):
+def left(frame, sides, gives, speed, met):
+    """((the `saltation.Meeting`'s state, phasor, by_time, by_speed, opening, stay), its free) where a wall gives."""
+    out = leave(frame, gives, sides, met.cosine, met.sine, speed)
+    where, pace, bend = way(frame, sides, out.cosine, out.sine)
+    opening = sides * out.speed
+    after, _ = flow_of(frame).accelerations(frame, where, pace + opening, out.cosine, out.sine)
+    told = (where, pace + opening), (out.cosine, out.sine), *_at_a_time(out, bend, after, sides), opening, out.time
+    return told, out.slopes
+
+
+def _at_a_time(out, bend, after, side):
     """(how (x, v) change with the time of the entry, with its speed) where the flight after a stay begins, at a fixed
-    time; speed: `Leaving.speed`; bend, after: the accelerations of the wall and of the free mass there."""
+    time; bend, after: the accelerations of the wall and of the free mass there."""
     later, by_speed, quicker, faster = out.slopes
-    by_time = -side * speed * later, (bend - after) * later + side * quicker
-    return by_time, (-side * speed * by_speed, (bend - after) * by_speed + side * faster)
+    by_time = -side * out.speed * later, (bend - after) * later + side * quicker
+    return by_time, (-side * out.speed * by_speed, (bend - after) * by_speed + side * faster)
 
 
-def matrix(slopes, drawn, speeds):
-    """(how (x, v) after a stay change with those before it, both at a fixed time, by rows; the determinant).
-
-    drawn: the accelerations into the wall before it and after; speeds: the rates of the depth.
-    """
-    (later, by_speed, quicker, faster), (before, after), (first, last) = slopes, drawn, speeds
+def matrix(frame, sides, met, before, after):
+    """(rows, determinant) of what stays do to (x, v) at a fixed time; before, after: the accelerations of the free
+    mass."""
+    _, _, bend = way(frame, sides, *met.phasor)
+    later, by_speed, quicker, faster = met.free
+    before, after = sides * (before - met.bend), sides * (after - bend)
+    first, last = sides * met.closing, sides * met.opening
     ratio = jnp.where(first == 0, -1.0, last / jnp.where(first == 0, 1.0, first))
     when, fast = later + before * by_speed, quicker + before * faster
     shear = jnp.where(first == 0, 0.0, (after * when - fast) / jnp.where(first == 0, 1.0, first))
@@ -71,9 +85,25 @@ def matrix(slopes, drawn, speeds):
     return rows, ratio * (later * faster - by_speed * quicker)
 
 
-def inside(frame, gives, side, cosine, sine, speed, since):
+def inside(frame, met, sides, k, since, state):
+    """(x, v) a time after the meetings in rows k: within the wall during the stay, else the state given."""
+    within = met.gives[k] & (since < met.stay[k])
+    side, span = sides[k], jnp.where(within, since, 0.0)
+    given = side, met.cosine[k], met.sine[k], side * met.closing[k]
+    depth, rate = _inside(frame, within, *given, span)
+    where, pace, _ = way(frame, side, *flow.rotated(*given[1:3], frame.frequency * span))
+    return choose(within, where + side * depth, state[0]), choose(within, pace + side * rate, state[1])
+
+
+def _inside(frame, gives, side, cosine, sine, speed, since):
     """(depth, its rate) so long after the entry of lanes that are still within the wall then; benign in others."""
     side, speed = jnp.where(gives, side, 1.0), jnp.where(gives, speed, 1.0)
     span = jnp.where(gives, since, 0.0)
     found = stay(frame, side, entering(speed, cosine, sine), span, 0.0 * span, 1)
     return found.depth, found.rate
+
+
+def reach(frame, met, sides):
+    """How far stays can be followed in one piece, a scalar."""
+    stay = jnp.where(met.gives, jnp.maximum(met.stay, 0.0), 0.0)
+    return jnp.maximum(jnp.max(stay), jnp.finfo(stay.dtype).tiny)

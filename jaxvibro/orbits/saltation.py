@@ -14,13 +14,13 @@ from jaxtyping import Bool, Float
 from continuation.arrays import Array
 
 from ..compiled.compiler_hints import choose
-from ..flight import flow, soft_contact
-from ..flight.flight_state import accelerations
-from ..flight.wall import course, picked
-from ..maps.contact_duration import carried, share
-from ..scene.codes import Contact
-from . import pushed_meeting
-from .stay import guess, leave
+from ..flight import soft_contact
+from ..flight.coefficients import Stays
+from ..flight.flows import flow_of
+from . import pushed_meeting, spring_meeting
+from .meeting_wall import way
+
+KINDS = {Stays.NONE: None, Stays.SPRING: spring_meeting, Stays.PUSHED: pushed_meeting}
 
 
 class Meeting(NamedTuple):
@@ -49,45 +49,26 @@ class Meeting(NamedTuple):
 
 def meeting(frame, sides, cosine, sine, speed, still=None):
     """The `Meeting` of impacts on these sides, 0: of none, any numbers; arrays of one shape. still: as of a `Cycle`."""
-    where, pace, bend = _way(frame, sides, cosine, sine)
+    where, pace, bend = way(frame, sides, cosine, sine)
     closing, zero = sides * speed, jnp.zeros_like(speed)
     bounce = soft_contact.bounce(frame, sides) + zero
     v = pace - bounce * closing
-    after, _ = accelerations(frame, where, v, cosine, sine)
+    after, _ = flow_of(frame).accelerations(frame, where, v, cosine, sine)
     by_time, by_speed = (bounce * closing, bend - after), (zero, -bounce * sides)
     found = Meeting(
         cosine, sine, where, pace, bend, bounce, closing, None, (where, v), (cosine, sine), by_time, by_speed, v - pace
     )
-    return _softened(frame, sides, speed, found, still) if frame.soft else found
-
-
-def _softened(frame, sides, speed, met, still):
-    """The `Meeting` with stays in place of impacts where the wall is soft."""
+    stays = KINDS[frame.stays]
+    if stays is None:
+        return found
     gives = soft_contact.gives(frame, sides)
     gives = gives if still is None else gives & (still == 0)
-    if frame.pushes:
-        return _pushed(frame, sides, gives, speed, met)
-    side, none = choose(gives, sides, 0.0), jnp.zeros_like(speed)
-    given = met.cosine, met.sine, speed
-    out = leave(frame, side, *given, guess(frame, side, *given))
-    where, pace, _ = _way(frame, sides, out.cosine, out.sine)
-    here, (p00, p01, p11) = soft_contact.feeling(frame, side * Contact.ENTERED), out.free
-    # at the end the damping jumps back, and with it the acceleration
-    jump = 2.0 * (frame.damping - here.damping) * (pace + out.v)
-    first = p00 * met.closing + p01 * out.pull, p11 * out.pull - here.stiffness * p01 * met.closing
-    soft = (
-        (where, pace + out.v),
-        (out.cosine, out.sine),
-        (-first[0], jump * out.later - first[1]),
-        (sides * p01, sides * (p11 + jump * out.faster)),
-        out.v,
-        out.time,
-    )
-    hard = met.state, met.phasor, met.by_time, met.by_speed, met.opening, none
+    soft, free = stays.left(frame, sides, gives, speed, found)
+    hard = found.state, found.phasor, found.by_time, found.by_speed, found.opening, zero
     state, phasor, by_time, by_speed, opening, stay = jax.tree.map(
         lambda soft, hard: jnp.where(gives, soft, hard), soft, hard
     )
-    return met._replace(
+    return found._replace(
         stay=stay,
         state=state,
         phasor=phasor,
@@ -95,67 +76,30 @@ def _softened(frame, sides, speed, met, still):
         by_speed=by_speed,
         opening=opening,
         gives=gives,
-        free=out.free,
+        free=free,
     )
-
-
-def _pushed(frame, sides, gives, speed, met):
-    """The `Meeting` with stays beside a force of the user's own in place of impacts where the wall gives."""
-    out = pushed_meeting.leave(frame, gives, sides, met.cosine, met.sine, speed)
-    where, pace, bend = _way(frame, sides, out.cosine, out.sine)
-    opening = sides * out.speed
-    after, _ = accelerations(frame, where, pace + opening, out.cosine, out.sine)
-    by_time, by_speed = pushed_meeting.at_a_time(out, out.speed, bend, after, sides)
-    soft = (where, pace + opening), (out.cosine, out.sine), by_time, by_speed, opening, out.time
-    hard = met.state, met.phasor, met.by_time, met.by_speed, met.opening, jnp.zeros_like(speed)
-    told = jax.tree.map(lambda soft, hard: jnp.where(gives, soft, hard), soft, hard)
-    names = "state", "phasor", "by_time", "by_speed", "opening", "stay"
-    return met._replace(**dict(zip(names, told, strict=True)), gives=gives, free=out.slopes)
-
-
-def _way(frame, sides, cosine, sine):
-    """Position, velocity and acceleration of the walls on these sides."""
-    ways = [course(wall, frame.frequency, cosine, sine, 2) for wall in frame.walls]
-    return [0.0 * sides if each is None else each + 0.0 * sides for each in picked(sides, frame.walls, ways)]
 
 
 def jump(frame, met, sides):
     """(Q by rows, det Q) of each meeting (paper, (35)), for a stay S P S, S the saltation where the damping jumps."""
+    stays, accelerations = KINDS[frame.stays], flow_of(frame).accelerations
     before, _ = accelerations(frame, met.where, met.pace + met.closing, met.cosine, met.sine)
     after, _ = accelerations(frame, *met.state, *met.phasor)
     shear = (after + met.bounce * before - (1.0 + met.bounce) * met.bend) / met.closing
-    if frame.soft:
+    if stays is not None:
         shear = choose(met.bounce < 0, 0.0, shear)  # a touch does nothing
     hard = (-met.bounce, jnp.zeros_like(shear), shear, -met.bounce), met.bounce * met.bounce
-    if not frame.soft:
+    if stays is None:
         return hard
-    if frame.pushes:
-        _, _, bend = _way(frame, sides, *met.phasor)
-        drawn = sides * (before - met.bend), sides * (after - bend)
-        soft = pushed_meeting.matrix(met.free, drawn, (sides * met.closing, sides * met.opening))
-        return jax.tree.map(lambda soft, hard: jnp.where(met.gives, soft, hard), soft, hard)
-    touch, stay = choose(met.gives, sides * float(Contact.WITHIN), 0.0), jnp.maximum(met.stay, 0.0)
-    _, pace, _ = _way(frame, sides, *met.phasor)
-    soft = carried(frame, touch, stay, met.free, share(met.pace, met.closing), share(pace, met.opening))
+    soft = stays.matrix(frame, sides, met, before, after)
     return jax.tree.map(lambda soft, hard: jnp.where(met.gives, soft, hard), soft, hard)
 
 
 def stayed(frame, met, sides, k, since, state):
     """(x, v) a time after the meetings in rows k: within the wall during the stay, else the state given."""
-    if frame.pushes:
-        within = met.gives[k] & (since < met.stay[k])
-        side, span = sides[k], jnp.where(within, since, 0.0)
-        given = side, met.cosine[k], met.sine[k], side * met.closing[k]
-        depth, rate = pushed_meeting.inside(frame, within, *given, span)
-        where, pace, _ = _way(frame, side, *flow.rotated(*given[1:3], frame.frequency * span))
-        return choose(within, where + side * depth, state[0]), choose(within, pace + side * rate, state[1])
-    touch = choose(met.gives, sides * float(Contact.WITHIN), 0.0)[k]
-    here = soft_contact.feeling(frame, touch)
-    inside = (touch != 0) & (since < met.stay[k])
-    span = choose(inside, since, 0.0)
-    cosine, sine = met.cosine[k], met.sine[k]
-    y, v = soft_contact.flown(
-        here, touch, soft_contact.response(here, touch, span), (0.0 * span, met.closing[k]), cosine, sine
-    )
-    where, pace, _ = _way(frame, sides[k], *flow.rotated(cosine, sine, frame.frequency * span))
-    return choose(inside, where + y, state[0]), choose(inside, pace + v, state[1])
+    return KINDS[frame.stays].inside(frame, met, sides, k, since, state)
+
+
+def reach(frame, met, sides):
+    """How far stays can be followed in one piece, a scalar."""
+    return KINDS[frame.stays].reach(frame, met, sides)

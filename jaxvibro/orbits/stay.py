@@ -16,7 +16,7 @@ from continuation.arrays import Array
 
 from ..compiled.compiler_hints import choose
 from ..flight import flow, soft_contact, soft_polynomial
-from ..flight.flight_state import accelerations
+from ..flight.flows import flow_of
 from ..flight.soft_return import first_return
 from ..maps.contact_duration import QUICK, ROUNDS
 from ..scene.codes import Contact
@@ -69,7 +69,7 @@ def guess(frame, side, cosine, sine, speed):
     touch, v = side * Contact.ENTERED, side * speed
     here = soft_contact.feeling(frame, touch)
     bias = soft_contact.biases(frame, touch, cosine, sine, 1)
-    pull, _ = accelerations(here, 0.0 * v, v, cosine, sine, bias)
+    pull, _ = flow_of(here).accelerations(here, 0.0 * v, v, cosine, sine, bias)
     enters = touch * v > 0
     longest = LONGEST * frame.period + 0.0 * v
     first = first_return(frame, choose(enters, touch, 0.0), v, cosine, sine, longest)
@@ -125,7 +125,7 @@ def _long(here, touch, rows, v, pull, cosine, sine, time):
     forced, pace = soft_contact.flown(here, touch, response, (none, none), cosine, sine)
     y, speed = forced + p01 * v, pace + p11 * v
     turned = flow.rotated(cosine, sine, here.frequency * time)
-    bend, jerk = accelerations(here, y, speed, *turned, soft_contact.biases(here, touch, *turned, 1))
+    bend, jerk = flow_of(here).accelerations(here, y, speed, *turned, soft_contact.biases(here, touch, *turned, 1))
     late = -(y / speed) * (1.0 + 0.5 * bend * y / (speed * speed))
     drag, half = 2.0 * here.damping, 0.5 * late * late
     fall = -here.stiffness * p01 - drag * p11  # p11', which is p01''

@@ -14,6 +14,7 @@ from continuation.persistent_jit import persistent_jit
 from ..compiled.compiler_hints import one_kernel
 from ..flight import response
 from ..flight.coefficients import framed
+from ..flight.flows import flow_of
 from ..orbits import cyclic_system, flight_clearance, impact_equations
 from .equations import cycle_at, there
 
@@ -87,7 +88,7 @@ def hitting(along, z, periods):
 def _free(along, z, periods):
     built, found = flight(along, z)
     around = found.time / flight_clearance.OVERLAP
-    _, matrix = response.with_matrix(built, found.x, found.v, found.cosine, found.sine, around)
+    _, matrix = flow_of(built).matrix(built, found.x, found.v, found.cosine, found.sine, around)
     p00, _, _, p11 = response.by_rows(matrix)
     x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
