@@ -13,8 +13,8 @@ from continuation.in_numpy import Tried
 from jaxvibro.compiled.compiler_hints import one_kernel
 from jaxvibro.flight import flow
 from jaxvibro.flight.coefficients import frame
-from jaxvibro.flight.spring_flow import accelerations
 from jaxvibro.flight.soft_return import first_return
+from jaxvibro.flight.spring_flow import accelerations
 from jaxvibro.flight.wall import course, picked
 from jaxvibro.maps import contact_duration
 from jaxvibro.orbits import saltation, stay

@@ -18,7 +18,7 @@ from continuation.persistent_jit import persistent_jit
 from ..flight import drive, flow
 from ..flight.coefficients import framed
 from ..flight.flows import flow_of
-from ..flight.wall import course, picked
+from ..orbits.meeting_wall import way
 from ..orbits.saltation import meeting
 from ..scene.scene import SIDES
 from .few_programs import filled, with_ways
@@ -108,7 +108,7 @@ def _flown(scene, sides, when, own, following, phase):
     cosine, sine = (jnp.where(free, mine, its) for mine, its in zip((cosine, sine), met.phasor, strict=True))
     time = jnp.maximum(end - begin - stay, 0.0)
     end_x, end_v = flow_of(frame).fly(frame, x, v, cosine, sine, time)[:2]
-    where, pace = _wall(frame, after, *_turned(frame, phase, end))
+    where, pace = way(frame, after, *_turned(frame, phase, end), 1)
     gap = end_x - jnp.where(free_next, following[0], where)
     excess = jnp.where(free_next, end_v - following[1], after * (end_v - pace) - following[1])
     return gap, excess
@@ -119,25 +119,19 @@ def _turned(frame, phase, time):
     return jnp.cos(angle), jnp.sin(angle)
 
 
-def _wall(frame, sides, cosine, sine):
-    """Position and velocity of the walls on these sides."""
-    ways = [course(wall, frame.frequency, cosine, sine, 1) for wall in frame.walls]
-    return [0.0 * sides if each is None else each + 0.0 * sides for each in picked(sides, frame.walls, ways)]
-
-
 @persistent_jit
 def _aimed(scene, sides, when, first, stays, phase):
     frame, after, begin = framed(scene), jnp.roll(sides, -1), first + stays
     time = jnp.maximum(jnp.roll(first, -1) - begin, 0.0)
     cosine, sine = _turned(frame, phase, begin)
-    x, pace = _wall(frame, sides, cosine, sine)
+    x, pace = way(frame, sides, cosine, sine, 1)
     free_flow, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, time)
     force = frame.force * cosine, frame.force * sine
     still, _ = flow.flown((free_flow, forced), *force, x, 0.0 * x)
     more = drive.responses(frame.terms, frame.frequency, frame.damping, time)
     dx, dv = drive.forced(frame.terms, more, frame.frequency, cosine, sine)
     still = still + dx if frame.terms else still
-    where, pace_next = _wall(frame, after, *_turned(frame, phase, jnp.roll(first, -1)))
+    where, pace_next = way(frame, after, *_turned(frame, phase, jnp.roll(first, -1)), 1)
     move = free_flow[1]
     v = (where - still) / jnp.where(move == 0, 1.0, move)
     _, end = flow.flown((free_flow, forced), *force, x, v)

@@ -13,7 +13,7 @@ from .flight_state import CAPPED, Path, SlowMotion, motion
 from .flows import flow_of
 from .soft_contact import bounce, gives
 from .stays import stays_of
-from .wall import course, less, picked
+from .wall import course_on, less, picked
 from .within_wall import counted, within
 
 ENDLESS = -1.0  # the least speed of a chatter
@@ -38,7 +38,7 @@ def late(frame, path, side):
     What is left to the event of a slow impact may be rounding, which is not to be divided by its speed: none.
     """
     phasor = path.cosine, path.sine
-    where, speed, bend = picked(side, frame.walls, [course(wall, frame.frequency, *phasor, 2) for wall in frame.walls])
+    where, speed, bend = course_on(frame, side, *phasor, 2)
     presses = [flow_of(frame).press(frame, wall, *phasor, 1) for wall in frame.walls]
     push, change = picked(side, frame.walls, presses)
     pull, _ = _pulled(frame, path)
@@ -118,8 +118,7 @@ def _turned(frame, path, late):
 
 def surface(frame, side, cosine, sine):
     """Position, speed, press and the press's change of the wall on a side."""
-    courses = [course(wall, frame.frequency, cosine, sine, 1) for wall in frame.walls]
-    where, speed = picked(side, frame.walls, courses)
+    where, speed = course_on(frame, side, cosine, sine, 1)
     presses = [flow_of(frame).press(frame, wall, cosine, sine, 1) for wall in frame.walls]
     return where, 0.0 if speed is None else speed, *picked(side, frame.walls, presses)
 

@@ -12,10 +12,13 @@ from ..compiled.compiler_hints import choose, least, stage
 from ..scene.codes import Contact
 from . import push_series, pushed_flow, taylor
 from .flight_state import CAPPED, motion
+from .no_stay import bias as bias  # of a free flight, as are these
+from .no_stay import facing as facing
+from .no_stay import reach as reach
 from .push_series import Within
 from .soft_contact import is_inside
 from .taylor_steps import as_derivatives
-from .wall import course, picked
+from .wall import course_on
 
 SOON = 1e-9  # drive periods, after which a mass that is pressed into a wall from rest is on its way
 
@@ -28,21 +31,6 @@ def begin(frame, path):
 def going(path):
     """The path of the lanes that a step is for: what is within a wall waits there."""
     return path._replace(to_go=choose(is_inside(path.contact), 0.0, path.to_go))
-
-
-def facing(frame, contact, side, way, on, swing):
-    """As `no_stay.facing`."""
-    return way, on, swing, side, frame.weights
-
-
-def bias(frame, path):
-    """As `no_stay.bias`."""
-    return None, None
-
-
-def reach(frame):
-    """The longest step of a free flight."""
-    return frame.reach
 
 
 def unbegun(none):
@@ -114,7 +102,7 @@ def _after(frame, path, found, inside, gone, side):
 
 def _course(frame, side, cosine, sine):
     """(position, velocity) of the wall on a side."""
-    where, pace = picked(side, frame.walls, [course(wall, frame.frequency, cosine, sine, 1) for wall in frame.walls])
+    where, pace = course_on(frame, side, cosine, sine, 1)
     return where, jnp.zeros_like(cosine) if pace is None else pace
 
 

@@ -15,7 +15,7 @@ from . import event, impact
 from .flight_state import Path, place, remaining
 from .flows import flow_of
 from .stays import stays_of
-from .wall import chosen, course, less, picked
+from .wall import chosen, course, course_on, less, picked
 from .within_wall import within
 
 SLOW = 0.25  # of the speed that the acceleration makes over the longest step
@@ -102,7 +102,7 @@ def _progress(frame, path, derivatives, side, beyond):
     flow, walls, contact = flow_of(frame), frame.walls, path.contact * side
     presses, tails = zip(*flow.presses(frame, path, beyond), strict=True)
     push = picked(side, walls, presses)
-    way = picked(side, walls, [course(wall, frame.frequency, path.cosine, path.sine, event.TERMS) for wall in walls])
+    way = course_on(frame, side, path.cosine, path.sine, event.TERMS)
     stuck, released = contact == Contact.STUCK, contact == Contact.RELEASED
     tail, swing = chosen(side, walls, tails), chosen(side, walls, frame.swings)
     on = (contact == Contact.LANDED) | released

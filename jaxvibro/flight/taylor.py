@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from . import event
-from .wall import course, less, picked
+from .wall import course_on, less
 
 
 class Now(NamedTuple):
@@ -23,8 +23,7 @@ class Now(NamedTuple):
 
 def way(frame, now, side, order):
     """Position of the wall on a side and its derivatives, one more than the order."""
-    ways = [course(wall, frame.frequency, now.cosine, now.sine, order + 1) for wall in frame.walls]
-    return picked(side, frame.walls, ways)
+    return course_on(frame, side, now.cosine, now.sine, order + 1)
 
 
 def placed(way, late, order):

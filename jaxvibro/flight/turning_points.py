@@ -17,7 +17,7 @@ from ..scene.codes import Contact
 from . import event
 from .flight_state import SlowMotion, place
 from .flows import flow_of
-from .wall import course, less, picked
+from .wall import course, course_on, less
 from .within_wall import within
 
 BOTH = 4.0  # added to the mark of two turns, in longest steps
@@ -120,8 +120,7 @@ def _other(frame, side, speeds, time, span):
 
 def _speeds(frame, side, motion, derivatives):
     """Taylor coefficients of the speed of x - x_b."""
-    ways = [course(wall, frame.frequency, motion.cosine, motion.sine, TERMS) for wall in frame.walls]
-    way = picked(side, frame.walls, ways)
+    way = course_on(frame, side, motion.cosine, motion.sine, TERMS)
     return [less(derivatives[k], way[k]) * (1.0 / math.factorial(k - 1)) for k in range(1, TERMS + 1)]
 
 
@@ -199,7 +198,7 @@ def _halley(speed, pull, jerk):
 def _relative(frame, side, motion):
     """x - x_b of the wall on a side, and its first three derivatives."""
     x, x_low, v = place(frame, motion)
-    ways = [course(wall, frame.frequency, motion.cosine, motion.sine, 3) for wall in frame.walls]
+    way = course_on(frame, side, motion.cosine, motion.sine, 3)
     free = x, v, *flow_of(frame).accelerations(frame, x, v, motion.cosine, motion.sine)
-    found = [less(one, way) for one, way in zip(free, picked(side, frame.walls, ways), strict=True)]
+    found = [less(one, other) for one, other in zip(free, way, strict=True)]
     return [found[0] + x_low, *found[1:]]

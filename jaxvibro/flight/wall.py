@@ -124,3 +124,8 @@ def chosen(side, walls, values):
 def picked(side, walls, lists):
     """`chosen` for each place of some lists, one list a wall."""
     return [chosen(side, walls, values) for values in zip(*lists, strict=True)]
+
+
+def course_on(frame, side, cosine, sine, order):
+    """`course` of the wall on a side of each lane."""
+    return picked(side, frame.walls, [course(wall, frame.frequency, cosine, sine, order) for wall in frame.walls])

@@ -24,7 +24,7 @@ from ..flight.impact import surface
 from ..flight.soft_contact import bounce as restitution
 from ..flight.soft_contact import gives
 from ..flight.taylor import Now
-from ..flight.wall import course, less, picked
+from ..flight.wall import course_on, less
 from ..scene import check
 from ..scene.codes import Contact, Status
 from ..scene.scene import Scene
@@ -153,8 +153,7 @@ def _bounced(frame, hit, side, speed, bounce, cosine, sine, place):
 
 def saltation(frame, side, speed, cosine, sine):
     """R and the lower left entry of Q, of an impact on a side with this speed; side 0: of none, any numbers."""
-    walls = frame.walls
-    where, pace, bend = picked(side, walls, [course(wall, frame.frequency, cosine, sine, 2) for wall in walls])
+    where, pace, bend = course_on(frame, side, cosine, sine, 2)
     bounce = restitution(frame, side) + 0.0 * speed
     pace = 0.0 if pace is None else pace
     closing = side * speed

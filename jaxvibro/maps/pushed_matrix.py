@@ -14,7 +14,7 @@ from ..flight.push_series import Within, chosen_lanes
 from ..flight.pushed_flow import passed
 from ..flight.pushed_stay import drawn_in, entering, stay
 from ..flight.soft_contact import is_inside
-from ..flight.wall import course, less, picked
+from ..flight.wall import course_on, less
 from ..scene.codes import Contact
 from .contact_duration import product
 from .onward import Onward
@@ -90,13 +90,12 @@ def _through(frame, lanes, cosine, sine, left, outside):
 
 def _drawn(frame, side, rate, cosine, sine):
     """The acceleration into the wall of a mass at the wall, which does not push it yet, or no longer."""
-    ways = [course(wall, frame.frequency, cosine, sine, 2) for wall in frame.walls]
-    where, pace, bend = picked(side, frame.walls, ways)
+    where, pace, bend = course_on(frame, side, cosine, sine, 2)
     v = side * rate if pace is None else pace + side * rate
     pull, _ = flow_of(frame).accelerations(frame, where + 0.0 * rate, v, cosine, sine)
     return side * less(pull, bend)
 
 
 def _course(frame, side, cosine, sine):
-    where, pace = picked(side, frame.walls, [course(wall, frame.frequency, cosine, sine, 1) for wall in frame.walls])
+    where, pace = course_on(frame, side, cosine, sine, 1)
     return where, jnp.zeros_like(cosine) if pace is None else pace

@@ -18,7 +18,7 @@ from ..flight import flow, taylor
 from ..flight.flows import flow_of
 from ..flight.soft_contact import bounce
 from ..flight.taylor import Now
-from ..flight.wall import course, less, picked
+from ..flight.wall import course_on, less, picked
 from ..scene.codes import Contact
 from .stay_replays import replay_of
 
@@ -120,8 +120,7 @@ def _held(frame, now, side):
     """Where the wall on a side is, side 0: where it was."""
     if not frame.walls:
         return now
-    ways = [course(wall, frame.frequency, now.cosine, now.sine, 1) for wall in frame.walls]
-    where, speed = picked(side, frame.walls, ways)
+    where, speed = course_on(frame, side, now.cosine, now.sine, 1)
     held = side != 0
     return now._replace(x=choose(held, where, now.x), v=choose(held, 0.0 if speed is None else speed, now.v))
 
