@@ -12,7 +12,8 @@ from ..compiled.compiler_hints import choose, least, stage
 from ..scene.codes import Contact
 from . import push_series, pushed_flow, taylor
 from .flight_state import CAPPED, motion
-from .no_stay import bias as bias  # of a free flight, as are these
+from .no_stay import begin as begin  # a free flight's, as are these
+from .no_stay import bias as bias
 from .no_stay import facing as facing
 from .no_stay import reach as reach
 from .push_series import Within
@@ -21,11 +22,6 @@ from .taylor_steps import as_derivatives
 from .wall import course_on
 
 SOON = 1e-9  # drive periods, after which a mass that is pressed into a wall from rest is on its way
-
-
-def begin(frame, path):
-    """As `no_stay.begin`."""
-    return frame, path, None, ()
 
 
 def going(path):
