@@ -1,7 +1,7 @@
 """Forces of one's own, proved at length: `python -m tests.force_proof spring 10000` prints numbers.
 
 Others are `series 500`, scenes of each kind beside series by hand; `grazing 100000`, beside other solvers; `points`;
-`branch` and `located 50`, special points and their gradients; `attractors`.
+`branch` and `located 50`, special points and their gradients; `ball 100`, those of a bouncing ball; `attractors`.
 """
 
 import sys
@@ -16,7 +16,7 @@ import jaxvibro as jv
 
 from .force_attractors import attractors
 from .force_grazing import grazing
-from .force_specials import branch, located
+from .force_specials import ball, branch, located
 from .reference import own_force
 
 jax.config.update("jax_enable_x64", True)
@@ -198,6 +198,6 @@ def points():
 
 
 if __name__ == "__main__":
-    commands = {each.__name__: each for each in (spring, series, grazing, points, branch, located, attractors)}
+    commands = {each.__name__: each for each in (spring, series, grazing, points, branch, located, ball, attractors)}
     name, *rest = sys.argv[1:]
     commands[name](*map(int, rest))
