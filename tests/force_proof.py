@@ -1,7 +1,8 @@
 """Forces of one's own, proved at length: `python -m tests.force_proof spring 10000` prints numbers.
 
-Others are `series 500`, scenes of each kind beside series by hand; `grazing 100000`, beside other solvers; `points`;
-`branch` and `located 50`, special points and their gradients; `attractors`.
+Others are `series 500`, scenes of each kind, or `series 500 duffing` of one, beside series by hand; `grazing 100000`,
+beside other solvers; `points`; `branch` and `located 50`, special points and their gradients; `ball 100`, those of a
+bouncing ball; `attractors`.
 """
 
 import sys
@@ -13,10 +14,11 @@ import numpy as np
 from mpmath import mpf
 
 import jaxvibro as jv
+from jaxvibro.scene.codes import Status
 
 from .force_attractors import attractors
 from .force_grazing import grazing
-from .force_specials import branch, located
+from .force_specials import ball, branch, located
 from .reference import own_force
 
 jax.config.update("jax_enable_x64", True)
@@ -100,11 +102,11 @@ def timed(scene, state):
     return float(np.median(found))
 
 
-def series(count, seed=0, digits=40):
+def series(count, *kinds, seed=0, digits=40):
     """Print how forces fly beside their series by hand, of each so many scenes, over one period of the drive."""
-    for kind, ranges in RANGES.items():
+    for kind, ranges in ((each, RANGES[each]) for each in kinds or RANGES):
         rng, tally = np.random.default_rng(seed), {tolerance: Tally() for tolerance in SERIES}
-        refused = 0
+        refused, away = 0, 0
         for structure in STRUCTURES:
             some = count // len(STRUCTURES)
             walls, amplitude, frequency, _, state = drawn(rng, some, structure)
@@ -122,6 +124,11 @@ def series(count, seed=0, digits=40):
                     given += amplitude[k], frequency[k], *plain_walls(walls, k)
                     try:
                         true, norm = with_norm(given, state.x[k], state.v[k], state.phase[k])
+                    except own_force.RunsAwayError:
+                        away += 1
+                        for tolerance, (_, hits) in found.items():
+                            tally[tolerance].kept += int(hits.status[k] < Status.CAP)
+                        continue
                     except ArithmeticError:  # hops that die out
                         refused += 1
                         continue
@@ -130,14 +137,15 @@ def series(count, seed=0, digits=40):
                         unit = tolerance * size * (1.0 + norm)
                         tally[tolerance].add(true, size, unit, jax.tree.map(lambda leaf, k=k: leaf[k], (end, hits)))
         for tolerance, each in tally.items():
-            print(f"{kind}, tolerance {tolerance:g}: {count} scenes, {refused} hop without end, {each}", flush=True)
+            left = f"{refused} hop without end, {away} run away ({each.kept} of them given an end)"
+            print(f"{kind}, tolerance {tolerance:g}: {count} scenes, {left}, {each}", flush=True)
 
 
 class Tally:
     """What came of scenes beside series by hand."""
 
     def __init__(self):
-        self.near, self.seen, self.wrong, self.worst, self.late = 0, 0, [], 0.0, 0.0
+        self.near, self.seen, self.wrong, self.worst, self.late, self.kept = 0, 0, [], 0.0, 0.0, 0
 
     def __str__(self):
         return (
@@ -198,6 +206,6 @@ def points():
 
 
 if __name__ == "__main__":
-    commands = {each.__name__: each for each in (spring, series, grazing, points, branch, located, attractors)}
+    commands = {each.__name__: each for each in (spring, series, grazing, points, branch, located, ball, attractors)}
     name, *rest = sys.argv[1:]
-    commands[name](*map(int, rest))
+    commands[name](*(int(each) if each.isdigit() else each for each in rest))

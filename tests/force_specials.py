@@ -1,4 +1,5 @@
-"""Orbits and special points of scenes with a force of their own against Newton's method in 40 digits."""
+"""Orbits and special points of scenes with a force of their own against Newton's method in 40 digits, and those of a
+ball that bounces on a table against closed forms."""
 
 import jax
 import mpmath
@@ -12,6 +13,7 @@ KINDS = ("SN", "SB", "PD", "GR")
 ALONG = {"amplitude": (0.0, 6.0), "force.cubic": (-0.3, 6.0)}
 POINTS = 12  # of a branch, whose orbits are solved anew
 MOST = 1, 2  # periods, impacts: others are compiled each by themselves
+BALL = {"g": (0.5, 3.0), "restitution": (0.2, 0.95), "frequency": (0.6, 4.0)}
 
 
 def duffing(walls=(-1.0, 1.0), amplitude=2.0, cubic=0.5, damping=0.05, frequency=2.1, restitution=0.7):
@@ -145,3 +147,56 @@ def ways(point):
         if point.kind == "SB" and side == "right":
             found[name].append((f"left.{own}", -1 if own == "position" else 1))
     return found
+
+
+def gravity(t, x, v, p):
+    return -p["g"]
+
+
+def bounced(rng, periods=1, side=-1, place=None):
+    """(orbit, {kind: the swing}) of a ball that falls on a table and bounces once in so many of its periods.
+
+    It comes with the speed g T / 2 and leaves with as much, T being the time of a flight: so the table, which moves as
+    a cos(psi), goes against it with s = (g T / 2) (1 - R) / (1 + R) at an impact, where -a omega sin(psi) = s. The map
+    of the impacts' (time, speed after) has there the determinant R^2 and the trace 1 + R^2 - (1 + R)^2 a omega^2
+    cos(psi) / g, as the time between impacts changes by (1 + R) / g times the speed: an SN where cos(psi) = 0, a PD
+    where the trace is -1 - R^2. side: that of the table; on the right g is below 0. place: its middle.
+    """
+    g, bounce, omega = (rng.uniform(*ends) for ends in BALL.values())
+    phase, place = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(-1.0, 1.0) if place is None else place
+    flight = 2.0 * np.pi * periods / omega
+    least = 0.5 * g * flight * (1.0 - bounce) / (1.0 + bounce) / omega
+    known = {"SN": least, "PD": np.hypot(least, 2.0 * g * (1.0 + bounce**2) / (omega * (1.0 + bounce)) ** 2)}
+    swing = 0.5 * sum(known.values())
+    psi = -np.arcsin(least / swing)
+    late = (phase + (side > 0) * np.pi - psi) % (2.0 * np.pi) / omega  # since the impact, at phase 0
+    height = swing * np.cos(psi) + 0.5 * g * late * (flight - late)
+    state = jv.State(place - side * height, -side * g * (0.5 * flight - late))
+    table = jv.Wall(place, bounce, motion=jv.Motion(swing, phase))
+    walls = (table, None) if side < 0 else (None, table)
+    force = jv.Force(gravity, {"g": -side * g})
+    scene = jv.make_scene(0.0, omega, restitution=0.5, walls=walls, force=force)
+    return jv.find_orbit(scene, state, periods, settle=0), known
+
+
+def ball_errors(orbit, known):
+    """{kind: error of the swing over its size} along the branch of `bounced`."""
+    name = f"{'left' if orbit.impacts.side[0] < 0 else 'right'}.motion.amplitude"
+    found = jv.follow(orbit, name, (0.5 * known["SN"], 1.2 * known["PD"]), stop="PD")
+    errors = {}
+    for kind, true in known.items():
+        values = [one.value for one in found.points(kind) if one.label == orbit.label]
+        errors[kind] = min((float(abs(value / true - 1.0)) for value in values), default=np.inf)
+    return errors
+
+
+def ball(count, seed=0):
+    """Print how far the SN and the PD of so many bouncing balls are from their closed forms."""
+    rng, worst = np.random.default_rng(seed), {"SN": 0.0, "PD": 0.0}
+    for _ in range(count):
+        orbit, known = bounced(rng, int(rng.integers(1, 4)), int(rng.choice((-1, 1))))
+        errors = ball_errors(orbit, known)
+        worst = {kind: max(worst[kind], errors[kind]) for kind in worst}
+        told = ", ".join(f"{kind} {known[kind]:.6g}: {error:.1e}" for kind, error in errors.items())
+        print(f"{orbit.label}, g {orbit.scene.parameter('force.g'):.4g}: {told}", flush=True)
+    print(f"{count} balls, largest errors of the swing over its size {worst}")

@@ -92,6 +92,18 @@ def test_growth_between_rests_against_the_moments_of_rest(numbers):
     assert abs(found.rate * span * numbers[1] / (2 * np.pi) - np.log(growth)) < NEAR
 
 
+@pytest.mark.parametrize("numbers", [BY_HAND[1], pytest.param(BY_HAND[2], marks=pytest.mark.slow)])
+def test_growth_between_rests_under_a_force_of_ones_own_is_that_of_the_spring(numbers):
+    given = scene(*numbers)
+    force = jv.Force("polynomial", {"c1": 1.0, "damping": numbers[2]})
+    walls = given.left, given.right
+    own = jv.make_scene(*numbers[:2], restitution=numbers[3], walls=walls, force=force)
+    start = settled(given, jv.State(numbers[4] - 0.2 * numbers[5], 0.0))
+    exact, found = rests(given, start, 1), rests(own, start, 1)
+    assert found[:3] == exact[:3] and exact.rests
+    assert abs(found.rate - exact.rate) < 1e-6
+
+
 @pytest.mark.slow
 def test_no_count_of_hops_is_in_a_label():
     """Whatever R is, and so however many hops are flown until they are sure to end."""

@@ -21,11 +21,12 @@ from jaxtyping import ArrayLike, Float
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import OPTIONS
-from ..flight import flow, integrate
+from ..flight import integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
 from ..flight.flows import flow_of
 from ..flight.impact import surface
+from ..flight.response import by_rows, with_matrix
 from ..flight.soft_contact import bounce
 from ..flight.step import micro
 from ..scene.codes import Contact, Status
@@ -122,10 +123,9 @@ def _watched(scene, state, since):
 def _advanced(frame, path, step, since, was, now):
     """(`SinceRelease` after a step, what a rest that begins there is told by: side, whether by hops, growth, time
     before)."""
-    side = step.side
-    span = step.time
-    (p00, p01, p11), _, _ = flow.doubled(frame.series, frame.frequency, frame.damping, span)
-    matrix, age = product((p00, p01, -p01, p11), since[:4]), since.age + span
+    side, span = step.side, step.time
+    _, free = with_matrix(frame, path.x, path.v, path.cosine, path.sine, span)
+    matrix, age = product(by_rows(free), since[:4]), since.age + span
     row = jnp.zeros_like(age), jnp.zeros_like(age), jnp.zeros_like(age), jnp.zeros_like(age)
     if frame.walls:
         met = jnp.where(side == 0, 1.0, side)
@@ -136,10 +136,10 @@ def _advanced(frame, path, step, since, was, now):
         after = product((-turned, 0.0 * age, shear, -turned), matrix)
         hit = (side != 0) & ~was & ~now
         matrix = tuple(jnp.where(hit, new, old) for new, old in zip(after, matrix, strict=True))
-    free = was & ~now
+    freed = was & ~now
     fresh = (1.0, 0.0, 0.0, 1.0, 0.0, 0.0)
     return SinceRelease(
-        *(jnp.where(free, new, old) for new, old in zip(fresh, (*matrix, since.size, age), strict=True))
+        *(jnp.where(freed, new, old) for new, old in zip(fresh, (*matrix, since.size, age), strict=True))
     ), row
 
 

@@ -15,12 +15,15 @@ def swift(frequency, damping, force):
 
 def scene_length(scene):
     """A length to measure speeds and lengths by: the farther wall's distance; where that is small beside the motion, or
-    there is none, the size of the swift part of the response to the drive (`swift`), 1 at rest."""
-    found = max((abs(float(wall.position)) for wall in scene.walls.values()), default=0.0)
+    there is none, the size of the swift part of the response to the drive (`swift`) and of the walls' swings, 1 at
+    rest."""
+    walls = scene.walls.values()
+    found = max((abs(float(wall.position)) for wall in walls), default=0.0)
     damping, frequency = 0.0 if scene.force is not None else float(scene.damping), float(scene.frequency)
     size = abs(swift(frequency, damping, float(scene.amplitude)))
     for term in scene.drive:
         size += abs(swift(term.harmonic * frequency, damping, float(term.amplitude)))
+    size += sum(abs(float(wall.motion.amplitude)) for wall in walls if wall.motion is not None)
     return found if found > 0.3 * size else (size or 1.0)
 
 

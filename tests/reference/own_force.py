@@ -13,6 +13,11 @@ GUARD = 24  # bits beyond the digits asked for
 NOISE = 32  # units, by which the value of a series may be off
 FINEST = 60  # halvings of a step at most, to tell its turning points apart
 MOST = 400  # impacts, by default
+FAR = 10**6  # a motion as far out does not come back
+
+
+class RunsAwayError(ArithmeticError):
+    """A motion that a force drives off without end."""
 
 
 class Flown(NamedTuple):
@@ -127,7 +132,8 @@ def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, p
     amplitude cos(harmonic (omega t + phase of the drive) + phase); restitution: one, or a pair. Where the mass turns
     back at most so shallow behind a wall there is no impact, and a clearance below 0.
 
-    Raises ArithmeticError where there are more than the most impacts, or turning points that cannot be told apart.
+    Raises ArithmeticError where there are more than the most impacts, or turning points that cannot be told apart, and
+    RunsAwayError where it goes off to infinity within the time.
     """
     n = Fixed(int(3.33 * mp.dps) + GUARD)
     count, given = int(1.2 * mp.dps), amplitude
@@ -156,6 +162,8 @@ def flown(force, p, amplitude, frequency, walls, restitution, x, v, periods=1, p
         late, side = min(found, default=(step, 0))
         turns = [one for one in turns if one[0] <= n.back(t + late)]
         x, v, t, touched = n.at(terms, late), n.at(derived(terms), late), t + late, side
+        if abs(x) > FAR << n.bits:
+            raise RunsAwayError("it runs away")
         if side:
             x, moving = n.at(ways[side], late), n.at(derived(ways[side]), late)
             hits.append((n.back(t), side, n.back(side * (v - moving))))
