@@ -37,15 +37,18 @@ def leave(frame, gives, side, cosine, sine, speed):
     side, speed = jnp.where(gives, side, 1.0), jnp.where(gives, speed, 1.0)
     left = jnp.where(gives, LONGEST * frame.period, 0.0)
     known = passed(*lax.stop_gradient((frame, side, entering(speed, cosine, sine), left)))
-    none, one = jnp.zeros_like(speed), jnp.ones_like(speed)
+    none = jnp.zeros_like(speed)
 
     def ends(late, speed):
         start = entering(speed, *flow.rotated(cosine, sine, frame.frequency * late))
         found = stay(frame, side, start, left, late, ORDER, known)
         return late + found.time, found.rate
 
-    (time, after), (later, quicker) = jax.jvp(ends, (none, speed), (one, none))
-    _, (by_speed, faster) = jax.jvp(ends, (none, speed), (none, one))
+    def along(late, fast):
+        return jax.jvp(ends, (none, speed), (late + none, fast + none))
+
+    unit = jnp.eye(2, dtype=speed.dtype)  # both ways in one loop, which is compiled once
+    (time, after), ((later, by_speed), (quicker, faster)) = jax.vmap(along, out_axes=(None, 0))(unit[0], unit[1])
     time = jnp.where(gives & ~known.leaves, jnp.nan, time)
     return Leaving(time, after, *flow.rotated(cosine, sine, frame.frequency * time), (later, by_speed, quicker, faster))
 
