@@ -100,7 +100,11 @@ def of_cycle(built, given):
             reach = jnp.min(soft_contact.felt(built, given.sides * float(Contact.WITHIN)).reach)
         best = _highest(at, begin, stay, reach, best)
         begin = begin + stay
-    best = _highest(at, begin, span, built.reach, best)
+
+    def free(time):  # no stay is compiled for it again
+        return response.after(built, found.x, found.v, found.cosine, found.sine, time - begin)
+
+    best = _highest(free, begin, span, built.reach, best)
     return jnp.max(jnp.where(hit, best, 0.0))
 
 

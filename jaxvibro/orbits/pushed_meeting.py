@@ -18,6 +18,7 @@ from ..flight.pushed_flow import passed
 from ..flight.pushed_stay import entering, stay
 
 LONGEST = 8.0  # drive periods that a stay is searched for
+BEGUN = 1e-20  # drive periods, by which a time since an entry is longer: there the root of the depth has no slope
 ORDER = 3  # to which derivatives of its end are right
 
 
@@ -77,6 +78,6 @@ def matrix(slopes, drawn, speeds):
 def inside(frame, gives, side, cosine, sine, speed, since):
     """(depth, its rate) so long after the entry of lanes that are still within the wall then; benign in others."""
     side, speed = jnp.where(gives, side, 1.0), jnp.where(gives, speed, 1.0)
-    span = jnp.where(gives, since, 0.0)
+    span = jnp.where(gives, since + BEGUN * frame.period, 0.0)
     found = stay(frame, side, entering(speed, cosine, sine), span, 0.0 * span, 1)
     return found.depth, found.rate
