@@ -92,7 +92,7 @@ def test_gradients_of_orbits_that_are_solved_for():
     "numbers, walls, count",
     [
         ((4.0, 2.6), (-0.8, (0.9, 30.0, 0.4)), 3),
-        ((2.5, 2.1), ((-0.8, 12.0, 0.2, None, jv.Motion(0.1, 0.4, 2)), (0.9, 30.0, 0.4)), 2),
+        ((2.5, 2.1), ((-0.8, 12.0, 0.2, jv.Motion(0.1, 0.4, 2)), (0.9, 30.0, 0.4)), 2),
     ],
 )
 def test_orbits_from_many_starts(numbers, walls, count):
