@@ -80,7 +80,6 @@ class Search(NamedTuple):
 def check_arguments(scene, name, bounds, max_period, seed, budget, largest_step):
     """The `Search` of these arguments. Raises ArgumentError."""
     check.require_single(scene)
-    check.require_known_stays(scene, "explore")
     max_period, seed = check.whole("max_period", max_period, 1), check.whole("seed", seed, 0)
     if max_period > check.MOST_PERIODS:
         raise check.ArgumentError("max_period", f"must be at most {check.MOST_PERIODS}", max_period)

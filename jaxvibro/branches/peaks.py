@@ -96,7 +96,11 @@ def of_cycle(built, given):
         stay = jnp.where(inside & hit, jnp.maximum(found.met.stay, 0.0), 0.0)
         best = _highest(at, begin, stay, saltation.reach(built, found.met, given.sides), best)
         begin = begin + stay
-    best = _highest(at, begin, span, built.reach, best)
+
+    def free(time):  # no stay is compiled for it again
+        return flow_of(built).fly(built, found.x, found.v, found.cosine, found.sine, time - begin)[:2]
+
+    best = _highest(free, begin, span, built.reach, best)
     return jnp.max(jnp.where(hit, best, 0.0))
 
 

@@ -24,7 +24,6 @@ from ..loci.extended_system import Grazing
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
 from ..problem.equations import there
-from ..scene import check
 from ..scene.scene import Scene, changed
 from ..scene.symmetry import symmetric_part
 
@@ -120,7 +119,6 @@ def closed(point, numbers):
 def whole(scene):
     """The scene with all numbers of its walls their own, and a hardness of soft walls to be added: a tree of arrays
     that is the same for all scenes with walls of these kinds."""
-    check.require_known_stays(scene, "what is located")
     own = {f"{side}.{name}": scene.parameter(name) for side, wall in scene.walls.items() for name in wall.taken}
     scene = changed(scene, own)
     if scene.hardens and scene.harder is None:

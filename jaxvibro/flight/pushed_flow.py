@@ -19,6 +19,7 @@ from .push_series import Within, chosen_lanes, onwards
 ROUNDS = 60  # of Newton's steps, or halvings, to the time that a stay is followed for
 NEAR = 4.0  # roundings: as near is the time
 POLISHED = 2  # Newton's steps to the end of a stay, from one that is nearer than `event.landing`
+FLOWN = 10  # the last power of steps with derivatives: their cost is what there is to compile, which is less by it
 LOST = 1e100  # a root beyond which nothing comes back
 
 
@@ -156,8 +157,8 @@ def fly(frame, side, start, span):
 
     def step(carry):
         now, gone, left, count = carry
-        terms = push_series.coefficients(frame, side, now, taylor_steps.order(frame))
-        reach = lax.stop_gradient(push_series.reach(frame, terms, now.scale))
+        terms = push_series.coefficients(frame, side, now, FLOWN)
+        reach = push_series.reach(*lax.stop_gradient((frame, terms, now.scale)))
         last = left <= reach
         length = choose(last, left, reach)
         root, rate, time = onwards(terms, length)

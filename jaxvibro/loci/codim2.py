@@ -188,12 +188,13 @@ def _each(curve, zs, reference, count, order, fine):
 
 
 def _bend(curve, z, reference, order, fine):
-    built = framed(there(curve, z))
-    found = cyclic_system.of(impact_equations.equations(built, cycle_at(curve, z))[1])
+    built, cycle = framed(there(curve, z)), cycle_at(curve, z)
+    flown = impact_equations.flights(built, cycle)
+    found = cyclic_system.of(impact_equations.equations(built, cycle, flown)[1])
     w, v = (each / jnp.sqrt(jnp.sum(each * each)) for each in cyclic_system.nulls(found, curve.closing))
     v, w = (jnp.where(jnp.sum(one * given) < 0, -one, one) for one, given in zip((v, w), reference, strict=True))
     across = cyclic_system.by_turn(w, found, v)
-    step = APART / _rate(built)
+    step = APART / _rate(built, flown.met, cycle.sides)
     places, *weights = THIRTEEN if fine else SEVEN
 
     def along(h):
@@ -220,11 +221,15 @@ def _bend(curve, z, reference, order, fine):
     return _Bend(jnp.sum(w * last), v, w, across)
 
 
-def _rate(built):
-    """The fastest of the flights', and of what is felt within soft walls."""
+def _rate(built, met, sides):
+    """The fastest of the flights', and of what is felt within soft walls; beside a force how fast the mass swings there
+    follows from how long it stays."""
     found = flow.rate(built.frequency, built.damping)
     if built.terms:
         found = jnp.maximum(found, built.frequency * float(drive.fastest(built.terms)))
+    if built.pushes:
+        held = met.gives & (sides != 0) & (met.stay > 0)
+        return jnp.maximum(found, jnp.max(jnp.where(held, jnp.pi / jnp.where(held, met.stay, 1.0), 0.0)))
     for soft in built.contacts:
         found = found if soft is None else jnp.maximum(found, flow.STEP / soft.reach)
     return found

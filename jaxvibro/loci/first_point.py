@@ -48,7 +48,6 @@ def start_of(special):
     if not isinstance(special, Special) or special.kind not in KINDS:
         given = special.kind if isinstance(special, Special) else special
         raise check.ArgumentError("special", f"must be a special point of kind {', '.join(KINDS)}", given)
-    check.require_known_stays(special.scene, "what begins at a special point")
     return LocusStart(special.kind, special.name, special.scene, special.spot)
 
 

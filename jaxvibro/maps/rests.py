@@ -26,7 +26,7 @@ from ..flight.coefficients import frame
 from ..flight.entry import enter
 from ..flight.flows import flow_of
 from ..flight.impact import surface
-from ..flight.response import by_rows, with_matrix
+from ..flight.response import by_rows
 from ..flight.soft_contact import bounce
 from ..flight.step import micro
 from ..scene.codes import Contact, Status
@@ -124,7 +124,7 @@ def _advanced(frame, path, step, since, was, now):
     """(`SinceRelease` after a step, what a rest that begins there is told by: side, whether by hops, growth, time
     before)."""
     side, span = step.side, step.time
-    _, free = with_matrix(frame, path.x, path.v, path.cosine, path.sine, span)
+    _, free = flow_of(frame).matrix(frame, path.x, path.v, path.cosine, path.sine, span)
     matrix, age = product(by_rows(free), since[:4]), since.age + span
     row = jnp.zeros_like(age), jnp.zeros_like(age), jnp.zeros_like(age), jnp.zeros_like(age)
     if frame.walls:

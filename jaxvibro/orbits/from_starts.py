@@ -44,7 +44,6 @@ def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int 
     Raises ArgumentError for a batch of scenes and for counts that cannot be.
     """
     check.require_single(scene)
-    check.require_known_stays(scene, "find_orbits")
     longest = check.whole("max_period", max_period, 1)
     if longest > KEEP // 2:
         raise check.ArgumentError("max_period", f"must be at most {KEEP // 2}", max_period)

@@ -21,6 +21,7 @@ from ..flight.pushed_stay import entering, stay
 from .meeting_wall import way
 
 LONGEST = 8.0  # drive periods that a stay is searched for
+BEGUN = 1e-20  # drive periods, by which a time since an entry is longer: there the root of the depth has no slope
 ORDER = 3  # to which derivatives of its end are right
 
 
@@ -40,15 +41,18 @@ def leave(frame, gives, side, cosine, sine, speed):
     side, speed = jnp.where(gives, side, 1.0), jnp.where(gives, speed, 1.0)
     left = jnp.where(gives, LONGEST * frame.period, 0.0)
     known = passed(*lax.stop_gradient((frame, side, entering(speed, cosine, sine), left)))
-    none, one = jnp.zeros_like(speed), jnp.ones_like(speed)
+    none = jnp.zeros_like(speed)
 
     def ends(late, speed):
         start = entering(speed, *flow.rotated(cosine, sine, frame.frequency * late))
         found = stay(frame, side, start, left, late, ORDER, known)
         return late + found.time, found.rate
 
-    (time, after), (later, quicker) = jax.jvp(ends, (none, speed), (one, none))
-    _, (by_speed, faster) = jax.jvp(ends, (none, speed), (none, one))
+    def along(late, fast):
+        return jax.jvp(ends, (none, speed), (late + none, fast + none))
+
+    unit = jnp.eye(2, dtype=speed.dtype)  # both ways in one loop, which is compiled once
+    (time, after), ((later, by_speed), (quicker, faster)) = jax.vmap(along, out_axes=(None, 0))(unit[0], unit[1])
     time = jnp.where(gives & ~known.leaves, jnp.nan, time)
     return Leaving(time, after, *flow.rotated(cosine, sine, frame.frequency * time), (later, by_speed, quicker, faster))
 
@@ -90,15 +94,15 @@ def inside(frame, met, sides, k, since, state):
     within = met.gives[k] & (since < met.stay[k])
     side, span = sides[k], jnp.where(within, since, 0.0)
     given = side, met.cosine[k], met.sine[k], side * met.closing[k]
-    depth, rate = _inside(frame, within, *given, span)
+    depth, rate = depth_after(frame, within, *given, span)
     where, pace, _ = way(frame, side, *flow.rotated(*given[1:3], frame.frequency * span))
     return choose(within, where + side * depth, state[0]), choose(within, pace + side * rate, state[1])
 
 
-def _inside(frame, gives, side, cosine, sine, speed, since):
+def depth_after(frame, gives, side, cosine, sine, speed, since):
     """(depth, its rate) so long after the entry of lanes that are still within the wall then; benign in others."""
     side, speed = jnp.where(gives, side, 1.0), jnp.where(gives, speed, 1.0)
-    span = jnp.where(gives, since, 0.0)
+    span = jnp.where(gives, since + BEGUN * frame.period, 0.0)
     found = stay(frame, side, entering(speed, cosine, sine), span, 0.0 * span, 1)
     return found.depth, found.rate
 

@@ -69,7 +69,6 @@ def solve_orbits(
     walls = words.checked(itinerary, periods)
     if not isinstance(scenes, Scene):
         raise check.ArgumentError("scenes", "must be a Scene", scenes)
-    check.require_known_stays(scenes, "solve_orbits")
     leaves, tree = jax.tree.flatten(scenes)
     asked = Itinerary(tree, walls)
     sides = asked.sides

@@ -174,14 +174,6 @@ def require_one_harmonic(scene, what):
         raise ArgumentError("drive", f"{what} knows a drive of amplitude cos(frequency t) alone", told)
 
 
-def require_known_stays(scene, what):
-    """Refuse a soft wall beside a force of the user's own where such a wall is known beside the spring alone."""
-    if scene.force is not None:
-        for side, wall in scene.walls.items():
-            if wall.soft:
-                raise ArgumentError(side, f"{what} knows soft walls beside spring and damper alone", "a soft wall")
-
-
 def require_rigid(scene, what):
     """Refuse a soft wall where only rigid ones are known."""
     for side, wall in scene.walls.items():
