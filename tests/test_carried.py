@@ -33,9 +33,18 @@ def _bent(slopes):
 
 @pytest.mark.parametrize(
     ("kind", "periods"),
-    [(RIGID[k], count) for k, count in ((1, 1), (1, 3), (4, 1), (4, 3), (5, 1), (5, 3))],
+    [
+        pytest.param(RIGID[k], count, marks=mark)
+        for k, count, mark in (
+            (1, 1, pytest.mark.slow),
+            (1, 3, pytest.mark.long),
+            (4, 1, pytest.mark.long),
+            (4, 3, pytest.mark.slow),
+            (5, 1, pytest.mark.long),
+            (5, 3, pytest.mark.long),
+        )
+    ],
 )
-@pytest.mark.slow
 def test_of_random_scenes_they_are_those_of_the_replay(kind, periods, monkeypatch):
     scene, start = usual(np.random.default_rng(3), LANES, kind)
     given_up = np.asarray(lean(scene, start)[1])

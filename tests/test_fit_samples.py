@@ -149,7 +149,7 @@ def test_a_section_that_has_settled_holds_one_point():
     assert abs(away(found, one)).max() < 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_errors_that_are_larger_than_told_are_a_misfit():
     data = noisy(16, 10)
     found = jv.fit(begun(), jv.SampleRecord(data.times, data.x, 0.5 * SIGMA), FREE)

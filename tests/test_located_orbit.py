@@ -65,7 +65,7 @@ def test_the_peak_of_a_motion_without_impacts(scene):
     "wall, names",
     [
         (jv.Wall(0.3), ("damping", "frequency")),
-        pytest.param(jv.Wall(0.3, stiffness=40.0, damping=0.5), ("damping",), marks=pytest.mark.slow),
+        pytest.param(jv.Wall(0.3, stiffness=40.0, damping=0.5), ("damping",), marks=pytest.mark.long),
     ],
 )
 def test_a_peak_moves_as_that_of_orbits_found_again(wall, names):
@@ -91,7 +91,7 @@ def test_lanes_under_jit_and_what_is_not_there(scene, orbit):
     assert speeds.solve(none).status == NONE and np.isnan(speeds(none)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_width_and_area_of_a_hysteresis(scene, orbit):
     branch = jv.follow(orbit, "amplitude", (0.0, 3.45))
     grazing = jv.located(branch.points("GR")[0], wall="right")

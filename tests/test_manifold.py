@@ -162,8 +162,15 @@ def test_a_saddle_that_flips_has_two_sides_too():
     assert distance(other, z[:1])[0] < 1e-8
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["one wall", "uneven walls", "moving wall", "a restitution each"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param("one wall", marks=pytest.mark.long),
+        pytest.param("uneven walls", marks=pytest.mark.slow),
+        pytest.param("moving wall", marks=pytest.mark.slow),
+        pytest.param("a restitution each", marks=pytest.mark.slow),
+    ],
+)
 def test_other_scenes_have_manifolds(name):
     orbits = jv.find_orbits(jv.make_scene(**SCENES[name]), 2)
     saddles = [one for one in orbits if abs(one.multipliers[0]) > 1 > abs(one.multipliers[1]) > 0]

@@ -135,7 +135,7 @@ def test_the_contact_is_a_constant(scene):
     assert jax.grad(jax.grad(end))(-1.0) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_random_scenes_against_ball_arithmetic():
     for (_, what), errors in first_errors(60, kinds={(1, 2)}).items():
         assert np.all(errors < (1e-11 if what == "impacts" else 1e-12))

@@ -47,7 +47,7 @@ def test_strobes_against_ball_arithmetic():
     assert max(row.state for row in rows) < 0.01 and max(row.sharp for row in rows) < 0.2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_strobes_of_other_kinds_against_ball_arithmetic():
     rows = compared(150, set(OTHERS))
     assert all(row.right for row in rows)
@@ -83,7 +83,7 @@ def test_two_periods_are_one_after_the_other():
         assert abs(one - other).max() < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_single_precision():
     walls = (jv.Wall(-1.0, stiffness=1e4, damping=5.0, motion=jv.Motion(0.1)), jv.Wall(1.0, stiffness=50.0))
     start = jv.State(np.linspace(-0.8, 0.9, 5), 0.3)

@@ -247,7 +247,7 @@ def test_a_branch_along_the_hardness():
         jv.locus(edge(soft), ("hardness", "left.stiffness"), {"hardness": (5, 7), "left.stiffness": (1e5, 1e7)})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_strobe_has_derivatives_by_the_hardness():
     scene = jv.soften(rigid(), 1e3)
 

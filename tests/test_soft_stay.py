@@ -123,8 +123,9 @@ def test_what_a_stay_makes_of_its_start_is_as_by_the_derivatives_of_the_replays(
         assert np.allclose(one, other, rtol=1e-8, atol=1e-10 * abs(other).max())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", ["unlike", "moving"])
+@pytest.mark.parametrize(
+    "kind", [pytest.param("unlike", marks=pytest.mark.long), pytest.param("moving", marks=pytest.mark.slow)]
+)
 def test_second_derivatives_of_a_stay_are_differences_of_the_first(kind):
     scene, side, cosine, sine, speed = entries(kind)
     keep = speed > 1e-3  # of slower ones a difference sees nothing

@@ -160,7 +160,7 @@ def test_a_kink_is_flown_by_dopri8_as_the_exact_flow_of_a_soft_wall_has_it():
     [
         pytest.param("Tsit5", 1e-8, marks=pytest.mark.long),
         pytest.param("Dopri8", 1e-12, marks=pytest.mark.long),
-        pytest.param("Kvaerno5", 1e-8, marks=pytest.mark.slow),
+        pytest.param("Kvaerno5", 1e-8, marks=pytest.mark.long),
     ],
 )
 def test_each_solver_comes_to_where_taylor_steps_come(solver, tolerance):

@@ -45,8 +45,9 @@ def test_masses_that_hop_and_rest_end_as_by_full_steps():
     assert after[~given_up & (impacts.count > 0)].min() > 2e-3  # a slower impact is not theirs to decide
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", (RIGID[1], RIGID[4]))
+@pytest.mark.parametrize(
+    "kind", (pytest.param(RIGID[1], marks=pytest.mark.slow), pytest.param(RIGID[4], marks=pytest.mark.long))
+)
 def test_no_bit_depends_on_the_batch(kind):
     wrong, given_up = bits(np.random.default_rng(8), 400, kind)
     assert wrong == [] and given_up > 0

@@ -23,8 +23,9 @@ def test_an_orbit_leaves_one_point_on_each_section():
         assert found[f"{name}_velocity"].values == pytest.approx(np.full(10, -0.7 * side * speed), abs=1e-8)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("walls", [{}, MOVING])
+@pytest.mark.parametrize(
+    "walls", [pytest.param({}, marks=pytest.mark.long), pytest.param(MOVING, marks=pytest.mark.slow)]
+)
 def test_the_maps_lead_from_each_point_to_the_next(walls):
     scene = jv.make_scene(**SCENE | walls | {"amplitude": 5.4})
     found = jv.sections(scene, jv.State(0.5, -1.1), phase=2.0, periods=80, settle=50)

@@ -74,7 +74,7 @@ def test_chaos_that_ends_is_not_chaotic():
     assert (one.label, one.share) == ("P100", 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_exponent_is_that_of_another_method():
     """At amplitudes where chaos is weak, from starts near the attractor's state."""
     seen = 0
