@@ -25,7 +25,7 @@ from continuation.points import between
 from ..compiled.compiler_hints import one_kernel
 from ..flight import drive, flow
 from ..flight.coefficients import framed
-from ..orbits import cyclic_system, impact_equations
+from ..orbits import cyclic_system, impact_equations, saltation
 from ..problem.diagnostics import diagnose
 from ..problem.equations import cycle_at, problem, there
 from .extended_system import Grazing
@@ -222,17 +222,11 @@ def _bend(curve, z, reference, order, fine):
 
 
 def _rate(built, met, sides):
-    """The fastest of the flights', and of what is felt within soft walls; beside a force how fast the mass swings there
-    follows from how long it stays."""
+    """The fastest of the flights', and of what is felt within soft walls."""
     found = flow.rate(built.frequency, built.damping)
     if built.terms:
         found = jnp.maximum(found, built.frequency * float(drive.fastest(built.terms)))
-    if built.pushes:
-        held = met.gives & (sides != 0) & (met.stay > 0)
-        return jnp.maximum(found, jnp.max(jnp.where(held, jnp.pi / jnp.where(held, met.stay, 1.0), 0.0)))
-    for soft in built.contacts:
-        found = found if soft is None else jnp.maximum(found, flow.STEP / soft.reach)
-    return found
+    return found if met.stay is None else jnp.maximum(found, saltation.rate(built, met, sides))
 
 
 def _ahead(curve, built, z, v, h, s):

@@ -107,6 +107,12 @@ def depth_after(frame, gives, side, cosine, sine, speed, since):
     return found.depth, found.rate
 
 
+def rate(frame, met, sides):
+    """How fast the mass swings within soft walls at most, a scalar: by how long it stays."""
+    held = met.gives & (sides != 0) & (met.stay > 0)
+    return jnp.max(jnp.where(held, jnp.pi / jnp.where(held, met.stay, 1.0), 0.0))
+
+
 def reach(frame, met, sides):
     """How far stays can be followed in one piece, a scalar."""
     stay = jnp.where(met.gives, jnp.maximum(met.stay, 0.0), 0.0)

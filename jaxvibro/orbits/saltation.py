@@ -100,6 +100,11 @@ def stayed(frame, met, sides, k, since, state):
     return KINDS[frame.stays].inside(frame, met, sides, k, since, state)
 
 
+def rate(frame, met, sides):
+    """How fast the mass swings within soft walls at most, a scalar."""
+    return KINDS[frame.stays].rate(frame, met, sides)
+
+
 def reach(frame, met, sides):
     """How far stays can be followed in one piece, a scalar."""
     return KINDS[frame.stays].reach(frame, met, sides)

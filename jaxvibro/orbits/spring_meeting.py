@@ -3,6 +3,8 @@
 The interface is that of `pushed_meeting`.
 """
 
+from functools import reduce
+
 import jax.numpy as jnp
 
 from ..compiled.compiler_hints import choose
@@ -53,6 +55,11 @@ def inside(frame, met, sides, k, since, state):
     )
     where, pace, _ = way(frame, sides[k], *flow.rotated(cosine, sine, frame.frequency * span))
     return choose(within, where + y, state[0]), choose(within, pace + v, state[1])
+
+
+def rate(frame, met, sides):
+    """How fast the mass swings within soft walls at most, a scalar."""
+    return reduce(jnp.maximum, [flow.STEP / soft.reach for soft in frame.contacts if soft is not None])
 
 
 def reach(frame, met, sides):
