@@ -80,7 +80,7 @@ def test_manifolds_under_a_force_are_led_into_themselves_by_another_flight(name)
         stretch = abs(np.asarray(jv.monodromy(scene, jv.State(*given.T)))).max(axis=(1, 2))
         apart = distance(data, z)
         assert len(given) >= 60
-        assert np.quantile(apart / (1.0 + stretch), 0.95) < 1e-9 and apart.max() < 1e-5, (kind, np.sort(apart)[-8:])
+        assert np.max(apart / (1.0 + stretch)) < 1e-9, (kind, np.sort(apart)[-8:])
 
 
 @pytest.mark.long
@@ -113,7 +113,8 @@ def test_diagrams_under_a_force_have_what_other_flights_settle_on():
             continue
         periods = 1 if abs(later[1] - later[0]).max() < 1e-9 else 2
         orbit = jv.find_orbit(here, jv.State(*state), periods, settle=0)
-        assert abs(np.array([orbit.state.x, orbit.state.v]) - state).max() < 1e-8
+        found = np.array([orbit.state.x, orbit.state.v])  # a point of the orbit, of two perhaps the other
+        assert min(abs(found - one).max() for one in later) < 1e-8
         assert is_on(orbit, diagram), (amplitude, orbit.label)
         seen += 1
     assert seen >= 10

@@ -10,6 +10,7 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.flight.flow import fly
 from jaxvibro.maps import one_period
+from jaxvibro.scene.codes import Contact, Status
 from tests.proof import STRUCTURES, first_flights, strobe_errors
 from tests.reference import closed, orbit
 from tests.reference.scene import Motion, Scene, Wall
@@ -259,6 +260,25 @@ def test_complete_chatter_ends_at_rest():
     assert impacts.least_speed == 0
     assert impacts.status == 1
     assert (end.x, end.v, end.contact) == (-1.0, 0.0, 2.0)
+
+
+def test_in_a_narrow_gap_a_mass_is_thrown_from_wall_to_wall_and_comes_to_rest_where_it_is_pressed():
+    """What the force does to a flight across the gap is at most its work, 7 times the gap."""
+    rng = np.random.default_rng(5)
+    place, gap = np.repeat([0.0, 0.7, -2.0], 10), np.tile(10.0 ** -np.arange(3.0, 13.0), 3)
+    right, bounce = place + gap, rng.uniform(0.2, 0.8, 30)
+    scene = jv.make_scene(5.0, 2.1, 0.05, bounce, (place, right))
+    end, impacts = jv.strobe(scene, jv.State(place, 1.0), slots=8)
+    np.testing.assert_array_equal(end.x, right)
+    np.testing.assert_array_equal(end.v, 0.0)
+    np.testing.assert_array_equal(end.contact, Contact.STUCK)
+    assert set(np.asarray(impacts.status)) <= {Status.OK, Status.FULL}
+    turn = np.arange(8)
+    energy, work = bounce[:, None] ** (2 * turn), 2.0 * 7.0 * ((right - place) * 1.01)[:, None] * (turn + 1)
+    flies = energy * bounce[:, None] ** 2 > 2.0 * work
+    assert flies.sum() > 120
+    assert np.all(np.where(flies, np.asarray(impacts.side) == np.where(turn % 2, -1, 1), True))
+    assert np.all(np.where(flies, abs(np.asarray(impacts.speed) ** 2 - energy) <= work, True))
 
 
 def test_hops_that_outlast_the_period_are_no_chatter():

@@ -128,7 +128,7 @@ def _other(path, inside, bound):
     held = lax.abs(path.contact) == Contact.STUCK
     if inside is not None:
         held |= inside
-    return choose(held, 1.0, event.free_step(bound))
+    return choose(held, 1.0, event.long_step(bound))
 
 
 def _lands(frame, path, progress, root, slack, other, side):
