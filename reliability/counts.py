@@ -1,0 +1,91 @@
+"""What each method gets wrong in each case, and the bounds on its rate."""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import binomtest
+
+from benchmarks import page
+
+from . import methods
+from .cases import DOUBT, WHOLE
+
+BATCH = 1 << 17
+MILLION = 8  # batches of ours
+FEW = 1  # of the flights that are certified piece by piece, and of those in doubt
+LEVEL = 0.95
+
+
+class Count(NamedTuple):
+    """Of so many flights: contacts missed, invented, at the wrong wall; and flights in doubt, which nobody is judged on."""
+
+    flights: int
+    missed: int
+    invented: int
+    wrong: int
+    doubtful: int = 0
+
+    @property
+    def bad(self):
+        """All that is wrong."""
+        return self.missed + self.invented + self.wrong
+
+    def added(self, other):
+        """Both together."""
+        return Count(*(one + two for one, two in zip(self, other, strict=True)))
+
+    @property
+    def bounds(self):
+        """Clopper and Pearson's bounds on the rate."""
+        found = binomtest(self.bad, self.flights).proportion_ci(LEVEL, "exact")
+        return found.low, found.high
+
+
+def judged(flights, met, doubtful=0):
+    """The `Count` of a method's answer."""
+    true, seen = flights.side != 0, met.side != 0
+    other = true & seen & (met.side != flights.side)
+    return Count(len(true), int((true & ~seen).sum()), int((~true & seen).sum()), int(other.sum()), doubtful)
+
+
+def of_case(case, size):
+    """{method: Count} of a case: ours on all batches, the others on the first of the flights."""
+    few, width = case in (WHOLE, DOUBT), size.states(BATCH)
+    found = {}
+    for k in range(len(case.shapes) if size.quick else FEW * len(case.shapes) if few else MILLION):
+        batch, doubtful = case.batch(width if not few else width // len(case.shapes), k)
+        count = judged(batch, methods.ours(batch), doubtful)
+        found[methods.OURS] = count.added(found[methods.OURS]) if k else count
+        if k < len(case.shapes):
+            for rival in methods.RIVALS:
+                some = batch.some(slice(size.states(rival.lanes) // len(case.shapes)))
+                count = judged(some, rival.met(some))
+                found[rival.name] = count.added(found[rival.name]) if k else count
+    return found
+
+
+def per_million(count):
+    """The rate as text, in bold where there is one."""
+    low, high = (1e6 * bound for bound in count.bounds)
+    rate = 1e6 * count.bad / count.flights
+    if not count.bad:
+        return f"0 (to {page.short(high)})"
+    return f"**{page.short(rate)}** ({page.short(low)} to {page.short(high)})"
+
+
+def table(found):
+    """Markdown of {case: {method: Count}}: wrong flights a million."""
+    head = ("case", methods.OURS, *(rival.name for rival in methods.RIVALS))
+    lines = [(case.name, *map(per_million, counts.values())) for case, counts in found.items()]
+    return page.table(head, lines)
+
+
+def described(found):
+    """Markdown of what the cases are: what is drawn, on how many flights of ours, how many in doubt; of what was wrong."""
+    head = ("case", "what is drawn", "flights of ours", "in doubt, left out", "ours: missed, invented, wrong wall")
+    lines = []
+    for case, counts in found.items():
+        own = counts[methods.OURS]
+        wrong = f"{own.missed}, {own.invented}, {own.wrong}"
+        lines.append((case.name, case.words, f"{own.flights:,}", f"{own.doubtful:,}", wrong))
+    return page.table(head, lines)

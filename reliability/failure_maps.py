@@ -1,0 +1,101 @@
+"""Maps of failure: over two numbers of a scene, the first of 100 periods in which a method's itinerary is wrong.
+
+Each cell begins on what its scene has settled on. It is judged where that is not chaotic: where the true itinerary of a
+start 1e-9 beside it is the same and both end together (so a wrong itinerary is no shadow of a right one), and where no
+period has more impacts than `periods.ROOM`.
+"""
+
+import functools
+from typing import NamedTuple
+
+import numpy as np
+
+import jaxvibro as jv
+from benchmarks.work import GAMMA, OMEGA, RESTITUTION
+
+from . import methods, periods
+from .periods import Scenes
+
+PERIODS, SETTLE, CELLS = 100, 300, 24
+BESIDE, TOGETHER = 1e-9, 1e-6
+MAPS = {  # what varies, by name and bounds; the rest is figure 4's, with an A at which it hits the walls
+    ("amplitude", "omega"): ((0.2, 6.0), (0.6, 4.0)),
+    ("restitution", "gamma"): ((0.3, 1.0), (0.0, 1.2)),
+}
+PLAIN = {"amplitude": 4.0, "omega": OMEGA, "gamma": GAMMA, "restitution": RESTITUTION}
+
+
+class FailureMap(NamedTuple):
+    """names, and edges of both; judged: (cells, cells), the first name along the last axis; first: {method: the first
+    period that is wrong, PERIODS where none is}."""
+
+    names: tuple[str, str]
+    values: tuple[np.ndarray, np.ndarray]
+    judged: np.ndarray
+    first: dict[str, np.ndarray]
+
+
+def scenes_of(names, bounds, cells):
+    """The `Scenes` of a grid of two numbers, settled, and the numbers' values."""
+    values = tuple(np.linspace(*each, cells) for each in bounds)
+    grid = dict(zip(names, (part.ravel() for part in np.meshgrid(*values)), strict=True))
+    numbers = {name: grid.get(name, np.full(cells * cells, value)) for name, value in PLAIN.items()}
+    ones = np.ones(cells * cells)
+    given = Scenes(**numbers, low=-ones, high=ones, x=0.9 * ones, v=-1.1 * ones)
+    end, _ = jv.strobe(ours_of(given), jv.State(given.x, given.v), periods=SETTLE, slots=0)
+    return values, given._replace(x=np.asarray(end.x), v=np.asarray(end.v))
+
+
+def ours_of(scenes):
+    """Our scene of them."""
+    numbers = scenes.amplitude, scenes.omega, scenes.gamma, scenes.restitution
+    return jv.make_scene(*numbers, (scenes.low, scenes.high))
+
+
+def by_ours(scenes):
+    """A `Period` by our strobe."""
+    end, impacts = jv.strobe(ours_of(scenes), jv.State(scenes.x, scenes.v), slots=periods.ROOM)
+    return periods.Period(np.asarray(end.x), np.asarray(end.v), np.asarray(impacts.side))
+
+
+def itineraries(period, scenes, count):
+    """Sides, (count, scenes, ROOM), and where the scenes end."""
+    sides = []
+    for _ in range(count):
+        found = period(scenes)
+        sides.append(found.sides)
+        scenes = scenes._replace(x=found.x, v=found.v)
+    return np.array(sides), scenes
+
+
+def whole_methods():
+    """{name: a function of Scenes that gives a `Period`}, ours last."""
+    found = {}
+    for rival in methods.RIVALS:
+        if rival.met.func is methods.by_heyoka:
+            found[rival.name] = functools.partial(periods.by_heyoka, **rival.met.keywords)
+        else:
+            found[rival.name] = functools.partial(periods.by_flights, rival.met)
+    return found | {methods.OURS: by_ours}
+
+
+def measure(names, bounds, size):
+    """The `FailureMap` of a grid."""
+    cells, count = (4, 10) if size.quick else (CELLS, PERIODS)
+    values, scenes = scenes_of(names, bounds, cells)
+    good = np.isfinite(scenes.x)
+    scenes = scenes._replace(x=np.where(good, scenes.x, 0.0), v=np.where(good, scenes.v, 0.0))
+    true, end = itineraries(periods.true, scenes, count)
+    other, beside = itineraries(periods.true, scenes._replace(x=scenes.x * (1.0 - BESIDE)), count)
+    judged = good & np.isfinite(end.x.astype(float)) & (true == other).all((0, 2))
+    judged &= abs(end.x - beside.x) + abs(end.v - beside.v) < TOGETHER
+    first = {}
+    few = np.flatnonzero(judged)
+    some = Scenes(*(each[few] for each in scenes))
+    for name, period in whole_methods().items():
+        sides, _ = itineraries(period, some, count)
+        wrong = (sides != true[:, few]).any(2)
+        found = np.full(cells * cells, count)
+        found[few] = np.where(wrong.any(0), wrong.argmax(0), count)
+        first[name] = found.reshape(cells, cells)
+    return FailureMap(names, values, judged.reshape(cells, cells), first)
