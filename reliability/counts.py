@@ -14,10 +14,11 @@ BATCH = 1 << 17
 MILLION = 8  # batches of ours
 FEW = 1  # of the flights that are certified piece by piece, and of those in doubt
 LEVEL = 0.95
+APART = 0.05  # of the time to `until`: a contact that is so far off is another one
 
 
 class Count(NamedTuple):
-    """Of so many flights: contacts missed, invented, at the wrong wall; and flights in doubt, which nobody is judged on."""
+    """Of so many flights: contacts missed, invented, wrong (another wall or time); and flights in doubt, which nobody is judged on."""
 
     flights: int
     missed: int
@@ -42,9 +43,11 @@ class Count(NamedTuple):
 
 
 def judged(flights, met, doubtful=0):
-    """The `Count` of a method's answer."""
+    """The `Count` of a method's answer: a contact at another time is a wrong one."""
     true, seen = flights.side != 0, met.side != 0
-    other = true & seen & (met.side != flights.side)
+    with np.errstate(invalid="ignore"):
+        astray = abs(met.time - flights.time) > APART * flights.until
+    other = true & seen & ((met.side != flights.side) | astray)
     return Count(len(true), int((true & ~seen).sum()), int((~true & seen).sum()), int(other.sum()), doubtful)
 
 
@@ -82,7 +85,7 @@ def table(found):
 
 def described(found):
     """Markdown of what the cases are: what is drawn, on how many flights of ours, how many in doubt; of what was wrong."""
-    head = ("case", "what is drawn", "flights of ours", "in doubt, left out", "ours: missed, invented, wrong wall")
+    head = ("case", "what is drawn", "flights of ours", "in doubt, left out", "ours: missed, invented, wrong")
     lines = []
     for case, counts in found.items():
         own = counts[methods.OURS]

@@ -40,18 +40,18 @@ class Period(NamedTuple):
     sides: np.ndarray
 
 
-def by_flights(met, scenes):
+def by_flights(met, scenes, room=ROOM):
     """A `Period` by a method of `methods`: an impact turns the speed round, and the next flight begins on the wall."""
     count = len(scenes.x)
     x, v, phase = scenes.x.copy(), scenes.v.copy(), np.zeros(count)
-    left, sides, turn = 2.0 * np.pi / scenes.omega, np.zeros((count, ROOM), np.int8), np.zeros(count, int)
+    left, sides, turn = 2.0 * np.pi / scenes.omega, np.zeros((count, room), np.int8), np.zeros(count, int)
     nothing = np.zeros(count)
-    while (left > 0).any() and (turn < ROOM).any():
+    while (left > 0).any() and (turn < room).any():
         lanes = Lanes(scenes.gamma, scenes.omega, scenes.amplitude, phase, x, v)
         walls = Wall(-1, 0, scenes.low, nothing, nothing), Wall(1, 0, scenes.high, nothing, nothing)
-        going = np.flatnonzero((left > 0) & (turn < ROOM)) if met.func is not methods.by_diffrax else np.arange(count)
+        going = np.flatnonzero((left > 0) & (turn < room)) if met.func is not methods.by_diffrax else np.arange(count)
         known = nothing, np.zeros(count, int), nothing, np.ones(count, bool)
-        found = met(Flights(lanes, walls, np.where(turn < ROOM, left, 0.0), *known).some(going))
+        found = met(Flights(lanes, walls, np.where(turn < room, left, 0.0), *known).some(going))
         hit = found.side != 0
         x[going] = np.where(hit, np.where(found.side > 0, scenes.high[going], scenes.low[going]), found.x)
         v[going] = np.where(hit, -scenes.restitution[going] * found.v, found.v)
@@ -60,7 +60,7 @@ def by_flights(met, scenes):
         phase[going] += scenes.omega[going] * spent
         left[going] = np.where(hit, np.maximum(left[going] - spent, 0.0), 0.0)
         turn[going] += hit
-    given_up = (turn >= ROOM) & (left > 0)
+    given_up = (turn >= room) & (left > 0)
     return Period(np.where(given_up, np.nan, x), np.where(given_up, np.nan, v), sides)
 
 
@@ -69,14 +69,14 @@ def _heyoka(tolerance):
     """An integrator with callbacks that turn the speed round, and what they read and write."""
     x, v = heyoka.make_vars("x", "v")
     gamma, omega, amplitude, low, high = (heyoka.par[k] for k in range(5))
-    told, given = [], {"restitution": 1.0}
+    told, given = [], {"restitution": 1.0, "room": ROOM}
 
     def meet(side):
         def rebound(integrator, _):
             told.append(side)
             integrator.state[0] = integrator.pars[3 if side < 0 else 4]
             integrator.state[1] *= -given["restitution"]
-            return len(told) < ROOM
+            return len(told) < given["room"]
 
         return rebound
 
@@ -89,19 +89,19 @@ def _heyoka(tolerance):
     return heyoka.taylor_adaptive(equations, [0.0, 0.0], tol=tolerance, t_events=events), told, given
 
 
-def by_heyoka(scenes, tolerance):
+def by_heyoka(scenes, tolerance, room=ROOM):
     """A `Period` by heyoka in one go, as its users do it: a callback turns the speed round."""
     integrator, told, given = _heyoka(tolerance)
-    found = Period(scenes.x.copy(), scenes.v.copy(), np.zeros((len(scenes.x), ROOM), np.int8))
+    found = Period(scenes.x.copy(), scenes.v.copy(), np.zeros((len(scenes.x), room), np.int8))
     for lane, (amplitude, omega, gamma, restitution, low, high, x, v) in enumerate(zip(*scenes, strict=True)):
         told.clear()
-        given["restitution"] = restitution
+        given.update(restitution=restitution, room=room)
         integrator.time, integrator.pars[:] = 0.0, (gamma, omega, amplitude, low, high)
         integrator.state[:] = x, v
         integrator.reset_cooldowns()
         integrator.propagate_until(2.0 * math.pi / omega)
         found.sides[lane, : len(told)] = told
-        found.x[lane], found.v[lane] = integrator.state if len(told) < ROOM else (math.nan, math.nan)
+        found.x[lane], found.v[lane] = integrator.state if len(told) < room else (math.nan, math.nan)
     return found
 
 

@@ -1,0 +1,87 @@
+"""Curves of a picture, a line a method, and what draws them."""
+
+from typing import NamedTuple
+
+import matplotlib
+
+matplotlib.use("Agg")
+import numpy as np
+from matplotlib import pyplot as plt
+
+from benchmarks import chart
+
+from .methods import OURS
+
+# as in the benchmarks' charts: a hue a package, a marker a package, the finer setting in full
+STYLES = {
+    OURS: ("#D55E00", "*"),
+    "heyoka": ("#0072B2", "o"),
+    "diffrax": ("#E69F00", "D"),
+    "SciPy": ("#7F7F7F", "^"),
+    "paper": ("#009E73", "s"),
+}
+
+
+ABOVE = 1e3
+
+
+class Curves(NamedTuple):
+    """what: said above the picture; lines: {method: (x, y)}, nan where there is nothing to draw; log: whether y is
+    logarithmic; least: below it y is drawn there; endless: what it means that there is no number, drawn above all."""
+
+    what: str
+    x_label: str
+    y_label: str
+    lines: dict[str, tuple[np.ndarray, np.ndarray]]
+    log: bool = True
+    least: float = 0.0
+    log_x: bool = True
+    endless: str = ""
+
+
+def styled(name, lines):
+    """Colour, marker and line of a method; of two settings of a package the first is dashed and hollow."""
+    package = next(each for each in STYLES if name.startswith(each))
+    colour, marker = STYLES[package]
+    first = sum(other.startswith(package) for other in lines) > 1 and name == next(
+        other for other in lines if other.startswith(package)
+    )
+    return {
+        "color": colour,
+        "marker": marker,
+        "markersize": 12 if package == OURS else 6,
+        "linestyle": "--" if first else "-",
+        "markerfacecolor": "none" if first else colour,
+        "zorder": 4 if package == OURS else 3,
+    }
+
+
+def draw(axes, curves):
+    """Draw them on axes."""
+    for k, (name, (x, y)) in enumerate(curves.lines.items()):
+        y = np.where(np.isnan(y), ABOVE * 4.0**k, y) if curves.endless else y
+        axes.plot(x, np.maximum(y, curves.least), label=name, linewidth=1.3, **styled(name, curves.lines))
+    if curves.endless:
+        axes.axhspan(0.3 * ABOVE, 0.3 * ABOVE * 4.0 ** (len(curves.lines) + 1), color="0.92", zorder=0)
+        axes.text(0.02, 0.97, curves.endless, transform=axes.transAxes, fontsize=9, va="top")
+    axes.set(xlabel=curves.x_label, ylabel=curves.y_label)
+    axes.set_xscale("log" if curves.log_x else "linear")
+    axes.set_yscale("log" if curves.log else "linear")
+    axes.set_title(curves.what, fontsize=10)
+    axes.grid(True, which="major", alpha=0.3)
+
+
+def save(path, curves):
+    """Write the picture to a PNG."""
+    figure, axes = plt.subplots(figsize=(9.5, 5.0), layout="constrained")
+    draw(axes, curves)
+    axes.legend(fontsize=8, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0)
+    chart.write(figure, path)
+
+
+def by_decade(x, values, low, high, of=np.median):
+    """(middles, of each decade's values) between two powers of ten; nan where there are fewer than 5."""
+    decades = np.arange(low, high)
+    place = np.floor(np.log10(x))
+    found = [of(values[place == each]) if (place == each).sum() >= 5 else np.nan for each in decades]
+    return 10.0 ** (decades + 0.5), np.array(found, float)

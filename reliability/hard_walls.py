@@ -1,0 +1,88 @@
+"""Rests by how much is lost at a hop, and soft walls by their stiffness: errors of the end of a period."""
+
+import functools
+import math
+
+import numpy as np
+
+import jaxvibro as jv
+from benchmarks import ours as soft_ours
+from benchmarks import sides, truth
+from benchmarks.work import draw, held
+
+from . import exact_flow, failure_maps, methods, periods
+from .curves import Curves
+from .exact_flow import LONG, Lanes
+from .periods import Scenes
+
+A, OMEGA, GAMMA, WALL, FAR = 0.8, 0.4, 0.05, 0.5, 50.0  # pressed on the wall but while A cos(theta) > WALL
+RESTITUTIONS = np.array([0.05, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.75, 0.8])
+ROOM = 400  # impacts: a hop is down to rounding after so many, or sooner
+STIFFNESSES = 10.0 ** np.arange(1.0, 10.0)
+STATES = 48
+
+
+def released():
+    """(x, v) at the period's end, in 80-bit floats: free since the press ended, wherever the mass came from."""
+    angle = 2 * LONG(math.pi) - np.arccos(LONG(WALL) / LONG(A))
+    left = (2 * LONG(math.pi) - angle) / LONG(OMEGA)
+    lanes = Lanes(*(np.atleast_1d(np.asarray(each, LONG)) for each in (GAMMA, OMEGA, A, angle, WALL, 0.0)))
+    return exact_flow.fly(lanes, left)
+
+
+def error_of_rest(size):
+    """`Curves`: the error of the end of a period in which the mass chatters to rest and is released, by R."""
+    bounces = np.array(size.few(list(RESTITUTIONS)))
+    ones, (x, v) = np.ones(len(bounces)), released()
+    given = Scenes(
+        A * ones, OMEGA * ones, GAMMA * ones, bounces, WALL * ones, FAR * ones, WALL * ones + 0.2, 0.1 * ones
+    )
+    found, lines = {methods.OURS: _ours}, {}
+    for rival in methods.RIVALS:
+        if rival.met.func is methods.by_heyoka:
+            found[rival.name] = functools.partial(periods.by_heyoka, **rival.met.keywords, room=ROOM)
+        else:
+            found[rival.name] = functools.partial(periods.by_flights, rival.met, room=ROOM)
+    for name, method in found.items():
+        end = method(given)
+        lines[name] = bounces, np.maximum(abs(end.x - x), abs(end.v - v)).astype(float)
+    return Curves(
+        "A period in which the mass chatters to rest on a wall and is set free again",
+        "R, the share of its speed that a hop keeps",
+        "error of x and v at the end",
+        lines,
+        least=1e-17,
+        log_x=False,
+        endless=f"shaded: no end, {ROOM} impacts are not enough",
+    )
+
+
+def _ours(scenes):
+    end, impacts = jv.strobe(failure_maps.ours_of(scenes), jv.State(scenes.x, scenes.v), slots=0)
+    return periods.Period(np.asarray(end.x), np.asarray(end.v), np.asarray(impacts.side))
+
+
+def error_by_stiffness(size):
+    """`Curves`: the median error of the end of a period between soft walls, by their stiffness."""
+    states, stiffnesses = draw(size.states(STATES)), np.array(size.few(list(STIFFNESSES)))
+    chosen = ("heyoka, scalar", "diffrax Tsit5", "diffrax Kvaerno5", "SciPy RK45", "SciPy LSODA")
+    lines = {}
+    for k, stiffness in enumerate(stiffnesses):
+        true = truth.find(states, stiffness)
+        ways = {methods.OURS: soft_ours.prepare_batch(states, stiffness=stiffness, damping=held(stiffness))}
+        for name in chosen:
+            rival = sides.SOFT[name]
+            for setting in (rival.settings[1], rival.settings[-1]):
+                some = states[: max(4, len(states) // 4)]
+                ways[f"{name} {setting:g}"] = functools.partial(rival.strobe, some, setting, stiffness=stiffness)
+        for name, way in ways.items():
+            answer = soft_ours.read(way()) if name == methods.OURS else way()[:2]
+            verdict = truth.judge(np.asarray(answer[0]), None, true, far=math.inf)
+            lines.setdefault(name, (stiffnesses, np.full(len(stiffnesses), np.nan)))[1][k] = verdict.median
+    return Curves(
+        "A period between soft walls that leave 0.7 of the speed",
+        "stiffness k2 of the walls",
+        "error of x and v at the end, median",
+        lines,
+        least=1e-17,
+    )

@@ -1,0 +1,202 @@
+"""Contacts by depth, hops by speed, derivatives by the distance to a grazing."""
+
+import functools
+
+import diffrax
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optimistix
+
+import jaxvibro as jv
+from benchmarks.work import GAMMA, OMEGA, PERIOD, RESTITUTION
+
+from . import cases, exact_flow, methods, periods
+from .curves import Curves, by_decade
+from .exact_flow import LONG, Lanes
+from .periods import Scenes
+
+A, START = 3.0, (-0.3, 0.4)  # of the flight that grazes: it turns back once at the right, and hits nothing else
+STEP = 1e-6  # of finite differences
+DEPTHS = 10.0 ** np.arange(-13.0, -1.5, 0.5)
+
+
+def every(batch):
+    """(name, flights, Met) of ours and the others, each on as many flights as it is given."""
+    yield methods.OURS, batch, methods.ours(batch)
+    for rival in methods.RIVALS:
+        some = batch.some(slice(rival.lanes))
+        yield rival.name, some, rival.met(some)
+
+
+def missed_by_depth(size):
+    """`Curves`: the share of contacts that are missed, by their depth."""
+    lines = {}
+    batch, _ = cases.WHOLE.batch(size.states(20_000), 0)
+    for name, some, met in every(batch):
+        hits = (some.measure > 0) & (some.side != 0)
+        lines[name] = by_decade(some.measure[hits], (met.side == 0)[hits], -15, -2, np.mean)
+    return Curves(
+        "Contacts in flights of up to 5 time units, random scenes",
+        "depth of the contact (lengths)",
+        "share missed",
+        lines,
+        log=False,
+    )
+
+
+def error_by_speed(size):
+    """`Curves`: the error of the time of the next impact of a hop, by the speed that it leaves its wall with."""
+    case, lines = next(each for each in cases.CASES if each.name == "slow impacts"), {}
+    batch, _ = case.batch(size.states(20_000), 0)
+    for name, some, met in every(batch):
+        error = abs(np.where(met.side != 0, met.time, np.nan) / some.time - 1.0)
+        if np.isfinite(error).any():
+            lines[name] = by_decade(some.measure, error, -8, -1, np.nanmedian)
+    return Curves(
+        "Hops from a wall and back to it",
+        "speed of leaving the wall (lengths a unit of time)",
+        "relative error of the time in the air, median",
+        lines,
+        least=1e-17,
+    )
+
+
+def grazing():
+    """(time, place) at which the flight from START turns back, in 80-bit floats."""
+    lanes, t = lanes_of(*START), LONG(0.0)
+    grid = np.linspace(0.0, PERIOD, 4001)
+    t = np.array([grid[np.argmax(exact_flow.fly(Lanes(*(np.repeat(each, 4001) for each in lanes)), grid)[0])]], LONG)
+    for _ in range(4):
+        x, v = exact_flow.fly(lanes, t)
+        t = t - v / exact_flow.acceleration(lanes, x, v, t)
+    return t, exact_flow.fly(lanes, t)[0]
+
+
+def lanes_of(x, v, amplitude=A, phase=0.0):
+    """One lane of the scene."""
+    return Lanes(*(np.atleast_1d(np.asarray(each, float)) for each in (GAMMA, OMEGA, amplitude, phase, x, v)))
+
+
+def derivative_of_flight(t):
+    """The derivative of x, v after a time by those before: the columns are flights without a drive."""
+    return np.stack(
+        [np.concatenate(exact_flow.fly(lanes_of(*unit, amplitude=0.0), t)) for unit in ((1, 0), (0, 1))], -1
+    )
+
+
+def true_derivative(wall):
+    """That of the strobe with one contact with a wall: flight, saltation (paper, equation 35), flight."""
+    lanes, (turn, _) = lanes_of(*START), grazing()
+    where, period = LONG(wall), LONG(PERIOD)
+    depth = exact_flow.fly(lanes, turn)[0] - where
+    bend = abs(exact_flow.acceleration(lanes, *exact_flow.fly(lanes, turn), turn))
+    t = turn - np.sqrt(2.0 * depth / bend)
+    for _ in range(8):
+        x, v = exact_flow.fly(lanes, t)
+        t = t - (x - where) / v
+    _, v = exact_flow.fly(lanes, t)
+    r = LONG(RESTITUTION)
+    before, after = (exact_flow.acceleration(lanes, where, speed, t) for speed in (v, -r * v))
+    saltation = np.array([[-r, 0.0], [((after + r * before) / v)[0], -r]], LONG)
+    return derivative_of_flight(period - t) @ saltation @ derivative_of_flight(t)
+
+
+def ours_by_autodiff(wall):
+    scene = jv.make_scene(A, OMEGA, GAMMA, RESTITUTION, (None, wall))
+    return _jacobian(scene, jnp.array(START))
+
+
+@jax.jit
+def _jacobian(scene, start):
+    def end(start):
+        state, _ = jv.strobe(scene, jv.State(start[0], start[1]), slots=0)
+        return jnp.stack([state.x, state.v])
+
+    return jax.jacfwd(end)(start)
+
+
+def ours_by_product(wall):
+    return jv.monodromy(jv.make_scene(A, OMEGA, GAMMA, RESTITUTION, (None, wall)), jv.State(*START))
+
+
+@functools.partial(jax.jit, static_argnames="tolerance")
+def by_diffrax(wall, tolerance):
+    """Forward derivatives through diffrax's event and root finder, from one impact to the period's end."""
+
+    def piece(start, begin, event):
+        return diffrax.diffeqsolve(
+            diffrax.ODETerm(lambda t, y, args: jnp.stack([y[1], A * jnp.cos(OMEGA * t) - y[0] - 2 * GAMMA * y[1]])),
+            diffrax.Tsit5(),
+            begin,
+            PERIOD,
+            None,
+            start,
+            stepsize_controller=diffrax.PIDController(rtol=tolerance, atol=tolerance),
+            event=event,
+            adjoint=diffrax.ForwardMode(),
+            max_steps=4096,
+            throw=False,
+        )
+
+    def end(start):
+        event = diffrax.Event(lambda t, y, args, **_: y[0] - wall, optimistix.Newton(1e-14, 1e-14), direction=True)
+        first = piece(start, 0.0, event)
+        y = first.ys[-1]
+        y = jnp.where(first.event_mask, jnp.stack([y[0], -RESTITUTION * y[1]]), y)
+        return piece(y, first.ts[-1], None).ys[-1]
+
+    return jax.jacfwd(end)(jnp.array(START))
+
+
+def by_differences(wall, method):
+    """Central differences of a method's strobe."""
+    ends = []
+    for k in (0, 1):
+        for sign in (1.0, -1.0):
+            start = np.array(START)
+            start[k] += sign * STEP
+            numbers = (np.atleast_1d(each) for each in (A, OMEGA, GAMMA, RESTITUTION, -50.0, wall, *start))
+            found = method(Scenes(*(np.asarray(each, float) for each in numbers)))
+            ends.append(np.concatenate([found.x, found.v]))
+    return np.stack([(ends[0] - ends[1]), (ends[2] - ends[3])], -1) / (2.0 * STEP)
+
+
+def derivative_error(size):
+    """`Curves`: the error of the strobe's derivative at one contact, over its norm, by the depth of the contact."""
+    scipy = next(each.met for each in methods.RIVALS if each.name == "SciPy DOP853 1e-12")
+    ways = {
+        methods.OURS: ours_by_autodiff,
+        f"{methods.OURS}, P Q": ours_by_product,
+        "heyoka 1e-15, differences": functools.partial(
+            by_differences, method=functools.partial(periods.by_heyoka, tolerance=1e-15)
+        ),
+        "diffrax Tsit5 1e-10, autodiff": functools.partial(by_diffrax, tolerance=1e-10),
+        "SciPy DOP853 1e-12, differences": functools.partial(
+            by_differences, method=functools.partial(periods.by_flights, scipy)
+        ),
+    }
+    (_, top), depths, lines = grazing(), size.few(list(DEPTHS)), {}
+    for name, way in ways.items():
+        errors = []
+        for depth in depths:
+            wall = float(top[0] - depth)
+            true = true_derivative(wall)
+            errors.append(float(np.max(abs(np.asarray(way(wall)) - true)) / np.max(abs(true))))
+        lines[name] = np.array(depths), np.array(errors)
+    return Curves(
+        "Derivative of the strobe with one contact",
+        "depth of the contact, the distance to the grazing (lengths)",
+        "error of the derivative over its largest entry",
+        lines,
+        least=1e-17,
+    )
+
+
+def on_the_other_side(size):
+    """[(distance, error of ours)] where the flight just misses the wall, down to a rounding: the flight's derivative."""
+    (_, top), true, found = grazing(), derivative_of_flight(LONG(PERIOD)), []
+    for gap in (1e-2, 1e-6, 1e-10, 1e-13, 2e-15):
+        error = np.max(abs(np.asarray(ours_by_autodiff(float(top[0] + gap))) - true)) / np.max(abs(true))
+        found.append((gap, float(error)))
+    return found
