@@ -31,7 +31,7 @@ THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
 
-.PHONY: help run paper test test-slow test-long bench notebooks format lock clean
+.PHONY: help run paper test test-slow test-long bench reliability notebooks format lock clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -57,6 +57,9 @@ test-long: $(VENV)/.dev ## what takes minutes a test
 
 bench: $(VENV)/.dev ## what answers cost, ours and others', into docs/benchmarks.md
 	$(BIN)/python -m benchmarks.run $(if $(LIMIT),--limit "$(LIMIT)") $(if $(PART),--part "$(PART)")
+
+reliability: $(VENV)/.dev ## where methods fail, ours and others', into docs/reliability.md
+	$(BIN)/python -m reliability.run $(if $(PART),--part "$(PART)")
 
 notebooks: $(VENV)/.dev ## run the notebooks as scripts, then write them as .ipynb
 	for script in notebooks/*.py; do MPLBACKEND=Agg $(BIN)/python "$$script" || exit 1; done

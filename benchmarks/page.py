@@ -18,17 +18,18 @@ PARTS = {
     "own force": "A force of one's own",
 }
 UNASKED = "(to be printed)"
+COMMAND = "make bench"
 
 
-def marks(part):
+def marks(part, command=COMMAND):
     """The marks between which a part of the page stands."""
-    return f"<!-- {part}: begin (written by `make bench`, do not edit) -->", f"<!-- {part}: end -->"
+    return f"<!-- {part}: begin (written by `{command}`, do not edit) -->", f"<!-- {part}: end -->"
 
 
-def blank():
-    """A page without results."""
-    parts = ("## {}\n\n{}\n{}\n".format(heading, *marks(part)) for part, heading in PARTS.items())
-    return "\n".join(["# Benchmarks\n", *parts])
+def blank(title="Benchmarks", headings=PARTS, command=COMMAND):
+    """A page without results. headings: {part: heading}; command: what writes it."""
+    parts = ("## {}\n\n{}\n{}\n".format(heading, *marks(part, command)) for part, heading in headings.items())
+    return "\n".join([f"# {title}\n", *parts])
 
 
 def short(value):
@@ -74,15 +75,16 @@ def body(topic):
     return "\n\n".join(filter(None, parts))
 
 
-def write(path, texts):
+def write(path, texts, new=None, command=COMMAND):
     """Put texts {part: Markdown} between the marks of the page at path, or of a new one; written beside, then renamed.
+    new: that of another command than `make bench`.
 
     Raises ValueError where the page is there and has lost marks: nothing is overwritten then.
     """
     path = pathlib.Path(path)
-    page = path.read_text(encoding="utf-8") if path.exists() else blank()
+    page = path.read_text(encoding="utf-8") if path.exists() else new or blank()
     for part, text in texts.items():
-        begin, end = marks(part)
+        begin, end = marks(part, command)
         if page.count(begin) != 1 or page.count(end) != 1:
             raise ValueError(f"{path}: the marks {begin!r} and {end!r} must each be there once")
         head, rest = page.split(begin)

@@ -1,5 +1,5 @@
-"""Free flight of many lanes in 80-bit floats, right at resonance and at any damping: divided differences, no quotient by
-D or by sqrt(1 - gamma^2).
+"""Free flight of many lanes in 80-bit floats, right at resonance and at any damping: divided differences, no quotient
+by D or by sqrt(1 - gamma^2).
 
 x'' + 2 gamma x' + x = Re(A exp(i (theta + omega t))). From rest at 0 the answer is A exp(i theta) times the divided
 difference of exp(s t) over s = i omega, a, b, where a and b are the roots of s^2 + 2 gamma s + 1.

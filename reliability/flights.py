@@ -1,6 +1,6 @@
-"""Flights whose first contact is known by construction: laid from the contact backward, so short that the clearance bends
-one way from the start to `until` by a bound on its third derivative, and decided in 80-bit floats for the doubles that
-the start was rounded to.
+"""Flights whose first contact is known by construction: laid from the contact backward, so short that the clearance
+bends one way from the start to `until` by a bound on its third derivative, and decided in 80-bit floats for the
+doubles that the start was rounded to.
 """
 
 import math
@@ -212,7 +212,7 @@ def hops(rng, n, shape, ranges):
 
 
 def on_walls(rng, n, shape, ranges, into):
-    """Flights that begin on a still wall: into it (hit at once), or away from it and pulled away; measure: the speed."""
+    """Flights that begin on a still wall: into it (hit at once), or away and pulled away; measure: the speed."""
     lanes, side = numbers(rng, n, ranges), shape.side
     wall = drawn_wall(rng, n, side, 0, lanes, ranges)
     speed = ranges.size * np.exp(rng.uniform(np.log(1e-10), np.log(1.0), n))

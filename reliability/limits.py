@@ -1,4 +1,5 @@
-"""What is no flight to a wall: elastic impacts without end, rests in narrow gaps, starts beyond walls, single precision."""
+"""What is no flight to a wall: elastic impacts without end, rests in narrow gaps, starts beyond walls, single floats,
+derivatives next to a grazing."""
 
 import jax
 import jax.numpy as jnp
@@ -8,7 +9,7 @@ import jaxvibro as jv
 from benchmarks.rows import Row
 from jaxvibro.scene.codes import Status
 
-from . import cases, methods
+from . import cases, methods, near_grazing
 
 ELASTIC, IMPACTS, A_PERIOD = 32, 1_000_000, 500
 LANES = 1 << 20
@@ -38,7 +39,8 @@ def elastic(size):
 
 
 def narrow(size):
-    """A row: a mass in a gap of 1e-12 to 1e-4 under a force of 1 to 10 rests, at the end, on the wall it is pressed to."""
+    """A row: a mass in a gap of 1e-12 to 1e-4 under a force of 1 to 10 rests at the end on the wall that it is pressed
+    to."""
     rng, n = np.random.default_rng(1), size.states(LANES)
     place, gap, bounce = rng.uniform(-0.5, 0.5, n), cases.logarithmic(1e-12, 1e-4)(rng, n), rng.uniform(0.1, 0.7, n)
     amplitude = rng.uniform(1.0, 10.0, n)
@@ -100,6 +102,14 @@ def single(size):
     ]
 
 
+def derivatives(size):
+    """Rows: derivatives by autodiff where the flight just misses the wall, and at the grazing itself."""
+    return [
+        Row(f"autodiff of a flight that misses the wall by {gap:g}: error", "of the largest entry", 1e-12).of(error)
+        for gap, error in near_grazing.on_the_other_side()
+    ]
+
+
 def labels(size):
     """How many orbits at random amplitudes are labelled otherwise from single precision's settled state."""
     rng, differ = np.random.default_rng(4), 0
@@ -119,7 +129,7 @@ def labels(size):
 def measure(size):
     """All rows."""
     found = []
-    for part in (elastic, narrow, beyond, single):
+    for part in (elastic, narrow, beyond, single, derivatives):
         found += part(size)
         jax.clear_caches()
     return found

@@ -1,7 +1,7 @@
 """The methods, each as its users would write it: which wall a flight meets first until a time, and when.
 
-Every one takes `Flights` and a setting and returns `Met`. SciPy, diffrax and heyoka stop at an event; the paper's method
-steps on until it is beyond a wall.
+Every one takes `Flights` and a setting and returns `Met`. SciPy, diffrax and heyoka stop at an event; the paper's
+method steps on until it is beyond a wall.
 """
 
 import functools
