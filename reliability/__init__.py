@@ -1,1 +1,1 @@
-"""Where methods fail: every hard case, ours and others', counted and drawn. `python -m reliability.run`."""
+"""Where methods fail, ours and others': a file for each part of docs/reliability.md."""

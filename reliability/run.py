@@ -16,7 +16,7 @@ import jax
 from benchmarks import machine, page
 from benchmarks.rows import Size, Topic
 
-from . import cases, counts, curves, failure_maps, hard_walls, limits, map_pictures, near_grazing
+from . import cases, counts, curves, failure_maps, hard_walls, limits, map_pictures, met_by_others, near_grazing
 
 PAGE, COMMAND = "reliability.md", "make reliability"
 PARTS = {
@@ -25,6 +25,7 @@ PARTS = {
     "pictures": "Error against what makes it hard",
     "maps": "Maps of failure",
     "limits": "At the limits",
+    "met by others": "What users of other packages met",
 }
 CASES = {case.name: case for case in (*cases.CASES, cases.WHOLE, cases.DOUBT)}
 CURVES = {
@@ -47,15 +48,17 @@ def task(kind, name, size):
         found = CURVES[name](size)
     elif kind == "maps":
         found = failure_maps.measure(MAPS[name], failure_maps.MAPS[MAPS[name]], size)
-    else:
+    elif kind == "limits":
         found = limits.measure(size)
+    else:
+        found = met_by_others.table(met_by_others.measure())
     print(f"  {kind}, {name}: {time.monotonic() - begun:.0f} s", flush=True)
     return found
 
 
 def tasks():
     """(part, name) of all, the longest first."""
-    parts = {"maps": MAPS, "counts": CASES, "limits": ("limits",), "pictures": CURVES}
+    parts = {"maps": MAPS, "counts": CASES, "limits": ("limits",), "pictures": CURVES, "met by others": ("table",)}
     return [(part, name) for part, names in parts.items() for name in names]
 
 
@@ -80,6 +83,8 @@ def topics(found, count):
         yield Topic("maps", [], (map_pictures.table(named, count),), failure_maps.NOTES, drawn)
     if given["limits"]:
         yield Topic("limits", given["limits"]["limits"])
+    if given["met by others"]:
+        yield Topic("met by others", [], (given["met by others"]["table"],))
 
 
 def main(quick, out, only):
