@@ -12,12 +12,15 @@ from benchmarks import chart
 
 from .methods import OURS
 
-# as in the benchmarks' charts: a hue a package, a marker a package, the finer setting in full
+# as in the benchmarks' charts: a marker a method, of two settings the finer one in full
 STYLES = {
     OURS: ("#D55E00", "*"),
     "heyoka": ("#0072B2", "o"),
-    "diffrax": ("#E69F00", "D"),
-    "SciPy": ("#7F7F7F", "^"),
+    "diffrax Tsit5": ("#E69F00", "D"),
+    "diffrax Kvaerno5": ("#8C6000", "h"),
+    "SciPy DOP853": ("#7F7F7F", "^"),
+    "SciPy RK45": ("#7F7F7F", "^"),
+    "SciPy LSODA": ("#CC79A7", "s"),
     "paper": ("#009E73", "s"),
 }
 
@@ -40,19 +43,18 @@ class Curves(NamedTuple):
 
 
 def styled(name, lines):
-    """Colour, marker and line of a method; of two settings of a package the first is dashed and hollow."""
-    package = next(each for each in STYLES if name.startswith(each))
-    colour, marker = STYLES[package]
-    first = sum(other.startswith(package) for other in lines) > 1 and name == next(
-        other for other in lines if other.startswith(package)
-    )
+    """Colour, marker and line of a method; of two settings the first is dashed and hollow."""
+    method = next(each for each in STYLES if name.startswith(each))
+    colour, marker = STYLES[method]
+    alike = [other for other in lines if other.startswith(method)]
+    first = len(alike) > 1 and name == alike[0]
     return {
         "color": colour,
         "marker": marker,
-        "markersize": 12 if package == OURS else 6,
+        "markersize": 12 if method == OURS else 6,
         "linestyle": "--" if first else "-",
         "markerfacecolor": "none" if first else colour,
-        "zorder": 4 if package == OURS else 3,
+        "zorder": 4 if method == OURS else 3,
     }
 
 
