@@ -30,7 +30,8 @@ ABOVE = 1e3
 
 class Curves(NamedTuple):
     """what: said above the picture; lines: {method: (x, y)}, nan where there is nothing to draw; log: whether y is
-    logarithmic; least: below it y is drawn there; endless: what it means that there is no number, drawn above all."""
+    logarithmic; least: below it y is drawn there; endless: what it means that there is no number, drawn above all;
+    failed: what an error of 1 means."""
 
     what: str
     x_label: str
@@ -40,6 +41,7 @@ class Curves(NamedTuple):
     least: float = 0.0
     log_x: bool = True
     endless: str = ""
+    failed: str = ""
 
 
 def styled(name, lines):
@@ -51,25 +53,31 @@ def styled(name, lines):
     return {
         "color": colour,
         "marker": marker,
-        "markersize": 12 if method == OURS else 6,
+        "markersize": 15 if method == OURS else 9 if first else 5,
+        "linewidth": 3.0 if method == OURS else 1.3,
         "linestyle": "--" if first else "-",
         "markerfacecolor": "none" if first else colour,
-        "zorder": 4 if method == OURS else 3,
+        "zorder": 2 if method == OURS else 3,
     }
 
 
 def draw(axes, curves):
     """Draw them on axes."""
+    axes.set(xscale="log" if curves.log_x else "linear", yscale="log" if curves.log else "linear")
     for k, (name, (x, y)) in enumerate(curves.lines.items()):
         y = np.where(np.isnan(y), ABOVE * 4.0**k, y) if curves.endless else y
-        axes.plot(x, np.maximum(y, curves.least), label=name, linewidth=1.3, **styled(name, curves.lines))
+        axes.plot(x, np.maximum(y, curves.least), label=name, **styled(name, curves.lines))
     if curves.endless:
         axes.axhspan(0.3 * ABOVE, 0.3 * ABOVE * 4.0 ** (len(curves.lines) + 1), color="0.92", zorder=0)
         axes.text(0.02, 0.97, curves.endless, transform=axes.transAxes, fontsize=9, va="top")
+        axes.set_ylim(top=ABOVE * 4.0 ** (len(curves.lines) + 3))
+    if curves.failed:
+        axes.text(0.02, 0.97, curves.failed, transform=axes.transAxes, fontsize=9, va="top")
+        axes.set_ylim(top=30.0)
     axes.set(xlabel=curves.x_label, ylabel=curves.y_label)
-    axes.set_xscale("log" if curves.log_x else "linear")
-    axes.set_yscale("log" if curves.log else "linear")
     axes.set_title(curves.what, fontsize=10)
+    if curves.endless:
+        axes.set_yticks(10.0 ** np.arange(-15, 1, 3))
     axes.grid(True, which="major", alpha=0.3)
 
 

@@ -48,12 +48,12 @@ def error_of_rest(size):
         lines[name] = bounces, np.maximum(abs(end.x - x), abs(end.v - v)).astype(float)
     return Curves(
         "A period in which the mass chatters to rest on a wall and is set free again",
-        "R, the share of its speed that a hop keeps",
+        "R, the share of its speed that an impact leaves",
         "error of x and v at the end",
         lines,
         least=1e-17,
         log_x=False,
-        endless=f"shaded: no end, {ROOM} impacts are not enough",
+        endless=f"shaded, at heights of no meaning: no end within {ROOM} impacts",
     )
 
 

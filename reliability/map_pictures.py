@@ -5,42 +5,52 @@ import matplotlib
 matplotlib.use("Agg")
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.colors import BoundaryNorm, ListedColormap
+from matplotlib.patches import Patch
 
 from benchmarks import chart, page
 
 from .methods import OURS
+from .periods import ROOM
 
 LABELS = {
-    "amplitude": "A",
-    "omega": "omega",
-    "restitution": "R",
-    "gamma": "gamma",
+    "amplitude": "A, amplitude of the drive",
+    "omega": "omega, its frequency",
+    "restitution": "R, restitution",
+    "gamma": "gamma, damping",
 }
-LEFT_OUT = "0.75"
+CHAOTIC, CROWDED = "0.87", "0.6"
+BINS = (1, 2, 3, 6, 11, 31, 101)  # of the first wrong period, counted from 1
 
 
 def save(path, found, count):
     """Write the picture of a `FailureMap` of so many periods to a PNG."""
     names = [OURS, *(name for name in found.first if name != OURS)]
     figure, grid = plt.subplots(2, 5, figsize=(13.5, 6.0), layout="constrained", sharex=True, sharey=True)
-    colours = plt.get_cmap("viridis").copy()
-    colours.set_over("white")
-    colours.set_bad(LEFT_OUT)
+    colours = plt.get_cmap("plasma", len(BINS) - 1)
+    colours.set_bad("none")
+    norm, greys = BoundaryNorm(BINS, len(BINS) - 1), ListedColormap([CHAOTIC, CROWDED])
     for axes, name in zip(grid.flat, names, strict=False):
-        first = np.where(found.judged, found.first[name], np.nan)
-        shown = axes.pcolormesh(
-            *found.values, first, cmap=colours, vmin=0, vmax=count - 1, edgecolors="0.9", linewidth=0.2
-        )
-        wrong = int((found.judged & (found.first[name] < count)).sum())
-        axes.set_title(f"{name}: {wrong} of {found.judged.sum()}", fontsize=9)
+        given, wrong = found.first[name], found.judged & (found.first[name] < count)
+        left_out = np.where(found.judged, np.nan, found.crowded)
+        axes.pcolormesh(*found.values, left_out, cmap=greys, vmin=0, vmax=1)
+        shown = axes.pcolormesh(*found.values, np.where(wrong, given + 1.0, np.nan), cmap=colours, norm=norm)
+        axes.set_title(f"{name}: {wrong.sum()} of {found.judged.sum()}", fontsize=7.5)
     for axes in grid.flat[len(names) :]:
         axes.axis("off")
-    figure.colorbar(shown, ax=grid, label="first period with a wrong itinerary", extend="max", shrink=0.8)
+        axes.legend(
+            handles=[
+                Patch(facecolor="white", edgecolor="k", label=f"right for {count} periods"),
+                Patch(facecolor=CHAOTIC, label="chaotic: not judged"),
+                Patch(facecolor=CROWDED, label=f"rests, or over {ROOM} impacts\na period: not judged"),
+            ],
+            loc="center",
+            fontsize=9,
+        )
+    figure.colorbar(shown, ax=grid, label="first period with a wrong itinerary", shrink=0.8)
     figure.supxlabel(LABELS[found.names[0]])
     figure.supylabel(LABELS[found.names[1]])
-    figure.suptitle(
-        f"Wrong itineraries within {count} periods; white: none; grey: chaotic or with rests, not judged", fontsize=10
-    )
+    figure.suptitle(f"Where the walls hit, in order, are wrong within {count} periods", fontsize=10)
     chart.write(figure, path)
 
 

@@ -230,12 +230,12 @@ class Method(NamedTuple):
 
 OURS = "jaxvibro"
 RIVALS = (
-    Method("heyoka 1e-9", functools.partial(by_heyoka, tolerance=1e-9), 20_000),
-    Method("heyoka 1e-15", functools.partial(by_heyoka, tolerance=1e-15), 20_000),
-    Method("diffrax Tsit5 1e-6", functools.partial(by_diffrax, tolerance=1e-6), 4000),
-    Method("diffrax Tsit5 1e-10", functools.partial(by_diffrax, tolerance=1e-10), 4000),
-    Method("SciPy DOP853 1e-6", functools.partial(by_scipy, tolerance=1e-6), 2000),
-    Method("SciPy DOP853 1e-12", functools.partial(by_scipy, tolerance=1e-12), 2000),
-    Method("paper's RK4, 100 steps", functools.partial(by_paper, steps=100), 4000),
-    Method("paper's RK4, 800 steps", functools.partial(by_paper, steps=800), 4000),
+    Method("heyoka, tol 1e-9", functools.partial(by_heyoka, tolerance=1e-9), 20_000),
+    Method("heyoka, tol 1e-15", functools.partial(by_heyoka, tolerance=1e-15), 20_000),
+    Method("diffrax Tsit5, tol 1e-6", functools.partial(by_diffrax, tolerance=1e-6), 4000),
+    Method("diffrax Tsit5, tol 1e-10", functools.partial(by_diffrax, tolerance=1e-10), 4000),
+    Method("SciPy DOP853, tol 1e-6", functools.partial(by_scipy, tolerance=1e-6), 2000),
+    Method("SciPy DOP853, tol 1e-12", functools.partial(by_scipy, tolerance=1e-12), 2000),
+    Method("paper's RK4, 100 steps a period", functools.partial(by_paper, steps=100), 4000),
+    Method("paper's RK4, 800 steps a period", functools.partial(by_paper, steps=800), 4000),
 )

@@ -106,10 +106,10 @@ def test_what_is_missed_invented_or_elsewhere_is_counted():
 
 RIVALS = {rival.name: rival for rival in methods.RIVALS}
 FINE = [
-    "heyoka 1e-15",
-    "SciPy DOP853 1e-12",
-    "paper's RK4, 800 steps",
-    pytest.param("diffrax Tsit5 1e-10", marks=pytest.mark.slow),
+    "heyoka, tol 1e-15",
+    "SciPy DOP853, tol 1e-12",
+    "paper's RK4, 800 steps a period",
+    pytest.param("diffrax Tsit5, tol 1e-10", marks=pytest.mark.slow),
 ]
 
 
@@ -141,8 +141,8 @@ def test_periods_in_80_bit_floats_and_by_others_against_ball_arithmetic():
         "80 bit": (periods.true, 1e-15),
         "ours": (failure_maps.by_ours, 1e-13),
         "heyoka": (functools.partial(periods.by_heyoka, tolerance=1e-15), 1e-12),
-        "SciPy": (functools.partial(periods.by_flights, RIVALS["SciPy DOP853 1e-12"].met), 1e-9),
-        "paper": (functools.partial(periods.by_flights, RIVALS["paper's RK4, 800 steps"].met), 1e-4),
+        "SciPy": (functools.partial(periods.by_flights, RIVALS["SciPy DOP853, tol 1e-12"].met), 1e-9),
+        "paper": (functools.partial(periods.by_flights, RIVALS["paper's RK4, 800 steps a period"].met), 1e-4),
     }
     found = {name: (way(given), bound) for name, (way, bound) in ways.items()}
     for lane in range(n):
@@ -204,12 +204,16 @@ def test_curves_are_by_decade_and_drawn(tmp_path):
     middles, medians = curves.by_decade(x, x * 2, -1, 2)
     np.testing.assert_allclose(middles, 10.0 ** np.array([-0.5, 0.5, 1.5]))
     assert medians[0] == 1.0 and medians[1] == 10.0 and np.isnan(medians[2])
-    lines = {methods.OURS: (middles, medians), "heyoka 1e-9": (middles, medians), "heyoka 1e-15": (middles, medians)}
+    lines = {
+        methods.OURS: (middles, medians),
+        "heyoka, tol 1e-9": (middles, medians),
+        "heyoka, tol 1e-15": (middles, medians),
+    }
     curves.save(tmp_path / "a.png", curves.Curves("what", "x", "y", lines, endless="none"))
     assert (tmp_path / "a.png").stat().st_size > 10_000
     assert (
-        curves.styled("heyoka 1e-9", lines)["linestyle"] == "--"
-        and curves.styled("heyoka 1e-15", lines)["linestyle"] == "-"
+        curves.styled("heyoka, tol 1e-9", lines)["linestyle"] == "--"
+        and curves.styled("heyoka, tol 1e-15", lines)["linestyle"] == "-"
     )
 
 
