@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.scipy_ivp import WALLS
+from benchmarks.scipy_ivp import passes
 from benchmarks.work import CAP
 
 TOLERANCE = 1e-9  # rtol and atol of the integrator
@@ -53,24 +53,27 @@ def branch(points, amplitude=2.0, omega=2.1, gamma=0.05, restitution=0.7, step=0
     return places[:, 2], places[:, :2], np.array([eigenvalues(point.slopes) for point in found])
 
 
-def stroboscopic(omega, gamma, restitution) -> Callable[[np.ndarray], np.ndarray]:
-    """The map of x, v, A to x and v a drive period after phase 0, nan from beyond a wall or after CAP impacts."""
-    period = 2 * math.pi / omega
+def stroboscopic(omega, gamma, restitution, sides=(-1, 1), periods=1) -> Callable[[np.ndarray], np.ndarray]:
+    """The map of x, v, A to x and v some drive periods after phase 0, nan from beyond a wall or after CAP impacts.
+
+    sides: of the walls, at -1 and 1.
+    """
+    length, walls = 2 * math.pi * periods / omega, [passes(side, 1.0) for side in sides]
 
     def field(t, y, amplitude):
         return y[1], amplitude * math.cos(omega * t) - y[0] - 2 * gamma * y[1]
 
     def strobe(place):
         x, v, amplitude = place
-        if abs(x) > 1.0:
+        if any(side * x > 1.0 for side in sides):
             return np.full(2, np.nan)
         time, y, given = 0.0, (x, v), {"rtol": TOLERANCE, "atol": TOLERANCE, "args": (amplitude,)}
         for _ in range(CAP):
-            flight = solve_ivp(field, (time, period), y, "DOP853", events=WALLS, **given)
+            flight = solve_ivp(field, (time, length), y, "DOP853", events=walls, **given)
             time, y = flight.t[-1], flight.y[:, -1]
             if flight.status != 1:
                 return y
-            y = (1.0 if flight.t_events[1].size else -1.0, -restitution * y[1])
+            y = (math.copysign(1.0, y[0]), -restitution * y[1])
         return np.full(2, np.nan)
 
     return strobe
