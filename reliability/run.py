@@ -16,7 +16,18 @@ import jax
 from benchmarks import machine, page
 from benchmarks.rows import Size, Topic
 
-from . import cases, counts, curves, failure_maps, hard_walls, limits, map_pictures, met_by_others, near_grazing
+from . import (
+    branches,
+    cases,
+    counts,
+    curves,
+    failure_maps,
+    hard_walls,
+    limits,
+    map_pictures,
+    met_by_others,
+    near_grazing,
+)
 
 PAGE, COMMAND = "reliability.md", "make reliability"
 PARTS = {
@@ -25,6 +36,7 @@ PARTS = {
     "pictures": "Error against what makes it hard",
     "maps": "Maps of failure",
     "limits": "At the limits",
+    "branches": "Continuation",
     "met by others": "What users of other packages met",
 }
 CASES = {case.name: case for case in (*cases.CASES, cases.WHOLE, cases.DOUBT)}
@@ -50,6 +62,8 @@ def task(kind, name, size):
         found = failure_maps.measure(MAPS[name], failure_maps.MAPS[MAPS[name]], size)
     elif kind == "limits":
         found = limits.measure(size)
+    elif kind == "branches":
+        found = branches.table(branches.measure(size))
     else:
         found = met_by_others.table(met_by_others.measure())
     print(f"  {kind}, {name}: {time.monotonic() - begun:.0f} s", flush=True)
@@ -58,7 +72,14 @@ def task(kind, name, size):
 
 def tasks():
     """(part, name) of all, the longest first."""
-    parts = {"maps": MAPS, "counts": CASES, "limits": ("limits",), "pictures": CURVES, "met by others": ("table",)}
+    parts = {
+        "maps": MAPS,
+        "counts": CASES,
+        "limits": ("limits",),
+        "pictures": CURVES,
+        "branches": ("table",),
+        "met by others": ("table",),
+    }
     return [(part, name) for part, names in parts.items() for name in names]
 
 
@@ -83,8 +104,9 @@ def topics(found, count):
         yield Topic("maps", [], (map_pictures.table(named, count),), failure_maps.NOTES, drawn)
     if given["limits"]:
         yield Topic("limits", given["limits"]["limits"])
-    if given["met by others"]:
-        yield Topic("met by others", [], (given["met by others"]["table"],))
+    for part in ("branches", "met by others"):
+        if given[part]:
+            yield Topic(part, [], (given[part]["table"],))
 
 
 def main(quick, out, only):
