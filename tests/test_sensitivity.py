@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from jaxvibro.loci.held_point import hold, slopes
 
 
 def begun(kind):
@@ -55,3 +56,12 @@ def test_several_that_are_one_keep_an_sb(points):
     assert float(both[0]) == pytest.approx((float(known.value) - points["SB"].value) / 1e-4, rel=1e-3)
     with pytest.raises(jv.ArgumentError, match=r"^names: must keep the scene symmetric"):
         jv.sensitivity(points["SB"], "right.position")
+
+
+def test_a_point_that_is_held_moves_as_its_sensitivity_says():
+    """Folds and grazings, by the host alone."""
+    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (0.0, 6.0), "backward", stop="GR")
+    for kind in ("SN", "GR"):
+        point, names = branch.points(kind)[0], ("damping", "frequency")
+        assert slopes(hold(point, names)) == pytest.approx(jv.sensitivity(point, names).values, rel=1e-8)
