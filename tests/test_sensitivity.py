@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from continuation import locate
+from jaxvibro.loci.first_point import equations, start_of
 from jaxvibro.loci.held_point import hold, slopes
+from jaxvibro.problem.equations import problem
 
 
 def begun(kind):
@@ -65,3 +68,12 @@ def test_a_point_that_is_held_moves_as_its_sensitivity_says():
     for kind in ("SN", "GR"):
         point, names = branch.points(kind)[0], ("damping", "frequency")
         assert slopes(hold(point, names)) == pytest.approx(jv.sensitivity(point, names).values, rel=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["PD", "SB"])
+def test_the_equations_of_a_locus_are_zero_at_the_point(points, kind):
+    """A change comes back as its opposite, after the whole or half of the orbit."""
+    ((curve, z),) = equations(start_of(points[kind]), ("amplitude", "damping"))
+    assert abs(np.asarray(locate.evaluated(problem(curve), z, curve)[0])).max() < 1e-9
+    turned = curve._replace(closing=-curve.closing)
+    assert abs(np.asarray(locate.evaluated(problem(turned), z, turned)[0][-1])) > 1e-3
