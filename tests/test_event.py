@@ -6,7 +6,7 @@ import pytest
 
 from jaxvibro.flight import event, lean_event
 
-LANES, FINE = 4_000, np.linspace(0.0, 1.0, 801)
+LANES, FINE = 1_500, np.linspace(0.0, 1.0, 401)
 
 
 @pytest.fixture(scope="module")
