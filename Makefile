@@ -31,7 +31,7 @@ THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
 
-.PHONY: help run paper test test-slow test-long bench reliability notebooks format lock clean
+.PHONY: help run paper test test-slow test-long mutate bench reliability notebooks format lock clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -54,6 +54,9 @@ test-slow: $(VENV)/.dev ## the tests that take minutes
 
 test-long: $(VENV)/.dev ## what takes minutes a test
 	$(PYTEST) -m long
+
+mutate: $(VENV)/.dev ## break guards one by one, each against a fast test that ought to notice
+	$(BIN)/python -m tests.mutate
 
 bench: $(VENV)/.dev ## what answers cost, ours and others', into docs/benchmarks.md
 	$(BIN)/python -m benchmarks.run $(if $(LIMIT),--limit "$(LIMIT)") $(if $(PART),--part "$(PART)")

@@ -303,3 +303,29 @@ def test_a_jump_to_another_branch_is_told_from_a_crossing():
     assert place is None and list(known) == [0] and known[0].kind == "BP" and close(known[0].z, [0, 0], 1e-12)
     assert event_search.jump(PITCHFORK, points, control, given(0.0), np.array([True, False]))[0] is None
     assert event_search.jump(PITCHFORK, points, control, given(0.0), np.array([False, True])) == (1, {})
+
+
+def test_a_step_is_cut_in_all_its_entries_alike():
+    start, most = jnp.array([3.0, 0.5]), {"most": 1}
+    whole, cut = (newton.newton(on_circle, start, each, **most).unknowns - start for each in (jnp.inf, 0.5))
+    assert abs(whole).max() > 1.0 and close(abs(cut).max(), 0.5, 1e-15)
+    assert close(cut * abs(whole).max(), whole * 0.5, 1e-15)
+
+
+@pytest.mark.parametrize("before, seen", [(1e-9, 0), (1e-7, 1), (0.1, 1)])
+def test_a_crossing_in_which_a_branch_begins_is_not_met_again(before, seen):
+    points, control = row_of(PITCHFORK, [[0.0, -before], [0.0, 0.2]], given(0.0), 0.2 + before)
+    found = event_search.events(PITCHFORK, points, {}, control, given(0.0))
+    assert [one.kind for one in found] == ["BP"] * seen
+
+
+@pytest.mark.parametrize("far, seen", [(0.1, False), (0.5, False), (1.0, True)])
+def test_an_event_lies_within_its_interval(far, seen):
+    """The fold of the circle, 0.6 ahead along the tangent."""
+    control, z = control_of(2), np.array([0.6, 0.8])
+    here = point_of(z, event_search.tangent(CIRCLE, z, control.scale, given(1.0)))
+    near = event_search.step(CIRCLE, here, 0.1, control, given(1.0))
+    found = event_search._event(CIRCLE, "SN", here, 3, (0.0, far), near, 0.1, control, given(1.0))
+    assert (found is not None) == seen
+    if found:
+        assert close(found.z, [0.0, 1.0], 1e-14) and close(found.length, 0.6, 1e-14)

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from continuation import locate
+from jaxvibro.branches import switch
 from jaxvibro.branches.follow import place_orbit
 from jaxvibro.problem.diagnostics import diagnose
+from jaxvibro.problem.equations import problem
 from jaxvibro.problem.orbit_on_branch import OrbitPoint
 from tests import branch_proof
 from tests.reference import closed
@@ -135,6 +138,16 @@ def test_switching_and_passing_through_a_grazing(branch, lopsided):
     assert not up.points("SN")[0].orbit.stable and not up.stable[0]
     assert np.isinf(branch.points("GR")[0].orbit.multipliers).all()
     assert np.allclose(up.values, down.values, rtol=0, atol=1e-8)
+
+
+def test_a_doubled_orbit_begins_along_a_null_vector_of_its_equations(lopsided):
+    """Of those of the orbit gone through twice; its halves move apart."""
+    ((along, begun),) = switch.starts(lopsided[0].points("PD")[0])
+    slopes = locate.slopes_of(problem(along), begun.z, along)
+    rows, count = len(along.cycle.sides), len(along.hits)
+    assert abs(slopes @ begun.tangent).max() < 1e-8 * abs(slopes).max() and begun.tangent[-1] == 0.0
+    first, second = begun.tangent[:count].reshape(2, -1)
+    assert np.array_equal(first, -second) and abs(first).max() > 1e-3 and count == 6 and rows == 8
 
 
 def test_from_a_lopsided_branch_a_symmetry_breaking_leads_to_the_symmetric_one(branch, lopsided):

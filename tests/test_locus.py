@@ -5,6 +5,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from continuation.event_search import Event
+from jaxvibro.loci import codim2
 from tests.locus_proof import codim_error, error
 from tests.reference import closed
 from tests.reference.codim import codim
@@ -132,6 +134,12 @@ def test_loci_of_fold_and_doubling_end_at_the_resonant_grazing(loci):
         assert repr(locus).startswith(f"Locus({name} in amplitude and frequency, {len(locus)} points, ")
     told = loci["GR of P112"].table().splitlines()[2]
     assert told.split() == ["RG", "1.84718918172", "1.22152745847", "P112", "RLR"]
+
+
+@pytest.mark.parametrize("apart, kinds", [(0.0, ["RG"]), (1e-8, ["RG"]), (1e-5, ["SN", "PD"])])
+def test_fold_and_doubling_of_a_grazing_are_one_point_where_roundings_part_them(apart, kinds):
+    found = [Event(kind, 3, late, np.array([1.0 + late, 2.0]), 0.0) for kind, late in (("SN", 0.0), ("PD", apart))]
+    assert [one.kind for one in codim2._told_apart(found)] == kinds
 
 
 @pytest.mark.slow

@@ -89,3 +89,12 @@ def test_lanes_of_a_batch_of_scenes(counted):
     np.testing.assert_array_equal(found.status, worst)
     for one, other in zip(found[2:], rows, strict=True):
         np.testing.assert_allclose(one, other[-KEEP:], rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("periods", [1, KEEP - 1, KEEP, KEEP + 1, KEEP + 2, 3 * KEEP])
+def test_the_kept_periods_are_told_in_order(periods):
+    ring = np.zeros(KEEP)
+    for k in range(periods):
+        ring[k % KEEP] = k
+    (told,) = long_run.in_order((ring,), periods)
+    assert told.tolist() == list(range(max(0, periods - KEEP), periods))

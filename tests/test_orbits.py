@@ -10,8 +10,9 @@ import jaxvibro as jv
 from jaxvibro.flight.coefficients import frame
 from jaxvibro.flight.wall_positions import places
 from jaxvibro.maps import itinerary as words
-from jaxvibro.orbits import impact_equations
-from jaxvibro.orbits.by_impacts import by_impacts, padded, solution
+from jaxvibro.orbits import flight_clearance, impact_equations
+from jaxvibro.orbits.by_impacts import _refuse_uncertain, by_impacts, padded, solution
+from jaxvibro.orbits.by_shooting import _stepped
 from jaxvibro.reproduction import closed as exact
 from tests.reference import closed, floquet, grid
 from tests.reference.scene import Motion, Scene, Wall
@@ -51,8 +52,9 @@ def agrees(orbit, state, multipliers):
     assert np.allclose(orbit.multipliers, true, rtol=0, atol=1e-12 * max(1, abs(true[0])))
 
 
-def test_the_jacobian_of_the_impacts_equations_is_their_derivative(scene):
-    built = frame(scene)
+@pytest.mark.parametrize("right", [1.0, jv.Wall(1.0, 0.6, motion=jv.Motion(0.1, 0.4, 2))])
+def test_the_jacobian_of_the_impacts_equations_is_their_derivative(right):
+    built = frame(jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, right)))
     given = impact_equations.Cycle(
         jnp.array([0.2, 1.1, 1.9]), jnp.array([1.0, 0.4, 2.0]), jnp.array([1.0, -1.0, 1.0]), 0.3, 1.0
     )
@@ -179,7 +181,7 @@ def test_a_wall_passed_by_a_hair_is_refused():
         kept = jv.find_orbit(far.replace(**{"left.position": reach - 1e-9}), orbit.state, orbit.periods, settle=0)
         assert abs(kept.least_clearance - min(orbit.least_clearance, 1e-9)) < 1e-13
         near = far.replace(**{"left.position": reach + 1e-9})
-        with pytest.raises(jv.OrbitError, match=r"passes through the left wall, 1e-09 deep|not admissible"):
+        with pytest.raises(jv.OrbitError, match=r"passes through the left wall, 1e-09 deep"):
             by_impacts(near, *rows, orbit.state.phase, orbit.periods)
 
 
@@ -268,3 +270,55 @@ def test_an_orbit_in_a_thin_tongue_is_found_from_its_closed_form(beyond):
     scene = jv.make_scene(amplitude, omega, gamma, R, (-1.0, 1.0))
     found = jv.find_orbit(scene, exact.symmetric_start(scene), periods=1, settle=0)
     assert found.label == "P111" and speed < found.least_speed < 3.0 * speed
+
+
+def test_what_certified_flights_do_not_confirm_is_refused(scene):
+    """An impact at another time, and one on another wall."""
+    orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
+    rows = orbit.impacts.time, orbit.impacts.speed, orbit.impacts.side
+    found = jax.device_get(solution(scene, padded(scene, *rows, orbit.state.phase, 1)))
+    _refuse_uncertain(scene, found, 2, PERIOD)
+    length, sides = 1e-4 * PERIOD * np.array([0.0, 1.0]), found.cycle.sides * np.array([1.0, -1.0])
+    late = found._replace(flights=found.flights._replace(time=found.flights.time + length))
+    for wrong in (late, found._replace(cycle=found.cycle._replace(sides=sides))):
+        with pytest.raises(jv.OrbitError, match="meets another wall, or none, or not then"):
+            _refuse_uncertain(scene, wrong, 2, PERIOD)
+
+
+def test_an_impact_from_behind_its_wall_is_refused():
+    """Beyond the grazing one root of (1 - a u)^2 + (b u / omega)^2 = A^2 / D is below zero."""
+    with mpmath.workdps(30):
+        a, b = closed.coefficients(GAMMA, OMEGA, R, 1, False)
+        size, omega = 25 / closed.denominator(GAMMA, OMEGA), mpmath.mpf(OMEGA)
+        square = a * a + b * b / omega**2
+        u = (a - mpmath.sqrt(a * a - square * (1 - size))) / square
+        time = closed.phase_of(GAMMA, omega, 5, 1 - a * u, -b * u) / omega
+    assert u < 0
+    scene = jv.make_scene(5.0, OMEGA, GAMMA, R, (None, 1.0))
+    rows = np.array([float(time)]) % PERIOD, np.array([float(u)]), np.array([1.0])
+    with pytest.raises(jv.OrbitError, match=f"impact 1 of 1 would have the speed {float(u):.3g}"):
+        by_impacts(scene, *rows, 0.0, 1)
+
+
+def test_a_multiplier_of_1_makes_shooting_singular():
+    state, miss = jv.State(0.3, 0.2), np.array([0.1, 0.1])
+    with pytest.raises(jv.OrbitError, match=r"no orbit: singular .*the Jacobian is singular"):
+        _stepped(state, state, miss, np.array([[1.0, 0.3], [0.0, 0.5]]))
+    step, size = _stepped(state, state, miss, np.array([[0.75, 0.0], [0.0, 0.5]]))
+    assert (float(step.x), float(step.v), size) == pytest.approx((0.7, 0.4, 0.4), abs=1e-15)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_flight_that_turns_twice_between_two_samples_is_looked_at(sign):
+    """Its speed towards a wall a parabola over the cell, of one sign at both ends, of the other between, or nowhere."""
+    rng, count, span = np.random.default_rng(6), 500, 0.1
+    place, bend = rng.uniform(0.2, 0.8, count) * span, 10.0 ** rng.uniform(-3.0, 3.0, count)
+    least = 0.5 * bend * np.minimum(place, span - place) ** 2
+    none = np.full(count, np.inf), np.zeros(count), np.zeros(count)
+    for height, seen in ((0.9 * least, True), (1e-6 * least, True), (-0.5 * bend * span**2, False)):
+        ends = [
+            (np.ones(count), sign * (height - 0.5 * bend * (time - place) ** 2), -sign * bend * (time - place))
+            for time in (0.0, span)
+        ]
+        crest, _, past = flight_clearance._better(3.0, span, *ends, none)
+        assert (np.isfinite(crest) == seen).all() and ((past >= 0) & (past <= 1)).all()

@@ -5,6 +5,10 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from continuation import locate
+from jaxvibro.loci.first_point import equations, start_of
+from jaxvibro.loci.held_point import hold, slopes
+from jaxvibro.problem.equations import problem
 
 
 def begun(kind):
@@ -55,3 +59,18 @@ def test_several_that_are_one_keep_an_sb(points):
     assert float(both[0]) == pytest.approx((float(known.value) - points["SB"].value) / 1e-4, rel=1e-3)
     with pytest.raises(jv.ArgumentError, match=r"^names: must keep the scene symmetric"):
         jv.sensitivity(points["SB"], "right.position")
+
+
+def test_a_fold_that_is_held_moves_as_its_sensitivity_says():
+    orbit, names = begun("PD"), ("damping", "frequency")
+    (point,) = jv.follow(orbit, "amplitude", (0.0, 6.0), "backward", stop="SN").points("SN")
+    assert slopes(hold(point, names)) == pytest.approx(jv.sensitivity(point, names).values, rel=1e-8)
+
+
+@pytest.mark.parametrize("kind", ["PD", "SB"])
+def test_the_equations_of_a_locus_are_zero_at_the_point(points, kind):
+    """A change comes back as its opposite, after the whole or half of the orbit."""
+    ((curve, z),) = equations(start_of(points[kind]), ("amplitude", "damping"))
+    assert abs(np.asarray(locate.evaluated(problem(curve), z, curve)[0])).max() < 1e-9
+    turned = curve._replace(closing=-curve.closing)
+    assert abs(np.asarray(locate.evaluated(problem(turned), z, turned)[0][-1])) > 1e-3

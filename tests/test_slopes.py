@@ -7,6 +7,7 @@ import pytest
 from jax import lax
 
 import jaxvibro as jv
+from jaxvibro.flight.flow import fly
 from tests.slopes_proof import first_errors, higher_errors
 
 
@@ -80,6 +81,21 @@ def test_a_mass_at_rest_goes_with_its_wall():
     angle = -0.3 + 0.4
     assert np.allclose(x, [1.0, np.cos(angle), -0.05 * np.sin(angle)], rtol=0, atol=1e-15)
     assert np.allclose(v, [0.0, -0.5 * np.sin(angle), -0.5 * 0.05 * np.cos(angle)], rtol=0, atol=1e-15)
+
+
+def test_a_release_goes_with_the_drive():
+    """At rest on the right wall until A cos(phase) = 1, then free: as `fly` from that phase on."""
+
+    def released(amplitude):
+        scene = jv.make_scene(amplitude, 2.0, 0.1, 0.7, (None, 1.0))
+        end, _ = jv.strobe(scene, jv.State(1.0, 0.0, -0.3), slots=4)
+        return end.x, end.v
+
+    def flown(amplitude):
+        scene, phase = jv.make_scene(amplitude, 2.0, 0.1, 0.7, (None, 1.0)), jnp.arccos(1.0 / amplitude)
+        return fly(scene, jv.State(1.0, 0.0, phase), (2.0 * jnp.pi - 0.3 - phase) / 2.0)
+
+    assert np.allclose(jax.jacfwd(released)(3.0), jax.jacfwd(flown)(3.0), rtol=0, atol=1e-12)
 
 
 @pytest.mark.slow

@@ -260,6 +260,8 @@ def test_complete_chatter_ends_at_rest():
     assert impacts.least_speed == 0
     assert impacts.status == 1
     assert (end.x, end.v, end.contact) == (-1.0, 0.0, 2.0)
+    _, more = jv.strobe(scene, jv.State(-1.2, 0.3), periods=2, slots=16)  # at rest from then on
+    assert (more.status, more.count) == (1, impacts.count)
 
 
 def test_in_a_narrow_gap_a_mass_is_thrown_from_wall_to_wall_and_comes_to_rest_where_it_is_pressed():

@@ -53,6 +53,7 @@ CIRCLE = co.equilibria(lambda u, p, args: u * u + p["p"] ** 2 - 1.0)
 PARABOLA = co.equilibria(lambda u, p, args: p["p"] - u * u)
 WAVE = co.equilibria(lambda u, p, args: p["p"] - jnp.sin(4 * u))
 RIPPLE = co.equilibria(lambda u, p, args: u - 0.03 * jnp.sin(20 * p["p"]))
+BEND = co.equilibria(lambda u, p, args: u - p["p"] + p["p"] ** 3)
 CUSP = co.equilibria(lambda u, p, args: p["h"] + p["r"] * u - u**3)
 PITCHFORK = co.equilibria(lambda u, p, args: p["p"] * u - u**3 + p["e"])
 TRANSCRITICAL = co.equilibria(lambda u, p, args: p["p"] * u - u * u)
@@ -114,6 +115,15 @@ def test_a_step_that_strays_is_refused():
     found = co.trace(RIPPLE, [0.0], {"p": 0.0}, "p", (-0.1, 3.0), direction="forward", **steps)
     assert close(found.u[:, 0], 0.03 * np.sin(20 * found.p["p"]), 1e-12)
     assert 0 < np.diff(found.p["p"]).min() < np.diff(found.p["p"]).max() < 0.4 * period
+
+
+def test_a_step_that_turns_too_far_is_refused():
+    """The tangent of u = p - p^3 at 1/2 meets the curve again at -1, where that has another slope."""
+    steps = {"first_step": 1.5 * np.hypot(1.0, 0.25), "largest_step": 2.0}
+    found = co.trace(BEND, [0.375], {"p": 0.5}, "p", (-2.0, 1.0), direction="backward", **steps)
+    angle = np.arctan(1.0 - 3.0 * found.p["p"] ** 2)
+    assert close(found.u[:, 0], found.p["p"] - found.p["p"] ** 3, 1e-12)
+    assert len(found.u) > 10 and abs(np.diff(angle)).max() < arclength.LARGEST_TURN
 
 
 @pytest.mark.slow

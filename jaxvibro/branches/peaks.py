@@ -138,18 +138,21 @@ def _highest(at, begin, span, reach, best):
 
 
 def _turn(at, low, high, first, last):
-    """Where v is zero between two times with these v: false position, the end that stays counted half (Illinois)."""
+    """Where v is zero between two times with these v: false position, an end that stays once more counted half
+    (Illinois)."""
 
     def narrow(_, carry):
-        (low, high), (first, last) = carry
+        (low, high), (first, last), stayed = carry  # stayed: 1 where the high end did last time, -1 where the low one
         gap = jnp.where(first == last, 1.0, first - last)
         middle = low + (high - low) * jnp.clip(first / gap, 0.0, 1.0)
         _, v = at(middle)
         after = v * last < 0  # the zero lies between the middle and the high end
         low, high = jnp.where(after, middle, low), jnp.where(after, high, middle)
-        first, last = jnp.where(after, v, 0.5 * first), jnp.where(after, 0.5 * last, v)
-        return (low, high), (first, last)
+        first, last = first * jnp.where(stayed < 0, 0.5, 1.0), last * jnp.where(stayed > 0, 0.5, 1.0)
+        first, last = jnp.where(after, v, first), jnp.where(after, last, v)
+        return (low, high), (first, last), jnp.where(after, 1.0, -1.0)
 
-    (low, high), (first, last) = jax.lax.fori_loop(0, ROUNDS, narrow, ((low, high), (first, last)))
+    start = (low, high), (first, last), 0.0 * first
+    (low, high), (first, last), _ = jax.lax.fori_loop(0, ROUNDS, narrow, start)
     gap = jnp.where(first == last, 1.0, first - last)
     return low + (high - low) * jnp.clip(first / gap, 0.0, 1.0)

@@ -1,0 +1,103 @@
+"""What follows an impact that leaves next to no speed: rest, release, complete chatter; how a given start begins."""
+
+import jax
+import mpmath
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from jaxvibro.flight import impact
+from jaxvibro.flight.coefficients import frame
+from jaxvibro.scene.codes import Contact, Status
+
+LANES = 2_000
+
+
+def built(far=None, wall=1.0):
+    """The `Frame` of a scene without damping, its length 3."""
+    return frame(jv.make_scene(2.0, 2.1, 0.0, 0.7, (far, wall)))
+
+
+def test_a_mass_rests_where_its_hop_would_be_lost_in_rounding_or_the_press_says_so():
+    push = 10.0 ** np.random.default_rng(1).uniform(-3.0, 3.0, LANES)
+    height = float(np.finfo(float).eps) * float(built().size)  # of a hop: leaving^2 / (2 push)
+    for share, kind in ((0.99, Contact.STUCK), (1.01, Contact.LANDED)):
+        assert (impact.settle(built(), np.sqrt(2.0 * push * share * height), push, 0.0 * push) == kind).all()
+    none = np.zeros(5)
+    found = impact.settle(built(), none, np.array([1.0, -1.0, 0.0, 0.0, 0.0]), np.array([-1.0, 1.0, 1.0, 0.0, -1.0]))
+    assert found.tolist() == [Contact.STUCK, Contact.LANDED, Contact.STUCK, Contact.STUCK, Contact.RELEASED]
+
+
+def test_chatter_is_certain_only_where_all_hops_end_in_time_and_the_press_outlasts_them():
+    """Under a press that stays as it is all hops take 2 u / (push (1 - R)), u the speed of the first; the first is
+    u^2 / (2 push) high; under one that gets weaker, even slowly, they take longer."""
+    rng = np.random.default_rng(2)
+    push, bounce, leaving = 10.0 ** rng.uniform(-1, 1, LANES), rng.uniform(0.05, 0.95, LANES), 1e-4
+    hops, none = 2.0 * leaving / (push * (1.0 - bounce)), np.zeros(LANES)
+    wide = built()
+
+    def certain(frame, rush, time):
+        return np.asarray(impact.chatters(frame, np.full(LANES, leaving), push, bounce, rush, time))
+
+    assert certain(wide, none, 1e4 * hops).all() and not certain(wide, none, 0.99 * hops).any()
+    assert not certain(wide, 1.01 * push / hops, 1e4 * hops).any()
+    assert certain(wide, 1e-5 * push / hops, 1e4 * hops).all()
+    assert not impact.chatters(wide, np.zeros(LANES), push, bounce, none, 1e4 * hops).any()
+    assert not impact.chatters(wide, np.full(LANES, leaving), -push, bounce, none, 1e4 * hops).any()
+    high = leaving**2 / (2.0 * push)
+    assert not certain(built(-1.0, -1.0 + 0.99 * high.min()), none, 1e4 * hops).any()
+
+
+@pytest.mark.parametrize(
+    ("state", "status"),
+    [
+        ((1.0, 0.0, 0.0, 2.0), 0),
+        ((1.0, -0.5, 0.0, 1.0), 0),
+        ((1.0, -0.5, 0.0, 2.0), 3),  # a mass at rest does not move away
+        ((1.0, 0.5, 0.0, 1.0), 3),  # nor does one that has landed go into its wall
+        ((1.0, 0.5, 0.0, 2.0), 3),
+        ((0.9, 0.0, 0.0, 2.0), 3),  # and both are at it
+        ((1.0, -0.5, 0.0, -1.0), 3),
+        ((1.0, 0.0, 0.0, 3.0), 3),  # within a rigid wall
+    ],
+)
+def test_a_contact_that_does_not_fit_its_start_is_invalid(state, status):
+    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    assert jv.strobe(scene, jv.State(*state), slots=4)[1].status == status
+
+
+def test_a_lane_is_given_up_at_a_thousand_impacts():
+    scene = jv.make_scene(3.0, 0.05, 0.0, 1.0, (None, 1.0))
+    _, impacts = jv.strobe(scene, jv.State(1.0, -1e-6), slots=2)
+    assert impacts.status == Status.CAP and impacts.count == 1000
+
+
+def test_the_drives_period_has_a_low_part():
+    frequency = np.random.default_rng(3).uniform(0.01, 50.0, 100)
+    given = frame(jv.make_scene(2.0, frequency, 0.05, 0.7, (-1.0, 1.0)))
+    with mpmath.workdps(50):
+        for k in range(100):
+            true = 2 * mpmath.pi / mpmath.mpf(frequency[k])
+            low = true - mpmath.mpf(float(given.period[k]))
+            assert abs(low - mpmath.mpf(float(given.period_low[k]))) < 1e-30 * true
+
+
+def test_walls_at_one_place_are_invalid_inside_jit():
+    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    run = jax.jit(lambda left: jv.strobe(scene.replace(**{"left.position": left}), jv.State(1.0, 0.0))[1].status)
+    assert [int(run(left)) for left in (-1.0, 1.0, 1.5)] == [Status.OK, Status.INVALID, Status.INVALID]
+
+
+def test_a_mass_that_rests_on_a_wall_that_moves_goes_as_if_there_were_no_other():
+    """It aims at the wall that holds it, be it the slower: a wall that is never reached changes nothing."""
+    rng = np.random.default_rng(4)
+    amplitude, phase = rng.uniform(0.2, 3.0, 200), rng.uniform(0.0, 2.0 * np.pi, 200)
+    wall = jv.Wall(0.0, 0.0, motion=jv.Motion(0.3, 1.0))
+    ends = []
+    for far in (None, 9.0):
+        scene = jv.make_scene(amplitude, 0.7, 0.1, 0.7, (wall, far))
+        end, impacts = jv.strobe(scene, jv.State(1.0, -1.0, phase), slots=0)
+        ends.append((end.x, end.v, end.contact, impacts.count))
+    for one, other in zip(*ends, strict=True):
+        assert np.allclose(one, other, rtol=0, atol=1e-12)
+    assert (ends[0][2] == -2).sum() > 20 and (ends[0][2] == 0).sum() > 20
