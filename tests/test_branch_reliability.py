@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from benchmarks.rows import Size
-from reliability import branch_truth, branches
+from reliability import branch_truth, branches, jaxcont_branch, scipy_branch
 from tests.reference import closed
 
 TRUTHS = branches.drawn(9)
@@ -88,4 +88,12 @@ def test_a_measurement():
     assert ours.branches == 12 and (ours.lost, ours.jumped, ours.missed, ours.wrong) == (0, 0, 0, 0)
     assert ours.error < 1e-9 and all(each.branches for each in others)
     text = branches.table([ours, *others])
-    assert "| jaxvibro | 12 | 0: 0.0 % (0.0 to 26.5) |" in text and "SciPy arclength" in text
+    assert "| jaxvibro | 12 | 0: 0.0 % (0.0 to 26.5) |" in text and "SciPy arclength" in text and "jaxcont" in text
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("module", "fold"), [(scipy_branch, 7.245431514880592), (jaxcont_branch, 0.40044852663887776)])
+def test_a_rival_follows_a_branch_where_its_map_is_smooth(module, fold):
+    (truth,) = (each for each in branches.drawn(30) if abs(each.special[-1][1] - fold) < 1e-9)
+    told = branches.judge(truth, branches.by(module)(truth), ("SN",))
+    assert told[:4] == (0, 0, [], []) and told.error < 1e-2
