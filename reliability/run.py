@@ -104,9 +104,10 @@ def topics(found, count):
         yield Topic("maps", [], (map_pictures.table(named, count),), failure_maps.NOTES, drawn)
     if given["limits"]:
         yield Topic("limits", given["limits"]["limits"])
-    for part in ("branches", "met by others"):
-        if given[part]:
-            yield Topic(part, [], (given[part]["table"],))
+    if given["branches"]:
+        yield Topic("branches", [], (given["branches"]["table"],), branches.NOTES)
+    if given["met by others"]:
+        yield Topic("met by others", [], (given["met by others"]["table"],))
 
 
 def main(quick, out, only):
