@@ -80,6 +80,35 @@ def of_case(case, size):
     return found
 
 
+def by_speed(case, size):
+    """{decade: {method: Count}} of a case that varies a speed; ours on as many flights as `BATCH` for each shape."""
+    found = {}
+    for k in range(len(case.shapes)):
+        batch, _ = case.batch(size.states(BATCH), k)
+        answers = {methods.OURS: (batch, methods.ours(batch))}
+        for rival in methods.RIVALS:
+            some = batch.some(slice(size.states(rival.lanes)))
+            answers[rival.name] = some, rival.met(some)
+        for name, (some, met) in answers.items():
+            decade = np.floor(np.log10(some.measure)).astype(int)
+            for each in np.unique(decade):
+                here, own = decade == each, found.setdefault(int(each), {})
+                count = judged(some.some(here), methods.Met(met.side[here], met.time[here]))
+                own[name] = count.added(own[name]) if name in own else count
+    return dict(sorted(found.items(), reverse=True))
+
+
+def speeds_table(found):
+    """Markdown of {case: {decade: {method: Count}}}."""
+    names = (methods.OURS, *(rival.name for rival in methods.RIVALS))
+    lines = []
+    for case, decades in found.items():
+        for decade, counts in decades.items():
+            cells = (per_million(counts[name]) if name in counts else "none drawn" for name in names)
+            lines.append((case, f"1e{decade} to 1e{decade + 1}", *cells))
+    return page.table(("case", "speed", *names), lines)
+
+
 def per_million(count):
     """The rate as text, in bold where there is one."""
     low, high = (1e6 * bound for bound in count.bounds)

@@ -33,6 +33,7 @@ PAGE, COMMAND = "reliability.md", "make reliability"
 PARTS = {
     "machine": "Where and when",
     "counts": "Hard cases, counted",
+    "speeds": "Impacts by their speed",
     "pictures": "Error against what makes it hard",
     "maps": "Maps of failure",
     "limits": "At the limits",
@@ -40,6 +41,7 @@ PARTS = {
     "met by others": "What users of other packages met",
 }
 CASES = {case.name: case for case in (*cases.CASES, cases.WHOLE, cases.DOUBT)}
+SPEEDS = ("starts into a wall", "slow impacts")
 CURVES = {
     "missed_by_depth.png": near_grazing.missed_by_depth,
     "error_by_speed.png": near_grazing.error_by_speed,
@@ -56,6 +58,8 @@ def task(kind, name, size):
     begun = time.monotonic()
     if kind == "counts":
         found = counts.of_case(CASES[name], size)
+    elif kind == "speeds":
+        found = counts.by_speed(CASES[name], size)
     elif kind == "pictures":
         found = CURVES[name](size)
     elif kind == "maps":
@@ -75,6 +79,7 @@ def tasks():
     parts = {
         "maps": MAPS,
         "counts": CASES,
+        "speeds": SPEEDS,
         "limits": ("limits",),
         "pictures": CURVES,
         "branches": ("table",),
@@ -89,6 +94,8 @@ def topics(found, count):
     if given["counts"]:
         named = {CASES[name]: answer for name, answer in given["counts"].items()}
         yield Topic("counts", [], (counts.table(named), counts.described(named)), counts.NOTES)
+    if given["speeds"]:
+        yield Topic("speeds", [], (counts.speeds_table(given["speeds"]),))
     if given["pictures"]:
         drawn = {file: (each.what, partial(curves.save, curves=each)) for file, each in given["pictures"].items()}
         yield Topic("pictures", [], pictures=drawn)

@@ -104,6 +104,17 @@ def test_what_is_missed_invented_or_elsewhere_is_counted():
     assert counts.per_million(Count(4, 1, 1, 0)).startswith("**500,000**")
 
 
+def test_counts_by_speed_are_those_of_the_case(monkeypatch):
+    case, rival = run.CASES["starts into a wall"], methods.RIVALS[-1]
+    monkeypatch.setattr(methods, "RIVALS", (rival,))
+    found = counts.by_speed(case._replace(shapes=case.shapes[:1]), Size(True))
+    assert list(found) == list(range(-1, -11, -1))
+    own = [each[methods.OURS] for each in found.values()]
+    assert sum(each.flights for each in own) == counts.BATCH // 16 and sum(each.bad for each in own) == 0
+    assert sum(each[rival.name].flights for each in found.values()) == rival.lanes // 16
+    assert counts.speeds_table({"a": found}).count("\n") == 11
+
+
 RIVALS = {rival.name: rival for rival in methods.RIVALS}
 FINE = [
     "heyoka, tol 1e-15",
