@@ -29,7 +29,7 @@ class Case(NamedTuple):
 
     def batch(self, size, k):
         """The batch number k, of so many sure flights and those in doubt beside them: (Flights, how many in doubt)."""
-        rng, parts, count, doubtful = np.random.default_rng([len(self.name), k]), [], 0, 0
+        rng, parts, count, doubtful = np.random.default_rng([*self.name.encode(), k]), [], 0, 0
         shape = self.shapes[k % len(self.shapes)]
         while count < size:
             found = self.draw(rng, int(DRAWN * (size - count)) + 64, shape)

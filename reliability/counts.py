@@ -12,8 +12,7 @@ from .cases import DOUBT, WHOLE
 from .flights import SLACK
 
 BATCH = 1 << 17
-MILLION = 8  # batches of ours
-FEW = 1  # of the flights that are certified piece by piece, and of those in doubt
+MILLION = 8  # batches of ours; of flights that are certified piece by piece, and of those in doubt, one
 LEVEL = 0.95
 APART = 0.05  # of the time to `until`: a contact that is so far off is another one
 
@@ -66,17 +65,16 @@ def judged(flights, met, doubtful=0):
 
 def of_case(case, size):
     """{method: Count} of a case: ours on all batches, the others on the first of the flights."""
-    few, width = case in (WHOLE, DOUBT), size.states(BATCH)
-    found = {}
-    for k in range(len(case.shapes) if size.quick else FEW * len(case.shapes) if few else MILLION):
-        batch, doubtful = case.batch(width if not few else width // len(case.shapes), k)
-        count = judged(batch, methods.ours(batch), doubtful)
-        found[methods.OURS] = count.added(found[methods.OURS]) if k else count
-        if k < len(case.shapes):
-            for rival in methods.RIVALS:
-                some = batch.some(slice(size.states(rival.lanes) // len(case.shapes)))
-                count = judged(some, rival.met(some))
-                found[rival.name] = count.added(found[rival.name]) if k else count
+    few, found = case in (WHOLE, DOUBT), {}
+    width = size.states(BATCH // len(case.shapes) if few else BATCH)
+    for k in range(len(case.shapes) if few or size.quick else MILLION):
+        batch, doubtful = case.batch(width, k)
+        counts = {methods.OURS: judged(batch, methods.ours(batch), doubtful)}
+        for rival in methods.RIVALS if k < len(case.shapes) else ():
+            some = batch.some(slice(size.states(rival.lanes) // len(case.shapes)))
+            counts[rival.name] = judged(some, rival.met(some))
+        for name, count in counts.items():
+            found[name] = count.added(found[name]) if name in found else count
     return found
 
 

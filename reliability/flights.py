@@ -32,11 +32,6 @@ class Flights(NamedTuple):
         walls = tuple(wall.some(lanes) for wall in self.walls)
         return Flights(self.lanes.some(lanes), walls, *(each[lanes] for each in self[2:]))
 
-    @property
-    def harmonics(self):
-        """{side: harmonic}: what is static."""
-        return {wall.side: wall.harmonic for wall in self.walls}
-
 
 class Shape(NamedTuple):
     """What is static of flights: the side and the harmonic of the wall that is aimed at, the harmonic of the other one,
@@ -174,12 +169,10 @@ def squeezes(rng, n, shape, ranges):
     lanes, (side, harmonic, _) = numbers(rng, n, ranges), shape
     near = drawn_wall(rng, n, -side, 0, lanes, ranges)
     met = drawn_wall(rng, n, side, harmonic, lanes, ranges)
-    gap, speed = (
-        ranges.size * np.exp(rng.uniform(np.log(1e-12), np.log(0.1), n)),
-        ranges.size * rng.uniform(0.1, 3.0, n),
-    )
+    gap = ranges.size * np.exp(rng.uniform(np.log(1e-12), np.log(0.1), n))
+    speed = ranges.size * rng.uniform(0.1, 3.0, n)
     met = met._replace(position=near.position + side * gap, swing=met.swing * gap)
-    if harmonic:  # no nearer than a tenth of the gap
+    if harmonic:  # at its nearest it is the gap away
         met = met._replace(position=met.position + side * met.swing)
     lanes = lanes._replace(x=near.position, v=side * speed)
     until = 4.0 * (gap + 2.0 * met.swing) / speed

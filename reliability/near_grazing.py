@@ -65,9 +65,9 @@ def error_by_speed(size):
 
 def grazing():
     """(time, place) at which the flight from START turns back, in 80-bit floats."""
-    lanes, t = lanes_of(*START), LONG(0.0)
-    grid = np.linspace(0.0, PERIOD, 4001)
-    t = np.array([grid[np.argmax(exact_flow.fly(Lanes(*(np.repeat(each, 4001) for each in lanes)), grid)[0])]], LONG)
+    lanes, grid = lanes_of(*START), np.linspace(0.0, PERIOD, 4001)
+    many = Lanes(*(np.repeat(each, len(grid)) for each in lanes))
+    t = grid[[np.argmax(exact_flow.fly(many, grid)[0])]].astype(LONG)
     for _ in range(4):
         x, v = exact_flow.fly(lanes, t)
         t = t - v / exact_flow.acceleration(lanes, x, v, t)

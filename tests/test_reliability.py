@@ -169,7 +169,7 @@ def test_periods_in_80_bit_floats_and_by_others_against_ball_arithmetic():
 
 
 def test_the_true_derivative_next_to_a_grazing_is_that_of_differences_in_80_bit_floats():
-    (_, top), wall = near_grazing.grazing(), None
+    _, top = near_grazing.grazing()
     wall = float(top[0] - 1e-3)
     given = periods.Scenes(
         *(
