@@ -75,15 +75,15 @@ def itineraries(period, scenes, count):
     return np.array(sides), scenes
 
 
-def whole_methods():
-    """{name: a function of Scenes that gives a `Period`}, ours last."""
-    found = {}
+def whole_methods(room=periods.ROOM):
+    """{name: a function of Scenes that gives a `Period`}, ours first; room: impacts at which another gives up."""
+    found = {methods.OURS: by_ours}
     for rival in methods.RIVALS:
         if rival.met.func is methods.by_heyoka:
-            found[rival.name] = functools.partial(periods.by_heyoka, **rival.met.keywords)
+            found[rival.name] = functools.partial(periods.by_heyoka, **rival.met.keywords, room=room)
         else:
-            found[rival.name] = functools.partial(periods.by_flights, rival.met)
-    return found | {methods.OURS: by_ours}
+            found[rival.name] = functools.partial(periods.by_flights, rival.met, room=room)
+    return found
 
 
 def measure(names, bounds, size):

@@ -5,12 +5,11 @@ import math
 
 import numpy as np
 
-import jaxvibro as jv
 from benchmarks import ours as soft_ours
 from benchmarks import sides, truth
 from benchmarks.work import draw, held
 
-from . import exact_flow, failure_maps, methods, periods
+from . import exact_flow, failure_maps, methods
 from .curves import Curves
 from .exact_flow import LONG, Lanes
 from .periods import Scenes
@@ -37,13 +36,8 @@ def error_of_rest(size):
     given = Scenes(
         A * ones, OMEGA * ones, GAMMA * ones, bounces, WALL * ones, FAR * ones, WALL * ones + 0.2, 0.1 * ones
     )
-    found, lines = {methods.OURS: _ours}, {}
-    for rival in methods.RIVALS:
-        if rival.met.func is methods.by_heyoka:
-            found[rival.name] = functools.partial(periods.by_heyoka, **rival.met.keywords, room=ROOM)
-        else:
-            found[rival.name] = functools.partial(periods.by_flights, rival.met, room=ROOM)
-    for name, method in found.items():
+    lines = {}
+    for name, method in failure_maps.whole_methods(ROOM).items():
         end = method(given)
         lines[name] = bounces, np.maximum(abs(end.x - x), abs(end.v - v)).astype(float)
     return Curves(
@@ -55,11 +49,6 @@ def error_of_rest(size):
         log_x=False,
         endless=f"shaded, at heights of no meaning: no end within {ROOM} impacts",
     )
-
-
-def _ours(scenes):
-    end, impacts = jv.strobe(failure_maps.ours_of(scenes), jv.State(scenes.x, scenes.v), slots=0)
-    return periods.Period(np.asarray(end.x), np.asarray(end.v), np.asarray(impacts.side))
 
 
 def error_by_stiffness(size):

@@ -96,7 +96,7 @@ def single(size):
         Row(f"single precision: itineraries of {n:,} random periods that differ from double's", "per million").of(
             1e6 * differ
         ),
-        Row(f"single precision: labels of {ORBITS} settled orbits that differ from double's", "orbits").of(
+        Row(f"single precision: labels of {size.states(ORBITS)} settled orbits that differ from double's", "orbits").of(
             labels(size)
         ),
     ]
@@ -111,9 +111,10 @@ def derivatives(size):
 
 
 def labels(size):
-    """How many orbits at random amplitudes are labelled otherwise from single precision's settled state."""
+    """How many orbits at random amplitudes, all of one period, have another label in single precision: other counts of
+    impacts on the left and on the right."""
     rng, differ = np.random.default_rng(4), 0
-    for amplitude in rng.uniform(0.3, 4.4, max(2, ORBITS if not size.quick else 2)):
+    for amplitude in rng.uniform(0.3, 4.4, size.states(ORBITS)):
         found = []
         for dtype in (jnp.float64, jnp.float32):
             scene = jv.make_scene(float(amplitude), 2.1, 0.05, 0.7, (-1.0, 1.0), dtype=dtype)

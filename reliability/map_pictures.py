@@ -10,7 +10,6 @@ from matplotlib.patches import Patch
 
 from benchmarks import chart, page
 
-from .methods import OURS
 from .periods import ROOM
 
 LABELS = {
@@ -25,18 +24,17 @@ BINS = (1, 2, 3, 6, 11, 31, 101)  # of the first wrong period, counted from 1
 
 def save(path, found, count):
     """Write the picture of a `FailureMap` of so many periods to a PNG."""
-    names = [OURS, *(name for name in found.first if name != OURS)]
     figure, grid = plt.subplots(2, 5, figsize=(13.5, 6.0), layout="constrained", sharex=True, sharey=True)
     colours = plt.get_cmap("plasma", len(BINS) - 1)
     colours.set_bad("none")
     norm, greys = BoundaryNorm(BINS, len(BINS) - 1), ListedColormap([CHAOTIC, CROWDED])
-    for axes, name in zip(grid.flat, names, strict=False):
+    for axes, name in zip(grid.flat, found.first, strict=False):
         given, wrong = found.first[name], found.judged & (found.first[name] < count)
         left_out = np.where(found.judged, np.nan, found.crowded)
         axes.pcolormesh(*found.values, left_out, cmap=greys, vmin=0, vmax=1)
         shown = axes.pcolormesh(*found.values, np.where(wrong, given + 1.0, np.nan), cmap=colours, norm=norm)
         axes.set_title(f"{name}: {wrong.sum()} of {found.judged.sum()}", fontsize=7.5)
-    for axes in grid.flat[len(names) :]:
+    for axes in grid.flat[len(found.first) :]:
         axes.axis("off")
         axes.legend(
             handles=[
@@ -56,7 +54,7 @@ def save(path, found, count):
 
 def table(maps, count):
     """Markdown of {words: FailureMap}: cells in which a method is wrong."""
-    names = [OURS, *(name for name in next(iter(maps.values())).first if name != OURS)]
+    names = list(next(iter(maps.values())).first)
     lines = []
     for words, found in maps.items():
         wrong = [int((found.judged & (found.first[name] < count)).sum()) for name in names]
