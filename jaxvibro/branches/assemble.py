@@ -7,11 +7,11 @@ import xarray as xr
 
 from continuation.stretch import backwards, glued
 
-from ..maps import itinerary as words
 from ..orbits.orbit import MARGIN, roots
 from ..output.units import LENGTH, SPEED, TIME
 from ..problem.end import End
-from ..problem.orbit_on_branch import OrbitPoint, is_own_image, itinerary
+from ..problem.equations import are_impacts, codes
+from ..problem.orbit_on_branch import OrbitPoint, is_own_image, itinerary, label_of
 from ..scene.symmetry import is_symmetric
 from .branch import Branch, Segment, frequency_at, scene_at, special_of, spot_of
 from .impossible import require_damped, require_possible
@@ -78,7 +78,7 @@ def _told(scene, name, bounds, pieces):
     for one in pieces:
         row, size = row_at(first), len(one.points.z)
         walls = itinerary(spot_of(row, name), frequency_at(scene, name, float(row[name])))
-        segments.append(Segment(first, first + size - 1, words.label(walls), walls))
+        segments.append(Segment(first, first + size - 1, label_of(scene, spot_of(row, name), walls), walls))
         for mark in one.marks:
             place = first + mark.place
             known = mark.kind == "GR" and place - 1 in marked  # the same grazing, met from the other piece
@@ -108,7 +108,7 @@ def _columns(one, name, widest, place):
         found[:, :count] = values
         return found
 
-    sides = np.broadcast_to(one.args.cycle.sides[:count], (size, count))
+    sides = np.broadcast_to(codes(one.args.cycle)[:count], (size, count))
     slow = z[:, rows : rows + count] if rows else z[:, :0]
     quick = turn[:, rows : rows + count] if rows else slow
     found = roots(look.trace, look.determinant)
@@ -122,7 +122,7 @@ def _columns(one, name, widest, place):
         "multiplier_real": found.real,
         "multiplier_imag": found.imag,
         "stable": (abs(found) < 1.0 - MARGIN).all(axis=1).astype(np.int8),
-        "least_speed": slow.min(axis=1, initial=np.inf),
+        "least_speed": slow[:, are_impacts(one.args.cycle)[:count]].min(axis=1, initial=np.inf),
         "least_clearance": look.clear.min(axis=(1, 2), initial=np.inf),
         "residual": one.points.residual,
         "time_slope": impacts(turn[:, :count] if rows else slow, np.nan),
@@ -142,7 +142,7 @@ def _about(name):
         name: (("point",), {"long_name": "the parameter"}),
         "time": told("since phase 0", TIME, "impact"),
         "speed": told("abs(y- - v_b)", SPEED, "impact"),
-        "side": told("-1 left, 1 right, 0 none", "1", "impact"),
+        "side": told("-1 left, 1 right, 0 none; 2 times that: its wall lets the mass go", "1", "impact"),
         "x": told("position at phase 0 of each period", LENGTH, "period"),
         "v": told("velocity at phase 0 of each period", SPEED, "period"),
         "multiplier_real": told("Floquet's, the larger first", "1", "multiplier"),
@@ -172,7 +172,7 @@ def _joined(way):
     along, z = way.along, way.near
     count, rows = int(np.sum(along.cycle.sides != 0)), len(along.cycle.sides)
     look = way.look
-    sides = np.asarray(along.cycle.sides[:count])
+    sides = np.asarray(codes(along.cycle)[:count])
     periods, start = int(along.cycle.periods), (float(look.x[0, 0]), float(look.v[0, 0]))
     return OrbitPoint(
         float(z[-1]),

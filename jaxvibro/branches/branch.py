@@ -14,13 +14,12 @@ import xarray as xr
 from jaxtyping import Bool, Complex, Float
 
 from .. import __version__
-from ..maps import itinerary as words
 from ..orbits.orbit import Orbit
 from ..output.atomic_write import whole
 from ..output.checksums import netcdf
 from ..output.table_text import columns, pair
 from ..problem.end import End
-from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary
+from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary, label_of
 from ..problem.orbit_rows import OrbitRows, SpecialOrbit
 from ..scene.scene import Scene, changed
 from ..scene.scene_table import table_of
@@ -38,6 +37,7 @@ MEANINGS = {
     "NSA": "neutral saddle",
     "GR": "grazing",
     "CH": "rest after chatter",
+    "RL": "release within a rest",
     "EP": "end",
 }
 
@@ -191,7 +191,7 @@ def labels(special):
     for one in special.joins:
         frequency = frequency_at(special.scene, special.name, one.value)
         way = ">" if one.value > special.value else "<"
-        found.append(words.label(itinerary(one, frequency)) + way)
+        found.append(label_of(special.scene, one, itinerary(one, frequency)) + way)
     return found
 
 

@@ -14,6 +14,7 @@ from ..orbits.orbit_comparison import is_same_orbit
 from ..problem import same_orbit
 from ..problem.equations import number_there
 from ..problem.orbit_on_branch import impacts, place_orbit
+from ..problem.orbit_start import bring_to
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scene import Scene
@@ -21,7 +22,7 @@ from ..scene.symmetry import stays_symmetric
 from .branch import row_of, spot_of
 from .branch_tree import Tree
 from .diagram import Diagram
-from .follow import bring_to, check_settings, through
+from .follow import check_settings, through
 from .seed_orbits import probes
 from .switch import FIRST
 

@@ -3,19 +3,18 @@
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 
 from continuation import locate
 from continuation.arclength import Control
-from continuation.event_search import pinned, tangent
+from continuation.event_search import tangent
 from continuation.points import start_point
 
-from ..flight.response import of_scene
 from ..orbits.orbit import Orbit, OrbitError
 from ..problem.end import End
 from ..problem.equations import problem
-from ..problem.orbit_on_branch import OrbitPoint, place_orbit
+from ..problem.orbit_on_branch import place_orbit
+from ..problem.orbit_start import bring_to, point_of
 from ..problem.touches import scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
@@ -63,8 +62,8 @@ def follow(
     The branch's `data` has a row a point: the parameter, time, speed and side of each impact, x and v at phase 0 of
     each period, multiplier_real and multiplier_imag, stable, least_speed, least_clearance, residual, segment.
 
-    Raises ArgumentError for arguments that cannot be, OrbitError where the start is no orbit, rests on a wall or is
-    singular, ArithmeticError where a special point was found that the scene cannot have (`impossible`). What ends a
+    Raises ArgumentError for arguments that cannot be, OrbitError where the start is no orbit, never leaves its wall
+    or is singular, ArithmeticError where a special point was found that the scene cannot have (`impossible`). What ends a
     branch is told by its `reason`.
     """
     given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
@@ -146,40 +145,15 @@ def asking(scene, name, bounds, length, start, first_step, largest_step, toleran
     )
 
 
-def _at_phase_0(orbit):
-    """(x, v) of an orbit without impacts when the drive is at phase 0; of any under spring and damper, as it is the
-    only one."""
-    state, frequency = orbit.state, float(orbit.scene.frequency)
-    if orbit.scene.force is None or state.phase == 0:
-        return float(state.x), float(state.v)
-    late = np.mod(-state.phase, 2.0 * np.pi) / frequency
-    numbers = (jnp.asarray(each, orbit.scene.dtype) for each in (state.x, state.v, state.phase, late))
-    x, v = of_scene(orbit.scene, *numbers)[0]
-    return float(x), float(v)
-
-
 def polish_orbit(orbit, name):
     """(`OrbitEquations`, z) of an orbit, polished at its value of the parameter. Raises OrbitError."""
-    impacts, frequency = orbit.impacts, float(orbit.scene.frequency)
-    if orbit.unknowns == "state" and impacts.count:
-        raise OrbitError("the orbit rests on a wall, or chatters", orbit.residual, "follow takes separate impacts")
-    late = np.mod(impacts.time + orbit.state.phase / frequency, orbit.periods * 2.0 * np.pi / frequency)
-    order = np.argsort(late)
     value = float(orbit.scene.parameter(name))
-    plain = late[order], impacts.speed[order], impacts.side[order].astype(float)
-    begun = (0.0, 0.0) if impacts.count else _at_phase_0(orbit)
-    along, z = place_orbit(orbit.scene, name, OrbitPoint(value, *plain, orbit.periods, *begun, 0.0))
+    along, z = place_orbit(orbit.scene, name, point_of(orbit, value))
     residual = float(abs(np.asarray(locate.evaluated(problem(along), z, along)[0])).max())
     if not residual < NO_ORBIT * scene_length(orbit.scene):
         raise OrbitError("the start is no orbit", residual, "give an Orbit of find_orbit, with its own scene")
     found = bring_to(along, z, value)
     return along, found.z if found.met else z
-
-
-def bring_to(along, z, value):
-    """The `Point` near z at a value of the parameter, to rounding: `met` says whether there is one."""
-    numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
-    return pinned(problem(along), z, -1, value, Control(scales(along, 1.0), *numbers), along)
 
 
 def check_settings(first_step, largest_step, tolerance, monitors, stop):

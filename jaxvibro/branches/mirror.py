@@ -8,9 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..maps import itinerary as words
 from ..problem.diagnostics import diagnose
-from ..problem.orbit_on_branch import itinerary, place_orbit
+from ..problem.orbit_on_branch import itinerary, label_of, place_orbit
 from .branch import frequency_at, row_of, special_of, spot_of
 
 
@@ -72,5 +71,6 @@ def _reflected(scene, name, spot):
 
 def _segment(branch, data, one):
     row = row_of(data, one.first)
-    walls = itinerary(spot_of(row, branch.name), float(frequency_at(branch.scene, branch.name, row[branch.name])))
-    return replace(one, label=words.label(walls), itinerary=walls)
+    spot = spot_of(row, branch.name)
+    walls = itinerary(spot, float(frequency_at(branch.scene, branch.name, row[branch.name])))
+    return replace(one, label=label_of(branch.scene, spot, walls), itinerary=walls)

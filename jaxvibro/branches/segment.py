@@ -12,13 +12,14 @@ from continuation.rows import at, put, upto
 from continuation.stretch import Mark
 
 from ..orbits.impact_equations import Cycle
-from ..problem import soft_grazing
+from ..problem import resting, soft_grazing
 from ..problem.end import End, ended
 from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
 from ..problem.grazing import GrazingExit
 from ..problem.same_orbit import images, is_repeated
 from ..problem.touches import Touch, is_pressed
+from . import through_rests
 from .neimark_sacker import neimark_sacker
 from .user_monitors import MonitoredPoint, crossings
 
@@ -90,6 +91,10 @@ class BranchWatch(OrbitWatch):
         if residual is None:
             return None
         z = points.z[-1]
+        unrest = resting.kind_at(along, z, self.length)
+        if unrest:
+            ways = through_rests.exits(along, z, np.sign(points.tangent[-1, -1]), self.length)
+            return self.grazing(points, unrest, residual, ((), ways, True))
         more = soft_grazing.exits(along, z, self.length)
         kind = "CH" if len(more[1]) < 2 and is_pressed(along, z, more[0]) else "GR"
         return self.grazing(points, kind, residual, more)
@@ -98,7 +103,8 @@ class BranchWatch(OrbitWatch):
         """The `Met` at the last of the points; more: (touches, exits, whether these are all)."""
         met, ways, sure = more
         mark = Mark(0, kind, residual, GrazingPoint(tuple(met), tuple(ways), sure))
-        return Met(points, mark, {"GR": End.GRAZE, "CH": End.REST}[kind])
+        ends = kind == "CH" and self.equations.cycle.releases is None
+        return Met(points, mark, End.REST if ends else End.GRAZE)
 
     def events(self, task, points, view, known, end):
         """Where the contact at the end has no speed each test is zero: it is given the sign that the multipliers come
@@ -110,6 +116,8 @@ class BranchWatch(OrbitWatch):
             flip = np.append(flip[:-1], flip[-2] * _turned(*doubled))
             tangent = np.vstack([tangent[:-1], tangent[-2] * _turned(*folded)])
         values = {"PD": flip} if hits or self.equations.scene.force is not None else {}  # none under a spring
+        if self.equations.cycle.releases is not None:
+            values = {}
         found = event_search.events(
             task.problem, points._replace(tangent=tangent), values, task.control, task.args, known
         )

@@ -4,17 +4,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation.stretch import Stretch
+from continuation.stretch import Mark, Stretch
 
 from ..orbits.orbit_comparison import is_same_orbit
 from ..problem.end import End, Reason
 from ..problem.same_orbit import impacts, is_repeated
 from ..problem.touches import scales
-from .segment import follow_itinerary
+from .segment import GrazingPoint, follow_itinerary
+from .through_rests import completed, is_chatter
 
 MOST = 200  # pieces of a branch
 SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
-SLOW = 1e-4  # of the scene's length per t: below, the flights between impacts are lost in rounding
 
 
 class OneWay(NamedTuple):
@@ -26,11 +26,12 @@ class OneWay(NamedTuple):
 
 def go_on(along, start, asked):
     """The `OneWay` from a `Point`, whose tangent leads away."""
-    pieces, met = [], []
+    pieces, met, rest = [], [], ()
     while True:
         scale = scales(along, asked.length)
         one = follow_itinerary(along, start, asked._replace(control=asked.control._replace(scale=scale)))
-        way = None
+        one = one._replace(marks=(*rest, *one.marks))
+        way, rest = None, ()
         if one.end is End.GRAZE:
             one, way = _onwards(one, scale)
             here = one.points.z[-1, -1], impacts(along, one.points.z[-1], asked.length)
@@ -38,8 +39,9 @@ def go_on(along, start, asked):
                 one, way = one._replace(end=End.CLOSED), None
             elif is_repeated(along, one.points.z[-1]):
                 one, way = one._replace(end=End.HALVED), None
-            elif _is_chatter(along, one.points.z[-1], asked.length):
-                one, way = one._replace(end=End.CHATTER), None
+            elif one.marks[-1].kind == "GR" and is_chatter(along, one.points.z[-1], asked.length):
+                sign = np.sign(one.points.tangent[-1, -1])
+                one, way, rest = _into_rest(one, completed(along, one.points.z[-1], sign, asked.length))
             met.append(here)
         if len(pieces) == MOST - 1 and way is not None:
             one, way = one._replace(end=End.POINTS), None
@@ -70,13 +72,17 @@ def _onwards(one, scale):
     chosen = max((way for way in met.exits if not is_back(way)), key=exchanged, default=None)
     aside = tuple(not (way is chosen or is_back(way)) for way in met.exits)
     marks = (*one.marks[:-1], mark._replace(more=met._replace(aside=aside)))
-    return one._replace(marks=marks, end=one.end if chosen or met.sure else End.STEP), chosen
+    end = one.end if chosen or met.sure else End.STEP
+    return one._replace(marks=marks, end=End.UNSETTLED if not chosen and mark.kind != "GR" else end), chosen
 
 
-def _is_chatter(along, z, length):
-    """Whether at a grazing yet another impact is very slow."""
-    speeds = z[len(along.cycle.sides) :][along.hits]
-    return bool(((speeds > 0) & (speeds < SLOW * length)).any())
+def _into_rest(one, found):
+    """(the piece, the `GrazingExit` by which the branch goes on, the marks at its start) where it comes near a CH, found
+    being what `completed` gives."""
+    if found is None:
+        return one._replace(end=End.CHATTER), None, ()
+    way, residual = found
+    return one, way, (Mark(0, "CH", residual, GrazingPoint((), (way,), True, (False,))),)
 
 
 def _is_met(here, other):

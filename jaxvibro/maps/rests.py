@@ -43,16 +43,18 @@ class Rests(NamedTuple):
 
     rests: whether there are any; count: how often the mass comes to rest; endless: letters of the walls on which it
     does so by complete chatter, "", "L", "R" or "LR"; rate: the largest growth of tangents between rests, a drive
-    period of the time between them, nan where there is none.
+    period of the time between them, nan where there is none. spans: of each rest the side, the time of the last impact
+    before it that was flown, and when the wall lets go, since the start; the first may have begun before it.
     """
 
     rests: bool
     count: int  # type: ignore[assignment]  # a tuple has a method of this name
     endless: str
     rate: float
+    spans: tuple[tuple[float, float, float], ...]
 
 
-NO_RESTS = Rests(False, 0, "", np.nan)
+NO_RESTS = Rests(False, 0, "", np.nan, ())
 
 
 def may_rest(scene, status, contact):
@@ -68,20 +70,35 @@ def rests(scene, state, periods):
     """The `Rests` of a periodic motion from a `State` of it on, numbers, over its so many periods."""
     dtype = scene.dtype
     state = State(*(np.asarray(each, dtype).reshape(()) for each in (state.x, state.v, state.phase, state.contact)))
-    on, since, seen = (
+    on, since, seen, freed = (
         abs(state.contact) == Contact.STUCK,
         SinceRelease(*np.array([1.0, 0.0, 0.0, 1.0, 0.0, np.nan], dtype)),
         [],
+        [],
     )
+    length = 2.0 * np.pi / float(scene.frequency)
     for k in range(2 * periods):  # the first time round tells since when the mass is free
-        since, rows = jax.device_get(_watched(scene, state, since))
+        since, rows, ends = jax.device_get(_watched(scene, state, since))
         if k >= periods:
-            seen += [row for row in zip(*rows, strict=True) if row[0]]
+            late = length * (k - periods)
+            seen += [(*row, late + begin) for *row, begin in zip(*rows, strict=True) if row[0]]
+            freed += [late + float(end) for end in ends if end >= 0]
         state = jax.device_get(strobe(scene, state))[0]
-    letters = {"L" if side < 0 else "R" for side, hops, _, _ in seen if hops}
-    span = float(sum(time for *_, time in seen))
-    rate = sum(growth for _, _, growth, _ in seen) * 2.0 * np.pi / float(scene.frequency) / span if span else np.nan
-    return Rests(bool(on or seen), len(seen), "".join(sorted(letters)), float(rate))
+    letters = {"L" if side < 0 else "R" for side, hops, *_ in seen if hops}
+    span = float(sum(time for *_, time, _ in seen))
+    rate = sum(growth for _, _, growth, *_ in seen) * 2.0 * np.pi / float(scene.frequency) / span if span else np.nan
+    spans = _spans([(side, begin) for side, *_, begin in seen], freed, length * periods)
+    return Rests(bool(on or seen), len(seen), "".join(sorted(letters)), float(rate), spans)
+
+
+def _spans(begins, freed, whole):
+    """(side, begin, end) of each rest, of which some may last on into the next time round."""
+    ends = sorted([*freed, *(end + whole for end in freed)])
+    found = []
+    for side, begin in begins:
+        end = next((end for end in ends if end > begin), np.inf)
+        found.append((float(side), float(begin), float(end)))
+    return tuple(found)
 
 
 class SinceRelease(NamedTuple):
@@ -98,26 +115,29 @@ class SinceRelease(NamedTuple):
 @persistent_jit(compiler_options=OPTIONS)
 def _watched(scene, state, since):
     """(`SinceRelease` a period later; of the rests that begin in it: side, 0 none, whether by hops, growth, time
-    before)."""
+    before, time since the period's start; the times of releases since then, -1 none)."""
     built = frame(scene)
     path, fault = enter(built, state)
     path = path._replace(to_go=jnp.where(fault == Status.OK, built.period, 0.0))
     limit, none = integrate.cap(built, 1).steps, jnp.zeros_like(path.x)
 
     def turn(carry):
-        path, since, count, steps, rows = carry
+        path, since, count, steps, rows, ended, ends = carry
         step = micro(built, path)
         was, now = abs(path.contact) == Contact.STUCK, abs(step.path.contact) == Contact.STUCK
         since, row = _advanced(built, path, step, since, was, now)
-        begins = now & ~was
+        begins, freed = now & ~was, was & ~now
+        late = built.period - step.path.to_go
         place = jnp.where(begins, count, MOST)
-        rows = tuple(old.at[place].set(new, mode="drop") for old, new in zip(rows, row, strict=True))
-        return step.path, since, count + begins, steps + 1.0, rows
+        rows = tuple(old.at[place].set(new, mode="drop") for old, new in zip(rows, (*row, late), strict=True))
+        ends = ends.at[jnp.where(freed, ended, MOST)].set(late, mode="drop")
+        return step.path, since, count + begins, steps + 1.0, rows, ended + freed, ends
 
-    rows = tuple(jnp.zeros(MOST, scene.dtype) for _ in range(4))
-    start = path, SinceRelease(*(each + none for each in since)), jnp.int32(0), none, rows
-    _, since, _, _, rows = lax.while_loop(lambda carry: (carry[0].to_go > 0) & (carry[3] < limit), turn, start)
-    return _scaled(since), rows
+    rows = tuple(jnp.zeros(MOST, scene.dtype) for _ in range(5))
+    zero = jnp.int32(0)
+    start = path, SinceRelease(*(each + none for each in since)), zero, none, rows, zero, rows[0] - 1.0
+    _, since, _, _, rows, _, ends = lax.while_loop(lambda carry: (carry[0].to_go > 0) & (carry[3] < limit), turn, start)
+    return _scaled(since), rows, ends
 
 
 def _advanced(frame, path, step, since, was, now):

@@ -20,6 +20,7 @@ from ..flight import response
 from ..flight.coefficients import framed
 from ..flight.flows import flow_of
 from ..maps.contact_duration import product
+from .meeting_wall import pressed
 from .saltation import Meeting, jump, meeting, stayed
 
 LONGEST = 0.1  # of a drive period: the largest change of a time in one of Newton's steps
@@ -30,7 +31,8 @@ class Cycle(NamedTuple):
     (rows,); sides: -1, +1, 0 an empty row; phase: the section's, rad; periods: the number of drive periods. turn: 1, or
     -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None is 1. closing: what a
     change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1. still:
-    (rows,), 1 at touches, impacts without speed, of a soft wall, which do nothing; None: there are none."""
+    (rows,), 1 at touches, impacts without speed, of a soft wall, which do nothing; None: there are none. releases:
+    (rows,), 1 where a row is no impact but the end of a rest on its wall, without speed; None: there are none."""
 
     times: Float[Array, "*lanes rows"]
     speeds: Float[Array, "*lanes rows"]
@@ -40,6 +42,7 @@ class Cycle(NamedTuple):
     turn: Float[Array, "*lanes"] | None = None
     closing: Float[Array, "*lanes"] | None = None
     still: Float[Array, "*lanes rows"] | None = None
+    releases: Float[Array, "*lanes rows"] | None = None
 
 
 class Flights(NamedTuple):
@@ -73,7 +76,8 @@ def flights(frame, cycle):
     again = jnp.where(rows == last, cycle.periods * frame.period, 0.0)
     time = _following(cycle, cycle.times, follows) - cycle.times + again
     time = time if met.stay is None else time - met.stay
-    time = jnp.where(sides != 0, jnp.maximum(time, 0.0), 0.0)
+    flies = sides != 0 if cycle.releases is None else (sides != 0) & (cycle.releases[follows] == 0)
+    time = jnp.where(flies, jnp.maximum(time, 0.0), 0.0)
     (x, v), (cosine, sine) = met.state, met.phasor
     (end_x, end_v), matrix = flow_of(frame).matrix(frame, x, v, cosine, sine, time)
     return Flights(time, x, v, cosine, sine, end_x, end_v, matrix, follows, sign, met)
@@ -115,7 +119,8 @@ class Slopes(NamedTuple):
 def equations(frame, cycle, found=None):
     """(F, its `Slopes`) of the unknowns u = (times, speeds): how far each flight ends from its wall, from its speed.
 
-    found: the cycle's `Flights` where they are known.
+    Before a release no flight ends: a rest forgets how it was come by, and the press on the wall and the speed are to be
+    zero. found: the cycle's `Flights` where they are known.
     """
     found, sides = flights(frame, cycle) if found is None else found, cycle.sides
     hit = sides != 0
@@ -132,6 +137,13 @@ def equations(frame, cycle, found=None):
     c, d = aim * c, aim * d
     own = (a, b), (c, d)
     following = speed, aim * (pull - ahead(met.bend))
+    if cycle.releases is not None:
+        rests = cycle.releases[found.follows] > 0
+        push, change = (ahead(each) for each in pressed(frame, sides, (met.cosine, met.sine)))
+        gap = jnp.where(rests, push, gap)
+        excess = jnp.where(rests, -_following(cycle, cycle.speeds, found.follows), excess)
+        own = jax.tree.map(lambda each: jnp.where(rests, 0.0, each), own)
+        following = jnp.where(rests, change, following[0]), jnp.where(rests, 0.0, following[1])
     values = jnp.where(jnp.tile(hit, 2), jnp.concatenate([gap, excess]), 0.0)
     return values, Slopes(own, following, jnp.sum(hit) - 1)
 
@@ -189,12 +201,13 @@ def ordered(scene, cycle, unknowns):
     times = jnp.where(cycle.sides != 0, times - span * jnp.floor(times / span), jnp.inf)
     order = jnp.argsort(times)
     times = jnp.where(jnp.isfinite(times), times, 0.0)
-    return Cycle(times[order], speeds[order], cycle.sides[order], cycle.phase, cycle.periods)
+    releases = None if cycle.releases is None else cycle.releases[order]
+    return Cycle(times[order], speeds[order], cycle.sides[order], cycle.phase, cycle.periods, releases=releases)
 
 
 def invariants(frame, found, sides):
     """(trace, determinant) of the monodromy matrix, the product of P and Q of all flights; the determinant is the
-    product of theirs."""
+    product of theirs. Of orbits that rest both are zero, and are not asked for here."""
     jumps, shrink = jump(frame, found.met, sides)
 
     def on(k, carry):

@@ -15,7 +15,8 @@ from ..compiled.compiler_hints import one_kernel
 from ..flight import response
 from ..flight.coefficients import framed
 from ..flight.flows import flow_of
-from ..orbits import cyclic_system, flight_clearance, impact_equations
+from ..orbits import cyclic_system, flight_clearance, impact_equations, releases
+from ..orbits.meeting_wall import way
 from .equations import cycle_at, there
 
 LANES = 144  # points of a compiled call
@@ -24,7 +25,8 @@ LANES = 144  # points of a compiled call
 class Diagnostics(NamedTuple):
     """clear, late: (points, flights, walls), the least distance at a turning point towards the wall, and its time since
     the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods), at the
-    section's phase; fold, flip: (points,), determinants, zero where a branch folds and where the period doubles."""
+    section's phase; fold, flip: (points,), determinants, zero where a branch folds and where the period doubles. rest,
+    hold, plain: (points, rows), as `releases.Tails` has them, of orbits that rest; (points, 0) of others."""
 
     clear: Float[Array, "*points flights walls"]
     late: Float[Array, "*points flights walls"]
@@ -34,14 +36,23 @@ class Diagnostics(NamedTuple):
     v: Float[Array, "*points periods"]
     fold: Float[Array, "*points"]
     flip: Float[Array, "*points"]
+    rest: Float[Array, "*points rows"]
+    hold: Float[Array, "*points rows"]
+    plain: Float[Array, "*points rows"]
 
 
 def diagnose(along, zs):
     """The `Diagnostics` at points, shape (points, n + 1)."""
     periods = int(along.cycle.periods)
     wide = 1 << (periods - 1).bit_length()  # so that fewer sizes are compiled
-    look = Diagnostics(*each_of(hitting if len(along.cycle.sides) else _free, along, zs, wide))
+    look = Diagnostics(*each_of(_way_of(along), along, zs, wide))
     return look._replace(x=look.x[:, :periods], v=look.v[:, :periods])
+
+
+def _way_of(along):
+    if not len(along.cycle.sides):
+        return _free
+    return hitting if along.cycle.releases is None else resting
 
 
 def each_of(one, along, zs, periods):
@@ -82,7 +93,39 @@ def hitting(along, z, periods):
     x, v = impact_equations.at(built, given, found, built.period * jnp.arange(periods))
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
     measures = cyclic_system.determinants(cyclic_system.of(impact_equations.equations(built, given, found)[1]))
-    return Diagnostics(*clear, *impact_equations.invariants(built, found, given.sides), x, v, *measures)
+    return Diagnostics(*clear, *impact_equations.invariants(built, found, given.sides), x, v, *measures, *_no_rests(z))
+
+
+def resting(along, z, periods):
+    """The `Diagnostics` at one point of orbits that rest: their multipliers are zero. Where a mass is let go its wall is
+    no wall that it comes to."""
+    built, given = framed(there(along, z)), cycle_at(along, z)
+    found = impact_equations.flights(built, given)
+    times = built.period * jnp.arange(periods)
+    look = releases.tails(built, given, found, times)
+    count = flight_clearance.samples(built, found)
+    clear, late = flight_clearance.clearances(built, found, count)
+    own = jnp.array([wall.sign for wall in built.walls]) == given.sides[:, None]
+    leaves = (given.releases[:, None] > 0) & own & (late <= 2.0 * (found.time / count)[:, None])
+    clear = jnp.where(leaves, jnp.inf, clear)
+    ring = cyclic_system.of(impact_equations.equations(built, given, found)[1])
+    fold, none = cyclic_system.determinants(ring)[0], jnp.zeros_like(z[0])
+    state = _stayed(built, given, found, look, times)
+    return Diagnostics(clear, late, none, none, *state, fold, 1.0 + none, look.rest, look.hold, look.plain)
+
+
+def _stayed(built, given, found, look, times):
+    """(x, v) at times since the section's phase, in flight, within hops, or at rest."""
+    x, v = impact_equations.at(built, given, found, times)
+    span = given.periods * built.period
+    since = times[:, None] - given.times
+    since = jnp.where(given.sides != 0, since - span * jnp.floor(since / span), jnp.inf)
+    row = jnp.argmin(since, axis=1)
+    held, side = jnp.isfinite(look.rest)[row], given.sides[row]
+    angle = given.phase + built.frequency * times
+    where, pace, _ = way(built, side, jnp.cos(angle), jnp.sin(angle))
+    height, rise = (each[row, jnp.arange(len(times))] for each in (look.height, look.pace))
+    return jnp.where(held, where - side * height, x), jnp.where(held, pace - side * rise, v)
 
 
 def _free(along, z, periods):
@@ -92,7 +135,12 @@ def _free(along, z, periods):
     p00, _, _, p11 = response.by_rows(matrix)
     x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
-    return Diagnostics(*clear, (p00 + p11)[0], response.determinant(matrix)[0], x, v, *[jnp.ones_like(z[0])] * 2)
+    measures = [jnp.ones_like(z[0])] * 2
+    return Diagnostics(*clear, (p00 + p11)[0], response.determinant(matrix)[0], x, v, *measures, *_no_rests(z))
+
+
+def _no_rests(z):
+    return [jnp.zeros(0, z.dtype)] * 3
 
 
 def flight(along, z):

@@ -36,12 +36,23 @@ class OrbitEquations(NamedTuple):
     @property
     def hits(self) -> Int[np.ndarray, " impacts"]:
         """The rows of impacts, whose speeds are to be positive."""
-        return np.flatnonzero(self.cycle.sides != 0)
+        return np.flatnonzero(are_impacts(self.cycle))
 
     @property
     def slack(self) -> float:
         """How deep behind a wall a flight may be, as a touch that is meant is found with a rounding."""
         return 0.0
+
+
+def are_impacts(cycle):
+    """Which rows of a cycle are impacts, and neither empty nor releases: (rows,)."""
+    hit = np.asarray(cycle.sides != 0)
+    return hit if cycle.releases is None else hit & (np.asarray(cycle.releases) == 0)
+
+
+def codes(cycle):
+    """The sides of a cycle's rows, +-2 of releases, as `grazing.padded` takes them: (rows,)."""
+    return cycle.sides if cycle.releases is None else cycle.sides * (1.0 + cycle.releases)
 
 
 def there(along, z):
@@ -136,10 +147,13 @@ def _free_flip(z, along):
 
 
 IMPACTS = Problem(impacts, cyclic_system.bordered, _plain, (Test("PD", _flip),), one_kernel, _hits)
+RESTING = Problem(impacts, cyclic_system.bordered, _plain, (), one_kernel, _hits)  # what forgets does not double
 FREE = Problem(_free, bordered, _free, (Test("PD", _free_flip),), one_kernel)
 
 
 @singledispatch
 def problem(along):
     """The `Problem` of what is followed: of the orbits of an `OrbitEquations`."""
-    return IMPACTS if len(along.cycle.sides) else FREE
+    if not len(along.cycle.sides):
+        return FREE
+    return IMPACTS if along.cycle.releases is None else RESTING

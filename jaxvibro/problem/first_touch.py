@@ -8,7 +8,7 @@ from continuation.locate import Located
 from continuation.points import between, pointed
 from continuation.rows import at, put, upto
 
-from . import soft_grazing
+from . import resting, soft_grazing
 from .diagnostics import diagnose
 from .missed_touches import with_dips
 from .touches import TOUCH, admissible, stilled, touched
@@ -70,6 +70,7 @@ def _first_touch(task, good, there, seen, low, high, length):
     if not found or not (there.z[rows + hit] <= 0).any():
         for row, wall in zip(*np.nonzero(seen.clear < 0), strict=True):
             found.append(touched(along, there.z, row, wall, float(seen.late[row, wall])))
+        found += _unrested(along, middle, seen)
     best = None
     for one in found:
         if one.z is None:
@@ -84,6 +85,12 @@ def _first_touch(task, good, there, seen, low, high, length):
     view, slack = diagnose(along, z[None]), -TOUCH * length
     earlier = view.clear.min(initial=0.0) < slack or z[rows : 2 * rows].min(initial=0.0) < slack
     return None if earlier else (z, best[1].residual)
+
+
+def _unrested(along, z, seen):
+    """The points near z where rests that are none any more just are: `Located`s."""
+    ends = (resting.excess, seen.rest), (resting.held, seen.hold)
+    return [resting.located(along, z, int(row), one) for one, values in ends for row in np.flatnonzero(values <= 0)]
 
 
 def _stopped(task, z, row, length):

@@ -15,8 +15,9 @@ from continuation import event_search, locate
 from continuation.arclength import Control, Point
 from continuation.points import start_point
 
+from ..scene.codes import Contact
 from .diagnostics import Diagnostics, diagnose
-from .equations import OrbitEquations, problem
+from .equations import OrbitEquations, codes, problem
 from .same_orbit import turns
 from .touches import admissible, bearing, scales, span, stays, touches, wall_sides
 
@@ -113,8 +114,9 @@ def listed(along, z, met, included):
     rows, wanted = len(along.cycle.sides), dict(zip(met, included, strict=True))
     own = {touch.row: touch for touch in met if touch.own}
     found = []
-    for row in np.flatnonzero(along.cycle.sides != 0):
-        touch, side = own.get(int(row)), int(along.cycle.sides[row])
+    sides = codes(along.cycle)
+    for row in np.flatnonzero(sides):
+        touch, side = own.get(int(row)), int(sides[row])
         one = Hit(z[row], 0.0 if touch else z[rows + row], side, wanted[touch] if touch else True)
         found.append(((int(row), 0.0), one))
     for touch in met:
@@ -142,13 +144,16 @@ def left_out(along, z, every, kept):
 
 
 def padded(along, impacts):
-    """A cycle with these impacts, (time, speed, side) each, in rows of a power of two; none without impacts."""
+    """A cycle with these impacts, (time, speed, side) each, in rows of a power of two; none without impacts. A side is
+    +-2 where it is no impact but a release."""
     rows = 0 if not impacts else max(2, 1 << (len(impacts) - 1).bit_length())
     columns = np.zeros((3, rows))
     for k, one in enumerate(impacts):
         columns[:, k] = one
     times, speeds, sides = columns
-    return along.cycle._replace(times=times, speeds=speeds, sides=sides)
+    released = np.where(abs(sides) == Contact.STUCK, 1.0, 0.0)
+    marks = released if released.any() else None
+    return along.cycle._replace(times=times, speeds=speeds, sides=np.sign(sides), releases=marks)
 
 
 def _begun(along, z):

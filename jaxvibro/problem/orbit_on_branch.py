@@ -13,8 +13,11 @@ from ..orbits.by_impacts import by_section
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import described, multipliers
 from ..orbits.orbit_comparison import is_same_orbit, meetings, mirrored
-from ..scene.codes import Status
+from ..flight.wall_positions import places
+from ..maps.rests import NO_RESTS
+from ..scene.codes import Contact, Status
 from ..scene.parameters import marked
+from ..scene.scene import SIDES
 from ..scene.state import Impacts, State
 from .diagnostics import diagnose
 from .equations import OrbitEquations, problem
@@ -24,8 +27,9 @@ SAME = 1e-6  # of the largest speed: two impacts as near are one
 
 
 class OrbitPoint(NamedTuple):
-    """An orbit in plain numbers. value: of the branch's parameter; times, since phase 0, speeds, sides: of the impacts;
-    periods; x, v: at phase 0; residual: the largest error left in its equations."""
+    """An orbit in plain numbers. value: of the branch's parameter; times, since phase 0, speeds, sides: of the impacts,
+    and of releases at the end of a rest, whose side is +-2; periods; x, v: at phase 0; residual: the largest error left
+    in its equations."""
 
     value: float
     times: Float[np.ndarray, " impacts"]
@@ -38,8 +42,21 @@ class OrbitPoint(NamedTuple):
 
 
 def itinerary(spot, frequency):
-    """The walls that a `OrbitPoint`'s orbit hits, a word a period."""
-    return words.around(spot.times, spot.sides, spot.periods, 2.0 * np.pi / frequency)
+    """The walls that a `OrbitPoint`'s orbit hits, a word a period, but for the last hops before a rest."""
+    hit = abs(spot.sides) == 1
+    return words.around(spot.times[hit], spot.sides[hit], spot.periods, 2.0 * np.pi / frequency)
+
+
+def rests_of(scene, spot):
+    """The `Rests` of a `OrbitPoint`'s orbit, without what is between them."""
+    ends = spot.sides[abs(spot.sides) == Contact.STUCK]
+    letters = {words.LETTERS[int(np.sign(side))] for side in ends if float(scene.bounce(SIDES[int(side > 0)])) > 0}
+    return NO_RESTS._replace(rests=bool(len(ends)), count=len(ends), endless="".join(sorted(letters)))
+
+
+def label_of(scene, spot, walls):
+    """P n p q of a `OrbitPoint`'s orbit with this itinerary, inf on a wall where it rests after endless hops."""
+    return words.label(walls, rests_of(scene, spot).endless)
 
 
 def impacts(spot, frequency, length=None):
@@ -70,6 +87,8 @@ def _turns_back(scene, spot):
 
 def described_orbit(scene, spot):
     """The `Orbit` of a `OrbitPoint` of a scene."""
+    if (abs(spot.sides) == Contact.STUCK).any():
+        return _resting_orbit(scene, spot)
     if len(spot.times):
         return by_section(scene, spot.times, spot.speeds, spot.sides, spot.periods, spot.residual)
     blank = np.zeros(0)
@@ -82,6 +101,28 @@ def described_orbit(scene, spot):
     roots = multipliers(float(look.trace[0]), float(look.determinant[0]))
     walls = ("",) * spot.periods
     return described(scene, State(spot.x, spot.v), impacts, walls, roots, spot.residual, "state")
+
+
+def _resting_orbit(scene, spot):
+    along, z = place_orbit(scene, "amplitude", spot._replace(value=float(scene.amplitude)))
+    look = diagnose(along, z[None])
+    hit, length = abs(spot.sides) == 1, 2.0 * np.pi / float(scene.frequency)
+    late = np.mod(spot.times[hit], spot.periods * length)
+    order = np.argsort(late)
+    rows = late[order], spot.sides[hit][order].astype(np.int8), spot.speeds[hit][order]
+    points = np.stack([look.x[0], look.v[0]], 1)
+    walls = words.split(rows[0], rows[1], spot.periods, length)
+    turn = words.first(walls, points)
+    late = np.mod(rows[0] - turn * length, spot.periods * length)
+    order = np.argsort(late)
+    clear = float(look.clear.min(initial=np.inf))
+    times, sides, speeds = late[order], rows[1][order], rows[2][order]
+    impacts = Impacts(times, sides, speeds, len(times), float(speeds.min()), clear, Status.OK)
+    x, v = points[turn].tolist()
+    held = [sign for sign, (place, pace) in zip((-1.0, 1.0), places(scene, 0.0), strict=True) if (x, v) == (place, pace)]
+    state = State(x, v, 0.0, held[0] * Contact.STUCK if held else 0.0)
+    none = np.zeros(2, complex)
+    return described(scene, state, impacts, words.turned(walls, turn), none, spot.residual, "state", rests_of(scene, spot))
 
 
 def _numbers(*values):

@@ -6,11 +6,10 @@ from typing import Generic, TypeVar
 
 import xarray as xr
 
-from ..maps import itinerary as words
 from ..orbits.orbit import Orbit
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
-from .orbit_on_branch import OrbitPoint, described_orbit
+from .orbit_on_branch import OrbitPoint, described_orbit, label_of
 
 Found = TypeVar("Found", bound="SpecialOrbit")  # the class of a curve's special points
 
@@ -26,7 +25,7 @@ class SpecialOrbit:
     @property
     def label(self) -> str:
         """P n p q of the orbit."""
-        return words.label(self.itinerary)
+        return label_of(self.scene, self.spot, self.itinerary)
 
     @cached_property
     def orbit(self) -> Orbit:

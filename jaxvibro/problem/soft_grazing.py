@@ -17,7 +17,7 @@ from continuation import event_search
 from continuation.locate import Located
 
 from . import grazing, touches
-from .equations import problem
+from .equations import codes, problem
 from .grazing import FLAT, LOOSE, with_impacts, with_touches
 from .touches import scales, touched, wall_sides
 
@@ -57,7 +57,7 @@ def located(along, z, rows, length):
     """The grazing near z at which contacts with soft walls, in these rows, lose their speed: a `locate.Located`."""
     size, sides = len(along.cycle.sides), along.cycle.sides
     keep = [k for k in np.flatnonzero(sides != 0) if k not in rows]
-    hits = [grazing.Hit(z[k], z[size + k], sides[k], True) for k in keep]
+    hits = [grazing.Hit(z[k], z[size + k], codes(along.cycle)[k], True) for k in keep]
     new, start = with_impacts(along, z, hits, keep)
     places = [_place(along, z, row, keep) for row in rows]
     found = touched(new, start, *places[0])

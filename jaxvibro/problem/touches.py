@@ -98,7 +98,7 @@ def touches(along, z, length):
     sides, look = along.cycle.sides, diagnose(along, z[None])
     rows = len(sides)
     hit = np.flatnonzero(sides != 0)
-    still = [int(k) for k in hit if abs(z[rows + k]) < TOUCH * length]
+    still = [int(k) for k in along.hits if abs(z[rows + k]) < TOUCH * length]
     found = [Touch(k, int(sides[k]), 0.0, True) for k in still]
     walls = wall_sides(along.scene)
     spans, held = flight_times(along, z), stays(along, z)
@@ -162,7 +162,9 @@ def wall_sides(scene):
 
 
 def admissible(along, zs, look):
-    """Which points keep to their walls and hit them with positive speed: (points,)."""
+    """Which points keep to their walls and hit them with positive speed, and rest where they are to: (points,)."""
     zs = np.atleast_2d(zs)
     fast = (zs[:, len(along.cycle.sides) + along.hits] > 0).all(axis=1)
-    return fast & (look.clear >= -along.slack).all(axis=(1, 2)) & np.isfinite(zs).all(axis=1)
+    rests = np.concatenate([look.rest, look.hold, look.plain], axis=1)
+    clear = (look.clear >= -along.slack).all(axis=(1, 2)) & (rests > -along.slack).all(axis=1)
+    return fast & clear & np.isfinite(zs).all(axis=1)

@@ -1,0 +1,61 @@
+"""Where orbits that rest end: a chatter that just does not complete (CH), a wall that lets go in the midst of a rest.
+
+At a CH the speed of the last hop's row is the critical one (`orbits.chatter`): an equation beside those of the orbit,
+smooth through the point, whose orbits on the other side leave the wall after some last hops. The press on the wall that
+is least within a rest is another: where it comes to zero the mass is let go there.
+"""
+
+from functools import partial
+
+import numpy as np
+
+from continuation import locate
+from continuation.persistent_jit import SOON, persistent_jit
+
+from ..compiled.compiler_hints import one_kernel
+from ..flight.coefficients import framed
+from ..orbits import impact_equations, releases
+from ..orbits.flight_clearance import TOUCH
+from .diagnostics import diagnose
+from .equations import cycle_at, problem, there
+
+
+def _exceeds(z, along):
+    built, given = framed(there(along, z)), cycle_at(along, z)
+    return releases.excess(built, given, impact_equations.flights(built, given))
+
+
+@persistent_jit(compiler_options=SOON, numpy_first=_exceeds)
+def _excess(z, along):
+    return one_kernel(_exceeds, z, along)
+
+
+def excess(along, row, z):
+    """By how much the speed in a row that a release follows is too large for a rest; see `releases.excess`."""
+    return np.asarray(_excess(z, along))[row]
+
+
+def held(along, row, z):
+    """The least press between two falls of it, in a row that a release follows."""
+    return np.asarray(diagnose(along, z[None]).hold)[0, row]
+
+
+def located(along, z, row, measure):
+    """The point near z where a measure of a row, `excess` or `held`, is zero: `locate.Located`."""
+    towards = partial(measure, along, row)
+
+    def system(z):
+        value, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), z, along))
+        return np.append(value, towards(z)), np.vstack([slopes, locate.differences(towards, z)])
+
+    return locate.newton(system, z)
+
+
+def kind_at(along, z, length):
+    """"CH" or "RL" where a rest of the orbit just is one, or its wall just holds; "" elsewhere."""
+    if along.cycle.releases is None:
+        return ""
+    slack = TOUCH * length
+    if (abs(np.asarray(_excess(z, along))) < slack).any():
+        return "CH"
+    return "RL" if (abs(diagnose(along, z[None]).hold) < slack).any() else ""
