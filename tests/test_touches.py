@@ -10,6 +10,8 @@ from jaxvibro.loci import bistability
 from jaxvibro.problem import first_touch, grazing, missed_touches
 from jaxvibro.problem.touches import admissible
 
+NO_RESTS = dict.fromkeys(("rest", "hold", "plain"), np.zeros((1, 0)))
+
 
 @pytest.mark.parametrize(
     ("speeds", "clear", "good"),
@@ -24,7 +26,7 @@ from jaxvibro.problem.touches import admissible
 )
 def test_orbits_keep_to_their_walls_and_hit_them_with_a_speed(speeds, clear, good):
     along = SimpleNamespace(cycle=SimpleNamespace(sides=np.array([1.0, -1.0])), hits=np.array([0, 1]), slack=0.0)
-    zs, look = np.array([[0.1, 0.2, *speeds, 2.0]]), SimpleNamespace(clear=np.reshape(clear, (1, 2, 1)))
+    zs, look = np.array([[0.1, 0.2, *speeds, 2.0]]), SimpleNamespace(clear=np.reshape(clear, (1, 2, 1)), **NO_RESTS)
     assert admissible(along, zs, look).tolist() == [good]
 
 

@@ -10,14 +10,19 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..flight.wall_positions import fit
+from ..orbits.find import find_orbit
+from ..orbits.orbit import OrbitError
 from ..orbits.orbit_comparison import is_same_orbit
 from ..problem import same_orbit
+from ..problem.diagnostics import diagnose
 from ..problem.equations import number_there
 from ..problem.orbit_on_branch import impacts, place_orbit
-from ..problem.orbit_start import bring_to
+from ..problem.orbit_start import bring_to, point_of
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scene import Scene
+from ..scene.state import State
 from ..scene.symmetry import stays_symmetric
 from .branch import row_of, spot_of
 from .branch_tree import Tree
@@ -30,6 +35,7 @@ MOST = 400  # branches, where no budget is given
 NEAR = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
 SAME = 1e-12  # of a soft wall's numbers: as near is rounding
 ON = 1e-5  # of the largest speed: an orbit with impacts as near is on the branch
+ENDLESS = 1e-4  # of the largest x and v: the same of one that rests, as a start has settled on it
 DONE = "all that was found has been followed"
 SPENT = "the budget of {} branches is spent"
 
@@ -116,13 +122,26 @@ def explore_on(task, some, progress=None, found=(), done=()):
 
 def _begin(tree, probe, scene, name, bounds, steps):
     """Follows the orbit that a probe settled on, and all that leaves it."""
-    found = _settled_at(probe, *place_orbit(scene, name, probe.spot))
+    if probe.endless:
+        probe = _with_hops(probe, scene, name)
+    found = probe and _settled_at(probe, *place_orbit(scene, name, probe.spot))
     if found is None:  # it had not settled
         return
     branch = through(scene.replace(**{name: probe.spot.value}), name, bounds, found, "both", steps)
     if not tree.has(branch):
         tree.add(branch)
         tree.grow()
+
+
+def _with_hops(probe, scene, name):
+    """An endless probe with the impacts and releases of its orbit, None where it is none, or never leaves its wall."""
+    spot = probe.spot
+    there, contact = scene.replace(**{name: spot.value}), State(spot.x, spot.v)
+    try:
+        orbit = find_orbit(there, fit(there, contact), periods=spot.periods, settle=0)
+        return probe._replace(spot=point_of(orbit, spot.value)) if orbit.periods == spot.periods else None
+    except OrbitError:
+        return None
 
 
 def _inside(scene, name, bounds):
@@ -188,6 +207,10 @@ def _settled_at(probe, along, z):
 
 
 def _is_orbit(probe, along, z):
+    if probe.endless:
+        look, size = diagnose(along, z[None]), abs(probe.points).max()
+        turned = np.roll(probe.points, 1, axis=0)  # the last is at phase 0 too
+        return abs(np.stack([look.x[0], look.v[0]], 1) - turned).max() < ENDLESS * max(1.0, size)
     if not len(along.cycle.sides):
         return not len(probe.spot.times) and abs(z[:2] - probe.points[0]).max() < ON * max(1.0, abs(probe.points).max())
     pace = probe.spot.speeds.max(initial=0.0)

@@ -63,8 +63,8 @@ def follow(
     each period, multiplier_real and multiplier_imag, stable, least_speed, least_clearance, residual, segment.
 
     Raises ArgumentError for arguments that cannot be, OrbitError where the start is no orbit, never leaves its wall
-    or is singular, ArithmeticError where a special point was found that the scene cannot have (`impossible`). What ends a
-    branch is told by its `reason`.
+    or is singular, ArithmeticError where a special point was found that the scene cannot have (`impossible`). What ends
+    a branch is told by its `reason`.
     """
     given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
     bounds, start = _begun("orbit", orbit, name, bounds)

@@ -19,10 +19,12 @@ SETTLED = 1e-7  # of the largest x and v: a return as near as this
 
 
 class Probe(NamedTuple):
-    """What a start settled on. spot: the orbit, about; points: x and v at the end of each period, (periods, 2)."""
+    """What a start settled on. spot: the orbit, about; points: x and v at the end of each period, (periods, 2);
+    endless: whether it rests, or hops too often to be recorded: its spot has no impacts."""
 
     spot: OrbitPoint
     points: Float[np.ndarray, "periods 2"]
+    endless: bool
 
 
 def probes(scenes, name, bounds, max_period, seed):
@@ -61,21 +63,24 @@ def _lanes(scenes):
 def _listed(scene, name, values, found, max_period):
     length = 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
     listed = []
-    for lane, periods, impacts in settled_orbits(found, length, max_period):
+    for lane, periods, impacts in settled_orbits(found, length, max_period, True):
         points = found.points[-periods:, lane]
-        spot = OrbitPoint(float(values[lane]), *impacts, periods, *points[-1].tolist(), 0.0)
-        listed.append(Probe(spot, points))
+        spot = OrbitPoint(float(values[lane]), *(impacts or [np.zeros(0)] * 3), periods, *points[-1].tolist(), 0.0)
+        listed.append(Probe(spot, points, impacts is None))
     return sorted(listed, key=lambda one: (one.spot.periods, one.spot.value))
 
 
-def settled_orbits(found, length, max_period):
+def settled_orbits(found, length, max_period, endless=False):
     """(lane, periods, (times, speeds, sides) of the impacts) of each lane of a `Trail` that comes back within so many
-    periods, of which none rests on a wall. length: of a period of each lane."""
+    periods. length: of a period of each lane; endless: None in place of the impacts of those that rest, or hop too
+    often to be recorded, which else are left out."""
     points = found.points
     apart, size = returns(points)[:max_period], SETTLED * abs(points).max(axis=(0, 2))
-    for lane in np.flatnonzero((apart < size).any(axis=0) & (found.status == Status.OK)):
+    for lane in np.flatnonzero((apart < size).any(axis=0) & (found.status < Status.CAP)):
         periods = int(np.argmax(apart[:, lane] < size[lane])) + 1
-        if (abs(found.contact[-periods:, lane]) == Contact.STUCK).any():
+        if found.status[lane] == Status.FULL or (abs(found.contact[-periods:, lane]) == Contact.STUCK).any():
+            if endless:
+                yield int(lane), periods, None
             continue
         hit = found.side[-periods:, lane] != 0
         late = found.time[-periods:, lane] + length[lane] * np.arange(periods)[:, None]

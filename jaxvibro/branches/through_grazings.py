@@ -11,7 +11,7 @@ from ..problem.end import End, Reason
 from ..problem.same_orbit import impacts, is_repeated
 from ..problem.touches import scales
 from .segment import GrazingPoint, follow_itinerary
-from .through_rests import completed, is_chatter
+from .through_rests import completed, cut_anew, is_chatter
 
 MOST = 200  # pieces of a branch
 SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
@@ -43,6 +43,8 @@ def go_on(along, start, asked):
                 sign = np.sign(one.points.tangent[-1, -1])
                 one, way, rest = _into_rest(one, completed(along, one.points.z[-1], sign, asked.length))
             met.append(here)
+        if one.end is End.STEP:
+            way = cut_anew(along, one.points.z[-1], np.sign(one.points.tangent[-1, -1]), asked.length)
         if len(pieces) == MOST - 1 and way is not None:
             one, way = one._replace(end=End.POINTS), None
         pieces.append(one)
@@ -77,8 +79,8 @@ def _onwards(one, scale):
 
 
 def _into_rest(one, found):
-    """(the piece, the `GrazingExit` by which the branch goes on, the marks at its start) where it comes near a CH, found
-    being what `completed` gives."""
+    """(the piece, the `GrazingExit` by which the branch goes on, the marks at its start) where it comes near a CH;
+    found: what `completed` gives."""
     if found is None:
         return one._replace(end=End.CHATTER), None, ()
     way, residual = found

@@ -24,35 +24,49 @@ from ..scene.state import State
 ASIDE = 1e-7, 1e-6, 1e-5, 1e-4, 1e-3  # of 1 + abs of the parameter: so far from the point another orbit is looked for
 NEAR = 0.05  # of the largest x and v at the section: as near is the orbit that goes on
 SETTLE = 60  # drive periods
-SLOW = 1e-4  # of the scene's length per t: below, the flights between impacts are lost in rounding
+SHORT = 0.05  # `releases.Tails.plain`: less, and the first of the last hops is about to be too long for a series
+SLOW = 1e-6  # of the scene's length per t: below, the flights between impacts are lost in rounding
 
 
 def is_chatter(along, z, length):
     """Whether at a grazing another impact is so slow that many more will be, before the mass comes to rest."""
     speeds = z[len(along.cycle.sides) :][along.hits]
-    return along.cycle.releases is None and bool(((speeds > 0) & (speeds < SLOW * length)).any())
+    return bool(((speeds > 0) & (speeds < SLOW * length)).any())
 
 
 def exits(along, z, sign, length):
-    """The `GrazingExit`s of a CH or RL, in a list: the orbits on the other side, towards greater values of the parameter
-    where sign is 1."""
+    """The `GrazingExit`s of a CH or RL, in a list: the orbits on the other side, towards greater values of the
+    parameter where sign is 1."""
     for aside in ASIDE:
         found = _settled(along, z, z[-1] + sign * aside * (1.0 + abs(z[-1])))
         if found is not None and not is_chatter(*found, length):
-            new, near = found
-            ahead = tangent(problem(new), near, scales(new, length), new)
-            return [_way(new, near, sign * np.sign(ahead[-1]) * ahead, near)]
+            return [_towards(*found, sign, length)]
     return []
 
 
+def cut_anew(along, z, sign, length):
+    """The `GrazingExit` of the same orbit with other hops as rows, None where its own are as good; sign: as of
+    `exits`."""
+    if along.cycle.releases is None or diagnose(along, z[None]).plain.min() > SHORT:
+        return None
+    found = _settled(along, z, z[-1])
+    return None if found is None else _towards(*found, sign, length)
+
+
+def _towards(along, z, sign, length):
+    """The `GrazingExit` from a point that is none itself, towards greater values where sign is 1."""
+    ahead = tangent(problem(along), z, scales(along, length), along)
+    return _way(along, z, sign * np.sign(ahead[-1]) * ahead, z)
+
+
 def completed(along, z, sign, length):
-    """(the `GrazingExit` from the CH near a grazing on, the largest error left at the CH) where the orbits that rest are
-    on one of its sides; None where none are found. sign: of the way that the branch came by."""
+    """(the `GrazingExit` from the CH near a grazing on, the largest error left at the CH) where the orbits that rest
+    are on one of its sides; None where none are found. sign: of the way that the branch came by."""
     for aside in ASIDE:
         for way in (sign, -sign):
             value = z[-1] + way * aside * (1.0 + abs(z[-1]))
             found = _settled(along, z, value)
-            if found is None or found[0].cycle.releases is None:
+            if found is None or _rests(found[0]) <= _rests(along):
                 continue
             new, near = found
             point = _nearest(new, near, z[-1], value)
@@ -61,6 +75,11 @@ def completed(along, z, sign, length):
                 towards = np.sign(near[-1] - point.z[-1]) * np.sign(ahead[-1])
                 return _way(new, point.z, towards * ahead, near), point.residual
     return None
+
+
+def _rests(along):
+    """How many there are."""
+    return 0.0 if along.cycle.releases is None else np.sum(along.cycle.releases)
 
 
 def _nearest(along, z, value, own):

@@ -11,7 +11,7 @@ Speeds up to a critical one come to rest. Near the release, where P = -c tau, ho
 with q in (1/3, 1) the root of (1 + q)(3 q - 1)^2 = 8 R q the time left by lam = (3 q - 1) / 2 a hop, the speed by
 lam^2, w = 3 (1 - q^2) / 8 c tau^2, and what a speed is too much grows by mu = (1 + q)^2 / (2 q^2 (3 q - 1))
 (Nordmark and Piiroinen, Phil. Trans. R. Soc. A 367, 2009). So the critical speed is a smooth function of tau and of the
-scene, the stable manifold of that shrinking, and is found by halving: which speeds end in rest is decided by hops alone,
+scene, the stable manifold of that shrinking, and is found by halving: which speeds end in rest is decided by hops,
 whose heights are counted from the wall and so keep their digits however low they are.
 """
 
@@ -30,8 +30,9 @@ from ..flight.flows import flow_of
 from ..flight.soft_contact import bounce
 from .meeting_wall import pressed, way
 
-ORDER = 16  # of a hop's polynomial
-LONGEST = 0.8  # of `Frame.reach`: a hop that is longer is none of a series'
+ORDER = 12  # of a hop's polynomial
+LONGEST = 0.4  # of `Frame.reach`: a hop that is longer is none of a series'
+LATE = 0.3  # of the same: so long before the release speeds are compared with the critical one
 ROUNDS = 6  # of Newton's steps from a cubic's root to the landing
 SMALL = 1e-4  # of what is left, or of the reach: so short are all further hops where the series is ended
 MOST = 100_000  # hops
@@ -70,12 +71,13 @@ def hop(frame, side, phasor, speed):
     terms = (speed, *(rate / math.factorial(k) for k, rate in enumerate(rates, 2)))  # of y / s
     inside = terms[1] * terms[1] - 4.0 * terms[2] * speed
     lands = (inside > 0) & (terms[1] < 0)
-    time = jnp.where(lands, 2.0 * speed / (jnp.sqrt(jnp.where(lands, inside, 1.0)) - jnp.where(lands, terms[1], -1.0)), 0.0)
+    root = jnp.sqrt(jnp.where(lands, inside, 1.0)) - jnp.where(lands, terms[1], -1.0)
+    time = jnp.where(lands, 2.0 * speed / root, 0.0)
     for _ in range(ROUNDS):
         height, slope = _horner(terms, time)
         time = time - jnp.where(lands, height / jnp.where(slope == 0, 1.0, slope), 0.0)
     _, slope = _horner(terms, time)
-    good = lands & (time >= 0) & (slope <= 0)
+    good = lands & (time >= 0) & (slope <= 0) & (time <= frame.reach)
     landing = jnp.where(good, -time * slope, jnp.inf)  # y' = (y / s) + s (y / s)', and y is 0
     return Hop(jnp.where(speed == 0, 0.0, time), jnp.where(speed == 0, 0.0, landing), push, change, rates[1], terms)
 
@@ -134,6 +136,23 @@ def _series(frame, again, speed, found):
     part = speed * (found.change + drag) / (push * push * (1.0 - again))
     span = 2.0 * speed / ((1.0 - again) * push)
     return span * (1.0 - 2.0 / 3.0 * part), (abs(part) <= SMALL) & (span <= SMALL * frame.reach)
+
+
+def late(frame, side, release, tau, speed):
+    """(tau, speed) of the first landing, or of the start, from which on the release is near."""
+    again = bounce(frame, side)
+
+    def going(carry):
+        tau, speed, _ = carry
+        return (tau < -LATE * frame.reach) & jnp.isfinite(speed) & (speed > 0)
+
+    def one(carry):
+        tau, speed, count = carry
+        found = hop(frame, side, flow.rotated(*release, frame.frequency * tau), speed)
+        return tau + found.time, again * found.landing, count + 1.0
+
+    none = 0.0 * (tau + speed)
+    return lax.while_loop(going, one, (tau + none, speed + none, none))[:2]
 
 
 def critical(frame, side, release, tau):

@@ -119,8 +119,8 @@ class Slopes(NamedTuple):
 def equations(frame, cycle, found=None):
     """(F, its `Slopes`) of the unknowns u = (times, speeds): how far each flight ends from its wall, from its speed.
 
-    Before a release no flight ends: a rest forgets how it was come by, and the press on the wall and the speed are to be
-    zero. found: the cycle's `Flights` where they are known.
+    Before a release no flight ends: a rest forgets how it was come by, and the press on the wall and the speed are to
+    be zero. found: the cycle's `Flights` where they are known.
     """
     found, sides = flights(frame, cycle) if found is None else found, cycle.sides
     hit = sides != 0

@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Float
 
 from continuation.arrays import Array
-from continuation.persistent_jit import persistent_jit
+from continuation.persistent_jit import SOON, persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
@@ -75,9 +75,7 @@ def tails(frame, cycle, found, times):
     since = since - span * jnp.floor(since / span)
     look = jax.vmap(partial(_looked, frame))(every, since)
     blank = Tails(*(jnp.full_like(each, jnp.inf) for each in look[:3]), *(jnp.zeros_like(each) for each in look[3:]))
-    return jax.tree.map(
-        lambda new, old: jnp.where(ends.reshape(-1, *(1,) * (new.ndim - 1)), new, old), look, blank
-    )
+    return jax.tree.map(lambda new, old: jnp.where(ends.reshape(-1, *(1,) * (new.ndim - 1)), new, old), look, blank)
 
 
 def _looked(frame, tail, since):
@@ -120,11 +118,16 @@ def _held(frame, tail):
 
 
 def excess(frame, cycle, found):
-    """Of each row by how much the speed is too large for the hops to end in rest, (rows,); where R is 0 how long after
-    the release the impact is. Zero where they just do."""
+    """Of each row by how much the speed is too large for the hops to end in rest, after those that are far from the
+    release; where R is 0 how long after it the impact is. (rows,): zero where they just do, -inf of other rows."""
     every, ends = tails_of(frame, cycle, found)
-    critical = jax.vmap(lambda tail: chatter.critical(frame, tail.side, (tail.cosine, tail.sine), tail.tau))(every)
-    some = jnp.where(found.met.bounce > 0, every.speed - critical, every.tau)
+
+    def one(tail):
+        release = tail.cosine, tail.sine
+        tau, speed = chatter.late(frame, tail.side, release, tail.tau, tail.speed)
+        return speed - chatter.critical(frame, tail.side, release, tau)
+
+    some = jnp.where(found.met.bounce > 0, jax.vmap(one)(every), every.tau)
     return jnp.where(ends, some, -jnp.inf)
 
 
@@ -150,7 +153,7 @@ def _examine(scene, side, phase, tau, speed):
     return look.rest, look.hold, look.plain, times, speeds
 
 
-@persistent_jit(numpy_first=True)
+@persistent_jit(compiler_options=SOON)
 def _examined(scene, side, phase, tau, speed):
     """(rest, hold, plain; times before the release and speeds of the impacts that follow) of an impact at tau with a
     speed; phase: the drive's at the release."""
@@ -166,7 +169,10 @@ def rows_of(scene, phase, times, speeds, sides, spans, periods):
     length, rate = periods * 2.0 * np.pi / float(scene.frequency), float(scene.frequency)
     order = np.argsort(times)
     every = [(times[k], speeds[k], int(sides[k])) for k in order]
-    begun = [int(np.argmin([abs(time - begin) + length * (own != side) for time, _, own in every])) for side, begin, _ in spans]
+    begun = [
+        int(np.argmin([abs(time - begin) + length * (own != side) for time, _, own in every]))
+        for side, begin, _ in spans
+    ]
     rows, gone = [], set()
     for (side, _, end), last in zip(spans, begun, strict=True):
         chain = []  # the impacts on this wall alone, back from the last

@@ -9,7 +9,7 @@ from jax import lax
 from jaxtyping import Float
 
 from continuation.arrays import Array
-from continuation.persistent_jit import persistent_jit
+from continuation.persistent_jit import SOON, persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
 from ..flight import response
@@ -61,7 +61,8 @@ def each_of(one, along, zs, periods):
     for first in range(0, len(zs), LANES):
         some = zs[first : first + LANES]
         padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
-        found = _seen(one, along, padded, np.int32(len(some)), periods)
+        seen = _seen_resting if one is resting else _seen
+        found = jax.device_get(seen(one, along, padded, np.int32(len(some)), periods))
         parts.append([each[: len(some)] for each in found])
     return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
 
@@ -73,6 +74,12 @@ def _in_turn(one, along, zs, count, periods):
 @persistent_jit(static_argnums=(0, 4), numpy_first=_in_turn)
 def _seen(one, along, zs, count, periods):
     """Point by point in one kernel: as fast here as many lanes at once, and compiled in half the time."""
+    return one_kernel(_each, along, zs, count, one=one, periods=periods)
+
+
+@persistent_jit(static_argnums=(0, 4), compiler_options=SOON)
+def _seen_resting(one, along, zs, count, periods):
+    """The same compiled at once: a chatter has too many hops for Python."""
     return one_kernel(_each, along, zs, count, one=one, periods=periods)
 
 
@@ -97,8 +104,8 @@ def hitting(along, z, periods):
 
 
 def resting(along, z, periods):
-    """The `Diagnostics` at one point of orbits that rest: their multipliers are zero. Where a mass is let go its wall is
-    no wall that it comes to."""
+    """The `Diagnostics` at one point of orbits that rest: their multipliers are zero. Where a mass is let go its wall
+    is none that it comes to."""
     built, given = framed(there(along, z)), cycle_at(along, z)
     found = impact_equations.flights(built, given)
     times = built.period * jnp.arange(periods)

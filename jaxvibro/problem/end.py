@@ -23,7 +23,7 @@ class End(Enum):
         "at {value:.12g} another impact is as good as without speed: towards complete chatter there is no end of"
         " grazings"
     )
-    UNSETTLED = "at {value:.12g} the mass just comes to rest, or is let go: no orbit with as many periods was found beyond"
+    UNSETTLED = "at {value:.12g} the mass just comes to rest, or is let go: no orbit of as many periods goes on beyond"
     START = "the start"
     LEFT = "it left {kind} at {value:.12g}"
 

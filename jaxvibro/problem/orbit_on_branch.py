@@ -8,13 +8,13 @@ from jaxtyping import Float
 
 from continuation import locate
 
+from ..flight.wall_positions import places
 from ..maps import itinerary as words
+from ..maps.rests import NO_RESTS
 from ..orbits.by_impacts import by_section
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import described, multipliers
 from ..orbits.orbit_comparison import is_same_orbit, meetings, mirrored
-from ..flight.wall_positions import places
-from ..maps.rests import NO_RESTS
 from ..scene.codes import Contact, Status
 from ..scene.parameters import marked
 from ..scene.scene import SIDES
@@ -104,25 +104,24 @@ def described_orbit(scene, spot):
 
 
 def _resting_orbit(scene, spot):
+    """The `Orbit` of a `OrbitPoint` that rests, without its last hops."""
     along, z = place_orbit(scene, "amplitude", spot._replace(value=float(scene.amplitude)))
-    look = diagnose(along, z[None])
-    hit, length = abs(spot.sides) == 1, 2.0 * np.pi / float(scene.frequency)
-    late = np.mod(spot.times[hit], spot.periods * length)
+    look, length = diagnose(along, z[None]), 2.0 * np.pi / float(scene.frequency)
+    hit, whole, points = abs(spot.sides) == 1, spot.periods * length, np.stack([look.x[0], look.v[0]], 1)
+    late = np.mod(spot.times[hit], whole)
+    walls = words.split(np.sort(late), spot.sides[hit][np.argsort(late)], spot.periods, length)
+    turn = words.first(walls, points)
+    late = np.mod(late - turn * length, whole)
     order = np.argsort(late)
     rows = late[order], spot.sides[hit][order].astype(np.int8), spot.speeds[hit][order]
-    points = np.stack([look.x[0], look.v[0]], 1)
-    walls = words.split(rows[0], rows[1], spot.periods, length)
-    turn = words.first(walls, points)
-    late = np.mod(rows[0] - turn * length, spot.periods * length)
-    order = np.argsort(late)
     clear = float(look.clear.min(initial=np.inf))
-    times, sides, speeds = late[order], rows[1][order], rows[2][order]
-    impacts = Impacts(times, sides, speeds, len(times), float(speeds.min()), clear, Status.OK)
+    impacts = Impacts(*rows, len(late), float(rows[2].min()), clear, Status.OK)
     x, v = points[turn].tolist()
-    held = [sign for sign, (place, pace) in zip((-1.0, 1.0), places(scene, 0.0), strict=True) if (x, v) == (place, pace)]
+    ends = zip((-1.0, 1.0), places(scene, 0.0), strict=True)
+    held = [sign for sign, (place, pace) in ends if (x, v) == (float(place), float(pace))]
     state = State(x, v, 0.0, held[0] * Contact.STUCK if held else 0.0)
-    none = np.zeros(2, complex)
-    return described(scene, state, impacts, words.turned(walls, turn), none, spot.residual, "state", rests_of(scene, spot))
+    own = words.turned(walls, turn), np.zeros(2, complex), spot.residual, "state"
+    return described(scene, state, impacts, *own, rests_of(scene, spot))
 
 
 def _numbers(*values):

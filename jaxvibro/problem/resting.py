@@ -25,7 +25,7 @@ def _exceeds(z, along):
     return releases.excess(built, given, impact_equations.flights(built, given))
 
 
-@persistent_jit(compiler_options=SOON, numpy_first=_exceeds)
+@persistent_jit(compiler_options=SOON)
 def _excess(z, along):
     return one_kernel(_exceeds, z, along)
 
@@ -52,7 +52,7 @@ def located(along, z, row, measure):
 
 
 def kind_at(along, z, length):
-    """"CH" or "RL" where a rest of the orbit just is one, or its wall just holds; "" elsewhere."""
+    """ "CH" or "RL" where a rest of the orbit just is one, or its wall just holds; "" elsewhere."""
     if along.cycle.releases is None:
         return ""
     slack = TOUCH * length

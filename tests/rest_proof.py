@@ -1,0 +1,219 @@
+"""Motions that rest against 50 digits: `python -m tests.rest_proof chatter N`, `... orbits N`, `... complete N`.
+
+chatter: hops on a wall, still or moving: whether and when they end in rest, and the state of the simulator half way from
+the release to the next half period. orbits: what random scenes settle on and rests, each impact and release. complete:
+branches through the point at which a chatter just completes: its place, by halving.
+"""
+
+import sys
+
+import jax
+import numpy as np
+from mpmath import mpf, workdps
+
+import jaxvibro as jv
+from jaxvibro.maps.strobe import strobe
+from jaxvibro.orbits import releases
+from jaxvibro.problem.orbit_start import point_of
+from jaxvibro.scene.codes import Contact
+from tests.branch_proof import plain, scene_of
+from tests.reference import rests
+from tests.reference.special import exact, place, span, with_value
+
+DIGITS = 50
+LOOKS = 200  # at the press, a drive period
+
+
+def wall_scene(rng):
+    """(scene, side, its R) of one wall, still or moving."""
+    side, bounce = int(rng.choice((-1, 1))), 0.0 if rng.random() < 0.1 else rng.uniform(0.02, 0.95)
+    motion = jv.Motion(rng.uniform(0.05, 0.4), rng.uniform(0, 6.28), int(rng.choice((1, 2))))
+    wall = jv.Wall(rng.uniform(-1.0, 1.0), bounce, motion=motion if rng.random() < 0.5 else None)
+    damping = rng.uniform(0.0, 0.4) if rng.random() < 0.8 else rng.uniform(0.9, 1.6)
+    walls = (None, wall) if side > 0 else (wall, None)
+    return jv.make_scene(rng.uniform(0.5, 4.0), rng.uniform(0.3, 2.5), damping, 0.5, walls), side, bounce
+
+
+def pressed(given, side):
+    """(times in two drive periods, the press at them)."""
+    with workdps(20):
+        length = float(span(given, 1))
+        times = np.linspace(0.0, 2.0 * length, 2 * LOOKS + 1)
+        return times, np.array([float(rests.press_alone(given, side, mpf(time))) for time in times])
+
+
+def start(rng, given, side):
+    """(a time from which on a wall presses, the press there, about when it lets go), None where it never does."""
+    times, push = pressed(given, side)
+    ends = np.flatnonzero((push[LOOKS:-1] > 0) & (push[LOOKS + 1 :] <= 0)) + LOOKS
+    if not len(ends):
+        return None
+    last = int(rng.choice(ends))
+    first = last - int(np.argmax(push[last::-1] <= 0))
+    if last - first < 10 or push[first:last].min() > 0:
+        return None
+    begin = int(rng.integers(first + 3, last - 3))
+    return times[begin], push[begin], times[last]
+
+
+def chatter(count, seed=1):
+    """Prints the largest errors of so many chatters, and how many hops there were."""
+    rng = np.random.default_rng(seed)
+    done, apart, worst, hops, foreseen = 0, 0, np.zeros(2), [], []
+    while done < count:
+        scene, side, bounce = wall_scene(rng)
+        given = exact(plain(scene))
+        found = start(rng, given, side)
+        if found is None:
+            continue
+        phase = float(scene.frequency) * found[0]
+        with workdps(DIGITS):
+            now = mpf(phase) / given.omega  # the phase is the double
+            end = rests.release(given, side, mpf(found[2]))
+            tau = float(now - end)
+            reach = 0.3 * min(1.0, 1.0 / float(scene.frequency), -tau)
+            speed = rng.uniform(0.0, 1.0) ** 2 * reach * found[1]
+            before = speed / bounce if bounce else 1.0
+            leaving = given.right.restitution * mpf(before) if side > 0 else given.left.restitution * mpf(before)
+            hits, began = rests.until_rest(given, side, now, leaving, end)
+        numbers = (np.float64(each) for each in (side, float(given.omega * end), tau, before))
+        rest, _, plainly, *_ = (float(np.asarray(each).ravel()[0]) for each in releases._examined(scene, *numbers))
+        if plainly <= 0:
+            continue
+        done += 1
+        apart += (began is None) != (rest <= 0)
+        if began is None or rest <= 0:
+            continue
+        worst = np.maximum(worst, [abs(rest - float(end - began)), state_error(scene, given, side, now, before, end)])
+        hops.append(len(hits))
+        foreseen.append(np.log(max(speed, 1e-300) / 1e-13) / -np.log(bounce) if bounce else 0.0)
+    print(
+        f"{done} chatters, {apart} decided otherwise, {len(hops)} rest; error of when {worst[0]:.2g}, of the state "
+        f"after the release {worst[1]:.2g}; hops {np.mean(hops):.1f}, ln(v0 / v_c) / ln(1 / R) {np.mean(foreseen):.1f}"
+    )
+
+
+def state_error(scene, given, side, now, before, end):
+    """How far the simulator's state is from the reference's a little after the release, where it is in a period."""
+    with workdps(DIGITS):
+        late = now + span(given, 1)
+        if late < end + rests.SHORT or late > end + 1:
+            return 0.0
+        wall = place(given, side, now)
+        x, v = rests.state_after(given, side, end, mpf(0), late)
+        begin = jv.State(float(wall.x), float(wall.v + side * before), float(given.omega * now))
+    state = strobe(scene, begin)[0]
+    return max(abs(float(state.x) - float(x)), abs(float(state.v) - float(v)))
+
+
+def resting(rng):
+    """(scene, orbit) that a random scene settles on, and that rests."""
+    while True:
+        scene = scene_of(rng)
+        scene = scene.replace(frequency=rng.uniform(0.25, 1.0), restitution=rng.uniform(0.05, 0.85))
+        try:
+            orbit = jv.find_orbit(scene, jv.State(float(scene.right.position) - 0.1, 0.0))
+        except (jv.OrbitError, jv.ArgumentError):
+            continue
+        if orbit.rests and orbit.periods <= 4:
+            yield scene, orbit
+
+
+def orbits(count, seed=2):
+    """Prints the largest errors of times and speeds of so many orbits that rest."""
+    rng, worst, several, hits = np.random.default_rng(seed), np.zeros(2), 0, 0
+    source = resting(rng)
+    for k in range(count):
+        scene, orbit = next(source)
+        found = errors(scene, orbit)
+        worst = np.maximum(worst, found[:2])
+        several += found[3] > 1
+        hits += found[2]
+        assert not orbit.multipliers.any(), orbit.multipliers
+        if found[:2].max() > 1e-10:
+            print(k, orbit.label, found, scene)
+    print(
+        f"{count} orbits that rest, {several} more than once, {hits} impacts: times {worst[0]:.2g}, speeds {worst[1]:.2g}"
+    )
+
+
+def errors(scene, orbit):
+    """(largest error of a time, of a speed; impacts and releases compared), from release to release."""
+    spot = point_of(orbit, float(scene.amplitude))
+    given, length = exact(plain(scene)), 2.0 * np.pi / float(scene.frequency) * orbit.periods
+    frees = np.flatnonzero(abs(spot.sides) == Contact.STUCK)
+    worst, count = np.zeros(2), 0
+    for begin in frees:
+        with workdps(DIGITS):
+            side = int(np.sign(spot.sides[begin]))
+            now = rests.release(given, side, mpf(spot.times[begin]))
+            worst[0] = max(worst[0], abs(float(now - mpf(spot.times[begin]))))
+            hits, _, own = rests.from_release(given, side, now)
+            k = begin
+            for hit in hits:
+                k = (k + 1) % len(spot.times)
+                if abs(spot.sides[k]) == Contact.STUCK:
+                    assert own == np.sign(spot.sides[k])
+                    break
+                late = float((hit.time - mpf(spot.times[k])) % mpf(length))
+                worst = np.maximum(worst, [min(late, length - late), abs(float(hit.speed - mpf(spot.speeds[k])))])
+                assert hit.side == spot.sides[k]
+                count += 1
+    return np.array([*worst, count, len(frees)])
+
+
+def complete(count, seed=3):
+    """Prints how far so many CH of branches are from where the reference's hops just end in rest."""
+    rng, worst, done, ends = np.random.default_rng(seed), 0.0, 0, {}
+    for scene, orbit in resting(rng):
+        value = float(scene.amplitude)
+        branch = jv.follow(orbit, "amplitude", (0.6 * value, 1.6 * value))
+        for one in branch.reasons:
+            ends[one.split(" at ")[0]] = ends.get(one.split(" at ")[0], 0) + 1
+        for point in branch.points("CH"):
+            worst = max(worst, abs(point.value - halved(point)))
+            done += 1
+        print(done, orbit.label, branch, f"{worst:.2g}", flush=True)
+        if done >= count:
+            break
+    print(f"{done} CH: {worst:.2g}; ends {ends}")
+
+
+def halved(point):
+    """The amplitude at which hops just end in rest, by halving."""
+    spot = point.spot
+    frees = np.flatnonzero(abs(spot.sides) == Contact.STUCK)
+    base = exact(plain(point.scene))
+    found = []
+    for begin in frees:
+        with workdps(DIGITS):
+            low, high = (mpf(point.value) + k * mpf(10) ** -7 for k in (-1, 1))
+            first = _ends(base, spot, begin, low)
+            if first == _ends(base, spot, begin, high):
+                continue
+            for _ in range(24):
+                middle = (low + high) / 2
+                low, high = (middle, high) if _ends(base, spot, begin, middle) == first else (low, middle)
+            found.append(float(low))
+    return min(found, key=lambda one: abs(one - point.value), default=np.inf)
+
+
+def _ends(base, spot, begin, value):
+    """Whether the hops after a release end in rest before the next one."""
+    given = with_value(base, "amplitude", value)
+    side, count = int(np.sign(spot.sides[begin])), len(spot.times)
+    now = rests.release(given, side, mpf(spot.times[begin]))
+    after = next((begin + k) % count for k in range(1, count + 1) if abs(spot.sides[(begin + k) % count]) == 2)
+    own, late = int(np.sign(spot.sides[after])), spot.times[after]
+    late += 0 if late > spot.times[begin] else float(span(given, spot.periods))
+    end = rests.release(given, own, mpf(late))
+    try:
+        _, began, last = rests.from_release(given, side, now, end)
+    except ArithmeticError:
+        return False
+    return began is not None and last == own and began < end
+
+
+if __name__ == "__main__":
+    jax.config.update("jax_enable_x64", True)
+    {"chatter": chatter, "orbits": orbits, "complete": complete}[sys.argv[1]](*(int(each) for each in sys.argv[2:]))
