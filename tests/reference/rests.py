@@ -2,7 +2,8 @@
 
 Scenes are `scene.Scene`s, made exact by the caller (`special.exact`); times are since drive phase 0. A hop is looked
 for near where the press at its start would end it, other flights on a grid; both ends are brought to all digits by
-Newton's method. Hops are flown until their speed is below 10^-(a quarter of the digits), from where on the press hardly changes.
+Newton's method. Hops are flown until their speed is below 10^-(a quarter of the digits): from there on the press hardly
+changes.
 """
 
 from typing import NamedTuple
