@@ -39,9 +39,9 @@ def go_on(along, start, asked):
                 one, way = one._replace(end=End.CLOSED), None
             elif is_repeated(along, one.points.z[-1]):
                 one, way = one._replace(end=End.HALVED), None
-            elif one.marks[-1].kind == "GR" and is_chatter(along, one.points.z[-1], asked.length):
-                sign = np.sign(one.points.tangent[-1, -1])
-                one, way, rest = _into_rest(one, completed(along, one.points.z[-1], sign, asked.length))
+            elif one.marks[-1].kind == "GR" and (way is None or is_chatter(along, one.points.z[-1], asked.length)):
+                z, sign = one.points.z[-1], np.sign(one.points.tangent[-1, -1])
+                one, way, rest = _into_rest(one, completed(along, z, sign, asked.length), way is not None)
             met.append(here)
         if one.end is End.STEP:
             way = cut_anew(along, one.points.z[-1], np.sign(one.points.tangent[-1, -1]), asked.length)
@@ -78,11 +78,11 @@ def _onwards(one, scale):
     return one._replace(marks=marks, end=End.UNSETTLED if not chosen and mark.kind != "GR" else end), chosen
 
 
-def _into_rest(one, found):
+def _into_rest(one, found, chatters):
     """(the piece, the `GrazingExit` by which the branch goes on, the marks at its start) where it comes near a CH;
     found: what `completed` gives."""
     if found is None:
-        return one._replace(end=End.CHATTER), None, ()
+        return one._replace(end=End.CHATTER if chatters else one.end), None, ()
     way, residual = found
     return one, way, (Mark(0, "CH", residual, GrazingPoint((), (way,), True, (False,))),)
 

@@ -84,7 +84,7 @@ def _looked(frame, tail, since):
     found = chatter.ending(frame, tail.side, release, tail.tau, tail.speed, since)
     push, change, _ = _press(frame, tail, tail.tau)
     first = 1.0 - found.first / (chatter.LONGEST * frame.reach)
-    plain = jnp.minimum(first, push / (abs(push) + abs(change * tail.tau)))
+    plain = jnp.minimum(first, push / (abs(push) + jnp.maximum(change, 0.0) * frame.reach))
     return Tails(found.rest, _held(frame, tail), plain, found.height, found.pace)
 
 

@@ -61,7 +61,7 @@ def landing(scene, side, begin, guess):
     for _ in range(ROUNDS):
         y, rate = height(scene, side, begin, t)
         t -= y / rate
-        if fabs(y / rate) < mpf(10) ** (-2 * mp.dps // 3):
+        if fabs(y / rate) < mpf(10) ** (-2 * mp.dps // 5) * fabs(t - begin[0]):
             return t
     raise ArithmeticError("no landing")
 
@@ -72,16 +72,16 @@ def departure(scene, side, t, speed):
     return t, wall.x, wall.v - side * speed
 
 
-def first(scene, begin, own):
-    """The first `Hit` of a flight, on a grid; own: the side that it leaves."""
+def first(scene, begin, own, step, growth):
+    """The first `Hit` of a flight, on a grid of steps that grow; own: the side that it leaves."""
     t = begin[0]
     above = dict.fromkeys((side for side, _ in scene.walls()), None)
     while True:
-        t += GRID
+        t, before, step = t + step, t, min(step * growth, GRID)
         for side in above:
             y, _ = height(scene, side, begin, t)
             if y <= 0 and (side != own or above[side]):
-                low, high = t - GRID, t
+                low, high = before, t
                 for _ in range(12):
                     middle = (low + high) / 2
                     low, high = (middle, high) if height(scene, side, begin, middle)[0] > 0 else (low, middle)
@@ -93,11 +93,11 @@ def first(scene, begin, own):
 def next_hit(scene, side, t, speed):
     """The `Hit` after a wall was left with a speed."""
     begin, (here, change) = departure(scene, side, t, speed), press(scene, side, t)
-    guess = 2 * speed / here if here > 0 else SHORT
-    if speed > 0 and here > 0 and guess < SHORT:
+    guess = 2 * speed / here if here > 0 else GRID
+    if speed > 0 and guess < SHORT and guess * fabs(change) < here / 5:
         t = landing(scene, side, begin, t + guess * (1 - 2 * speed * change / (3 * here**2)))
         return Hit(t, -height(scene, side, begin, t)[1], side)
-    return first(scene, begin, side)
+    return first(scene, begin, side, min(guess / 8, GRID) if speed > 0 else GRID, mpf(5) / 4)
 
 
 def until_rest(scene, side, t, speed, end, most=4000):
