@@ -41,8 +41,7 @@ def monodromy(scene: Scene, state: State, periods: int = 1, slots: int = SLOTS) 
     """The derivative of `strobe`'s (x, v) by the given (x, v): shape (..., 2, 2), rows x and v of the end.
 
     scene, state, periods as for `strobe`; slots: impacts of a period that there is room for. nan where the strobe has
-    no end (status from CAP on) or has more impacts than that and does not end at rest; zero where the mass rests on a
-    wall. On an impact without speed the derivative does not exist: inf or nan.
+    no end (status from CAP on) or has more impacts than that and does not rest; zero where the mass rests on a wall. On an impact without speed the derivative does not exist: inf or nan.
 
     Raises ArgumentError as `strobe` does, and TypeError where it is itself to be differentiated.
     """
@@ -89,8 +88,7 @@ def _block(scene, state, periods, slots):
 def with_strobe(scene, state, periods, slots, clearance=False):
     """(State, Impacts, M by rows) of a block of lanes, to be called within one kernel as `passage` is."""
     end, impacts, rests, matrix = passage(scene, state, periods, slots, clearance)
-    stays = abs(end.contact) == Contact.STUCK
-    lost = (impacts.status >= Status.CAP) | ((impacts.count > slots) & ~stays)
+    lost = (impacts.status >= Status.CAP) | ((impacts.count > slots) & ~rests)
     return end, impacts, [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in matrix]
 
 

@@ -18,6 +18,7 @@ from ..scene.state import Impacts, State, real_state
 from .orbit import OrbitError, described, multipliers
 
 ROUNDS = 12  # of Newton's steps
+MANY = 512  # impacts of a period that are recorded where there are more than usual
 
 
 def by_state(scene, state, periods):
@@ -52,13 +53,21 @@ def _near(point, other, scale):
 
 def period(scene, state):
     """(State, Impacts with their least clearance, M) a drive period later, of a state of numbers: NumPy's."""
-    end, impacts, (a, b, c, d) = _period(scene, real_state(scene, state))
+    state = real_state(scene, state)
+    end, impacts, (a, b, c, d) = _period(scene, state)
+    if impacts.count > SLOTS:
+        end, impacts, (a, b, c, d) = jax.device_get(_full_period(scene, state))
     return end, impacts, np.array([[a, b], [c, d]])
 
 
 @persistent_jit(compiler_options=OPTIONS, numpy_first=True)
 def _period(scene, state):
     return one_kernel(with_strobe, scene, state, periods=1, slots=SLOTS, clearance=True)
+
+
+@persistent_jit(compiler_options=OPTIONS)
+def _full_period(scene, state):
+    return one_kernel(with_strobe, scene, state, periods=1, slots=MANY, clearance=True)
 
 
 _solved = persistent_jit(solve, compiler_options=SOON, numpy_first=True)

@@ -35,11 +35,11 @@ class Tails(NamedTuple):
     the least press on the way to the release, inf: it only falls; plain: positive while the hops from this row on are
     all short, and pressed. height, pace: (rows, times), over the wall and away from it, at times asked for."""
 
-    rest: Float[Array, " rows"]
-    hold: Float[Array, " rows"]
-    plain: Float[Array, " rows"]
-    height: Float[Array, "rows times"]
-    pace: Float[Array, "rows times"]
+    rest: Float[Array, "*rows"]
+    hold: Float[Array, "*rows"]
+    plain: Float[Array, "*rows"]
+    height: Float[Array, "*rows times"]
+    pace: Float[Array, "*rows times"]
 
 
 class Tail(NamedTuple):
@@ -84,7 +84,7 @@ def _looked(frame, tail, since):
     found = chatter.ending(frame, tail.side, release, tail.tau, tail.speed, since)
     push, change, _ = _press(frame, tail, tail.tau)
     first = 1.0 - found.first / (chatter.LONGEST * frame.reach)
-    plain = jnp.minimum(first, push / (abs(push) + jnp.maximum(change, 0.0) * frame.reach))
+    plain = jnp.minimum(first, push / (abs(push) + jnp.maximum(change, 0.0) * found.first))
     return Tails(found.rest, _held(frame, tail), plain, found.height, found.pace)
 
 
@@ -203,5 +203,5 @@ def _cut(scene, phase, end, length, chain):
         more.append((end + float(time), float(speed), side))
         given = (numbers(each) for each in (side, phase, time, speed))
         if _examined(scene, *given)[2] > 1.0 - ROOM:
-            break
-    return len(chain), more
+            return len(chain), more
+    return len(chain), []

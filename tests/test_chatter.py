@@ -1,0 +1,95 @@
+"""Hops that end in rest, and those that just do not: against closed forms and hops in 50 digits."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from mpmath import mpf, workdps
+from scipy.optimize import brentq
+
+import jaxvibro as jv
+from jaxvibro.flight.coefficients import frame
+from jaxvibro.orbits import chatter, releases
+from jaxvibro.problem.orbit_start import point_of
+from tests.branch_proof import plain
+from tests.reference import rests
+from tests.reference.special import exact
+from tests.rest_proof import errors
+
+
+def ratio(bounce):
+    """q, the root of (1 + q)(3 q - 1)^2 = 8 R q in (1/3, 1)."""
+    return brentq(lambda q: (1 + q) * (3 * q - 1) ** 2 - 8 * bounce * q, 1 / 3 + 1e-9, 1 - 1e-12, xtol=1e-15)
+
+
+def released(scene, wall):
+    """(the drive's cosine and sine where a still right wall lets go, how fast the press falls there)."""
+    force, frequency = float(scene.amplitude), float(scene.frequency)
+    phase = np.arccos(wall / force)
+    return (jnp.cos(phase), jnp.sin(phase)), force * frequency * np.sin(phase)
+
+
+@pytest.mark.parametrize("bounce", [0.3, 0.5, 0.9])
+def test_critical_hops_near_the_release_shrink_in_proportion(bounce):
+    scene = jv.make_scene(4.65, 2.1, 0.05, bounce, (-1.0, 0.7))
+    release, fall = released(scene, 0.7)
+    q, side = ratio(bounce), jnp.float64(1.0)
+    near = [float(chatter.critical(frame(scene), side, release, jnp.float64(tau))) / tau**2 for tau in (-1e-4, -2e-4)]
+    assert 2.0 * near[0] - near[1] == pytest.approx(0.375 * (1.0 - q * q) * fall, rel=1e-6)
+
+
+@pytest.mark.parametrize("bounce", [0.3, 0.8])
+def test_a_hop_at_the_critical_speed_is_followed_by_one(bounce):
+    scene = jv.make_scene(3.0, 0.8, 0.2, bounce, (None, jv.Wall(0.4, motion=jv.Motion(0.1, 1.0))))
+    built, side, phase = frame(scene), jnp.float64(1.0), 2.0 * np.pi / 5.0
+    times = np.linspace(0.0, 2.0 * np.pi / 0.8, 400)
+    with workdps(20):
+        push = [float(rests.press_alone(exact(plain(scene)), 1, mpf(time))) for time in times]
+    last = next(k for k in range(1, 399) if push[k] > 0 and push[k + 1] <= 0)
+    with workdps(30):
+        phase = float(0.8 * rests.release(exact(plain(scene)), 1, mpf(times[last])))
+    release, tau = (jnp.cos(phase), jnp.sin(phase)), jnp.float64(-0.2)
+    speed = chatter.critical(built, side, release, tau)
+    angle = phase + 0.8 * tau
+    found = chatter.hop(built, side, (jnp.cos(angle), jnp.sin(angle)), speed)
+    after = chatter.critical(built, side, release, tau + found.time)
+    assert bounce * float(found.landing) == pytest.approx(float(after), rel=1e-11)
+
+
+@pytest.mark.parametrize(("bounce", "speed"), [(0.0, 0.0), (0.3, 0.05), (0.6, 0.02), (0.6, 0.15), (0.9, 0.004)])
+def test_hops_end_in_rest_when_those_of_50_digits_do(bounce, speed):
+    scene = jv.make_scene(2.0, 0.9, 0.07, bounce, (None, jv.Wall(0.5, motion=jv.Motion(0.2, 0.4, 2))))
+    given, phase = exact(plain(scene)), 0.25
+    with workdps(50):
+        now = mpf(phase) / given.omega
+        end = rests.release(given, 1, mpf(1.2))
+        before = speed / bounce if bounce else 1.0
+        hits, began = rests.until_rest(given, 1, now, given.right.restitution * mpf(before), end)
+        numbers = (np.float64(each) for each in (1.0, given.omega * end, now - end, before))
+        rest, hold, _, times, speeds = (np.asarray(each) for each in releases._examined(scene, *numbers))
+        assert hold == np.inf
+        assert float(rest) == pytest.approx(float(end - began), abs=1e-12) if began else rest < 0
+        for hit, time, pace in zip(hits[:20], times, speeds, strict=False):
+            assert float(hit.time - end) == pytest.approx(time, abs=1e-13)
+            assert float(hit.speed) == pytest.approx(pace, abs=1e-13)
+
+
+MOVING = (jv.Wall(-0.4, 0.6), jv.Wall(0.7, motion=jv.Motion(0.15, 2.0)))
+
+
+@pytest.mark.parametrize(
+    ("scene", "label"),
+    [
+        ((1.5, 0.5, 0.05, 0.5, (None, 0.5)), "P1-0-inf"),
+        ((1.5, 0.5, 0.05, 0.5, (-0.2, 0.5)), "P1-inf-inf"),
+        ((1.5, 0.5, 0.1, 0.0, (None, 0.3)), "P102"),
+        ((2.5, 0.4, 0.2, 0.5, MOVING), "P1-inf-inf"),
+    ],
+)
+def test_an_orbit_that_rests_is_told_from_release_to_release(scene, label):
+    scene = jv.make_scene(*scene)
+    orbit = jv.find_orbit(scene, jv.State(0.0, 0.0))
+    assert (orbit.label, orbit.rests) == (label, True)
+    *worst, count, several = errors(scene, orbit)
+    assert max(worst) < 1e-12
+    assert count >= 2 * several
+    assert np.sum(abs(point_of(orbit, 1.5).sides) == 2) == several
