@@ -64,6 +64,8 @@ def events(task, points, look):
     """The `Event`s between points in a row, of which the `Diagnostics` is known; task: the `driver.Task` of the
     locus."""
     curve, found = task.args, []
+    if curve.cycle.releases is not None:  # what forgets has no fold, and does not double
+        return found
     for kind, values in _watched(curve, points, look).items():
         for after in np.flatnonzero(values[:-1] * values[1:] < 0):
             one = _located(task, kind, points, int(after), values)

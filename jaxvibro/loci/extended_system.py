@@ -9,6 +9,9 @@ Between soft walls the derivatives by the parameters, and of the slopes, are dif
 compiled once in place of many times. They only point the way: where a locus lies is decided by the equations and their
 first derivatives by times and speeds, which are exact. A touch of a soft wall that is smooth (`soft_grazing.is_smooth`)
 is an impact that does nothing, as at speed zero the equations with a stay are singular.
+
+An orbit that rests has no ring: before a release nothing hangs on what was before, and beside a grazing a row alone has
+no pivot. Its equations are solved as one matrix.
 """
 
 from functools import partial
@@ -20,6 +23,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
+from continuation.arclength import bordered
 from continuation.arrays import Array
 from continuation.problem import Problem
 
@@ -28,7 +32,7 @@ from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
 from ..problem import grazing
-from ..problem.equations import OrbitEquations, cycle_at, impacts, problem, there, varied
+from ..problem.equations import OrbitEquations, are_impacts, cycle_at, impacts, problem, there, varied
 from ..scene.scene import Scene
 
 APART = 1e-5  # of 1 + abs z: the points of a difference
@@ -47,7 +51,7 @@ class Grazing(NamedTuple):
     @property
     def hits(self) -> Int[np.ndarray, " impacts"]:
         """The rows of impacts whose speeds are to be positive."""
-        return np.flatnonzero((self.cycle.sides != 0) & (self.pick == 0))
+        return np.flatnonzero(are_impacts(self.cycle) & (self.pick == 0))
 
 
 class Singular(NamedTuple):
@@ -180,6 +184,10 @@ def _problem(function):
 
 GRAZING, SINGULAR = _problem(_grazing), _problem(_singular)
 SOFT_GRAZING, SOFT_SINGULAR = _problem(_soft_grazing), _problem(_soft_singular)
+RESTING = {
+    soft: Problem(partial(_plain, one), bordered, partial(_plain, one), (), one_kernel)
+    for soft, one in ((False, _grazing), (True, _soft_grazing))
+}
 
 
 @grazing.recut.register
@@ -190,5 +198,12 @@ def _(curve: Grazing, cycle, rows):
     return curve._replace(cycle=cycle._replace(still=pick if still else None), pick=pick)
 
 
-problem.register(Grazing, lambda curve: SOFT_GRAZING if curve.scene.soft_sides else GRAZING)
+@problem.register
+def _(curve: Grazing):
+    soft = bool(curve.scene.soft_sides)
+    if curve.cycle.releases is not None:
+        return RESTING[soft]
+    return SOFT_GRAZING if soft else GRAZING
+
+
 problem.register(Singular, lambda curve: SOFT_SINGULAR if curve.scene.soft_sides else SINGULAR)

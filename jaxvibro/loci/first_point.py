@@ -12,11 +12,12 @@ from ..branches.branch import Special
 from ..branches.follow import SMALLEST, check_settings
 from ..orbits.impact_equations import Cycle
 from ..problem import soft_grazing
-from ..problem.equations import problem
+from ..problem.equations import are_impacts, codes, problem
 from ..problem.grazing import padded
 from ..problem.orbit_on_branch import OrbitPoint, is_own_image, place_orbit
 from ..problem.touches import TOUCH, Touch, scales, touches
 from ..scene import check
+from ..scene.codes import Contact
 from ..scene.parameters import bounds_of, domain, flat, marked, tied
 from ..scene.scale import scene_length
 from ..scene.scene import Scene
@@ -124,7 +125,7 @@ def equations(start, names, whole=False):
         closing = 1.0 if start.kind == "SN" else -1.0
         return [_singular(seed._replace(closing=np.asarray(closing)), impacts, values)]
     slack = TOUCH * scene_length(scene)
-    still = [k for k, (_, speed, _) in enumerate(impacts) if speed <= slack]
+    still = [k for k, (_, speed, side) in enumerate(impacts) if speed <= slack and abs(side) != Contact.STUCK]
     if not still:
         raise check.ArgumentError("special", "must touch a wall: a GR at which none is", start.spot.value)
     alone = ([one for k, one in enumerate(impacts) if k == touch or k not in still] for touch in still)
@@ -140,7 +141,7 @@ def _singular(seed, impacts, values):
 def _grazing(seed, impacts, values, slack):
     """(`Grazing`, z) with these impacts, one of them without speed."""
     cycle = padded(seed, impacts)
-    pick = np.where((cycle.sides != 0) & (cycle.speeds <= slack), 1.0, 0.0)
+    pick = np.where(are_impacts(cycle) & (cycle.speeds <= slack), 1.0, 0.0)
     z = np.concatenate([cycle.times, cycle.speeds, values])
     if soft_grazing.is_smooth(seed.scene, cycle.sides[np.argmax(pick)]):
         cycle = cycle._replace(still=pick)
@@ -175,7 +176,7 @@ def impacts_of(curve, zs):
     """(times, speeds, sides, periods) of the whole orbits at points of a curve, (points, n + 1): times and speeds are
     (points, impacts), sides (impacts,); half an orbit is followed by its mirror image."""
     rows, count = len(curve.cycle.sides), int(np.sum(curve.cycle.sides != 0))
-    times, speeds, sides = zs[:, :count], zs[:, rows : rows + count], curve.cycle.sides[:count]
+    times, speeds, sides = zs[:, :count], zs[:, rows : rows + count], codes(curve.cycle)[:count]
     periods = float(curve.cycle.periods)
     if float(curve.cycle.turn) < 0:
         late = periods * 2.0 * np.pi / _frequencies(curve, zs)

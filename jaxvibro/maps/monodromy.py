@@ -41,7 +41,8 @@ def monodromy(scene: Scene, state: State, periods: int = 1, slots: int = SLOTS) 
     """The derivative of `strobe`'s (x, v) by the given (x, v): shape (..., 2, 2), rows x and v of the end.
 
     scene, state, periods as for `strobe`; slots: impacts of a period that there is room for. nan where the strobe has
-    no end (status from CAP on) or has more impacts than that and does not rest; zero where the mass rests on a wall. On an impact without speed the derivative does not exist: inf or nan.
+    no end (status from CAP on) or has more impacts than that and does not rest; zero where the mass rests on a wall.
+    On an impact without speed the derivative does not exist: inf or nan.
 
     Raises ArgumentError as `strobe` does, and TypeError where it is itself to be differentiated.
     """

@@ -147,7 +147,7 @@ def _free_flip(z, along):
 
 
 IMPACTS = Problem(impacts, cyclic_system.bordered, _plain, (Test("PD", _flip),), one_kernel, _hits)
-RESTING = Problem(impacts, cyclic_system.bordered, _plain, (), one_kernel, _hits)  # what forgets does not double
+RESTING = Problem(_plain, bordered, _plain, (), one_kernel, _hits)  # what forgets does not double
 FREE = Problem(_free, bordered, _free, (Test("PD", _free_flip),), one_kernel)
 
 
