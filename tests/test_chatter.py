@@ -28,7 +28,7 @@ def released(scene, wall):
     return (jnp.cos(phase), jnp.sin(phase)), force * frequency * np.sin(phase)
 
 
-@pytest.mark.parametrize("bounce", [0.3, 0.5, 0.9])
+@pytest.mark.parametrize("bounce", [0.3, 0.5, pytest.param(0.9, marks=pytest.mark.slow)])
 def test_critical_hops_near_the_release_shrink_in_proportion(bounce):
     scene = jv.make_scene(4.65, 2.1, 0.05, bounce, (-1.0, 0.7))
     release, fall = released(scene, 0.7)
@@ -37,6 +37,7 @@ def test_critical_hops_near_the_release_shrink_in_proportion(bounce):
     assert 2.0 * near[0] - near[1] == pytest.approx(0.375 * (1.0 - q * q) * fall, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bounce", [0.3, 0.8])
 def test_a_hop_at_the_critical_speed_is_followed_by_one(bounce):
     scene = jv.make_scene(3.0, 0.8, 0.2, bounce, (None, jv.Wall(0.4, motion=jv.Motion(0.1, 1.0))))
@@ -80,9 +81,9 @@ MOVING = (jv.Wall(-0.4, 0.6), jv.Wall(0.7, motion=jv.Motion(0.15, 2.0)))
     ("scene", "label"),
     [
         ((1.5, 0.5, 0.05, 0.5, (None, 0.5)), "P1-0-inf"),
-        ((1.5, 0.5, 0.05, 0.5, (-0.2, 0.5)), "P1-inf-inf"),
-        ((1.5, 0.5, 0.1, 0.0, (None, 0.3)), "P102"),
-        ((2.5, 0.4, 0.2, 0.5, MOVING), "P1-inf-inf"),
+        pytest.param((1.5, 0.5, 0.05, 0.5, (-0.2, 0.5)), "P1-inf-inf", marks=pytest.mark.slow),
+        pytest.param((1.5, 0.5, 0.1, 0.0, (None, 0.3)), "P102", marks=pytest.mark.slow),
+        pytest.param((2.5, 0.4, 0.2, 0.5, MOVING), "P1-inf-inf", marks=pytest.mark.slow),
     ],
 )
 def test_an_orbit_that_rests_is_told_from_release_to_release(scene, label):

@@ -58,7 +58,7 @@ class Special(SpecialOrbit):
     """A special point of a branch.
 
     kind: SN, SB (symmetry breaking), BP (other branch point), PD, NS (Neimark-Sacker), NSA (neutral saddle), GR, CH
-    (the mass begins to rest on a wall), EP (end), or a monitor's name. name, value: of the parameter. bounds: of
+    (a chatter just ends in rest), RL (a wall lets go within a rest), EP (end), or a monitor's name. name, value: of the parameter. bounds: of
     the branch. scene: at the value. itinerary: the walls hit, a word a period. multipliers: the larger first,
     infinite at an impact without speed. residual: the largest error left in the point's equations. place: among the
     branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the parameter);

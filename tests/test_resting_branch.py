@@ -1,0 +1,106 @@
+"""Branches of orbits that rest: through complete chatter both ways, releases within a rest, in two parameters."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from jaxvibro.scene.codes import Contact
+from tests.rest_proof import halved
+
+MU = 1.9895999  # by which grazings come nearer to the CH a hop, at R 0.5
+ONE_WALL = {"frequency": 0.5, "damping": 0.05, "restitution": 0.5, "walls": (None, 0.5)}
+
+
+def followed(amplitude, bounds, name="amplitude", **numbers):
+    scene = jv.make_scene(amplitude, **{**ONE_WALL, **numbers})
+    return jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), name, bounds)
+
+
+@pytest.fixture(scope="module")
+def from_rest():
+    return followed(1.5, (1.35, 1.6))
+
+
+@pytest.mark.slow
+def test_a_branch_goes_on_where_a_chatter_just_does_not_complete(from_rest):
+    (point,) = from_rest.points("CH")
+    assert point.label == "P1-0-inf"
+    assert abs(point.value - halved(point)) < 1e-9
+    labels = [part.label for part in from_rest.segments]
+    assert labels[0] == "P107"
+    assert labels[-1] == "P1-0-inf"
+    assert len(set(labels)) == len(labels) > 9
+    assert from_rest.stable[from_rest.values > point.value].all()
+    assert not from_rest.multipliers[from_rest.values > point.value].any()
+    assert [one.label for one in point.meets] == [labels[-2]]
+
+
+@pytest.mark.slow
+def test_it_comes_to_the_same_point_from_the_other_side(from_rest):
+    back = followed(1.37, (1.35, 1.6))
+    assert back.segments[-1].label == "P1-0-inf"
+    assert back.points("CH")[0].value == pytest.approx(from_rest.points("CH")[0].value, abs=1e-12)
+    assert back.reasons == from_rest.reasons
+
+
+@pytest.mark.slow
+def test_grazings_come_nearer_to_it_as_the_scaling_says(from_rest):
+    (point,) = from_rest.points("CH")
+    left = point.value - np.sort([one.value for one in from_rest.points("GR")])
+    ratios = left[:-1] / left[1:]
+    last = np.diff(ratios)
+    limit = ratios[2:] - last[1:] ** 2 / np.diff(last)  # its corrections shrink by one factor a hop
+    assert len(limit) > 7
+    assert limit[-1] == pytest.approx(MU, rel=1e-3)
+    assert abs(limit[-1] - MU) < abs(ratios[-1] - MU)
+
+
+@pytest.mark.slow
+def test_its_orbits_are_those_of_the_motion(from_rest, tmp_path):
+    from_rest.save(tmp_path / "branch.nc")
+    loaded = jv.load_branch(tmp_path / "branch.nc")
+    assert loaded.table() == from_rest.table()
+    places = np.flatnonzero((abs(from_rest.data["side"].values) == Contact.STUCK).any(axis=1))
+    for place in places[:: max(1, len(places) // 3)]:
+        orbit = loaded.orbit(int(place))
+        again = jv.find_orbit(orbit.scene, orbit.state, settle=0)
+        assert (again.label, again.rests) == (orbit.label, True)
+        assert again.state.x == pytest.approx(orbit.state.x, abs=1e-11)
+        assert again.state.v == pytest.approx(orbit.state.v, abs=1e-11)
+        assert all(hasattr(orbit, each.name) for each in fields(jv.Orbit))
+
+
+@pytest.mark.slow
+def test_a_wall_that_lets_go_within_a_rest_is_a_point_of_its_own():
+    drive = (jv.Motion(-1.0, harmonic=3, phase=0.0),)  # at phase 0 the press is 1.5 + drive.0.amplitude - 0.3
+    numbers = {"frequency": 0.15, "damping": 0.1, "restitution": 0.3, "walls": (None, 0.3), "drive": drive}
+    branch = followed(1.5, (-1.4, -0.9), "drive.0.amplitude", **numbers)
+    (point,) = branch.points("RL")
+    assert point.value == pytest.approx(-1.2, abs=1e-10)
+    releases = (abs(branch.data["side"].values) == Contact.STUCK).sum(axis=1)
+    assert (releases[branch.values > -1.2] == 1).all()
+    assert (releases[branch.values < -1.2 - 1e-6] == 2).all()
+    assert branch.values[[0, -1]] == pytest.approx([-1.4, -0.9])
+
+
+@pytest.mark.slow
+def test_grazings_of_orbits_that_rest_are_followed_in_two_parameters():
+    grazing = followed(1.02, (1.0, 1.02), walls=(-0.2, 0.5)).points("GR")[0]
+    found = jv.locus(grazing, ("amplitude", "frequency"), {"amplitude": (0.7, 1.2), "frequency": (0.45, 0.55)})
+    assert not [one for one in found.special if one.kind != "EP"]
+    assert found.data["residual"].values.max() < 1e-11
+    place = int(np.argmin(abs(found.values[:, 1] - 0.53)))
+    amplitude, frequency = found.values[place]
+    there = followed(amplitude - 1e-3, (amplitude - 2e-3, amplitude + 2e-3), frequency=frequency, walls=(-0.2, 0.5))
+    assert min(abs(one.value - amplitude) for one in there.points("GR")) < 1e-10
+
+
+@pytest.mark.slow
+def test_explore_finds_what_rests():
+    scene = jv.make_scene(1.5, **ONE_WALL)
+    diagram = jv.explore(scene, "amplitude", (1.3, 1.6), max_period=2)
+    assert diagram.complete
+    assert [one.label for one in diagram.points("CH")] == ["P1-0-inf"]
+    assert len(diagram) == 1
