@@ -40,7 +40,7 @@ def test_a_touch_that_another_is_before_is_not_the_first(clear, found, monkeypat
     good = SimpleNamespace(z=np.array([0.1, 0.2, 1.0]), tangent=np.array([0.0, 0.0, 1.0]))
     there, seen = (
         SimpleNamespace(z=np.array([0.1, 0.2, 1.5])),
-        SimpleNamespace(clear=-np.ones((1, 1)), late=np.ones((1, 1))),
+        SimpleNamespace(clear=-np.ones((1, 1)), late=np.ones((1, 1)), rest=np.zeros(0), hold=np.zeros(0)),
     )
     told = first_touch._first_touch(task, good, there, seen, 0.0, 0.5, 1.0)
     assert (told is not None) == found
