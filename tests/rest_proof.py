@@ -6,15 +6,17 @@ release. complete: branches through the point at which a chatter just completes:
 """
 
 import sys
+from types import SimpleNamespace
 
 import jax
 import numpy as np
 from mpmath import mpf, workdps
 
 import jaxvibro as jv
+from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.maps.strobe import strobe
 from jaxvibro.orbits import releases
-from jaxvibro.problem.orbit_start import point_of
+from jaxvibro.problem.equations import codes
 from jaxvibro.scene.codes import Contact
 from tests.branch_proof import plain, scene_of
 from tests.reference import rests
@@ -140,7 +142,10 @@ def orbits(count, seed=2):
 
 def errors(scene, orbit):
     """(largest error of a time, of a speed; impacts and releases compared), from release to release."""
-    spot = point_of(orbit, float(scene.amplitude))
+    along, z = polish_orbit(orbit, "amplitude")
+    rows, count = len(along.cycle.sides), int(np.sum(along.cycle.sides != 0))
+    sides = codes(along.cycle)[:count]
+    spot = SimpleNamespace(times=z[:count], speeds=z[rows : rows + count], sides=sides)
     given, length = exact(plain(scene)), 2.0 * np.pi / float(scene.frequency) * orbit.periods
     frees = np.flatnonzero(abs(spot.sides) == Contact.STUCK)
     worst, count = np.zeros(2), 0
