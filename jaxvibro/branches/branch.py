@@ -60,9 +60,10 @@ class Special(SpecialOrbit):
     kind: SN, SB (symmetry breaking), BP (other branch point), PD, NS (Neimark-Sacker), NSA (neutral saddle), GR, CH
     (a chatter just ends in rest), RL (a wall lets go within a rest), EP (end), or a monitor's name. name, value: of
     the parameter. bounds: of the branch. scene: at the value. itinerary: the walls hit, a word a period. multipliers:
-    the larger first, infinite at an impact without speed. residual: the largest error left in the point's equations. place: among the
-    branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the parameter);
-    joins: spots of the orbits that meet at a GR, a little on; aside: which of them the branch does not go on with.
+    the larger first, infinite at an impact without speed. residual: the largest error left in the point's equations.
+    place: among the branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the
+    parameter); joins: spots of the orbits that meet at a GR, a little on; aside: which of them the branch does not go
+    on with.
     saved: the normal form as a file had it.
     """
 
