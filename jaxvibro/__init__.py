@@ -40,7 +40,7 @@ _HOMES = {
     "OrbitError": "orbits.orbit",
     "follow": "branches.follow",
     "follow_all": "branches.follow",
-    "switch": "branches.switch",
+    "switch": "loci.switch",
     "extend": "branches.switch",
     "Branch": "branches.branch",
     "load_branch": "branches.branch_file",

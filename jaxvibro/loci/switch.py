@@ -1,0 +1,77 @@
+"""`switch`: the curves that leave a special point: of a branch branches, of a locus loci."""
+
+from collections.abc import Mapping, Sequence
+from typing import overload
+
+from ..branches import switch as of_branches
+from ..branches.branch import Branch, Special
+from ..branches.follow import Monitors
+from ..branches.switch import FIRST
+from ..scene import check
+from .leaving import outsets_of, tracked
+from .locus import Codim2, Locus, locus_of
+
+LEFT = {  # by kinds of points, on which loci others leave them
+    "RG": ("GR",),
+    "GPD": ("PD",),
+    "DSB": ("SB",),
+    "GR": ("SN", "PD", "SB"),
+    "SN": ("GR",),
+    "PD": ("GR",),
+    "SB": ("GR",),
+}
+
+
+@overload
+def switch(
+    special: Special,
+    bounds: tuple[float, float] | None = None,
+    first_step: float = FIRST,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+    monitors: Monitors = (),
+    stop: str | Sequence[str] = (),
+) -> tuple[Branch, ...]: ...
+
+
+@overload
+def switch(
+    special: Codim2,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    first_step: float = FIRST,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+) -> tuple[Locus, ...]: ...
+
+
+@check.host("use strobe or monodromy")
+def switch(
+    special: Special | Codim2,
+    bounds: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
+    first_step: float = FIRST,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+    monitors: Monitors = (),
+    stop: str | Sequence[str] = (),
+) -> tuple[Branch, ...] | tuple[Locus, ...]:
+    """The curves that leave a special point besides the one it was found on: a tuple, of `Branch` for a point of a
+    branch, of `Locus` for a point of a locus.
+    """
+    if not isinstance(special, Codim2):
+        return of_branches.switch(special, bounds, first_step, largest_step, tolerance, monitors, stop)
+    _require(special, monitors, stop)
+    bounds, steps = special.bounds if bounds is None else bounds, (first_step, largest_step, tolerance)
+    told = ", ".join(f"{name} {value:.12g}" for name, value in special.values.items())
+    left = f"it left {special.kind} at {told}"
+    return tuple(locus_of(*tracked(one, steps), left) for one in outsets_of(special, bounds, *steps))
+
+
+def _require(special, monitors, stop):
+    """Refuse a point that no loci leave, and what only branches know."""
+    if special.on not in LEFT.get(special.kind, ()):
+        kinds = ", ".join(f"{kind} of a locus of {' or '.join(on)}" for kind, on in LEFT.items())
+        given = f"{special.kind} of a locus of {special.on}"
+        raise check.ArgumentError("special", f"must be one that other loci leave: {kinds}", given)
+    for key, given in (("monitors", monitors), ("stop", stop)):
+        if given:
+            raise check.ArgumentError(key, "must be left out: loci have none", given)
