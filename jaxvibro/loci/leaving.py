@@ -22,6 +22,7 @@ from continuation import branch_switching as crossing
 from continuation import event_search, locate
 from continuation.points import start_point
 from continuation.rows import by_field
+from continuation.stretch import Mark
 
 from ..problem.diagnostics import diagnose
 from ..problem.end import End
@@ -41,12 +42,13 @@ APART = 1e-4  # of the same: the points of a difference
 
 class Outset(NamedTuple):
     """Where a locus begins that leaves a point. start; on, back: ways, the latter None where it begins in the point;
-    point: z of the point where the way begins a little on, else None."""
+    point: z of the point where the way begins a little on, else None; mark: of the point, where it goes through."""
 
     start: LocusStart
     on: LocusWay
     back: LocusWay | None = None
     point: Float[np.ndarray, " unknowns"] | None = None
+    mark: Mark | None = None
 
 
 def outsets_of(point, bounds, *steps):
@@ -55,14 +57,18 @@ def outsets_of(point, bounds, *steps):
     if point.kind in ("GPD", "DSB"):
         return [_folding(point, *given)]
     touched = LocusStart("GR", *_place(point)).touches
-    found = [] if point.on == "GR" else [_grazing(point, *given)]
-    if point.kind == "RG" or any(one.own and not is_smooth(point.scene, one.side) for one in touched):
+    own = [one for one in touched if one.own]
+    if point.on == "GR":
+        found, resonant, kind = [], point.kind == "RG", point.kind
+    else:
+        found, resonant, kind = [], any(not is_smooth(point.scene, one.side) for one in own), point.on
+        found.append(_grazing(point, "RG" if resonant else kind, *given))
+    if resonant:
         half = is_half(LocusStart("SN", *_place(point)), given[0])
         kinds = (kind for kind in ("SN", "SB" if half else "PD") if kind != point.on)
         return found + [_opening(LocusStart(kind, *_place(point)), *given) for kind in kinds]
-    kind = point.kind if point.on == "GR" else point.on
-    bare = _without(point.spot, [one.row for one in touched if one.own])
     if point.on == "GR":
+        bare = _without(point.spot, [one.row for one in own])
         found.append(_opening(LocusStart(kind, *_place(point, bare)), *given))
     return found if kind == "SN" else [*found, _touching(point, kind, *given)]
 
@@ -78,10 +84,10 @@ def _without(spot, rows):
     return spot._replace(times=spot.times[kept], speeds=spot.speeds[kept], sides=spot.sides[kept])
 
 
-def _grazing(point, names, bounds, *steps):
-    """The GR through a point where a locus of another kind ends."""
+def _grazing(point, kind, names, bounds, *steps):
+    """The GR through a point where a locus of another kind ends; kind: of the point, on the GR."""
     start = LocusStart("GR", *_place(point))
-    return Outset(start, *outsets(start, names, bounds, *steps))
+    return Outset(start, *outsets(start, names, bounds, *steps), mark=Mark(0, kind, point.residual))
 
 
 def _opening(start, names, bounds, *steps):
@@ -152,7 +158,10 @@ def _aside(curve, z, control):
 
 def tracked(outset, steps):
     """What `locus_of` takes of an `Outset`: (its start, what was tracked on, and back)."""
-    ahead = track_on(outset.start, outset.on, steps, None if outset.point is None else _from(outset))
+    one = track(outset.on) if outset.point is None else _from(outset)
+    if outset.mark is not None:
+        one = one._replace(marks=(outset.mark, *one.marks))
+    ahead = track_on(outset.start, outset.on, steps, one)
     closes = outset.back is None or ahead[0][1].end is End.CLOSED
     return outset.start, ahead, () if closes else track_on(outset.start, outset.back, steps)
 

@@ -122,8 +122,8 @@ def locus(
     Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
     point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
     doublings (GPD), degenerate symmetry breakings (DSB), ends on a grazing (GR), grazings of two impacts or walls at
-    once (GG), and on a GR where loci of SN, PD, SB come to it, or SN and PD in one point (RG, resonant grazing). The
-    GR of a motion without impacts goes on from a GG along the other wall, the nearer one from there on.
+    once (GG), and on a GR resonant grazings (RG), where loci of SN and PD end, and points where the orbit without the
+    touch is an SN, PD or SB. The GR of a motion without impacts goes on from a GG along the other wall, the nearer one from there on.
 
     The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
     multiplier_imag, least_speed, least_clearance, residual.
