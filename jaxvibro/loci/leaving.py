@@ -175,4 +175,6 @@ def _from(outset):
     points = by_field(lambda leaf, new: np.concatenate([np.asarray(new)[None], leaf]), one.points, first)
     points.step[1] = length
     view = by_field(lambda leaf, new: np.concatenate([new, leaf]), one.view, diagnose(one.args, z[None]))
-    return one._replace(points=points, view=view, marks=tuple(each._replace(place=each.place + 1) for each in one.marks))
+    return one._replace(
+        points=points, view=view, marks=tuple(each._replace(place=each.place + 1) for each in one.marks)
+    )
