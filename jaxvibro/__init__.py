@@ -73,6 +73,7 @@ _HOMES = {
     "Locus": "loci.locus",
     "family": "loci.family",
     "explore": "branches.explore",
+    "find_isolas": "branches.isolas",
     "diagrams": "branches.diagram_family",
     "Diagram": "branches.diagram",
     "load_diagram": "branches.diagram",

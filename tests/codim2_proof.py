@@ -1,8 +1,8 @@
 """Loci that leave points of codimension two of random scenes: `python -m tests.codim2_proof WHAT N [seed]`.
 
-tangent: at N resonant grazings of one wall the SN and the PD beside the GR, against closed forms. switched, folded: at N
-RG, at N GPD and DSB the loci that leave, a point of each against a special point of a branch.
-third: at N nonhyperbolic grazings the curves that leave, their exponent, and every point in 40 digits.
+tangent: at N resonant grazings of one wall the SN and the PD beside the GR, against closed forms. switched, folded: at
+N RG, at N GPD and DSB the loci that leave, a point of each against a special point of a branch. third: at N
+nonhyperbolic grazings the curves that leave, their exponent, and every point in 40 digits.
 """
 
 import sys
@@ -14,7 +14,7 @@ import mpmath
 import numpy as np
 
 import jaxvibro as jv
-from tests.branch_proof import branches, scene_of
+from tests.branch_proof import branches
 from tests.locus_proof import error, plain, theirs
 from tests.reference import closed
 from tests.reference import special as reference
@@ -31,7 +31,7 @@ def resonance(gamma, restitution, wall, m, n=1):
     square of the way from there in frequency.
 
     With E the free flow over n periods, an impact of speed u is met again for A = sqrt(D) (s - a u + b^2 u^2 / (2 s
-    omega^2)), with a and b of `closed.coefficients`; a is zero where sin(r T) is. At SN dA/du = 0, at PD det(M + I) = 0.
+    omega^2)), with a and b of `closed.coefficients`; a is zero where sin(r T) is. At SN dA/du = 0, at PD det(M + I).
     """
     gamma, r, s = mpmath.mpf(gamma), mpmath.mpf(restitution), mpmath.mpf(wall)
     omega = 2 * n * mpmath.sqrt(1 - gamma**2) / m
@@ -45,8 +45,8 @@ def resonance(gamma, restitution, wall, m, n=1):
 
 
 def gaps(point, kind, sizes=GAPS):
-    """[(gap, the first parameter, the second)] of the locus of a kind that leaves a point, where the second parameter is
-    a gap from the point's, to the side that the locus goes to."""
+    """[(gap, the first parameter, the second)] of the locus of a kind that leaves a point, where the second parameter
+    is a gap from the point's, to the side that the locus goes to."""
     return _gaps(point, list(point.values)[1], sizes).get(kind, [])
 
 
@@ -97,7 +97,7 @@ def tangent(count, seed):
 
 
 def points(rng, kinds):
-    """`Codim2`s of these kinds on loci of random scenes, the orbits of few impacts, with the branch that they are of."""
+    """`Codim2`s of these kinds on loci of random scenes, the orbits of few impacts."""
     for branch, _ in branches(rng, 10_000):
         if branch.name != "amplitude":
             continue

@@ -10,25 +10,20 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..orbits.orbit_comparison import is_same_orbit
-from ..problem import same_orbit
-from ..problem.equations import number_there
-from ..problem.orbit_on_branch import impacts, place_orbit
+from ..problem.orbit_on_branch import place_orbit
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scene import Scene
 from ..scene.symmetry import stays_symmetric
-from .branch import row_of, spot_of
 from .branch_tree import Tree
 from .diagram import Diagram
-from .follow import bring_to, check_settings, through
+from .follow import check_settings, through
+from .on_branch import is_on, settled_at
 from .seed_orbits import probes
 from .switch import FIRST
 
 MOST = 400  # branches, where no budget is given
-NEAR = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
 SAME = 1e-12  # of a soft wall's numbers: as near is rounding
-ON = 1e-5  # of the largest speed: an orbit with impacts as near is on the branch
 DONE = "all that was found has been followed"
 SPENT = "the budget of {} branches is spent"
 
@@ -107,7 +102,7 @@ def explore_on(task, some, progress=None, found=(), done=()):
     tree = Tree(bounds, settings["max_period"], most, steps, list(found), list(done), symmetric, progress)
     tree.grow()
     for probe in some:
-        if not tree.is_spent and not any(_is_on(probe, branch) for branch in tree.found):
+        if not tree.is_spent and not any(is_on(probe, branch) for branch in tree.found):
             _begin(tree, probe, scene, name, bounds, steps)
     told = SPENT.format(most) if tree.is_spent else DONE
     return Diagram(name, bounds, scene, tuple(tree.found), tuple(tree.done), not tree.is_spent, told, settings)
@@ -115,7 +110,7 @@ def explore_on(task, some, progress=None, found=(), done=()):
 
 def _begin(tree, probe, scene, name, bounds, steps):
     """Follows the orbit that a probe settled on, and all that leaves it."""
-    found = _settled_at(probe, *place_orbit(scene, name, probe.spot))
+    found = settled_at(probe, *place_orbit(scene, name, probe.spot))
     if found is None:  # it had not settled
         return
     branch = through(scene.replace(**{name: probe.spot.value}), name, bounds, found, "both", steps)
@@ -154,41 +149,3 @@ def _is_alike(scene, other, name):
         scene, near = scene.replace(hardness=other.parameter(name)), SAME
     pairs = [(float(scene.parameter(key)), float(other.parameter(key))) for key in scene.names if key != name]
     return all(abs(one - two) <= near * abs(two) for one, two in pairs)
-
-
-def _is_on(probe, branch):
-    """Whether what a probe settled on is an orbit of a branch."""
-    if branch.data.sizes["period"] != probe.spot.periods:
-        return False
-    gaps, points = branch.values - probe.spot.value, np.stack([branch.data[key].values for key in "xv"], axis=2)
-    size = NEAR * abs(points).max()
-    for place in np.flatnonzero(gaps[:-1] * gaps[1:] <= 0):
-        if _is_near(probe, points[place : place + 2], size) and _is_there(probe, branch, place):
-            return True
-    return False
-
-
-def _is_near(probe, points, size):
-    """Whether a probe's states are as near to those of one of some points of a branch, counted from any period."""
-    turns = [np.roll(row, k, axis=0) for row in points for k in range(len(row))]
-    return any(abs(turn - probe.points).max() < size for turn in turns)
-
-
-def _is_there(probe, branch, place):
-    """Whether Newton's method leads from one of a branch's two points to the very orbit."""
-    spots = (spot_of(row_of(branch.data, k), branch.name) for k in (place, place + 1))
-    return any(_settled_at(probe, *place_orbit(branch.scene, branch.name, spot)) is not None for spot in spots)
-
-
-def _settled_at(probe, along, z):
-    """(along, z) at a probe's value, None where Newton's method does not come to its orbit from z."""
-    found = bring_to(along, z, probe.spot.value)
-    return (along, found.z) if found.met and _is_orbit(probe, along, found.z) else None
-
-
-def _is_orbit(probe, along, z):
-    if not len(along.cycle.sides):
-        return not len(probe.spot.times) and abs(z[:2] - probe.points[0]).max() < ON * max(1.0, abs(probe.points).max())
-    pace = probe.spot.speeds.max(initial=0.0)
-    theirs = impacts(probe.spot, number_there(along, z, "frequency"), pace)
-    return is_same_orbit(same_orbit.impacts(along, z, pace), theirs, ON)

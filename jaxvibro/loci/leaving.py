@@ -170,7 +170,6 @@ def _from(outset):
     """The `Stretch` of a way that begins a little on from its point, with that."""
     one, z = track(outset.on), outset.point
     length = np.linalg.norm(outset.on.asked.control.scale * (one.points.z[0] - z))
-    zero = np.zeros(())
     first = start_point(z, (one.points.z[0] - z) / length)
     points = by_field(lambda leaf, new: np.concatenate([np.asarray(new)[None], leaf]), one.points, first)
     points.step[1] = length

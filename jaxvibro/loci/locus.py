@@ -39,9 +39,10 @@ class Codim2(SpecialOrbit):
     """A special point of a locus.
 
     kind: CP (cusp), GPD (generalized period doubling), DSB (degenerate symmetry breaking), GR (an SN, PD or SB ends on
-    a grazing), GG (two grazings), RG (resonant grazing), SN, PD, SB (a grazing meets such a locus), EP (end).
-    on: the kind of the locus; values: the two parameters by name; bounds: of each; multipliers: the larger first; place: among the locus' points; residual: the
-    largest error left in the point's equations; label, itinerary: of the orbit; scene: at the values.
+    a grazing), GG (two grazings), RG (resonant grazing), SN, PD, SB (a grazing meets such a locus), EP (end). on: the
+    kind of the locus; values: the two parameters by name; bounds: of each; multipliers: the larger first; place: among
+    the locus' points; residual: the largest error left in the point's equations; label, itinerary: of the orbit; scene:
+    at the values.
     """
 
     kind: str
@@ -123,7 +124,8 @@ def locus(
     point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
     doublings (GPD), degenerate symmetry breakings (DSB), ends on a grazing (GR), grazings of two impacts or walls at
     once (GG), and on a GR resonant grazings (RG), where loci of SN and PD end, and points where the orbit without the
-    touch is an SN, PD or SB. The GR of a motion without impacts goes on from a GG along the other wall, the nearer one from there on.
+    touch is an SN, PD or SB. `switch` follows the loci that leave them. The GR of a motion without impacts goes on from
+    a GG along the other wall, the nearer one from there on.
 
     The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
     multiplier_imag, least_speed, least_clearance, residual.

@@ -55,7 +55,20 @@ def switch(
     stop: str | Sequence[str] = (),
 ) -> tuple[Branch, ...] | tuple[Locus, ...]:
     """The curves that leave a special point besides the one it was found on: a tuple, of `Branch` for a point of a
-    branch, of `Locus` for a point of a locus.
+    branch, of `Locus` for one of codimension two, each from the point on, to where it ends.
+
+    special: a `Special` of a branch. At SB and BP the two halves of the branch that crosses there, the first along
+    greater times or speeds; at PD the one of twice the period (its other half has the same orbits, a period later); at
+    GR those of the itineraries that the branch did not go on with. bounds and the rest as in `follow`; bounds None
+    takes the point's.
+
+    Or a `Codim2` of a locus. At RG the SN and the PD, of a symmetric orbit the SB, with the touch as an impact; at GPD
+    the SN of the doubled orbit, at DSB that of a lopsided one (its mirror image lies on the same curve); at SN, PD and
+    SB on a GR that locus of the orbit without the touch, and at PD and SB the GR of the doubled or of a lopsided orbit;
+    at GR, where an SN, PD or SB ends, the GR, which goes through the point, and what else leaves that. bounds, steps
+    and tolerance as in `locus`; bounds None takes the locus' own.
+
+    Raises ArgumentError for a point of another kind, and arguments that cannot be.
     """
     if not isinstance(special, Codim2):
         return of_branches.switch(special, bounds, first_step, largest_step, tolerance, monitors, stop)
