@@ -124,15 +124,15 @@ def points(rng, kinds):
                     yield point
 
 
-RESONANT, FLAT = {("RG", "GR")}, {("GPD", "PD"), ("DSB", "SB")}
+RESONANT = {("RG", "GR")}
 SINGULAR = {(kind, "GR") for kind in ("SN", "PD", "SB")} | {("GR", kind) for kind in ("SN", "PD", "SB")}
 
 
-def switched(count, seed, kinds=RESONANT):
+def switched(count, seed, draw=None):
     """Of each locus that leaves such a point a point halfway, against the special point of a branch in one
     parameter: of one that starts lead to, or else of one from an orbit beside the point."""
     rng, done, compared, far, met, worst = np.random.default_rng(seed), 0, 0, 0, {}, 0.0
-    for point in points(rng, kinds):
+    for point in draw(rng) if draw else points(rng, RESONANT):
         began = time.perf_counter()
         try:
             loci = jv.switch(point)
@@ -156,6 +156,23 @@ def switched(count, seed, kinds=RESONANT):
         if done >= count:
             break
     print(f"{done} points: {compared} loci compared, {far} with branches that starts lead to; worst {worst:.1e}", met)
+
+
+def degenerate(rng):
+    """GPDs on loci of PD that leave resonant grazings of random scenes with one wall, and DSBs of scenes with two."""
+    while True:
+        gamma, restitution, wall, m = *rng.uniform((0.02, 0.5, 0.3), (0.12, 0.85, 2.0)), int(rng.integers(2, 4))
+        omega = 2.0 * np.sqrt(1.0 - gamma**2) / m
+        scene = jv.make_scene(1e-3, 0.97 * omega, gamma, restitution, (None, wall))
+        span = {"amplitude": (0.0, 5.0 * wall), "frequency": (0.6 * omega, 1.6 * omega)}
+        branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", span["amplitude"], stop="GR")
+        for one in jv.locus(branch.points("GR")[0], PAIR, span).points("RG"):
+            yield from (point for locus in jv.switch(one) for point in locus.points("GPD"))
+        scene = jv.make_scene(1e-3, rng.uniform(0.65, 0.85), gamma, restitution, (-wall, wall))
+        branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.0, 3.0 * wall))
+        span = {"amplitude": (0.0, 20.0), "frequency": (0.5, 4.0)}
+        for one in branch.points("SB")[:1]:
+            yield from jv.locus(one, PAIR, span).points("DSB")
 
 
 def by_branches(locus, place):
@@ -275,7 +292,7 @@ def grazing(point, name, value, other):
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     what, number, *rest = sys.argv[1:]
-    folded = partial(switched, kinds=FLAT)
+    folded = partial(switched, draw=degenerate)
     {"tangent": tangent, "switched": switched, "folded": folded, "third": third}[what](
         int(number), int(rest[0]) if rest else 0
     )

@@ -53,7 +53,9 @@ def deflated(scenes, guesses, fast):
 def _deflated(scene, guess, met, count, fast):
     """(the `Deflated`, whether Newton's method came to it)."""
     built, rows = framed(scene), len(guess.sides)
-    longest = jnp.repeat(jnp.array([impact_equations.LONGEST * built.period, jnp.inf]), rows, total_repeat_length=2 * rows)
+    longest = jnp.repeat(
+        jnp.array([impact_equations.LONGEST * built.period, jnp.inf]), rows, total_repeat_length=2 * rows
+    )
     repelled = jax.grad(partial(_size, built, guess.sides, met, count, fast))
 
     def function(u):
