@@ -18,10 +18,12 @@ from tests.branch_proof import branches
 from tests.locus_proof import error, plain, theirs
 from tests.reference import closed
 from tests.reference import special as reference
+from tests.reference.codim import codim
 
 PAIR = ("amplitude", "frequency")
 GAPS, WIDE = (1e-3, 1e-4), (2e-4, 1e-4)
 FIRST = 1e-3  # a shorter step from where curves cross is rounding
+SLOW = 1e-9  # an impact as slow has no speed
 NEAR = 1e-6  # of the parameter: special points as near are one
 MOST = 4  # impacts of an orbit
 
@@ -219,7 +221,7 @@ def third(count, seed):
     """Of each nonhyperbolic grazing how the distance of the curve that leaves tangentially from the locus of the
     point's kind grows with the way from there, and every point of that curve against the reference. At an SN the curve
     is the GR itself, and the locus of the SN is looked at."""
-    rng, done, worst, power, looked, kinds = np.random.default_rng(seed), 0, 0.0, 0.0, 0, {}
+    rng, done, worst, power, looked, far, kinds = np.random.default_rng(seed), 0, 0.0, 0.0, 0, 0.0, {}
     for point in points(rng, SINGULAR):
         if point.on != "GR":
             point = on_grazing(point)
@@ -234,15 +236,17 @@ def third(count, seed):
         curve, done = (more or [locus])[0], done + 1
         kinds[point.kind] = kinds.get(point.kind, 0) + 1
         offs = list(offsets(curve))
-        slope = exponent(apart(point, locus))
+        slope, off = exponent(apart(point, locus)), misplaced(point)
+        far = max(far, off)
         worst, power, looked = max([worst, *offs]), max(power, abs(slope - 2.0)), looked + len(offs)
-        told = f"exponent {slope:.4f}, {len(offs)} points off by {max(offs, default=0.0):.1e}"
+        told = f"place off by {off:.1e}, exponent {slope:.4f}, {len(offs)} points off by {max(offs, default=0.0):.1e}"
         spent = time.perf_counter() - began
         print(f"{done} {point.kind} of {point.label} {point.values}: {curve}, {told} ({spent:.1f} s)", flush=True)
         if done >= count:
             break
     print(
-        f"{done} points: exponents within {power:.4f} of 2; {looked} points of curves, the worst off by {worst:.1e}",
+        f"{done} points off by {far:.1e}: exponents within {power:.4f} of 2;",
+        f"{looked} points of curves, the worst off by {worst:.1e}",
         kinds,
     )
 
@@ -254,6 +258,20 @@ def offsets(curve):
             yield error(curve, place) / (1.0 + abs(curve.values[place, 0]))
         except ArithmeticError as why:
             print(f"  no reference of {curve} at {curve.values[place]}, {place}: {why}", flush=True)
+
+
+def misplaced(point):
+    """How far both parameters of a nonhyperbolic grazing on a GR are from the reference's."""
+    spot, closing = point.spot, "SN" if point.kind == "SN" else "PD"
+    touch = int(np.flatnonzero(spot.speeds < SLOW)[0])
+    kept = np.flatnonzero(spot.speeds >= SLOW)
+    before = int(np.sum(kept < touch)) - 1  # -1: it comes after the last of them
+    late = float(spot.times[touch] + (before < 0) * spot.periods * 2.0 * np.pi / float(point.scene.frequency))
+    times, speeds, sides = (each[kept].tolist() for each in (spot.times, spot.speeds, spot.sides))
+    names, values = [theirs(point.scene, name) for name in point.values], list(point.values.values())
+    given = values, times, speeds, [int(side) for side in sides], spot.periods, point.kind == "SB"
+    true = codim(plain(point.scene), names, "GR", *given, (before % len(kept), late, int(spot.sides[touch]), closing))
+    return max(abs(float(a - b)) for a, b in zip(true, values, strict=True))
 
 
 def on_grazing(point):

@@ -114,6 +114,7 @@ def test_grazings_of_lopsided_and_doubled_orbits_leave_nonhyperbolic_grazings(br
     (doubling,) = lopsided.points("PD")
     for point, labels in ((there, ("P111", "P112")), (doubling, ("P111", "P223"))):
         own, third = jv.switch(point)
+        assert proof.misplaced(point) < 1e-9
         assert (own.kind, third.kind) == (point.kind, "GR") and (own.label, third.label) == labels
         assert max(error(third, place) for place in range(1, len(third) - 1, 9)) < 1e-11
         assert abs(proof.exponent(proof.apart(point, own)) - 2.0) < 0.01

@@ -70,8 +70,17 @@ def switch(
 
     Raises ArgumentError for a point of another kind, and arguments that cannot be.
     """
-    if not isinstance(special, Codim2):
-        return of_branches.switch(special, bounds, first_step, largest_step, tolerance, monitors, stop)
+    leave = _loci if isinstance(special, Codim2) else _branches
+    return leave(special, bounds, first_step, largest_step, tolerance, monitors, stop)
+
+
+def _branches(special, *given):
+    """Those that leave a `Special`."""
+    return of_branches.switch(special, *given)
+
+
+def _loci(special, bounds, first_step, largest_step, tolerance, monitors, stop):
+    """Those that leave a `Codim2`."""
     _require(special, monitors, stop)
     bounds, steps = special.bounds if bounds is None else bounds, (first_step, largest_step, tolerance)
     told = ", ".join(f"{name} {value:.12g}" for name, value in special.values.items())
