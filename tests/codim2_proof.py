@@ -46,13 +46,7 @@ def resonance(gamma, restitution, wall, m, n=1):
     return omega, fold, doubling
 
 
-def gaps(point, kind, sizes=GAPS):
-    """[(gap, the first parameter, the second)] of the locus of a kind that leaves a point, where the second parameter
-    is a gap from the point's, to the side that the locus goes to."""
-    return _gaps(point, list(point.values)[1], sizes).get(kind, [])
-
-
-def _gaps(point, name, sizes):
+def gaps(point, name, sizes=GAPS):
     """{kind: [(gap, the first parameter, the second)]} of the loci that leave a point, where a parameter is a gap from
     the point's."""
     found, axis = {}, list(point.values).index(name)
@@ -84,11 +78,10 @@ def tangent(count, seed):
         (point,) = jv.locus(branch.points("GR")[0], PAIR, span).points("RG")
         off = abs(point.values["frequency"] - float(omega))
         told = [f"{k} gamma {gamma:.3f} R {restitution:.3f} m {m}: place off by {off:.1e};"]
+        beside = gaps(point, "frequency")
         for kind, coefficient in zip(("SN", "PD"), true, strict=True):
             with mpmath.workdps(30):
-                away = [
-                    (gap, float(value - closed.grazing(gamma, edge, wall))) for gap, value, edge in gaps(point, kind)
-                ]
+                away = [(gap, float(value - closed.grazing(gamma, edge, wall))) for gap, value, edge in beside[kind]]
                 shares = [far / gap**2 / float(coefficient) for gap, far in away]
             slope = exponent(away)
             limit = (10.0 * shares[1] - shares[0]) / 9.0
@@ -290,11 +283,11 @@ def apart(point, locus):
     axis = int(ways[1] > ways[0])
     name, other = locus.names[axis], locus.names[1 - axis]
     if point.kind != "SN":
-        found = _gaps(point, name, WIDE)
+        found = gaps(point, name, WIDE)
         return [
             (one[0], two[2 - axis] - one[2 - axis]) for one, two in zip(found[point.kind], found["GR"], strict=True)
         ]
-    found = _gaps(point, name, GAPS)["SN"]
+    found = gaps(point, name)["SN"]
     return [(gap, one[1 - axis] - grazing(point, name, one[axis], other)) for gap, *one in found]
 
 

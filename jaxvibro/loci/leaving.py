@@ -37,18 +37,19 @@ from .first_point import LocusStart, backward, equations, is_half, settings, way
 from .track import LocusWay, track
 
 ASIDE = (0.1, 0.05, 0.02, 0.01, 0.005)  # lengths along the null vector after which a pair's SN is begun
+SHARES = (1.0, 0.1, 0.01)  # of the first step: after which another locus is begun
 APART = 1e-4  # of the same: the points of a difference
 
 
 class Outset(NamedTuple):
-    """Where a locus begins that leaves a point. start; on, back: ways, the latter None where it begins in the point;
-    point: z of the point where the way begins a little on, else None; mark: of the point, where it goes through."""
+    """Where a locus begins that leaves a point. start; mark: of the point, as this locus calls it; on, back: ways, the
+    latter None where it begins in the point; point: z of the point where the way begins a little on, else None."""
 
     start: LocusStart
+    mark: Mark
     on: LocusWay
     back: LocusWay | None = None
     point: Float[np.ndarray, " unknowns"] | None = None
-    mark: Mark | None = None
 
 
 def outsets_of(point, bounds, *steps):
@@ -66,10 +67,10 @@ def outsets_of(point, bounds, *steps):
     if resonant:
         half = is_half(LocusStart("SN", *_place(point)), given[0])
         kinds = (kind for kind in ("SN", "SB" if half else "PD") if kind != point.on)
-        return found + [_opening(LocusStart(kind, *_place(point)), *given) for kind in kinds]
+        return found + [_opening(point, kind, point.spot, *given) for kind in kinds]
     if point.on == "GR":
         bare = _without(point.spot, [one.row for one in own])
-        found.append(_opening(LocusStart(kind, *_place(point, bare)), *given))
+        found.append(_opening(point, kind, bare, *given))
     return found if kind == "SN" else [*found, _touching(point, kind, *given)]
 
 
@@ -87,13 +88,18 @@ def _without(spot, rows):
 def _grazing(point, kind, names, bounds, *steps):
     """The GR through a point where a locus of another kind ends; kind: of the point, on the GR."""
     start = LocusStart("GR", *_place(point))
-    return Outset(start, *outsets(start, names, bounds, *steps), mark=Mark(0, kind, point.residual))
+    return Outset(start, _mark(point, kind), *outsets(start, names, bounds, *steps))
 
 
-def _opening(start, names, bounds, *steps):
-    """The way in which the touches of a point come free, or get a speed."""
+def _mark(point, kind):
+    return Mark(0, kind, point.residual)
+
+
+def _opening(point, kind, spot, names, bounds, *steps):
+    """The locus of a kind along which the touches of a point come free, or get a speed; spot: its orbit."""
+    start = LocusStart(kind, *_place(point, spot))
     (way,) = ways(start, names, bounds, *steps)
-    return Outset(start, _free(way))
+    return _outset(start, _mark(point, "GR"), _free(way))
 
 
 def _free(way):
@@ -124,7 +130,7 @@ def _touching(point, kind, names, bounds, *steps):
     both = crossing.directions(problem(curve), z, scale, curve)
     speeds = both[:, rows + curve.hits]
     apart = abs(speeds - np.roll(speeds, len(curve.hits) // 2, axis=1)).max(axis=1)
-    return Outset(start, _free(LocusWay(curve, start_point(z, both[np.argmax(apart)]), asked)))
+    return _outset(start, _mark(point, kind), _free(LocusWay(curve, start_point(z, both[np.argmax(apart)]), asked)))
 
 
 def _folding(point, names, bounds, *steps):
@@ -134,9 +140,29 @@ def _folding(point, names, bounds, *steps):
     ((curve, z),) = equations(start, names, whole=True)
     asked = weighed(curve, z, settings(point.scene, names, bounds, *steps))
     for near in _aside(curve, z, asked.control):
-        if near.met and admissible(curve, near.z, diagnose(curve, near.z[None]))[0]:
-            return Outset(start, LocusWay(curve, start_point(near.z, near.tangent), asked), point=z)
+        if _is_good(curve, near, asked):
+            way = LocusWay(curve, start_point(near.z, near.tangent), asked)
+            return Outset(start, _mark(point, point.kind), way, point=z)
     raise check.ArgumentError("special", "must be a point beside which an SN of the pair is found", point.kind)
+
+
+def _is_good(curve, near, asked):
+    """Whether a `Point` is one of a locus, within its bounds."""
+    inside = all(low <= value <= high for value, (low, high) in zip(near.z[-2:], asked.box, strict=True))
+    return bool(near.met and inside and admissible(curve, near.z, diagnose(curve, near.z[None]))[0])
+
+
+def _outset(start, mark, way):
+    """The `Outset` of a way from a point. It begins a little on if it can: in the point itself the determinant of its
+    equations may have no sign, as an impact has no speed or another curve crosses, and a step from there is taken for a
+    jump."""
+    curve, asked = way.curve, way.asked
+    for share in SHARES:
+        near = event_search.step(problem(curve), way.start, share * asked.first, asked.control, curve)
+        if _is_good(curve, near, asked):
+            beside = LocusWay(curve, start_point(near.z, near.tangent), asked)
+            return Outset(start, mark, beside, point=way.start.z)
+    return Outset(start, mark, way)
 
 
 def _aside(curve, z, control):
@@ -159,9 +185,7 @@ def _aside(curve, z, control):
 def tracked(outset, steps):
     """What `locus_of` takes of an `Outset`: (its start, what was tracked on, and back)."""
     one = track(outset.on) if outset.point is None else _from(outset)
-    if outset.mark is not None:
-        one = one._replace(marks=(outset.mark, *one.marks))
-    ahead = track_on(outset.start, outset.on, steps, one)
+    ahead = track_on(outset.start, outset.on, steps, one._replace(marks=(outset.mark, *one.marks)))
     closes = outset.back is None or ahead[0][1].end is End.CLOSED
     return outset.start, ahead, () if closes else track_on(outset.start, outset.back, steps)
 
