@@ -21,9 +21,10 @@ from tests.reference import special as reference
 from tests.reference.codim import codim
 
 PAIR = ("amplitude", "frequency")
-GAPS, WIDE = (1e-3, 1e-4), (2e-4, 1e-4)
+GAPS, NARROW = (1e-3, 1e-4), (1e-4, 1e-3, 1e-2)
 FIRST = 1e-3  # a shorter step from where curves cross is rounding
 SLOW = 1e-9  # an impact as slow has no speed
+SEEN = 1e-9  # a distance of curves, to three digits or so
 NEAR = 1e-6  # of the parameter: special points as near are one
 MOST = 4  # impacts of an orbit
 
@@ -283,10 +284,14 @@ def apart(point, locus):
     axis = int(ways[1] > ways[0])
     name, other = locus.names[axis], locus.names[1 - axis]
     if point.kind != "SN":
-        found = gaps(point, name, WIDE)
-        return [
-            (one[0], two[2 - axis] - one[2 - axis]) for one, two in zip(found[point.kind], found["GR"], strict=True)
-        ]
+        for gap in NARROW:
+            found = gaps(point, name, (2.0 * gap, gap))
+            away = [
+                (one[0], two[2 - axis] - one[2 - axis]) for one, two in zip(found[point.kind], found["GR"], strict=True)
+            ]
+            if abs(away[1][1]) > SEEN:
+                break
+        return away
     found = gaps(point, name)["SN"]
     return [(gap, one[1 - axis] - grazing(point, name, one[axis], other)) for gap, *one in found]
 
