@@ -49,7 +49,7 @@ def drawn(rng):
     if not len(least):
         return None
     k = int(rng.choice(least))
-    amplitude = float(sizes[k] * rng.uniform(1.001, 1.02))
+    amplitude = float(sizes[k] * rng.uniform(1.0005, 1.005))
     inside = [k, k]
     while inside[0] > 0 and sizes[inside[0]] < amplitude:
         inside[0] -= 1
@@ -150,6 +150,7 @@ def main(count, seed):
         began = time.perf_counter()
         diagram = jv.explore(one.scene, "frequency", one.bounds, max_period=4)
         if any(has(branch, one) for branch in diagram.branches):
+            print(f"  on the diagram: {one.label} {one.folds}", flush=True)
             continue
         missed, spent = missed + 1, time.perf_counter() - began
         found = jv.find_isolas(diagram)
