@@ -49,7 +49,7 @@ def drawn(rng):
     if not len(least):
         return None
     k = int(rng.choice(least))
-    amplitude = float(sizes[k] * rng.uniform(1.0005, 1.005))
+    amplitude = float(sizes[k] * rng.uniform(1.0002, 1.002))
     inside = [k, k]
     while inside[0] > 0 and sizes[inside[0]] < amplitude:
         inside[0] -= 1
@@ -70,7 +70,7 @@ def drawn(rng):
     if not is_clear(*given, amplitude, folds):
         return None
     scene = jv.make_scene(amplitude, 0.5 * sum(folds), gamma, restitution, (None, wall))
-    return Isola(scene, f"P{periods}01", folds, (0.5 * folds[0], 1.6 * folds[1]))
+    return Isola(scene, f"P{periods}01", folds, (0.4 * folds[0], 2.0 * folds[1]))
 
 
 def is_clear(gamma, restitution, wall, periods, amplitude, folds):

@@ -27,7 +27,7 @@ def diagram():
 
 def test_each_order_of_walls_is_there_once(diagram):
     def told(scene, *given):
-        return ["".join("LR"[side > 0] for side in sides) for _, sides in _orders(scene, *given)]
+        return ["".join("LR"[int(side > 0)] for side in sides) for _, sides in _orders(scene, *given)]
 
     assert told(diagram.scene, 2, 3) == 2 * ["R", "RR", "RRR"]
     both = jv.make_scene(AMPLITUDE, 2.4, GAMMA, R, (-WALL, WALL))

@@ -49,9 +49,9 @@ def explore(
     go on from. progress: called with the number of branches so far.
 
     Every attractor that one of 256 starts settles on is on a branch. What lies on no branch that leaves these is not
-    found: an isolated unstable orbit, or one that only meets them at a grazing, where a branch goes on with one other;
-    `Special.meets` has all, and `switch` follows them. In a symmetric scene a branch comes with its mirror image. The
-    same arguments give the same diagram.
+    found: an isolated unstable orbit (`find_isolas` looks for closed branches of these), or one that only meets them at
+    a grazing, where a branch goes on with one other; `Special.meets` has all, and `switch` follows them. In a symmetric
+    scene a branch comes with its mirror image. The same arguments give the same diagram.
 
     Raises ArgumentError for arguments that cannot be.
     """
