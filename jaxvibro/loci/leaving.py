@@ -105,7 +105,8 @@ def _opening(point, kind, spot, names, bounds, *steps):
 def _free(way):
     found = [one for one in (way, backward(way)) if one.is_free]
     if len(found) != 1:
-        raise check.ArgumentError("special", "must be a point that loci leave one way: here touch walls at once", found)
+        rule = "must be a point that a locus leaves one way; here other touches come in both ways, or in none"
+        raise check.ArgumentError("special", rule, len(found))
     return found[0]
 
 
@@ -127,7 +128,10 @@ def _touching(point, kind, names, bounds, *steps):
     curve, z = equations(start, names, whole=True)[0]
     asked = weighed(curve, z, settings(point.scene, names, bounds, *steps))
     scale, rows = asked.control.scale, len(curve.cycle.sides)
-    both = crossing.directions(problem(curve), z, scale, curve)
+    try:
+        both = crossing.directions(problem(curve), z, scale, curve)
+    except ValueError:
+        raise check.ArgumentError("special", "must be one at which loci of GR cross; here none do", kind) from None
     speeds = both[:, rows + curve.hits]
     apart = abs(speeds - np.roll(speeds, len(curve.hits) // 2, axis=1)).max(axis=1)
     return _outset(start, _mark(point, kind), _free(LocusWay(curve, start_point(z, both[np.argmax(apart)]), asked)))
