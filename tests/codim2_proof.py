@@ -23,6 +23,7 @@ from tests.reference.codim import codim
 PAIR = ("amplitude", "frequency")
 GAPS, NARROW = (1e-3, 1e-4), (1e-4, 1e-3, 1e-2)
 FIRST = 1e-3  # a shorter step from where curves cross is rounding
+SHORT = (1e-4, 1e-5)  # gaps where curves leave with a speed
 SLOW = 1e-9  # an impact as slow has no speed
 SEEN = 1e-9  # a distance of curves, to three digits or so
 NEAR = 1e-6  # of the parameter: special points as near are one
@@ -79,7 +80,7 @@ def tangent(count, seed):
         (point,) = jv.locus(branch.points("GR")[0], PAIR, span).points("RG")
         off = abs(point.values["frequency"] - float(omega))
         told = [f"{k} gamma {gamma:.3f} R {restitution:.3f} m {m}: place off by {off:.1e};"]
-        beside = gaps(point, "frequency")
+        beside = gaps(point, "frequency", SHORT)
         for kind, coefficient in zip(("SN", "PD"), true, strict=True):
             with mpmath.workdps(30):
                 away = [(gap, float(value - closed.grazing(gamma, edge, wall))) for gap, value, edge in beside[kind]]
