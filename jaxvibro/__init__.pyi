@@ -14,10 +14,10 @@ from .branches.diagram_family import diagrams as diagrams
 from .branches.explore import explore as explore
 from .branches.follow import follow as follow
 from .branches.follow import follow_all as follow_all
+from .branches.isolas import find_isolas as find_isolas
 from .branches.peaks import peak as peak
 from .branches.peaks import peaks as peaks
 from .branches.switch import extend as extend
-from .branches.switch import switch as switch
 from .design.fit import fit as fit
 from .design.fitted import Combination as Combination
 from .design.fitted import Fit as Fit
@@ -44,6 +44,7 @@ from .design.sensitivity import sensitivity as sensitivity
 from .loci.family import family as family
 from .loci.locus import Locus as Locus
 from .loci.locus import locus as locus
+from .loci.switch import switch as switch
 from .maps.monodromy import monodromy as monodromy
 from .maps.return_map import Return as Return
 from .maps.return_map import return_map as return_map

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation.event_search import Event
-from jaxvibro.loci import codim2
+from tests.codim2_proof import exponent, gaps, grazing
 from tests.locus_proof import codim_error, error
 from tests.reference import closed
 from tests.reference.codim import codim
@@ -116,9 +115,9 @@ def test_loci_against_forty_digits(loci, points, name):
 
 
 def test_loci_of_fold_and_doubling_end_at_the_resonant_grazing(loci):
-    assert [kinds(loci[f"{kind} of P112"]) for kind in ("SN", "PD", "GR")] == ["GR EP", "GR EP", "EP RG EP"]
+    assert [kinds(loci[f"{kind} of P112"]) for kind in ("SN", "PD", "GR")] == ["GR EP", "GR EP", "EP RG PD EP"]
     for kind in ("SN", "PD", "GR"):
-        (there,) = meetings(loci[f"{kind} of P112"])
+        there = meetings(loci[f"{kind} of P112"])[0]
         assert np.allclose(there, MEETING, rtol=0, atol=1e-9)
         assert codim_error(loci[f"{kind} of P112"].special[kind == "GR"], "RG", kind) < 1e-12
     end = loci["SN of P112"].special[0]
@@ -136,10 +135,40 @@ def test_loci_of_fold_and_doubling_end_at_the_resonant_grazing(loci):
     assert told.split() == ["RG", "1.84718918172", "1.22152745847", "P112", "RLR"]
 
 
-@pytest.mark.parametrize("apart, kinds", [(0.0, ["RG"]), (1e-8, ["RG"]), (1e-5, ["SN", "PD"])])
-def test_fold_and_doubling_of_a_grazing_are_one_point_where_roundings_part_them(apart, kinds):
-    found = [Event(kind, 3, late, np.array([1.0 + late, 2.0]), 0.0) for kind, late in (("SN", 0.0), ("PD", apart))]
-    assert [one.kind for one in codim2._told_apart(found)] == kinds
+def test_loci_of_fold_and_doubling_leave_the_resonant_grazing(loci):
+    """The same as from branches; to the GR, in 40 digits, their distance grows as the square of the way."""
+    (point,) = loci["GR of P112"].points("RG")
+    for one in jv.switch(point):
+        other = loci[f"{one.kind} of P112"]
+        assert (
+            kinds(one) == "GR EP"
+            and is_sound(one, 1e-10)
+            and one.special[0].values == pytest.approx(point.values, abs=SAME)
+        )
+        assert np.allclose(one.values[-1], other.values[-1], rtol=0, atol=SAME)
+        assert one.reasons[0] == "it left RG at amplitude 1.84718918172, frequency 1.22152745847"
+        assert one.data["least_speed"][1] > 0
+    for found in gaps(point, "frequency").values():
+        away = [(gap, values[0] - grazing(point, PAIR[1], values[1], PAIR[0])) for gap, *values in found]
+        assert abs(exponent(away) - 2.0) < 0.01
+
+
+def test_points_that_nothing_leaves_are_refused(loci):
+    locus = loci["GR of P112"]
+    (point,) = locus.points("RG")
+    with pytest.raises(
+        jv.ArgumentError, match=r"^special: must be one that other loci leave: .*; got 'EP of a locus of"
+    ):
+        jv.switch(locus.special[0])
+    with pytest.raises(jv.ArgumentError, match=r"^special: must be a special point of a branch"):
+        jv.switch(locus)
+    for key, given in (("monitors", {"still": lambda point: point.value}), ("stop", "GPD")):
+        with pytest.raises(jv.ArgumentError, match=rf"^{key}: must be left out"):
+            jv.switch(point, **{key: given})
+    with pytest.raises(jv.ArgumentError, match=r"^bounds: must give \(low, high\) for amplitude and for frequency"):
+        jv.switch(point, (0.0, 20.0))
+    with pytest.raises(jv.ArgumentError, match=r"^largest_step: must be a positive number"):
+        jv.switch(point, largest_step=0.0)
 
 
 @pytest.mark.slow

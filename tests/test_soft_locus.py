@@ -96,7 +96,11 @@ def test_one_wall_rigid_and_one_soft(kind, names, high, aside):
     begun = [one for one in branch.points(kind) if one.value < 1.0 or one.value > 5.0][-1]
     low = {"left.restitution": 0.2, "frequency": 1.3}[names]
     locus = jv.locus(begun, ("amplitude", names), {"amplitude": (0.0, 8.0), names: (low, high)})
-    assert is_sound(locus) and kinds(locus) == "EP EP"
+    assert is_sound(locus) and kinds(locus) == {"SN": "EP EP", "GR": "EP PD EP"}[kind]
+    for point in locus.points("PD"):  # of the orbit without the touch
+        doubling, doubled = jv.switch(point)
+        assert abs(doubling.data["multiplier_real"].values.min(axis=1) + 1.0).max() < 1e-7
+        assert (doubling.kind, doubled.kind, doubled.label) == ("PD", "GR", "P232")
     for place in (2, len(locus) // 2, len(locus) - 3):
         assert by_branch(locus, place, aside) < 1e-10
 

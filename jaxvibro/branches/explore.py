@@ -13,29 +13,22 @@ import numpy as np
 from ..flight.wall_positions import fit
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
-from ..orbits.orbit_comparison import is_same_orbit
-from ..problem import same_orbit
-from ..problem.diagnostics import diagnose
-from ..problem.equations import number_there
-from ..problem.orbit_on_branch import impacts, place_orbit
-from ..problem.orbit_start import bring_to, point_of
+from ..problem.orbit_on_branch import place_orbit
+from ..problem.orbit_start import point_of
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scene import Scene
 from ..scene.state import State
 from ..scene.symmetry import stays_symmetric
-from .branch import row_of, spot_of
 from .branch_tree import Tree
 from .diagram import Diagram
 from .follow import check_settings, through
+from .on_branch import is_on, settled_at
 from .seed_orbits import probes
 from .switch import FIRST
 
 MOST = 400  # branches, where no budget is given
-NEAR = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
 SAME = 1e-12  # of a soft wall's numbers: as near is rounding
-ON = 1e-5  # of the largest speed: an orbit with impacts as near is on the branch
-ENDLESS = 1e-4  # of the largest x and v: the same of one that rests, as a start has settled on it
 DONE = "all that was found has been followed"
 SPENT = "the budget of {} branches is spent"
 
@@ -61,9 +54,9 @@ def explore(
     go on from. progress: called with the number of branches so far.
 
     Every attractor that one of 256 starts settles on is on a branch. What lies on no branch that leaves these is not
-    found: an isolated unstable orbit, or one that only meets them at a grazing, where a branch goes on with one other;
-    `Special.meets` has all, and `switch` follows them. In a symmetric scene a branch comes with its mirror image. The
-    same arguments give the same diagram.
+    found: an isolated unstable orbit (`find_isolas` looks for closed branches of these), or one that only meets them at
+    a grazing, where a branch goes on with one other; `Special.meets` has all, and `switch` follows them. In a symmetric
+    scene a branch comes with its mirror image. The same arguments give the same diagram.
 
     Raises ArgumentError for arguments that cannot be.
     """
@@ -114,7 +107,7 @@ def explore_on(task, some, progress=None, found=(), done=()):
     tree = Tree(bounds, settings["max_period"], most, steps, list(found), list(done), symmetric, progress)
     tree.grow()
     for probe in some:
-        if not tree.is_spent and not any(_is_on(probe, branch) for branch in tree.found):
+        if not tree.is_spent and not any(is_on(probe, branch) for branch in tree.found):
             _begin(tree, probe, scene, name, bounds, steps)
     told = SPENT.format(most) if tree.is_spent else DONE
     return Diagram(name, bounds, scene, tuple(tree.found), tuple(tree.done), not tree.is_spent, told, settings)
@@ -124,7 +117,7 @@ def _begin(tree, probe, scene, name, bounds, steps):
     """Follows the orbit that a probe settled on, and all that leaves it."""
     if probe.endless:
         probe = _with_hops(probe, scene, name)
-    found = probe and _settled_at(probe, *place_orbit(scene, name, probe.spot))
+    found = probe and settled_at(probe, *place_orbit(scene, name, probe.spot))
     if found is None:  # it had not settled
         return
     branch = through(scene.replace(**{name: probe.spot.value}), name, bounds, found, "both", steps)
@@ -136,9 +129,9 @@ def _begin(tree, probe, scene, name, bounds, steps):
 def _with_hops(probe, scene, name):
     """An endless probe with the impacts and releases of its orbit, None where it is none, or never leaves its wall."""
     spot = probe.spot
-    there, contact = scene.replace(**{name: spot.value}), State(spot.x, spot.v)
+    there = scene.replace(**{name: spot.value})
     try:
-        orbit = find_orbit(there, fit(there, contact), periods=spot.periods, settle=0)
+        orbit = find_orbit(there, fit(there, State(spot.x, spot.v)), periods=spot.periods, settle=0)
         return probe._replace(spot=point_of(orbit, spot.value)) if orbit.periods == spot.periods else None
     except OrbitError:
         return None
@@ -174,45 +167,3 @@ def _is_alike(scene, other, name):
         scene, near = scene.replace(hardness=other.parameter(name)), SAME
     pairs = [(float(scene.parameter(key)), float(other.parameter(key))) for key in scene.names if key != name]
     return all(abs(one - two) <= near * abs(two) for one, two in pairs)
-
-
-def _is_on(probe, branch):
-    """Whether what a probe settled on is an orbit of a branch."""
-    if branch.data.sizes["period"] != probe.spot.periods:
-        return False
-    gaps, points = branch.values - probe.spot.value, np.stack([branch.data[key].values for key in "xv"], axis=2)
-    size = NEAR * abs(points).max()
-    for place in np.flatnonzero(gaps[:-1] * gaps[1:] <= 0):
-        if _is_near(probe, points[place : place + 2], size) and _is_there(probe, branch, place):
-            return True
-    return False
-
-
-def _is_near(probe, points, size):
-    """Whether a probe's states are as near to those of one of some points of a branch, counted from any period."""
-    turns = [np.roll(row, k, axis=0) for row in points for k in range(len(row))]
-    return any(abs(turn - probe.points).max() < size for turn in turns)
-
-
-def _is_there(probe, branch, place):
-    """Whether Newton's method leads from one of a branch's two points to the very orbit."""
-    spots = (spot_of(row_of(branch.data, k), branch.name) for k in (place, place + 1))
-    return any(_settled_at(probe, *place_orbit(branch.scene, branch.name, spot)) is not None for spot in spots)
-
-
-def _settled_at(probe, along, z):
-    """(along, z) at a probe's value, None where Newton's method does not come to its orbit from z."""
-    found = bring_to(along, z, probe.spot.value)
-    return (along, found.z) if found.met and _is_orbit(probe, along, found.z) else None
-
-
-def _is_orbit(probe, along, z):
-    if probe.endless:
-        look, size = diagnose(along, z[None]), abs(probe.points).max()
-        turned = np.roll(probe.points, 1, axis=0)  # the last is at phase 0 too
-        return abs(np.stack([look.x[0], look.v[0]], 1) - turned).max() < ENDLESS * max(1.0, size)
-    if not len(along.cycle.sides):
-        return not len(probe.spot.times) and abs(z[:2] - probe.points[0]).max() < ON * max(1.0, abs(probe.points).max())
-    pace = probe.spot.speeds.max(initial=0.0)
-    theirs = impacts(probe.spot, number_there(along, z, "frequency"), pace)
-    return is_same_orbit(same_orbit.impacts(along, z, pace), theirs, ON)

@@ -24,7 +24,7 @@ class Probe(NamedTuple):
 
     spot: OrbitPoint
     points: Float[np.ndarray, "periods 2"]
-    endless: bool
+    endless: bool = False
 
 
 def probes(scenes, name, bounds, max_period, seed):

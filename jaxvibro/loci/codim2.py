@@ -2,9 +2,10 @@
 
 On a locus of SN a cusp (CP), where w F_uu v v is zero, v and w being the right and left null vectors of F_u; on one of
 PD or SB a generalized period doubling (GPD) or degenerate symmetry breaking (DSB), where w (F_uuu v v v + 3 F_uu v h)
-is, with F_u h = -F_uu v v (Kuznetsov, Elements of Applied Bifurcation Theory, 5.4); on one of GR a point of SN, PD or
-SB, or of resonant grazing (RG), where SN and PD are one. F is entire in times and speeds: central differences over many
-points give these derivatives to rounding.
+is, with F_u h = -F_uu v v (Kuznetsov, Elements of Applied Bifurcation Theory, 5.4); on one of GR a resonant grazing
+(RG), where the equations with the touch as an impact are singular, those of SN and of PD together, and a nonhyperbolic
+one (SN, PD, SB), where those without it are. F is entire in times and speeds: central differences over many points give
+these derivatives to rounding.
 """
 
 from typing import NamedTuple
@@ -26,6 +27,7 @@ from ..compiled.compiler_hints import one_kernel
 from ..flight import drive, flow
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations, saltation
+from ..problem import grazing
 from ..problem.diagnostics import diagnose
 from ..problem.equations import cycle_at, problem, there
 from .extended_system import Grazing
@@ -71,7 +73,7 @@ def events(task, points, look):
             one = _located(task, kind, points, int(after), values)
             if one is not None and np.linalg.norm(task.control.scale * (one.z - points.z[0])) > SAME:
                 found.append(one)
-    return _told_apart(sorted(found, key=lambda one: (one.after, one.length)))
+    return sorted(found, key=lambda one: (one.after, one.length))
 
 
 def _watched(curve, points, look):
@@ -82,17 +84,29 @@ def _watched(curve, points, look):
             return {"CP": np.cumprod(np.append(1.0, np.sign(turned)))}
         bend = _bent(curve, points.z, 3, False)
         return {_doubling(curve, "GPD", "DSB"): np.where(bend.across > NONE, bend.value, np.nan)}
-    fold, flip = _singled(curve, look)
-    return {"SN": fold, _doubling(curve, "PD", "SB"): flip}
+    found = {"RG": look.fold} if curve.cycle.still is None else {}
+    without = _without(curve, points.z, look)
+    if without is None:
+        return found
+    return found | dict(zip(("SN", _doubling(curve, "PD", "SB")), without, strict=True))
 
 
-def _singled(curve, look):
-    """What is zero on a GR where the orbit is an SN, and where a PD or SB. With a smooth touch the equations of the
-    impacts are always singular: there it is the monodromy matrix less or plus 1, its determinant."""
-    if curve.cycle.still is None:
-        return look.fold, look.flip
-    turn = -1.0 if float(curve.cycle.turn) < 0 else 1.0
-    return tuple(1.0 + look.determinant - sign * turn * look.trace for sign in (1.0, -1.0))
+def _without(curve, zs, look):
+    """What is zero on a GR where the orbit without the touch is an SN, and where a PD or SB; None where that has no
+    impacts and the touch does something. With a smooth touch the equations of the impacts are always singular: there it
+    is the monodromy matrix less or plus 1, its determinant."""
+    if curve.cycle.still is not None:
+        turn = -1.0 if float(curve.cycle.turn) < 0 else 1.0
+        return tuple(1.0 + look.determinant - sign * turn * look.trace for sign in (1.0, -1.0))
+    if not len(curve.hits):
+        return None
+    rows, kept = len(curve.cycle.sides), curve.hits
+    cycle = grazing.padded(curve, [(0.0, 0.0, curve.cycle.sides[k]) for k in kept])
+    wide, count = len(cycle.sides), len(kept)
+    bare = np.zeros((len(zs), 2 * wide + 2))
+    bare[:, :count], bare[:, wide : wide + count], bare[:, -2:] = zs[:, kept], zs[:, rows + kept], zs[:, -2:]
+    found = diagnose(grazing.recut(curve, cycle, kept), bare)
+    return found.fold, found.flip
 
 
 def _doubling(curve, whole, half):
@@ -136,19 +150,11 @@ def _measured(curve, kind, zs, reference=None):
     if kind in ORDERS:
         bend = _bent(curve, zs, ORDERS[kind], True, reference)
         return bend.value, (bend.v[0], bend.w[0])
-    fold, flip = _singled(curve, diagnose(curve, zs))
+    look = diagnose(curve, zs)
+    if kind == "RG":
+        return look.fold, None
+    fold, flip = _without(curve, zs, look)
     return fold if kind == "SN" else flip, None
-
-
-def _told_apart(found):
-    """Events in order; SN and PD of a GR in one point are a resonant grazing."""
-    apart = []
-    for one in found:
-        if apart and np.linalg.norm(one.z - apart[-1].z) < SAME * (1.0 + np.linalg.norm(one.z)):
-            apart[-1] = apart[-1]._replace(kind="RG")
-        else:
-            apart.append(one)
-    return apart
 
 
 class _Bend(NamedTuple):

@@ -55,33 +55,41 @@ def start_of(special):
 def ways(start, names, bounds, first_step, largest_step, tolerance):
     """The `track.LocusWay`s from a `LocusStart`, in two parameters: one, or at a GR one for each touch. Raises
     ArgumentError for arguments that cannot be."""
-    names = named(start.scene, names)
+    asked = settings(start.scene, names, bounds, first_step, largest_step, tolerance)
+    return [_way(curve, z, asked) for curve, z in equations(start, asked.names)]
+
+
+def settings(scene, names, bounds, first_step, largest_step, tolerance):
+    """The `track.LocusSettings` of these arguments, lengths not weighed yet. Raises ArgumentError."""
+    names = named(scene, names)
     if not isinstance(bounds, dict) or set(bounds) != set(names):
         raise check.ArgumentError("bounds", f"must give (low, high) for {names[0]} and for {names[1]}, by name", bounds)
-    bounds = {name: bounds_of(start.scene, name, bounds[name]) for name in names}
+    bounds = {name: bounds_of(scene, name, bounds[name]) for name in names}
     given = check_settings(first_step, largest_step, tolerance, (), ())
-    length = scene_length(start.scene)
-    own = [domain(start.scene, name) for name in names]
+    own = [domain(scene, name) for name in names]
     box = [(max(low, least), min(high, most)) for (low, high), (least, most) in zip(bounds.values(), own, strict=True)]
     only = tuple(
         tuple(each for each in pair if each not in bounds[name]) for pair, name in zip(own, names, strict=True)
     )
     numbers = [np.float64(each) for each in (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])]
-    control = Control(np.ones(1), *numbers)
-    asked = LocusSettings(control, min(first_step, largest_step), names, bounds, tuple(box), only, length)
-    return [_way(curve, z, asked) for curve, z in equations(start, names)]
+    control, first = Control(np.ones(1), *numbers), min(first_step, largest_step)
+    return LocusSettings(control, first, names, bounds, tuple(box), only, scene_length(scene))
 
 
-def _way(curve, z, asked):
-    """The `track.LocusWay` from z, towards greater values of the second parameter."""
+def weighed(curve, z, asked):
+    """The `track.LocusSettings` with the weights of a curve's lengths at z."""
     weights = scales(curve, asked.length)
     for k, name in enumerate(asked.names, -2):
         if name.endswith(".stiffness"):  # it goes through orders of magnitude
             weights[k] = 1.0 / (1.0 + abs(z[k]))
-    control = asked.control._replace(scale=weights)
-    ahead = tangent(problem(curve), z, control.scale, curve)
-    start = start_point(_settled_at(curve, z, ahead, control), ahead)
-    return LocusWay(curve, start, asked._replace(control=control))
+    return asked._replace(control=asked.control._replace(scale=weights))
+
+
+def _way(curve, z, asked):
+    """The `track.LocusWay` from z, towards greater values of the second parameter."""
+    asked = weighed(curve, z, asked)
+    ahead = tangent(problem(curve), z, asked.control.scale, curve)
+    return LocusWay(curve, start_point(_settled_at(curve, z, ahead, asked.control), ahead), asked)
 
 
 def backward(way):
@@ -111,7 +119,7 @@ def equations(start, names, whole=False):
     impacts = _impacts(start)
     values = [tied(scene, name) for name in names]
     numbered, which = marked(scene, *names)
-    half = _is_half(start, impacts, names)
+    half = is_half(start, names)
     if start.kind == "SB" and not half:
         raise check.ArgumentError("names", "must keep the scene symmetric: an SB is no point of another", names)
     half = half and not (whole and start.kind != "SB")
@@ -163,8 +171,9 @@ def _impacts(start):
     return [(time - late, speed, side) for time, speed, side in listed]
 
 
-def _is_half(start, impacts, names):
+def is_half(start, names):
     """Whether an orbit is its own mirror image, and stays one whatever the parameters are."""
+    impacts = _impacts(start)
     if len(impacts) % 2 or not stays_symmetric(start.scene, *flat(names)):
         return False
     times, speeds, sides = np.array(impacts).T

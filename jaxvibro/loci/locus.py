@@ -39,13 +39,16 @@ class Codim2(SpecialOrbit):
     """A special point of a locus.
 
     kind: CP (cusp), GPD (generalized period doubling), DSB (degenerate symmetry breaking), GR (an SN, PD or SB ends on
-    a grazing), GG (two grazings), RG (resonant grazing), SN, PD, SB (a grazing meets such a locus), EP (end).
-    values: the two parameters by name; multipliers: the larger first; place: among the locus' points; residual: the
-    largest error left in the point's equations; label, itinerary: of the orbit; scene: at the values.
+    a grazing), GG (two grazings), RG (resonant grazing), SN, PD, SB (a grazing meets such a locus), EP (end). on: the
+    kind of the locus; values: the two parameters by name; bounds: of each; multipliers: the larger first; place: among
+    the locus' points; residual: the largest error left in the point's equations; label, itinerary: of the orbit; scene:
+    at the values.
     """
 
     kind: str
+    on: str
     values: dict[str, float]
+    bounds: dict[str, tuple[float, float]]
     multipliers: Complex[np.ndarray, "2"]
     place: int
     residual: float
@@ -120,8 +123,9 @@ def locus(
     Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
     point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
     doublings (GPD), degenerate symmetry breakings (DSB), ends on a grazing (GR), grazings of two impacts or walls at
-    once (GG), and on a GR where loci of SN, PD, SB come to it, or SN and PD in one point (RG, resonant grazing). The
-    GR of a motion without impacts goes on from a GG along the other wall, the nearer one from there on.
+    once (GG), and on a GR resonant grazings (RG), where loci of SN and PD end, and points where the orbit without the
+    touch is an SN, PD or SB. `switch` follows the loci that leave them. The GR of a motion without impacts goes on from
+    a GG along the other wall, the nearer one from there on.
 
     The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
     multiplier_imag, least_speed, least_clearance, residual.
@@ -134,8 +138,9 @@ def locus(
     return locus_of(special, ahead, () if ahead[0][1].end is End.CLOSED else track_on(start, back, steps))
 
 
-def locus_of(special, on, back):
-    """The `Locus` of what was `corner.track_on` from its start on and back, the latter empty where the first closes."""
+def locus_of(special, on, back, left="the start"):
+    """The `Locus` of what was `corner.track_on` from its start on and back, the latter empty where the first closes, or
+    it begins at a point, of which `left` tells."""
     asked, parts = (
         on[0][0].asked,
         [backwards(one) for _, one in reversed(back)] + [one for _, one in on],
@@ -153,8 +158,8 @@ def locus_of(special, on, back):
     data = xr.concat(data, "point", combine_attrs="override")
     for place in (0, first):
         found.setdefault(place, ("EP", float(data["residual"].values[place])))
-    points = tuple(_codim2(special.scene, asked.names, data, place, *found[place]) for place in sorted(found))
-    reasons = (reason(*back[-1]) if back else "the start", reason(*on[-1]))
+    points = tuple(_codim2(special, asked, data, place, *found[place]) for place in sorted(found))
+    reasons = (reason(*back[-1]) if back else left, reason(*on[-1]))
     return Locus(special.kind, asked.names, asked.bounds, special.scene, data, points, reasons)
 
 
@@ -195,9 +200,10 @@ def _spot_of(data, place, names):
     return OrbitPoint(values[names[0]], *rows, data.attrs["periods"], np.nan, np.nan, float(row["residual"])), values
 
 
-def _codim2(scene, names, data, place, kind, residual):
-    row, (spot, values) = row_of(data, place), _spot_of(data, place, names)
-    there = {name: jnp.asarray(value, scene.dtype) for name, value in values.items()}
-    scene = changed(scene, there)  # in its domain: not checked again
+def _codim2(special, asked, data, place, kind, residual):
+    row, (spot, values) = row_of(data, place), _spot_of(data, place, asked.names)
+    there = {name: jnp.asarray(value, special.scene.dtype) for name, value in values.items()}
+    scene = changed(special.scene, there)  # in its domain: not checked again
     found = row["multiplier_real"] + 1j * row["multiplier_imag"]
-    return Codim2(kind, values, found, place, residual, itinerary(spot, float(scene.frequency)), scene, spot)
+    walls = itinerary(spot, float(scene.frequency))
+    return Codim2(kind, special.kind, values, asked.bounds, found, place, residual, walls, scene, spot)

@@ -58,12 +58,13 @@ class LocusWay(NamedTuple):
 
     @property
     def is_free(self) -> bool:
-        """Whether no other touch than its own becomes an impact along it."""
+        """Whether no other touch than its own becomes an impact along it, or loses speed where it is one."""
         curve, z, tangent = self.curve, self.start.z, self.start.tangent
-        walls, held = wall_sides(curve.scene), stays(curve, z)
-        others = (one for one in touches(curve, z, self.asked.length) if not one.own)
-        places = [(one.row, walls.index(one.side), one.late - float(held[one.row])) for one in others]
-        return all(opening(curve, z, tangent, *place) > -FLAT for place in places)
+        walls, held, rows = wall_sides(curve.scene), stays(curve, z), len(curve.cycle.sides)
+        met = touches(curve, z, self.asked.length)
+        places = [(one.row, walls.index(one.side), one.late - float(held[one.row])) for one in met if not one.own]
+        slow = [tangent[rows + one.row] for one in met if one.own and one.row in curve.hits]
+        return all(rate > -FLAT for rate in (*slow, *(opening(curve, z, tangent, *place) for place in places)))
 
 
 class LocusWatch(OrbitWatch):

@@ -1,0 +1,99 @@
+"""`switch`: the curves that leave a special point: of a branch branches, of a locus loci."""
+
+from collections.abc import Mapping, Sequence
+from typing import overload
+
+from ..branches import switch as of_branches
+from ..branches.branch import Branch, Special
+from ..branches.follow import Monitors
+from ..branches.switch import FIRST
+from ..scene import check
+from .leaving import outsets_of, tracked
+from .locus import Codim2, Locus, locus_of
+
+LEFT = {  # by kinds of points, on which loci others leave them
+    "RG": ("GR",),
+    "GPD": ("PD",),
+    "DSB": ("SB",),
+    "GR": ("SN", "PD", "SB"),
+    "SN": ("GR",),
+    "PD": ("GR",),
+    "SB": ("GR",),
+}
+
+
+@overload
+def switch(
+    special: Special,
+    bounds: tuple[float, float] | None = None,
+    first_step: float = FIRST,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+    monitors: Monitors = (),
+    stop: str | Sequence[str] = (),
+) -> tuple[Branch, ...]: ...
+
+
+@overload
+def switch(
+    special: Codim2,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    first_step: float = FIRST,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+) -> tuple[Locus, ...]: ...
+
+
+@check.host("use strobe or monodromy")
+def switch(
+    special: Special | Codim2,
+    bounds: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
+    first_step: float = FIRST,
+    largest_step: float = 0.1,
+    tolerance: float = 1e-10,
+    monitors: Monitors = (),
+    stop: str | Sequence[str] = (),
+) -> tuple[Branch, ...] | tuple[Locus, ...]:
+    """The curves that leave a special point besides the one it was found on: a tuple, of `Branch` for a point of a
+    branch, of `Locus` for one of codimension two, each from the point on, to where it ends.
+
+    special: a `Special` of a branch. At SB and BP the two halves of the branch that crosses there, the first along
+    greater times or speeds; at PD the one of twice the period (its other half has the same orbits, a period later); at
+    GR those of the itineraries that the branch did not go on with. bounds and the rest as in `follow`; bounds None
+    takes the point's.
+
+    Or a `Codim2` of a locus. At RG the SN and the PD, of a symmetric orbit the SB, with the touch as an impact; at GPD
+    the SN of the doubled orbit, at DSB that of a lopsided one (its mirror image lies on the same curve); at SN, PD and
+    SB on a GR that locus of the orbit without the touch, and at PD and SB the GR of the doubled or of a lopsided orbit;
+    at GR, where an SN, PD or SB ends, the GR, which goes through the point, and what else leaves that. bounds, steps
+    and tolerance as in `locus`; bounds None takes the locus' own.
+
+    Raises ArgumentError for a point of another kind, and arguments that cannot be.
+    """
+    leave = _loci if isinstance(special, Codim2) else _branches
+    return leave(special, bounds, first_step, largest_step, tolerance, monitors, stop)
+
+
+def _branches(special, *given):
+    """Those that leave a `Special`."""
+    return of_branches.switch(special, *given)
+
+
+def _loci(special, bounds, first_step, largest_step, tolerance, monitors, stop):
+    """Those that leave a `Codim2`."""
+    _require(special, monitors, stop)
+    bounds, steps = special.bounds if bounds is None else bounds, (first_step, largest_step, tolerance)
+    told = ", ".join(f"{name} {value:.12g}" for name, value in special.values.items())
+    left = f"it left {special.kind} at {told}"
+    return tuple(locus_of(*tracked(one, steps), left) for one in outsets_of(special, bounds, *steps))
+
+
+def _require(special, monitors, stop):
+    """Refuse a point that no loci leave, and what only branches know."""
+    if special.on not in LEFT.get(special.kind, ()):
+        kinds = ", ".join(f"{kind} of a locus of {' or '.join(on)}" for kind, on in LEFT.items())
+        given = f"{special.kind} of a locus of {special.on}"
+        raise check.ArgumentError("special", f"must be one that other loci leave: {kinds}", given)
+    for key, given in (("monitors", monitors), ("stop", stop)):
+        if given:
+            raise check.ArgumentError(key, "must be left out: loci have none", given)
