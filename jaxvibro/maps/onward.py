@@ -25,6 +25,4 @@ def spent(frame, touch, time, within):
     """The times spent within each soft wall after a stay more; touch: the contact of lanes that are within one, their
     time is 0 of others."""
     soft = [wall for wall, each in zip(frame.walls, frame.contacts, strict=True) if each is not None]
-    return tuple(
-        old + choose(touch * float(wall.sign) > 0, time, 0.0) for wall, old in zip(soft, within, strict=True)
-    )
+    return tuple(old + choose(touch * float(wall.sign) > 0, time, 0.0) for wall, old in zip(soft, within, strict=True))
