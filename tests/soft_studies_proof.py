@@ -139,7 +139,7 @@ def exponents(count=12, periods=240):
 
 
 def settled(scene):
-    """The attractors, where there are several periodic ones with a tenth of the starts each and no others, else None."""
+    """The attractors, where they are several periodic ones with a tenth of the starts each, else None."""
     state, _ = jv.strobe(scene, random_starts(scene, 64, 0), 600)
     later, apart = state, np.full(64, np.inf)
     for _ in range(8):

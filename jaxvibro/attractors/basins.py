@@ -30,16 +30,17 @@ def basins(
     """The basins of attraction on Sigma: an xarray.Dataset.
 
     scene: a single one. x (columns,), v (rows,): positions and velocities of the starts, rising, at least two of each;
-    past a soft wall a start is within it; phase: of the drive at the start, rad. attractors: a tuple as from `find_attractors`, which is asked where it is
-    None; those that it calls unresolved take no starts. patience: drive periods that a start may take, a whole number
-    from 1 on. progress: called with the number of starts that are done.
+    past a soft wall a start is within it; phase: of the drive at the start, rad. attractors: a tuple as from
+    `find_attractors`, which is asked where it is None; those that it calls unresolved take no starts. patience: drive
+    periods that a start may take, a whole number from 1 on. progress: called with the number of starts that are done.
 
     Dataset: label(v, x): the attractor's place in the tuple, -1 where the start is not certain to be on any (many of
-    them: another attractor, ask `find_attractors` with more starts), -2 beyond a rigid wall; periods(v, x): drive periods
-    after which it was seen. Of each attractor, over the dimension "attractor": name (P n p q, "chaotic", ...), kind,
-    mirror_of (place of its mirror image, -1: none), point_x and point_v on Sigma at the phase (nan where it has fewer),
-    fraction: of the starts that are beyond no rigid wall, fraction_error: the spread between the four grids of every other row and
-    column, and the unresolved share. mixed(side): the share of boxes, so many cells wide, with more than one label.
+    them: another attractor, ask `find_attractors` with more starts), -2 beyond a rigid wall; periods(v, x): drive
+    periods after which it was seen. Of each attractor, over the dimension "attractor": name (P n p q, "chaotic", ...),
+    kind, mirror_of (place of its mirror image, -1: none), point_x and point_v on Sigma at the phase (nan where it has
+    fewer), fraction: of the starts that are beyond no rigid wall, fraction_error: the spread between the four grids of
+    every other row and column, and the unresolved share. mixed(side): the share of boxes, so many cells wide, with more
+    than one label.
     Attributes: the scene's numbers; phase; basin_entropy and boundary_basin_entropy of boxes of 5 x 5 starts (Daza et
     al., Sci. Rep. 6, 31416, 2016); boundary_dimension and its error (`fractal.dimension`).
 

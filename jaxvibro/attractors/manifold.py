@@ -49,7 +49,9 @@ def manifold(
     Attributes: the scene's numbers, phase, kind, label and multiplier.
 
     Past a soft wall the curve's points are within it. The stable manifold is grown by the certified map with time
-    reversed (`backward`). A wall without restitution, and a soft one from critical damping on, has no way back. Raises ArgumentError for what is no saddle and for arguments that cannot be.
+    reversed (`backward`). A wall without restitution, and a soft one from critical damping on, has no way back.
+
+    Raises ArgumentError for what is no saddle and for arguments that cannot be.
     """
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError("orbit", "must be an Orbit", orbit)

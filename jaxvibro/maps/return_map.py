@@ -19,9 +19,9 @@ from .strobe import strobe
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Return:
-    """The next impact on the wall. phase: of the drive, rad, from 0 to 2 pi; velocity: after it, y+, at a soft wall that
-    of entering it; time: since the impact before, in t; between: impacts on the other wall on the way; found: whether there is one within the periods;
-    if not, phase, velocity and time are nan; status: as in `Impacts`."""
+    """The next impact on the wall. phase: of the drive, rad, from 0 to 2 pi; velocity: after it, y+, at a soft wall
+    that of entering it; time: since the impact before, in t; between: impacts on the other wall on the way; found:
+    whether there is one within the periods; if not, phase, velocity and time are nan; status: as in `Impacts`."""
 
     phase: Float[jax.Array, "*lanes"]
     velocity: Float[jax.Array, "*lanes"]
@@ -42,9 +42,9 @@ def return_map(
     """From an impact on a wall to the next on it: a `Return`; P2 of the paper for "left", P3 for "right".
 
     side: "left" or "right"; phase (rad), velocity (after the impact, away from the wall; at a soft wall that with which
-    the mass enters it, into the wall): numbers that broadcast with the scene's. A stay within a soft wall, and all
-    before the next entry, is on the way. periods: drive periods in which the next impact is looked for; slots: impacts recorded in them. Has the
-    derivatives of `strobe`: in (phase, velocity) their eigenvalues at an orbit are its multipliers.
+    the mass enters it, into the wall): numbers that broadcast with the scene's. A stay within a soft wall is on the way
+    to the next entry. periods: drive periods in which the next impact is looked for; slots: impacts recorded in them.
+    Has the derivatives of `strobe`: in (phase, velocity) their eigenvalues at an orbit are its multipliers.
 
     Raises ArgumentError for a wall that is not there, and as `strobe` does.
     """

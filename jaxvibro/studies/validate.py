@@ -7,7 +7,7 @@ import numpy as np
 from ..design.free_numbers import room_of, units_of
 from ..design.records import positive
 from ..scene import check
-from ..scene.scene import Scene, free_between, changed, known
+from ..scene.scene import Scene, changed, free_between, known
 from ..scene.scene_table import PLAIN
 from .schema import KINDS, MOST_STATES
 

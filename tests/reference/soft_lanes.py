@@ -35,7 +35,7 @@ class Wall:
 
 @dataclass
 class Mode:
-    """x'' + 2 gamma x' + stiffness x = constant + sum of Re(force exp(i rate t)); forces: numbers or arrays of lanes."""
+    """x'' + 2 gamma x' + stiffness x = constant + sum of Re(force exp(i rate t)); forces: numbers or lanes."""
 
     stiffness: float
     gamma: float
@@ -79,7 +79,7 @@ class Mode:
 
 
 class Lanes:
-    """Lanes on their way. amplitude: of each; walls: `Wall`s; x, v, mode (0, or the side of the wall that it is within),
+    """Lanes on their way. amplitude: of each; walls: `Wall`s; x, v, mode (0, or the side of the wall around it),
     time since the period began; tangents (2, 2, lanes); hits and within: impacts, entries among them, and time within,
     on the left and on the right."""
 
