@@ -12,7 +12,7 @@ from continuation.rows import at, put, upto
 from continuation.stretch import Mark
 
 from ..orbits.impact_equations import Cycle
-from ..problem import soft_grazing
+from ..problem import graze_within, soft_grazing
 from ..problem.end import End, ended
 from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
@@ -82,7 +82,17 @@ class BranchWatch(OrbitWatch):
                 one = at(points, k)._replace(z=found.z, step=np.float64(length))
                 more = soft_grazing.exits(along, found.z, self.length)
                 return self.grazing(put(upto(points, k + 1), k + 1, one), "GR", float(found.residual), more)
-        return None
+        return self.from_within(task, points) if along.scene.soft_sides else None
+
+    def from_within(self, task, points):
+        """`Met` where a mass within a soft wall is about to leave it for a moment, or not to leave it any more."""
+        met = graze_within.ahead(self.equations, points, task.control, self.length)
+        if met is None:
+            return None
+        last, found = met
+        one = at(points, last)._replace(z=found.z, step=np.float64(found.step))
+        more = found.touches, found.exits, found.sure
+        return self.grazing(put(upto(points, last + 1), last + 1, one), "GR", found.residual, more)
 
     def touch(self, task, points, view, bad):
         along = self.equations

@@ -38,7 +38,7 @@ def go_on(along, start, asked):
                 one, way = one._replace(end=End.CLOSED), None
             elif is_repeated(along, one.points.z[-1]):
                 one, way = one._replace(end=End.HALVED), None
-            elif _is_chatter(along, one.points.z[-1], asked.length):
+            elif _is_chatter(along, one.points.z[-1], asked.length, one.marks[-1].more.touches):
                 one, way = one._replace(end=End.CHATTER), None
             met.append(here)
         if len(pieces) == MOST - 1 and way is not None:
@@ -73,9 +73,10 @@ def _onwards(one, scale):
     return one._replace(marks=marks, end=one.end if chosen or met.sure else End.STEP), chosen
 
 
-def _is_chatter(along, z, length):
-    """Whether at a grazing yet another impact is very slow."""
-    speeds = z[len(along.cycle.sides) :][along.hits]
+def _is_chatter(along, z, length, touches):
+    """Whether at a grazing with these `Touch`es yet another impact is very slow."""
+    known = [touch.row for touch in touches if touch.own]
+    speeds = z[len(along.cycle.sides) :][np.setdiff1d(along.hits, known)]
     return bool(((speeds > 0) & (speeds < SLOW * length)).any())
 
 
