@@ -73,6 +73,7 @@ class BranchWatch(OrbitWatch):
         for k in range(1, len(points.z) if along.scene.soft_sides else 0):
             z, tangent = points.z[k], points.tangent[k]
             rows = [row for row in soft_grazing.slow(along, z, self.length) if tangent[size + row] < 0]
+            rows = [row for row in rows if not graze_within.is_pressed_in(along, z, row)]
             found = soft_grazing.located(along, z, rows, self.length) if rows else None
             if found is None or found.z is None:
                 continue

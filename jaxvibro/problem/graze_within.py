@@ -37,6 +37,11 @@ HALF = 1.25  # half-swings: in a shorter stay the mass does not come back twice
 ROUNDS = 6  # of Newton's steps to a turning point
 
 
+def is_pressed_in(along, z, row):
+    """Whether a mass that comes to its wall at a row without speed is pressed into it: it came from within."""
+    return along.scene.force is None and bool(_at(along, z, row, 0.0)[2] > 0)
+
+
 class Dip(NamedTuple):
     """Where a mass comes back to its wall within a stay. row: of the contact; late: the time since it began; depth, how
     far it is past the wall there; pull: its acceleration into the wall."""
