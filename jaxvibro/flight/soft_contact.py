@@ -76,31 +76,6 @@ def contact(wall, force, frequency, terms=()):
     return SoftFlow(stiffness, root, damping, series, waves, first, reach, forcing * (1.0 + slope * reach), slope, more)
 
 
-def reversed_in_time(frame, wall, soft):
-    """The `SoftFlow` within a wall with time reversed; wall: its `Lane` then, frame: the flow's then; soft: as it was.
-
-    The energy of y^(6) grows as that of x^(6) does, see `spring_flow.reversed_in_time`.
-    """
-    frequency, damping, stiffness = frame.frequency, wall.damping, soft.stiffness
-    slope = soft.slope * jnp.exp(-2.0 * damping * soft.reach)
-    forcing = soft.curb / (1.0 + soft.slope * soft.reach)
-    series, waves = flow.series(frequency, damping, stiffness), None
-    if soft.waves is not None:
-        waves = flow.series(frequency * float(wall.harmonic), damping, stiffness)
-    more = tuple(flow.series(drive.rate_of(term, frequency), damping, stiffness) for term in frame.terms)
-    terms = list(zip(frame.terms, more, strict=True))
-    first = plunge(wall, frame.force, frequency, series, waves, stiffness, terms)
-    return soft._replace(
-        damping=damping,
-        series=series,
-        waves=waves,
-        plunge=first._replace(change=soft.plunge.change),
-        curb=forcing * (1.0 + slope * soft.reach),
-        slope=slope,
-        terms=more,
-    )
-
-
 def is_inside(contact):
     """The lanes that are within a soft wall."""
     size = lax.abs(contact)

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from ..compiled.blocks import in_blocks
 from ..compiled.compiler_hints import choose, one_kernel, stage
-from ..flight import integrate, soft_contact
+from ..flight import integrate, reversed_contact
 from ..flight.coefficients import Stays, frame, is_valid
 from ..flight.entry import enter
 from ..flight.flows import flow_of
@@ -75,7 +75,7 @@ def reversed_frame(scene):
     contacts = built.contacts
     if built.stays is Stays.SPRING:
         pairs = zip(walls, contacts, strict=True)
-        contacts = tuple(soft and soft_contact.reversed_in_time(back, wall, soft) for wall, soft in pairs)
+        contacts = tuple(soft and reversed_contact.reversed_in_time(back, wall, soft) for wall, soft in pairs)
     elif built.stays is Stays.PUSHED:
         contacts = tuple(soft and wall for wall, soft in zip(walls, contacts, strict=True))
     return back._replace(contacts=contacts)
