@@ -82,6 +82,8 @@ def within(branch):
     for point in branch.special:
         if point.kind == "GR" and point.normal_form is None:
             last, first = next(pair for pair in ends if point.place in pair)
+            if not 0 < last < first + 1 < len(branch.data["segment"]):  # one that the branch goes no further than
+                continue
             rows = sorted((last - 1, first + 1), key=lambda k: int((branch.data["side"].values[k] != 0).sum()))
             on = 1 if rows[1] == first + 1 else -1
             speed, piece = branch.data["speed"].values, branch.data["segment"].values
@@ -120,6 +122,7 @@ def main(count=20, first=0, most=400):
         if branch is None:
             continue
         found = list(within(branch))
+        print(f"seed {seed}:", *(end.name for end in branch.ends), flush=True)
         for few, many, value in found:
             off = held(branch, scene, other, few, many, value)
             worst = np.maximum(worst, off)

@@ -7,7 +7,7 @@ from .soft_half_swing import plunge
 
 
 def reversed_in_time(frame, wall, soft):
-    """The `soft_contact.SoftFlow` within a wall with time reversed. wall, frame: its `Lane` and the flow's, so reversed;
+    """The `soft_contact.SoftFlow` within a wall with time reversed. wall, frame: its `Lane` and the flow's, reversed;
     soft: as it was.
 
     The energy of y^(6) grows as that of x^(6) does, see `spring_flow.reversed_in_time`.
