@@ -90,9 +90,11 @@ WALLS = {
 }
 
 
-@pytest.mark.parametrize(
-    "name", ["soft", *(pytest.param(each, marks=pytest.mark.slow) for each in ("stiff", "moving"))]
-)
+SLOW, LONG = pytest.mark.slow, pytest.mark.long
+NAMES = [pytest.param("soft", marks=SLOW), *(pytest.param(name, marks=LONG) for name in ("stiff", "moving"))]
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_the_way_back_is_the_inverse(name):
     """Also of states that are within a soft wall, and where the way goes through some."""
     scene, rng = jv.make_scene(2.0, 1.6, 0.05, 0.7, WALLS[name]), np.random.default_rng(0)
