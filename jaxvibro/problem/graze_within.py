@@ -31,7 +31,7 @@ from .touches import Touch, flight_times, scales, span, stays
 
 NEAR = 1e-2  # of the scene's length: a contact that comes as near to its wall, or enters as slowly, may be about to
 DEEP = 1e-12  # of the scene's length: below the wall there the orbits with one contact end
-SLOW = 3e-6  # of the scene's length per t: at that speed of entering those with two end
+SLOW = 1e-6, 3e-6  # of the scene's length per t: at that speed of entering those with two end, the first that is met
 SAMPLE, MOST = 0.2, 512  # of a stay's own time between samples; samples of a stay
 HALF = 1.25  # half-swings: in a shorter stay the mass does not come back twice
 ROUNDS = 6  # of Newton's steps to a turning point
@@ -285,8 +285,9 @@ def _joins(along, z, tangent, control, length):
         rest = -z[size + row] / tangent[size + row]
         if not abs(way - rest) < 0.5 * rest:
             continue
-        end = event_search.pinned(problem(along), met, size + row, SLOW * length, control, along)
-        if not end.met:
+        pinned = (event_search.pinned(problem(along), met, size + row, u * length, control, along) for u in SLOW)
+        end = next((one for one in pinned if one.met), None)
+        if end is None:
             continue
         plain = bare._replace(cycle=bare.cycle._replace(passed=None))
         out, sure = grazing.leave(plain, one.z, one.tangent, np.array([one.rate]), length, (False,))
