@@ -254,18 +254,3 @@ def test_multipliers_change_like_the_root_of_the_distance_to_a_grazing(resonance
 def test_bad_walls_are_refused(wall, key):
     with pytest.raises(jv.ArgumentError, match=f"^{key}: "):
         jv.make_scene(**FIG10, walls=(-1.0, wall))
-
-
-@pytest.mark.slow
-def test_what_is_for_rigid_walls_says_so(resonance):
-    orbit, _ = resonance
-    start = jv.State(0.0, 0.0)
-    calls = [
-        lambda: jv.spectrum(orbit.scene, "amplitude", [1.0], start),
-        lambda: jv.sections(orbit.scene, start),
-        lambda: jv.basins(orbit.scene, [-0.5, 0.5], [-0.5, 0.5]),
-        lambda: jv.return_map(orbit.scene, "right", 0.0, -1.0),
-    ]
-    for call in calls:
-        with pytest.raises(jv.ArgumentError, match="rigid"):
-            call()

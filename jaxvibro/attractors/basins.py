@@ -30,27 +30,27 @@ def basins(
     """The basins of attraction on Sigma: an xarray.Dataset.
 
     scene: a single one. x (columns,), v (rows,): positions and velocities of the starts, rising, at least two of each;
-    phase: of the drive at the start, rad. attractors: a tuple as from `find_attractors`, which is asked where it is
-    None; those that it calls unresolved take no starts. patience: drive periods that a start may take, a whole number
-    from 1 on. progress: called with the number of starts that are done.
+    past a soft wall a start is within it; phase: of the drive at the start, rad. attractors: a tuple as from
+    `find_attractors`, which is asked where it is None; those that it calls unresolved take no starts. patience: drive
+    periods that a start may take, a whole number from 1 on. progress: called with the number of starts that are done.
 
     Dataset: label(v, x): the attractor's place in the tuple, -1 where the start is not certain to be on any (many of
-    them: another attractor, ask `find_attractors` with more starts), -2 beyond a wall; periods(v, x): drive periods
-    after which it was seen. Of each attractor, over the dimension "attractor": name (P n p q, "chaotic", ...), kind,
-    mirror_of (place of its mirror image, -1: none), point_x and point_v on Sigma at the phase (nan where it has fewer),
-    fraction: of the starts between the walls, fraction_error: the spread between the four grids of every other row and
-    column, and the unresolved share. mixed(side): the share of boxes, so many cells wide, with more than one label.
+    them: another attractor, ask `find_attractors` with more starts), -2 beyond a rigid wall; periods(v, x): drive
+    periods after which it was seen. Of each attractor, over the dimension "attractor": name (P n p q, "chaotic", ...),
+    kind, mirror_of (place of its mirror image, -1: none), point_x and point_v on Sigma at the phase (nan where it has
+    fewer), fraction: of the starts that are beyond no rigid wall, fraction_error: the spread between the four grids of
+    every other row and column, and the unresolved share. mixed(side): the share of boxes, so many cells wide, with more
+    than one label.
     Attributes: the scene's numbers; phase; basin_entropy and boundary_basin_entropy of boxes of 5 x 5 starts (Daza et
     al., Sci. Rep. 6, 31416, 2016); boundary_dimension and its error (`fractal.dimension`).
 
     A start is on a periodic attractor once it is in an ellipse that the return map takes into itself, tried on a fan of
     states (`trap`); on a chaotic one when it was near a sample of it at eight looks in a row, eight periods apart. An
-    attractor with an impact just at the section's phase has no such ellipse: take another phase.
+    attractor with an impact on a rigid wall just at the section's phase has no such ellipse: take another phase.
 
     Raises ArgumentError for a batch of scenes and for numbers that cannot be.
     """
     check.require_single(scene)
-    check.require_rigid(scene, "basins")
     x, v = _axis("x", x), _axis("v", v)
     angle = check.number("phase", phase, np.float64)
     if angle.shape:
@@ -83,9 +83,9 @@ def _dataset(scene, x, v, phase, attractors, homes, label, periods):
     mirrors = [-1 if one.mirror_of is None else one.mirror_of for one in attractors]
     return xr.Dataset(
         {
-            "label": (("v", "x"), label, {"long_name": "attractor, -1 unresolved, -2 beyond a wall"}),
+            "label": (("v", "x"), label, {"long_name": "attractor, -1 unresolved, -2 beyond a rigid wall"}),
             "periods": (("v", "x"), periods, {"long_name": "drive periods after which it was seen"}),
-            "fraction": ("attractor", fraction, {"long_name": "share of the starts between the walls"}),
+            "fraction": ("attractor", fraction, {"long_name": "share of the starts beyond no rigid wall"}),
             "fraction_error": ("attractor", error),
             "point_x": (("attractor", "point"), points[..., 0], {"units": LENGTH}),
             "point_v": (("attractor", "point"), points[..., 1], {"units": SPEED}),
@@ -112,7 +112,7 @@ def _dataset(scene, x, v, phase, attractors, homes, label, periods):
 
 
 def _fractions(label, count):
-    """(shares of the starts between the walls, their errors), each (count,)."""
+    """(shares of the starts beyond no rigid wall, their errors), each (count,)."""
 
     def shares(part):
         inside = max(1, (part != OUTSIDE).sum())

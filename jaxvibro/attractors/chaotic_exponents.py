@@ -13,7 +13,7 @@ from jaxtyping import Float, Int
 
 from ..compiled.compiler_hints import WIDTH
 from ..maps.initial_conditions import box
-from ..scene.codes import Status
+from ..scene.codes import Contact, Status
 from ..scene.state import State
 from .batch_means import standard_error
 from .orbit_exponents import Rates, areas, lost, shrinkage
@@ -91,7 +91,8 @@ def of_motion(scene, start, goal, most):
     while True:
         for _ in range(chunks - len(sums)):
             before, (lanes, laps) = laps, run(scene, lanes, LAPS)
-            rows = np.stack([laps.growth, laps.left, laps.right, laps.count, areas(scene, laps)])
+            within = np.moveaxis(laps.within, -1, 0)
+            rows = np.stack([laps.growth, laps.left, laps.right, laps.count, areas(scene, laps), *within])
             sums.append(rows.reshape(len(rows), -1, BLOCK, WIDTH).sum(2))
             status = np.asarray(worse(status, laps.status))
         rates = _averaged(scene, np.concatenate(sums, axis=1), int(status.max()))
@@ -117,24 +118,25 @@ def _copies(start, scale):
     state = jax.tree.map(lambda leaf: leaf[places, 0], start.visits)
     dtype = state.x.dtype
     off = np.random.default_rng(0).normal(size=WIDTH) * np.finfo(dtype).eps ** 0.4 * scale
-    free = state.contact == 0
-    v = np.where(free, state.v + off.astype(dtype), state.v)
+    held = (state.contact == 0) | (abs(state.contact) == Contact.WITHIN)
+    v = np.where(held, state.v + off.astype(dtype), state.v)
     return begin(State(state.x, v, state.phase, state.contact))
 
 
 def _averaged(scene, sums, status):
-    """The `Rates` of sums of growth, impacts (left, right, all) and `areas` over blocks, shape (5, blocks, copies)."""
-    growth, left, right, hits, area = sums
+    """The `Rates` of sums of growth, impacts (left, right, all), `areas` and the time within each wall over blocks,
+    shape (7, blocks, copies)."""
+    growth, left, right, hits, area, *within = sums
     count = growth.size * BLOCK
     if status >= Status.CAP or np.isnan(growth).any() or np.isposinf(growth).any():
         return lost(status if status else Status.NONFINITE)
     first, both = growth.sum() / count, shrinkage(scene, left.sum(), right.sum(), count, area.sum()) / count
-    impacts = np.array([part.sum() for part in (hits, left, right)]) / count
+    impacts, within = (np.array([part.sum() for part in each]) / count for each in ((hits, left, right), within))
     if np.isneginf(first):
-        return Rates(np.full(2, -np.inf), np.zeros(2), impacts, 0, status, count)
+        return Rates(np.full(2, -np.inf), np.zeros(2), impacts, within, 0, status, count)
     error = np.array([standard_error(growth, BLOCK), 0.0])
     if np.isfinite(both):
         error[1] = standard_error(shrinkage(scene, left, right, BLOCK, area) - growth, BLOCK)
     if abs(first) < SLOWEST:
         error = np.maximum(error, 1.0 / (len(growth) * BLOCK))  # a shear alone grows like ln(time), which looks steady
-    return Rates(np.array([first, both - first]), error, impacts, 0, status, count)
+    return Rates(np.array([first, both - first]), error, impacts, within, 0, status, count)

@@ -4,7 +4,6 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Real
 
-from ..flight.wall_positions import places
 from ..maps.initial_conditions import box
 from ..maps.inverse import require_reversible
 from ..maps.monodromy import monodromy
@@ -12,6 +11,7 @@ from ..maps.phase_shift import shift_phase
 from ..orbits.orbit import Orbit
 from ..output.units import LENGTH, SPEED
 from ..scene import check
+from ..scene.scene import free_between
 from ..scene.state import State
 from .global_manifold import Rules, gaps, levels
 from .local_manifold import germ, mapped
@@ -41,20 +41,22 @@ def manifold(
 
     Dataset over "point": x, v; arc: length of the curve from the saddle on; side (-1, 1), origin (which of the orbit's
     points, in order), image (how often the map, or its inverse, was applied to the piece at the saddle, which has 0),
-    piece. Over "piece_end", for each piece: began and ended, each "saddle"; "section": an impact at the section's
-    phase, the curve goes on from its wall with the speed after or before it; "grazing": a corner, the last point of one
+    piece. Over "piece_end", for each piece: began and ended, each "saddle"; "section": an impact on a rigid wall at the
+    section's phase, the curve goes on from its wall with the speed after or before it; "grazing": a corner, where an
+    impact comes or goes, of a soft wall also by being entered or left at the section's phase, the last point of one
     piece and the first of the next; "fast": what is faster is left out; "resolution": the curve is stretched more than
     rounding allows; "attractor": it ends there; "length"; "points".
     Attributes: the scene's numbers, phase, kind, label and multiplier.
 
-    The stable manifold is grown by the certified map with time reversed (`backward`). A wall without restitution has no
-    way back. Raises ArgumentError for what is no saddle and for arguments that cannot be.
+    Past a soft wall the curve's points are within it. The stable manifold is grown by the certified map with time
+    reversed (`backward`). A wall without restitution, and a soft one from critical damping on, has no way back.
+
+    Raises ArgumentError for what is no saddle and for arguments that cannot be.
     """
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError("orbit", "must be an Orbit", orbit)
     if kind not in KINDS:
         raise check.ArgumentError("kind", f"must be one of {', '.join(KINDS)}", kind)
-    check.require_rigid(orbit.scene, "manifold")
     scene, back = orbit.scene, kind == "stable"
     size, rules = _rules(scene, length, spacing, angle, fastest, check.whole("most", most, 100))
     rate, turn = _rate(orbit, kind), orbit.periods
@@ -119,7 +121,7 @@ def _saddles(orbit, phase, back):
 
 def _strand(scene, phase, saddle, found, end, size, rules):
     """One side of one point, from the saddle on: a dict of arrays over its points, and of its pieces' ends."""
-    walls = [float(place) for place, _ in places(scene, phase)]
+    walls = [place for place in free_between(scene, phase) if np.isfinite(place)]
     z, good, image, why = [saddle[None]], [[True]], [[0]], [[""]]
     for k, level in enumerate(found):
         chosen, ends = _cornered(level, _breaks(level, walls, size, rules))

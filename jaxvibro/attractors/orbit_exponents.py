@@ -1,7 +1,7 @@
 """The Lyapunov exponents of periodic orbits: ln abs(multiplier) / n, of many orbits at once.
 
 The determinant of M is known without error from impacts and damping, ln det M = 2 sum ln R - 2 gamma n T (paper, (38)):
-it gives the second multiplier, however much smaller than the first.
+it gives the second multiplier, however much smaller than the first. Within a soft wall gamma2 takes the place of gamma.
 """
 
 from typing import NamedTuple
@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..scene.codes import Status
+from ..scene.codes import Contact, Status
+from ..scene.scene import SIDES
 from ..scene.state import State
 from .tangent import LAPS, begin, run
 
@@ -19,11 +20,13 @@ ROUNDS = 5  # of Newton's method on the strobe: the last two are rounding apart
 
 class Rates(NamedTuple):
     """What is known of one motion. exponent, error: (2,), a period, the larger first; impacts: a period, of all, left,
-    right, (3,); periods: of the orbit, 0 for none; status: see `tangent.run`; count: periods averaged."""
+    right, (3,); within: the time within each wall, a period, left, right, (2,); periods: of the orbit, 0 for none;
+    status: see `tangent.run`; count: periods averaged."""
 
     exponent: Float[np.ndarray, "2"]
     error: Float[np.ndarray, "2"]
     impacts: Float[np.ndarray, "3"]
+    within: Float[np.ndarray, "2"]
     periods: int
     status: int
     count: int  # type: ignore[assignment]  # hides tuple's method
@@ -37,13 +40,18 @@ class Rates(NamedTuple):
 def lost(status):
     """The `Rates` of a motion that has none."""
     none = np.full(2, np.nan)
-    return Rates(none, none, np.full(3, np.nan), 0, int(status), 0)
+    return Rates(none, none, np.full(3, np.nan), none, 0, int(status), 0)
 
 
 def areas(scene, laps):
-    """ln abs det M of each period of some laps, by the matrices themselves; 0 where `shrinkage` knows it without."""
+    """What of ln abs det M `shrinkage` cannot know of each period of some laps: all of it, by the matrices themselves,
+    under a force of the user's own; else what the damping of soft walls adds in the time within them."""
     if scene.force is None:
-        return np.zeros_like(laps.growth)
+        found = np.zeros_like(laps.growth)
+        for side in scene.soft_sides:
+            more = np.asarray(scene.parameter(f"{side}.damping")) - np.asarray(scene.damping)
+            found -= 2.0 * more * laps.within[..., SIDES.index(side)]
+        return found
     a, b, c, d = np.moveaxis(laps.matrix, -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.log(abs(a * d - b * c))
@@ -51,13 +59,13 @@ def areas(scene, laps):
 
 def shrinkage(scene, left, right, count, area):
     """ln abs det M of so many periods with these impacts on each wall: numbers that broadcast. area: the sum of
-    `areas`, which it is under a force of the user's own."""
+    `areas`."""
     if scene.force is not None:
         return area
     length = 2.0 * np.pi / np.asarray(scene.frequency)
-    total = -2.0 * np.asarray(scene.damping) * length * count
+    total = area - 2.0 * np.asarray(scene.damping) * length * count
     for side, hits in (("left", left), ("right", right)):
-        if side in scene.walls:
+        if side in scene.walls and side not in scene.soft_sides:
             with np.errstate(divide="ignore", invalid="ignore"):
                 total = total + np.where(hits > 0, 2.0 * hits * np.log(np.asarray(scene.bounce(side))), 0.0)
     return total
@@ -74,12 +82,12 @@ def of_orbits(scene, state, periods):
     for _ in range(ROUNDS):
         _, laps = run(scene, begin(state), LAPS)
         off = laps.points[periods - 1, np.arange(len(periods))] - np.stack([state.x, state.v], -1)
-        parts = laps.left, laps.right, laps.count, areas(scene, laps)
-        left, right, hits, area = (_until(part, periods) for part in parts)
+        parts = laps.left, laps.right, laps.count, areas(scene, laps), *np.moveaxis(laps.within, -1, 0)
+        left, right, hits, area, *within = (_until(part, periods) for part in parts)
         matrix, size = _product(laps.matrix, periods)
         logs = _multiplied(matrix, size, shrinkage(scene, left, right, periods, area))
         away = np.nan_to_num(abs(off).max(axis=1), nan=np.inf)
-        seen.append((away, logs / periods[:, None], np.stack([hits, left, right], -1), laps.status))
+        seen.append((away, logs / periods[:, None], np.stack([hits, left, right, *within], -1), laps.status))
         state = _nearer(state, matrix, size, off)
     away, logs, hits, status = map(np.stack, zip(*seen, strict=True))
     order = np.argsort(away, axis=0, kind="stable")[:2]
@@ -117,21 +125,25 @@ def _multiplied(matrix, size, both):
 
 
 def _nearer(state, matrix, size, off):
-    """The states of Newton's next step, as far as there is one: none from a mass that is on a wall."""
+    """The states of Newton's next step, as far as there is one: none from a mass that is on a wall.
+
+    One that is within a soft wall may come out of it: where it then is, it is free.
+    """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         full = np.eye(2) - matrix * np.exp(size)[:, None, None]
         (a, b), (c, d) = np.moveaxis(full, 0, -1)
         step = np.stack([d * off[:, 0] - b * off[:, 1], a * off[:, 1] - c * off[:, 0]]) / (a * d - b * c)
-    good = np.isfinite(step).all(axis=0) & np.isfinite(size) & (state.contact == 0)
+    within = abs(state.contact) == Contact.WITHIN
+    good = np.isfinite(step).all(axis=0) & np.isfinite(size) & (within | (state.contact == 0))
     x, v = np.where(good, step, 0.0).astype(off.dtype)
-    return State(state.x + x, state.v + v, state.phase, state.contact)
+    return State(state.x + x, state.v + v, state.phase, np.where(good, 0.0, state.contact).astype(off.dtype))
 
 
-def _told(rates, impacts, status, periods):
+def _told(rates, counts, status, periods):
     """`Rates` from the exponents of the best and of the second best step."""
     if np.isnan(rates[0]).any() or np.isposinf(rates[0]).any() or status >= Status.CAP:
         return lost(status or Status.NONFINITE)
     with np.errstate(invalid="ignore"):
         apart = abs(rates[0] - rates[1]) + 4.0 * np.finfo(rates.dtype).eps * abs(rates[0])
     error = np.where(np.isneginf(rates[0]), 0.0, np.where(np.isnan(apart), np.inf, apart))
-    return Rates(rates[0], error, impacts, periods, status, periods)
+    return Rates(rates[0], error, counts[:3], counts[3:], periods, status, periods)

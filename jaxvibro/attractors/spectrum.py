@@ -43,8 +43,10 @@ def spectrum(
 
     The Dataset, along `name`: exponent and error (name, order), the larger first, per drive period, the error a
     standard error (of an orbit: what rounding leaves unsure); impacts per period, and impacts_on (name, wall), of the
-    first 32 in a period; periods of the orbit, 0 where none was recognised; count, drive periods averaged; status, as
-    `Impacts` has it. The exponents' sum is -2 gamma T + 2 ln R times impacts_on, without error. Both are -inf where the
+    first 32 in a period, an entry into a soft one being an impact; within (name, wall), the time spent within a soft
+    wall, t per drive period, 0 of a rigid one; periods of the orbit, 0 where none was recognised; count, drive periods
+    averaged; status, as `Impacts` has it. The exponents' sum is -2 gamma T + 2 ln R times impacts_on - 2 (gamma2 -
+    gamma) times within, without error (of a force of the user's own it is measured). Both are -inf where the
     mass comes to rest on a wall, as it then forgets all. rests: how often a period it does so; between: the largest
     growth of tangents from where a wall lets it go to where it next comes to rest, the hops of complete chatter
     included, a drive period of the time between (`rests`: to within some hundredths); nan where it has no such flight.
@@ -58,7 +60,6 @@ def spectrum(
     Raises ArgumentError as `sweep` does, for an error that is not positive, and for counts that cannot be.
     """
     check.require_single(scene)
-    check.require_rigid(scene, "spectrum")
     settle, most = check.whole("settle", settle, 0), check.whole("most", most, 1)
     goal = check.number("error", error, np.float64)
     check.require("error", "must be greater than 0", goal, goal > 0)
@@ -166,7 +167,7 @@ def _orbits(pool, orbits, index):
 
 def _dataset(scene, name, values, state, found, resting):
     """The named result of the `Rates` and the `Rests` of each value."""
-    exponent, error, impacts, periods, status, count = (np.stack(part) for part in zip(*found, strict=True))
+    exponent, error, impacts, within, periods, status, count = (np.stack(part) for part in zip(*found, strict=True))
     coords = {
         name: (name, values, {"long_name": name}),
         "order": ("order", [1, 2], {"long_name": "place among the exponents, the larger first"}),
@@ -186,6 +187,7 @@ def _dataset(scene, name, values, state, found, resting):
         "between": (name, [one.rate for one in resting], {"long_name": "largest growth between rests", **rate}),
         "impacts": (name, impacts[:, 0], {"long_name": "impacts", **rate}),
         "impacts_on": ([name, "wall"], impacts[:, 1:], {"long_name": "impacts on a wall", **rate}),
+        "within": ([name, "wall"], within, {"long_name": "time within a soft wall", "units": "t per drive period"}),
         "periods": (name, periods, {"long_name": "drive periods of the orbit, 0 where none was recognised"}),
         "count": (name, count, {"long_name": "drive periods averaged"}),
         "status": (name, status, {"long_name": "worst status at this value", **MEANING}),

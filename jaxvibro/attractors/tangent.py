@@ -21,9 +21,11 @@ from ..maps.long_run import padded
 from ..maps.monodromy import passage
 from ..maps.one_period import SLOTS
 from ..scene.codes import Status
+from ..scene.scene import SIDES
 from ..scene.state import State
 
 LAPS = 64  # periods recorded, of however many are run
+MATRIX = slice(6, 10)  # of the numbers recorded of a period
 
 
 class TangentLanes(NamedTuple):
@@ -39,7 +41,8 @@ class Laps(NamedTuple):
 
     x, v: at a period's end; growth: the logarithm of the tangent's growth, -inf where the mass has rested; left, right:
     impacts on each wall, at most `one_period.SLOTS` together; count: all impacts; matrix: the derivative of each period
-    by rows, (periods, lanes, 4); status: the worst of all periods run, (lanes,).
+    by rows, (periods, lanes, 4); within: the time spent within each wall, left and right, 0 in rigid ones, (periods,
+    lanes, 2); status: the worst of all periods run, (lanes,).
     """
 
     x: Float[np.ndarray, "periods lanes"]
@@ -49,6 +52,7 @@ class Laps(NamedTuple):
     right: Float[np.ndarray, "periods lanes"]
     count: Float[np.ndarray, "periods lanes"]  # type: ignore[assignment]  # hides tuple's method
     matrix: Float[np.ndarray, "periods lanes 4"]
+    within: Float[np.ndarray, "periods lanes 2"]
     status: Int[np.ndarray, " lanes"]
 
     @property
@@ -84,7 +88,10 @@ def run(scene, lanes, periods):
     if periods > LAPS:
         rows = np.roll(rows, -(periods % LAPS), axis=0)
     ends, worst = jax.tree.map(lambda leaf: leaf[:size], (ends, worst))
-    return ends, Laps(*np.moveaxis(rows, 1, 0)[:6], np.moveaxis(rows[:, 6:], 1, 2), worst)
+    within = np.zeros((*rows[:, 0].shape, 2), rows.dtype)
+    for k, side in enumerate(scene.soft_sides):
+        within[..., SIDES.index(side)] = rows[:, MATRIX.stop + k]
+    return ends, Laps(*np.moveaxis(rows, 1, 0)[: MATRIX.start], np.moveaxis(rows[:, MATRIX], 1, 2), within, worst)
 
 
 def _put_together(*parts):
@@ -104,15 +111,16 @@ def _run(scene, lanes, periods):
         row = jnp.stack([x, v, *rest])  # a ring for each number costs as much as all else
         return lanes, lax.dynamic_update_index_in_dim(ring, row, k % LAPS, 0), worse(worst, status)
 
-    ring = jnp.zeros((LAPS, 10, *size), lanes.state.x.dtype)
+    ring = jnp.zeros((LAPS, MATRIX.stop + len(scene.soft_sides), *size), lanes.state.x.dtype)
     return lax.fori_loop(0, periods, one, (lanes, ring, jnp.zeros(size, jnp.int32)))
 
 
 def _period(scene, lanes):
-    """x, v, contact and tangent a period later, the status; growth, impacts on the left, on the right, all; M."""
-    end, impacts, rests, product = passage(scene, lanes.state, 1, SLOTS)
+    """x, v, contact and tangent a period later, the status; growth, impacts on the left, on the right, all; M; the time
+    within each soft wall."""
+    end, impacts, rests, way = passage(scene, lanes.state, 1, SLOTS)
     full = (impacts.count > SLOTS) & ~rests
-    matrix = [choose(full, jnp.nan, choose(rests, 0.0, each)) for each in product]
+    matrix = [choose(full, jnp.nan, choose(rests, 0.0, each)) for each in way.matrix]
     a, b, c, d = matrix
     along, across = a * lanes.along_x + b * lanes.along_v, c * lanes.along_x + d * lanes.along_v
     size = lax.sqrt(along * along + across * across)
@@ -128,4 +136,5 @@ def _period(scene, lanes):
         *(lax.log(size), 0.5 * (held - balance), 0.5 * (held + balance)),
         impacts.count.astype(size.dtype),
         *matrix,
+        *way.within,
     )

@@ -12,7 +12,7 @@ from continuation.rows import at, put, upto
 from continuation.stretch import Mark
 
 from ..orbits.impact_equations import Cycle
-from ..problem import resting, soft_grazing
+from ..problem import graze_within, resting, soft_grazing
 from ..problem.end import End, ended
 from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
@@ -74,6 +74,7 @@ class BranchWatch(OrbitWatch):
         for k in range(1, len(points.z) if along.scene.soft_sides else 0):
             z, tangent = points.z[k], points.tangent[k]
             rows = [row for row in soft_grazing.slow(along, z, self.length) if tangent[size + row] < 0]
+            rows = [row for row in rows if not graze_within.is_pressed_in(along, z, row)]
             found = soft_grazing.located(along, z, rows, self.length) if rows else None
             if found is None or found.z is None:
                 continue
@@ -83,7 +84,17 @@ class BranchWatch(OrbitWatch):
                 one = at(points, k)._replace(z=found.z, step=np.float64(length))
                 more = soft_grazing.exits(along, found.z, self.length)
                 return self.grazing(put(upto(points, k + 1), k + 1, one), "GR", float(found.residual), more)
-        return None
+        return self.from_within(task, points) if along.scene.soft_sides else None
+
+    def from_within(self, task, points):
+        """`Met` where a mass within a soft wall is about to leave it for a moment, or not to leave it any more."""
+        met = graze_within.ahead(self.equations, points, task.control, self.length)
+        if met is None:
+            return None
+        last, found = met
+        one = at(points, last)._replace(z=found.z, step=np.float64(found.step))
+        more = found.touches, found.exits, found.sure
+        return self.grazing(put(upto(points, last + 1), last + 1, one), "GR", found.residual, more)
 
     def touch(self, task, points, view, bad):
         along = self.equations

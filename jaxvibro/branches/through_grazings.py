@@ -39,7 +39,7 @@ def go_on(along, start, asked):
                 one, way = one._replace(end=End.CLOSED), None
             elif is_repeated(along, one.points.z[-1]):
                 one, way = one._replace(end=End.HALVED), None
-            elif one.marks[-1].kind == "GR" and (way is None or is_chatter(along, one.points.z[-1], asked.length)):
+            elif one.marks[-1].kind == "GR" and (way is None or _is_slow(along, one, asked.length)):
                 z, sign = one.points.z[-1], np.sign(one.points.tangent[-1, -1])
                 one, way, rest = _into_rest(one, completed(along, z, sign, asked.length), way is not None)
             met.append(here)
@@ -85,6 +85,11 @@ def _into_rest(one, found, chatters):
         return one._replace(end=End.CHATTER if chatters else one.end), None, ()
     way, residual = found
     return one, way, (Mark(0, "CH", residual, GrazingPoint((), (way,), True, (False,))),)
+
+
+def _is_slow(along, one, length):
+    """Whether at the grazing at the end of a piece an impact besides its touches is very slow."""
+    return is_chatter(along, one.points.z[-1], length, one.marks[-1].more.touches)
 
 
 def _is_met(here, other):

@@ -28,9 +28,10 @@ SHORT = 0.05  # `releases.Tails.plain`: less, and the first of the last hops is 
 SLOW = 1e-6  # of the scene's length per t: below, the flights between impacts are lost in rounding
 
 
-def is_chatter(along, z, length):
-    """Whether at a grazing another impact is so slow that many more will be, before the mass comes to rest."""
-    speeds = z[len(along.cycle.sides) :][along.hits]
+def is_chatter(along, z, length, touches=()):
+    """Whether an impact, but for some `Touch`es, is so slow that many more will be, before the mass comes to rest."""
+    own = [touch.row for touch in touches if touch.own]
+    speeds = z[len(along.cycle.sides) :][np.setdiff1d(along.hits, own)]
     return bool(((speeds > 0) & (speeds < SLOW * length)).any())
 
 

@@ -143,7 +143,8 @@ def leap(frame, path, wait, flown=by_series):
 
 
 def _safe(frame, path):
-    """A time for which the mass certainly stays within its wall; 0 where that cannot be said."""
+    """A time for which the mass certainly stays within its wall; 0 where that cannot be said, as where swings grow
+    (with time reversed)."""
     parts = _forced(frame, path.contact, path.cosine, path.sine)
     stiffness, damping, side = frame.stiffness, frame.damping, lax.sign(path.contact)
     place, pace = (sum(each) for each in zip(*(part.values(2) for part in parts), strict=True))
@@ -170,7 +171,7 @@ def _safe(frame, path):
     near = event.free_step(limit)
     step = event.sure_step(limit, event.horizon(limit, event.quadratic(*limit[:3])), near)
     stiff = stiffness > STIFF * pace * pace
-    return choose((terms[0] < 0) & stiff, step * reach, 0.0)
+    return choose((terms[0] < 0) & stiff & (damping >= 0), step * reach, 0.0)
 
 
 def _flown(frame, path, time):

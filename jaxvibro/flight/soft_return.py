@@ -23,12 +23,14 @@ BERNSTEIN = np.array([[math.comb(j, k) / math.comb(DEGREE, k) for k in range(DEG
 SO_FAR = np.tri(DEGREE + 1)
 
 
-def first_return(frame, touch, v, cosine, sine, longest):
+def first_return(frame, touch, v, cosine, sine, longest, y=None):
     """The time until lanes that enter a wall with the velocity v leave it, at most the longest; touch: their contact,
-    0 of lanes that enter none. No derivatives; right to some roundings of the motion."""
+    0 of lanes that enter none; y: how far past the wall they are, None at it. No derivatives; right to some roundings
+    of the motion."""
     none = lax.full_like(v, 0.0)
     to_go = choose(is_inside(touch), longest, 0.0)
-    path = Path(none, none, v, SlowMotion(none, none, v, none, cosine, sine), to_go, none, touch)
+    y = none if y is None else y
+    path = Path(y, none, v, SlowMotion(y, none, v, none, cosine, sine), to_go, none, touch)
     here = soft_contact.feeling(frame, touch)
     rows, side = soft_polynomial.table(here, touch), lax.sign(touch)
 

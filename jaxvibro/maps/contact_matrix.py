@@ -7,7 +7,7 @@ from ..flight import flow
 from ..flight.soft_contact import feeling, flown, is_inside, response
 from ..flight.wall import chosen, course
 from .contact_duration import carried, duration, from_wall_to_wall, product, share
-from .onward import Onward
+from .onward import Onward, spent
 
 
 def through(frame, lanes, outside, whole, now):
@@ -33,4 +33,4 @@ def through(frame, lanes, outside, whole, now):
     free = from_wall_to_wall(here, touch, time, answer, (out & outside, v, now.cosine, now.sine))
     new = product(carried(frame, touch, time, free, first, last)[0], now.matrix)
     new = tuple(choose(inside, one, old) for one, old in zip(new, now.matrix, strict=True))
-    return Onward(now.time + time, now.place, *after, new)
+    return Onward(now.time + time, now.place, *after, new, spent(frame, touch, time, now.within))

@@ -88,17 +88,17 @@ def _block(scene, state, periods, slots):
 
 def with_strobe(scene, state, periods, slots, clearance=False):
     """(State, Impacts, M by rows) of a block of lanes, to be called within one kernel as `passage` is."""
-    end, impacts, rests, matrix = passage(scene, state, periods, slots, clearance)
+    end, impacts, rests, way = passage(scene, state, periods, slots, clearance)
     lost = (impacts.status >= Status.CAP) | ((impacts.count > slots) & ~rests)
-    return end, impacts, [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in matrix]
+    return end, impacts, [choose(lost, jnp.nan, choose(rests, 0.0, each)) for each in way.matrix]
 
 
 def passage(scene, state, periods, slots, clearance=False):
-    """(end, impacts, rests, product) of a block of lanes: where `strobe` leads, and what M is made of.
+    """(end, impacts, rests, way) of a block of lanes: where `strobe` leads, and what M is made of.
 
-    rests: whether the mass is on a wall at some time, which makes M zero whatever the product is. product: of P and Q,
-    four entries by rows, of no meaning with a status from CAP on, or with more impacts than slots. state.x has the
-    lanes' shape, other numbers are scalars or of that shape. To be called within one kernel.
+    rests: whether the mass is on a wall at some time, which makes M zero whatever the product is. way: the `Onward` at
+    the end, its matrix the product of P and Q, of no meaning with a status from CAP on, or with more impacts than
+    slots. state.x has the lanes' shape, other numbers are scalars or of that shape. To be called within one kernel.
     """
     (end, impacts), freed = one_period.through(scene, state, periods, slots, clearance)
     rests = (abs(end.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (freed >= 0)
@@ -106,7 +106,7 @@ def passage(scene, state, periods, slots, clearance=False):
 
 
 def _product(scene, state, impacts, zero, periods, slots):
-    """P of each flight, Q of each impact, the matrix of each stay, multiplied, by rows; zero: of every lane."""
+    """The `Onward` after P of each flight, Q of each impact, the matrix of each stay; zero: of every lane."""
     built = frame(scene)
     flow, through = flow_of(built), THROUGH[built.stays]
     rows = impacts.time, impacts.side.astype(zero.dtype), impacts.speed
@@ -132,14 +132,15 @@ def _product(scene, state, impacts, zero, periods, slots):
             place = _bounced(built, hit, side, speed, bounce, cosine, sine, place)
         if lanes:
             lanes = choose(hit & gives(built, side), side * Contact.ENTERED, 0.0), zero, side * speed
-        return k + 1, lanes, Onward(now.time + span, place, cosine, sine, matrix)
+        return k + 1, lanes, Onward(now.time + span, place, cosine, sine, matrix, now.within)
 
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
     whole, one = zero + periods * built.period, (zero + 1.0, zero, zero, zero + 1.0)
     place = () if flow.LINEAR and not through else (state.x + zero, state.v + zero)
     lanes = start_within.within(built, Now(*place, cosine, sine, zero), state.contact) if through else ()
-    start = Onward(zero, () if flow.LINEAR else place, cosine, sine, one)
-    return lax.while_loop(lambda carry: carry[0] <= most, turn, (jnp.int32(0), lanes, start))[-1].matrix
+    within = tuple(zero for each in built.contacts if each is not None)
+    start = Onward(zero, () if flow.LINEAR else place, cosine, sine, one, within)
+    return lax.while_loop(lambda carry: carry[0] <= most, turn, (jnp.int32(0), lanes, start))[-1]
 
 
 def _bounced(frame, hit, side, speed, bounce, cosine, sine, place):

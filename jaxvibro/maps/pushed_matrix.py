@@ -17,7 +17,7 @@ from ..flight.soft_contact import is_inside
 from ..flight.wall import course_on, less
 from ..scene.codes import Contact
 from .contact_duration import product
-from .onward import Onward
+from .onward import Onward, spent
 
 
 class Through(NamedTuple):
@@ -39,7 +39,8 @@ def through(frame, lanes, outside, whole, now):
     """
     inside = is_inside(lanes[0])
     found = _through(frame, lanes, now.cosine, now.sine, whole - now.time, outside)
-    new = now.time + found.time, (found.x, found.v), found.cosine, found.sine, product(found.matrix, now.matrix)
+    within = spent(frame, lanes[0], choose(inside, found.time, 0.0), now.within)
+    new = now.time + found.time, (found.x, found.v), found.cosine, found.sine, product(found.matrix, now.matrix), within
     return jax.tree.map(lambda new, old: choose(inside, new, old), Onward(*new), now)
 
 

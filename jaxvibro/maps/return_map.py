@@ -19,9 +19,9 @@ from .strobe import strobe
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Return:
-    """The next impact on the wall. phase: of the drive, rad, from 0 to 2 pi; velocity: after it, y+; time: since the
-    impact before, in t; between: impacts on the other wall on the way; found: whether there is one within the periods;
-    if not, phase, velocity and time are nan; status: as in `Impacts`."""
+    """The next impact on the wall. phase: of the drive, rad, from 0 to 2 pi; velocity: after it, y+, at a soft wall
+    that of entering it; time: since the impact before, in t; between: impacts on the other wall on the way; found:
+    whether there is one within the periods; if not, phase, velocity and time are nan; status: as in `Impacts`."""
 
     phase: Float[jax.Array, "*lanes"]
     velocity: Float[jax.Array, "*lanes"]
@@ -41,25 +41,25 @@ def return_map(
 ) -> Return:
     """From an impact on a wall to the next on it: a `Return`; P2 of the paper for "left", P3 for "right".
 
-    side: "left" or "right"; phase (rad), velocity (after the impact, away from the wall): numbers that broadcast with
-    the scene's. periods: drive periods in which the next impact is looked for; slots: impacts recorded in them. Has the
-    derivatives of `strobe`: in (phase, velocity) their eigenvalues at an orbit are its multipliers.
+    side: "left" or "right"; phase (rad), velocity (after the impact, away from the wall; at a soft wall that with which
+    the mass enters it, into the wall): numbers that broadcast with the scene's. A stay within a soft wall is on the way
+    to the next entry. periods: drive periods in which the next impact is looked for; slots: impacts recorded in them.
+    Has the derivatives of `strobe`: in (phase, velocity) their eigenvalues at an orbit are its multipliers.
 
     Raises ArgumentError for a wall that is not there, and as `strobe` does.
     """
     if side not in SIDES or getattr(scene, side) is None:
         raise check.ArgumentError("side", "must be a wall of the scene, left or right", side)
-    if getattr(scene, side).soft:
-        raise check.ArgumentError("side", "must be a rigid wall: a soft one is left later than it is met", side)
     k = SIDES.index(side)
     sign, phase = SIGNS[k], jnp.asarray(check.real("phase", phase, scene.dtype))
-    start = State(places(scene, phase)[k][0], velocity, phase, Contact.LANDED * sign)
+    begun = Contact.WITHIN if getattr(scene, side).soft else Contact.LANDED
+    start = State(places(scene, phase)[k][0], velocity, phase, begun * sign)
     _, impacts = strobe(scene, start, periods, slots)
     mine = impacts.side == sign
     found, first = jnp.any(mine, axis=-1), jnp.argmax(mine, axis=-1)
     time, speed = (jnp.take_along_axis(each, first[..., None], -1)[..., 0] for each in (impacts.time, impacts.speed))
     time = jnp.where(found, time, jnp.nan)
     angle = phase + scene.frequency * time
-    after = places(scene, angle)[k][1] - scene.parameter(f"{side}.restitution") * sign * speed
+    after = places(scene, angle)[k][1] - scene.bounce(side) * sign * speed
     between = jnp.sum((impacts.side != 0) & (jnp.arange(slots) < first[..., None]), axis=-1)
     return Return(jnp.mod(angle, 2.0 * jnp.pi), after, time, jnp.where(found, between, 0), found, impacts.status)

@@ -23,14 +23,14 @@ def sections(
     scene: a single one; state: a `State` of numbers, at its phase. settle: drive periods left out; periods: those
     looked at after them. phase: of the drive at which Sigma lies, rad.
 
-    x, v on Sigma along "period", in order: the map P1 leads from each to the next. left_phase (rad, from 0 to 2 pi) and
-    left_velocity, right_phase and right_velocity: of the drive at each impact on a wall and of the mass after it, in
-    order: P2 and P3 lead from each to the next (`return_map`). At most 16 impacts a period are seen.
+    x, v on Sigma along "period", in order: the map P1 leads from each to the next; a mass within a soft wall there is
+    past it. left_phase (rad, from 0 to 2 pi) and left_velocity, right_phase and right_velocity: of the drive at each
+    impact on a wall and of the mass after it, in order: P2 and P3 lead from each to the next (`return_map`). At a soft
+    wall an impact is an entry, which leaves the velocity as it is, into the wall. At most 16 impacts a period are seen.
 
     Raises ArgumentError for a batch, numbers that cannot be, and a motion that ends with a bad status.
     """
     check.require_single(scene)
-    check.require_rigid(scene, "sections")
     settle, periods = check.whole("settle", settle, 0), check.whole("periods", periods, 1)
     state = real_state(scene, state)
     if np.shape(state.x + state.v + state.phase + state.contact):

@@ -32,7 +32,8 @@ class Cycle(NamedTuple):
     -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None is 1. closing: what a
     change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1. still:
     (rows,), 1 at touches, impacts without speed, of a soft wall, which do nothing; None: there are none. releases:
-    (rows,), 1 where a row is no impact but the end of a rest on its wall, without speed; None: there are none."""
+    (rows,), 1 where a row is no impact but the end of a rest on its wall, without speed; None: there are none. passed:
+    (rows,), a time of the stay within a soft wall before which the mass leaves for no return to it; None: 0."""
 
     times: Float[Array, "*lanes rows"]
     speeds: Float[Array, "*lanes rows"]
@@ -43,6 +44,7 @@ class Cycle(NamedTuple):
     closing: Float[Array, "*lanes"] | None = None
     still: Float[Array, "*lanes rows"] | None = None
     releases: Float[Array, "*lanes rows"] | None = None
+    passed: Float[Array, "*lanes rows"] | None = None
 
 
 class Flights(NamedTuple):
@@ -72,7 +74,7 @@ def flights(frame, cycle):
     one = jnp.ones((), cycle.times.dtype)
     sign = jnp.where(rows == last, one if cycle.turn is None else cycle.turn, one)
     angle = cycle.phase + frame.frequency * cycle.times
-    met = meeting(frame, sides, jnp.cos(angle), jnp.sin(angle), cycle.speeds, cycle.still)
+    met = meeting(frame, sides, jnp.cos(angle), jnp.sin(angle), cycle.speeds, cycle.still, cycle.passed)
     again = jnp.where(rows == last, cycle.periods * frame.period, 0.0)
     time = _following(cycle, cycle.times, follows) - cycle.times + again
     time = time if met.stay is None else time - met.stay

@@ -57,7 +57,7 @@ def leave(frame, gives, side, cosine, sine, speed):
     return Leaving(time, after, *flow.rotated(cosine, sine, frame.frequency * time), (later, by_speed, quicker, faster))
 
 
-def left(frame, sides, gives, speed, met):
+def left(frame, sides, gives, speed, met, passed=None):
     """((the `saltation.Meeting`'s state, phasor, by_time, by_speed, opening, stay), its free) where a wall gives."""
     out = leave(frame, gives, sides, met.cosine, met.sine, speed)
     where, pace, bend = way(frame, sides, out.cosine, out.sine)

@@ -47,8 +47,9 @@ class Meeting(NamedTuple):
     free: tuple[Float[Array, "*shape"], ...] | None = None
 
 
-def meeting(frame, sides, cosine, sine, speed, still=None):
-    """The `Meeting` of impacts on these sides, 0: of none, any numbers; arrays of one shape. still: as of a `Cycle`."""
+def meeting(frame, sides, cosine, sine, speed, still=None, passed=None):
+    """The `Meeting` of impacts on these sides, 0: of none, any numbers; arrays of one shape. still, passed: as of a
+    `Cycle`, the latter beside no force of the user's own."""
     where, pace, bend = way(frame, sides, cosine, sine)
     closing, zero = sides * speed, jnp.zeros_like(speed)
     bounce = soft_contact.bounce(frame, sides) + zero
@@ -63,7 +64,7 @@ def meeting(frame, sides, cosine, sine, speed, still=None):
         return found
     gives = soft_contact.gives(frame, sides)
     gives = gives if still is None else gives & (still == 0)
-    soft, free = stays.left(frame, sides, gives, speed, found)
+    soft, free = stays.left(frame, sides, gives, speed, found, passed)
     hard = found.state, found.phasor, found.by_time, found.by_speed, found.opening, zero
     state, phasor, by_time, by_speed, opening, stay = jax.tree.map(
         lambda soft, hard: jnp.where(gives, soft, hard), soft, hard

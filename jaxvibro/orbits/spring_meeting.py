@@ -15,11 +15,11 @@ from .meeting_wall import way
 from .stay import guess, leave
 
 
-def left(frame, sides, gives, speed, met):
+def left(frame, sides, gives, speed, met, passed=None):
     """((the `saltation.Meeting`'s state, phasor, by_time, by_speed, opening, stay), its free) where a wall gives."""
     side = choose(gives, sides, 0.0)
     given = met.cosine, met.sine, speed
-    out = leave(frame, side, *given, guess(frame, side, *given))
+    out = leave(frame, side, *given, guess(frame, side, *given, passed))
     where, pace, _ = way(frame, sides, out.cosine, out.sine)
     here, (p00, p01, p11) = soft_contact.feeling(frame, side * Contact.ENTERED), out.free
     # at the end the damping jumps back, and with it the acceleration

@@ -60,10 +60,11 @@ def leave(frame, side, cosine, sine, speed, found):
     return Stay(time, after, *turned, pull, (p00, p01, p11), later, faster)
 
 
-def guess(frame, side, cosine, sine, speed):
+def guess(frame, side, cosine, sine, speed, passed=None):
     """The time of a stay: the first return, or, with no speed into the wall, what a parabola says. No derivatives.
 
-    nan where the mass does not leave for `LONGEST`.
+    nan where the mass does not leave for `LONGEST`. passed: a time at which it is within the wall, whatever it did
+    before; None: 0.
     """
     frame, side, cosine, sine, speed = lax.stop_gradient((frame, side, cosine, sine, speed))
     touch, v = side * Contact.ENTERED, side * speed
@@ -72,7 +73,15 @@ def guess(frame, side, cosine, sine, speed):
     pull, _ = flow_of(here).accelerations(here, 0.0 * v, v, cosine, sine, bias)
     enters = touch * v > 0
     longest = LONGEST * frame.period + 0.0 * v
-    first = first_return(frame, choose(enters, touch, 0.0), v, cosine, sine, longest)
+    touching = choose(enters, touch, 0.0)
+    if passed is None:
+        first = first_return(frame, touching, v, cosine, sine, longest)
+    else:
+        span = choose(enters, passed, 0.0)
+        response = soft_contact.response(here, touch, span)
+        y, pace = soft_contact.flown(here, touch, response, (0.0 * v, v), cosine, sine)
+        turned = flow.rotated(cosine, sine, frame.frequency * span)
+        first = span + first_return(frame, touching, pace, *turned, longest, y)
     guess = -2.0 * v / choose(pull == 0, 1.0, pull)
     guess = lax.clamp(-here.reach, guess, here.reach)
     return choose(enters, choose(first < longest, first, jnp.nan), guess)

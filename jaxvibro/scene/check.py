@@ -174,13 +174,6 @@ def require_one_harmonic(scene, what):
         raise ArgumentError("drive", f"{what} knows a drive of amplitude cos(frequency t) alone", told)
 
 
-def require_rigid(scene, what):
-    """Refuse a soft wall where only rigid ones are known."""
-    for side, wall in scene.walls.items():
-        if wall.soft:
-            raise ArgumentError(f"{side}.stiffness", f"{what} is for rigid walls only", wall.stiffness)
-
-
 def require_single(scene):
     """Refuse a batch of scenes."""
     if scene.shape:

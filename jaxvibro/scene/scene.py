@@ -305,3 +305,10 @@ def between(scene, phase):
             swing = 0.0 if move is None else move.amplitude * np.cos(move.harmonic * np.asarray(phase) + move.phase)
             places[k] = np.asarray(wall.position) + swing
     return tuple(places)
+
+
+def free_between(scene, phase):
+    """As `between`, of rigid walls alone: past a soft one a mass is within it."""
+    places = between(scene, phase)
+    ends = zip(SIDES, places, (-np.inf, np.inf), strict=True)
+    return tuple(far if side in scene.soft_sides else place for side, place, far in ends)

@@ -9,7 +9,7 @@ from jaxtyping import ArrayLike, Float, Int, Real
 from continuation.arrays import Array
 
 from . import check
-from .scene import Scene, between
+from .scene import Scene, free_between
 
 
 @jax.tree_util.register_dataclass
@@ -74,9 +74,7 @@ def check_start(scene, state, when="at its phase"):
     for key in ("x", "v", "phase", "contact"):
         value = np.asarray(getattr(state, key))
         check.require(f"state.{key}", "must be finite", value, np.isfinite(value))
-    low, high = between(scene, state.phase)
-    low = -np.inf if scene.left is not None and scene.left.soft else low
-    high = np.inf if scene.right is not None and scene.right.soft else high
+    low, high = free_between(scene, state.phase)
     size = np.maximum(*(np.where(np.isfinite(place), abs(place), 0.0) for place in (low, high)))
     slack = 8.0 * np.finfo(scene.dtype).eps * size
     x = np.asarray(state.x)

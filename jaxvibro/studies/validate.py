@@ -7,7 +7,7 @@ import numpy as np
 from ..design.free_numbers import room_of, units_of
 from ..design.records import positive
 from ..scene import check
-from ..scene.scene import Scene, between, changed, known
+from ..scene.scene import Scene, changed, free_between, known
 from ..scene.scene_table import PLAIN
 from .schema import KINDS, MOST_STATES
 
@@ -98,7 +98,7 @@ def _check_basins(scene, asked):
     check.number("basins.phase", asked.phase, np.float64)
     with _under("basins.at."):
         scene = known(changed(scene, asked.at), np.float64)
-    low, high = map(float, between(scene, asked.phase))
+    low, high = map(float, free_between(scene, asked.phase))
     if asked.x[0] < low or asked.x[1] > high:
         raise check.SceneError("basins.x", f"must lie between the walls, here at {low} and {high}", list(asked.x))
 
@@ -216,6 +216,6 @@ def _check_name(key, scene, name):
 def _check_start(key, scene, start):
     for name in ("x", "v"):
         check.number(f"{key}.{name}", getattr(start, name), np.float64)
-    low, high = map(float, between(scene, 0.0))
+    low, high = map(float, free_between(scene, 0.0))
     rule = f"must lie between the walls, here at {low} and {high}"
     check.require(f"{key}.x", rule, start.x, low <= start.x <= high)
