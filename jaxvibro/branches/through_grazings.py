@@ -11,9 +11,10 @@ from ..problem.end import End, Reason
 from ..problem.same_orbit import impacts, is_repeated
 from ..problem.touches import scales
 from .segment import GrazingPoint, follow_itinerary
-from .through_rests import completed, cut_anew, is_chatter
+from .through_rests import SLOW, completed, cut_anew, is_chatter
 
 MOST = 200  # pieces of a branch
+SLOWER = 1e-2  # of the scene's length per t: where nothing goes on, as slow an impact tells of a chatter
 SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
 
 
@@ -39,7 +40,7 @@ def go_on(along, start, asked):
                 one, way = one._replace(end=End.CLOSED), None
             elif is_repeated(along, one.points.z[-1]):
                 one, way = one._replace(end=End.HALVED), None
-            elif one.marks[-1].kind == "GR" and (way is None or _is_slow(along, one, asked.length)):
+            elif one.marks[-1].kind == "GR" and _is_slow(along, one, asked.length, SLOW if way else SLOWER):
                 z, sign = one.points.z[-1], np.sign(one.points.tangent[-1, -1])
                 one, way, rest = _into_rest(one, completed(along, z, sign, asked.length), way is not None)
             met.append(here)
@@ -87,9 +88,9 @@ def _into_rest(one, found, chatters):
     return one, way, (Mark(0, "CH", residual, GrazingPoint((), (way,), True, (False,))),)
 
 
-def _is_slow(along, one, length):
-    """Whether at the grazing at the end of a piece an impact besides its touches is very slow."""
-    return is_chatter(along, one.points.z[-1], length, one.marks[-1].more.touches)
+def _is_slow(along, one, length, slow):
+    """Whether at the grazing at the end of a piece an impact besides its touches is slower than that."""
+    return is_chatter(along, one.points.z[-1], length, one.marks[-1].more.touches, slow)
 
 
 def _is_met(here, other):

@@ -28,11 +28,11 @@ SHORT = 0.05  # `releases.Tails.plain`: less, and the first of the last hops is 
 SLOW = 1e-6  # of the scene's length per t: below, the flights between impacts are lost in rounding
 
 
-def is_chatter(along, z, length, touches=()):
+def is_chatter(along, z, length, touches=(), slow=SLOW):
     """Whether an impact, but for some `Touch`es, is so slow that many more will be, before the mass comes to rest."""
     own = [touch.row for touch in touches if touch.own]
     speeds = z[len(along.cycle.sides) :][np.setdiff1d(along.hits, own)]
-    return bool(((speeds > 0) & (speeds < SLOW * length)).any())
+    return bool(((speeds > 0) & (speeds < slow * length)).any())
 
 
 def exits(along, z, sign, length):
