@@ -61,7 +61,8 @@ def test_a_touch_on_which_the_mass_is_pressed_is_chatter_unless_a_branch_goes_th
     monkeypatch.setattr(segment, "to_touch", lambda *_: (points, 1e-14))
     monkeypatch.setattr(segment.soft_grazing, "exits", lambda *_: (TOUCHES, [way(True, True)] * count, True))
     monkeypatch.setattr(segment, "is_pressed", lambda *_: pressed)
-    met = BranchWatch(None, 1.0, {}).touch(None, points, None, 2)
+    along = SimpleNamespace(cycle=SimpleNamespace(releases=None))
+    met = BranchWatch(along, 1.0, {}).touch(None, points, None, 2)
     expected = ("CH", End.REST) if pressed and count < 2 else ("GR", End.GRAZE)
     assert (met.mark.kind, met.end) == expected
 
