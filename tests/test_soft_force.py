@@ -195,11 +195,6 @@ def test_a_law_that_is_no_series_is_refused(power):
         jv.strobe(scene, jv.State(0.0, 0.0))
 
 
-def test_what_does_not_know_such_walls_says_so():
-    with pytest.raises(jv.ArgumentError, match=r"is for rigid walls only"):
-        jv.basins(mixed(False), [-0.5, 0.5], [-1.0, 1.0])
-
-
 def test_parameters_and_files(tmp_path):
     scene = mixed(False)
     assert {"left.law.stiffness", "right.stiffness", "right.damping"} < set(scene.names)
