@@ -88,6 +88,7 @@ def test_a_wall_that_lets_go_within_a_rest_is_a_point_of_its_own():
 @pytest.mark.slow
 def test_grazings_of_orbits_that_rest_are_followed_in_two_parameters():
     grazing = followed(1.02, (1.0, 1.02), walls=(-0.2, 0.5)).points("GR")[0]
+    assert float(jv.sensitivity(grazing, "damping")[0]) == pytest.approx(-1.00346396, abs=1e-7)  # by differences
     found = jv.locus(grazing, ("amplitude", "frequency"), {"amplitude": (0.7, 1.2), "frequency": (0.45, 0.55)})
     assert not [one for one in found.special if one.kind != "EP"]
     assert found.data["residual"].values.max() < 1e-11

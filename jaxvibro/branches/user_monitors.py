@@ -12,6 +12,7 @@ from continuation.rows import at
 
 from ..orbits.orbit import multipliers
 from ..problem.diagnostics import diagnose
+from ..problem.equations import codes
 from ..scene.check import ArgumentError
 
 
@@ -36,7 +37,7 @@ def monitored_point(along, z, look):
         float(z[-1]),
         z[:count],
         z[rows : rows + count],
-        np.asarray(along.cycle.sides[:count]),
+        np.asarray(codes(along.cycle)[:count]),
         look.x,
         look.v,
         multipliers(float(look.trace), float(look.determinant)),

@@ -97,6 +97,10 @@ class Located:
 def located_point(special: Special, name: str | None = None, wall: str | None = None) -> Located:
     """The `Located` of a special point, as `located_orbit.located` tells."""
     start = start_of(special)
+    if special.orbit.rests:
+        raise check.ArgumentError(
+            "point", "must be of an orbit that does not rest: `sensitivity` has its derivatives", special.label
+        )
     name = special.name if name is None else name
     check.require_known(name, start.scene.names, name)
     if wall not in (None, *SIDES):

@@ -84,8 +84,8 @@ def at_point(kind, curve, z):
     curve, as a locus begins with it (`loci.first_point`), in one row."""
     rows, count = len(curve.cycle.sides), int(np.sum(curve.cycle.sides != 0))
     times, speeds, sides = z[:count], z[rows : rows + count], curve.cycle.sides[:count]
-    still = None if curve.cycle.still is None else curve.cycle.still[:count]
-    cycle = curve.cycle._replace(times=times, speeds=speeds, sides=sides, still=still)
+    marks = {name: _part(getattr(curve.cycle, name), slice(count)) for name in ("still", "releases")}
+    cycle = curve.cycle._replace(times=times, speeds=speeds, sides=sides, **marks)
     scene = whole(there(curve, z))
     tree = jax.tree.structure(scene)
     if isinstance(curve, Grazing):
@@ -99,9 +99,15 @@ def grazing(tree, cycle, touch, value, frequency):
     """(`PointEquations`, unknowns) of a GR at which the impact in a row has no speed: it becomes the first."""
     late = np.where(np.arange(len(cycle.sides)) < touch, float(cycle.periods) * 2.0 * np.pi / frequency, 0.0)
     times, speeds, sides = (np.roll(each, -touch) for each in (cycle.times + late, cycle.speeds, cycle.sides))
-    still = None if cycle.still is None else np.roll(cycle.still, -touch)
-    cycle = cycle._replace(times=times, speeds=speeds, sides=sides, still=still)
+    turned = np.roll(np.arange(len(sides)), -touch)
+    marks = {name: _part(getattr(cycle, name), turned) for name in ("still", "releases")}
+    cycle = cycle._replace(times=times, speeds=speeds, sides=sides, **marks)
     return PointEquations("GR", True, tree, cycle), np.concatenate([times, speeds[1:], [value]])
+
+
+def _part(marks, places):
+    """Some rows of what a cycle marks them by, None: of nothing."""
+    return None if marks is None else marks[places]
 
 
 def null_at(point, numbers):
