@@ -51,7 +51,8 @@ def follow(
     the impacts, in the scene's units (1/w0; the distance of the farther wall). tolerance: of Newton's method, such a
     length; special points are always located to rounding. monitors: {label: function}, a special point of that label
     where the function changes its sign; it takes a record with value, times, speeds, sides (an entry an impact, none
-    at all on P100, 2 or -2 for a release), x, v (an entry a period), multipliers and clearance. stop: a label or labels that end the branch.
+    at all on P100, 2 or -2 for a release), x, v (an entry a period), multipliers and clearance. stop: a label or labels
+    that end the branch.
 
     Unknowns are the impacts' times and speeds, and the parameter, by pseudo-arclength. Located are saddle-nodes (SN),
     symmetry breakings and other branch points (SB, BP), period doublings (PD) from the Jacobian of those equations, and
