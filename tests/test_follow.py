@@ -298,5 +298,8 @@ def test_a_branch_goes_back_by_the_way_it_came(name):
     branch = jv.follow(jv.find_orbit(scene, jv.State(*state)), "amplitude", bounds, "forward")
     back = jv.follow(branch.orbit(len(branch) - 2), "amplitude", bounds, largest_step=0.07)
     met = [[one.value for one in each.special if one.kind != "EP"] for each in (branch, back)]
+    for rest in [one.value for one in branch.points("CH")]:  # next to it some of infinitely many are left out
+        assert min(abs(rest - other) for other in met[1]) < 1e-9
+        met[0] = [value for value in met[0] if abs(value - rest) > 5e-4]
     assert len(met[0]) > 3
     assert max(min(abs(value - other) for other in met[1]) for value in met[0]) < 1e-9
