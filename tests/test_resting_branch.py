@@ -98,7 +98,7 @@ def test_grazings_of_orbits_that_rest_are_followed_in_two_parameters():
     assert min(abs(one.value - amplitude) for one in there.points("GR")) < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_explore_finds_what_rests():
     scene = jv.make_scene(1.5, **ONE_WALL)
     diagram = jv.explore(scene, "amplitude", (1.3, 1.6), max_period=2)
