@@ -126,9 +126,8 @@ class BranchWatch(OrbitWatch):
             doubled, folded = (1.0 + sign * view.trace[-2:] + view.determinant[-2:] for sign in (1.0, -1.0))
             flip = np.append(flip[:-1], flip[-2] * _turned(*doubled))
             tangent = np.vstack([tangent[:-1], tangent[-2] * _turned(*folded)])
-        values = {"PD": flip} if hits or self.equations.scene.force is not None else {}  # none under a spring
-        if self.equations.cycle.releases is not None:
-            values = {}
+        doubles = (hits or self.equations.scene.force is not None) and self.equations.cycle.releases is None
+        values = {"PD": flip} if doubles else {}  # none under a spring alone, none of what rests
         found = event_search.events(
             task.problem, points._replace(tangent=tangent), values, task.control, task.args, known
         )

@@ -38,16 +38,8 @@ def switch(
     monitors: Monitors = (),
     stop: str | Sequence[str] = (),
 ) -> tuple[Branch, ...]:
-    """The branches that leave a special point besides the one it was found on: a tuple of `Branch`, each from the point
-    on, to where it ends.
-
-    special: a `Special` of a branch. At SB and BP the two halves of the branch that crosses there, the first along
-    greater times or speeds; at PD the one of twice the period (its other half has the same orbits, a period later); at
-    GR those of the itineraries that the branch did not go on with. bounds and the rest as in `follow`; bounds None
-    takes the point's.
-
-    Raises ArgumentError for a point of another kind, and arguments that cannot be.
-    """
+    """The branches that leave a `Special` of a branch, as the `switch` of `loci.switch` tells of it: a tuple of
+    `Branch`. Raises ArgumentError for a point of another kind, and arguments that cannot be."""
     if not isinstance(special, Special):
         raise check.ArgumentError("special", "must be a special point of a branch", special)
     if special.kind not in KINDS:

@@ -53,13 +53,12 @@ class Hop(NamedTuple):
 
 class Ending(NamedTuple):
     """rest: how long the mass rests before the release, negative: it does not come to rest; first: how long the first
-    hop is; height, pace: over the wall and away from it, at times asked for; hops: how many were flown."""
+    hop is; height, pace: over the wall and away from it, at times asked for."""
 
     rest: Float[Array, ""]
     first: Float[Array, ""]
     height: Float[Array, " times"]
     pace: Float[Array, " times"]
-    hops: Float[Array, ""]
 
 
 def hop(frame, side, phasor, speed):
@@ -125,8 +124,8 @@ def ending(frame, side, release, tau, speed, since):
 
     blank = jnp.zeros_like(since) + none
     start = tau + none, speed + none, none, none, none, blank, blank, jnp.int32(0)
-    _, _, rest, count, first, height, pace, done = lax.while_loop(going, one, start)
-    return Ending(jnp.where(done == 1, rest, -1.0), first, height, pace, count)
+    _, _, rest, _, first, height, pace, done = lax.while_loop(going, one, start)
+    return Ending(jnp.where(done == 1, rest, -1.0), first, height, pace)
 
 
 def _series(frame, again, speed, found):
@@ -143,16 +142,16 @@ def late(frame, side, release, tau, speed):
     again = bounce(frame, side)
 
     def going(carry):
-        tau, speed, _ = carry
+        tau, speed = carry
         return (tau < -LATE * frame.reach) & jnp.isfinite(speed) & (speed > 0)
 
     def one(carry):
-        tau, speed, count = carry
+        tau, speed = carry
         found = hop(frame, side, flow.rotated(*release, frame.frequency * tau), speed)
-        return tau + found.time, again * found.landing, count + 1.0
+        return tau + found.time, again * found.landing
 
     none = 0.0 * (tau + speed)
-    return lax.while_loop(going, one, (tau + none, speed + none, none))[:2]
+    return lax.while_loop(going, one, (tau + none, speed + none))
 
 
 def critical(frame, side, release, tau):
