@@ -54,8 +54,8 @@ class Way:
 
 class Tried(NamedTuple):
     """How a function is evaluated for each kind of arguments that it has met. static: places of arguments that are no
-    numbers; known: {kind: `Way`, None where there is no rule}; read, keep: the way for arguments like these that an
-    earlier process has kept, None where there is none; keeps one."""
+    numbers, of which one may say `at_once`; known: {kind: `Way`, None where it is compiled at once}; read, keep: the
+    way for arguments like these that an earlier process has kept, None where there is none; keeps one."""
 
     function: Callable[..., Any]
     static: Sequence[int]
@@ -70,7 +70,8 @@ class Tried(NamedTuple):
     def of_kind(self, args: tuple[Any, ...], leaves: Sequence[Any], kind: Any) -> Any:
         """The same of arguments with these numbers and of this kind (`kind_of`)."""
         if kind not in self.known:
-            self.known[kind] = self.read(args) or self.traced(args)
+            at_once = any(getattr(args[place], "at_once", False) for place in self.static)
+            self.known[kind] = None if at_once else self.read(args) or self.traced(args)
         way = self.known[kind]
         if way is None or way.spent >= PATIENCE * way.program.size:
             return None

@@ -40,7 +40,8 @@ class Problem(NamedTuple):
     function: F and its slopes; solve: (slopes, row, right) -> x, worst, determinant of the slopes and one row more, as
     `arclength.bordered`; plain: F and dF/dz, an (n, n + 1) matrix; tests: what is watched besides folds and branch
     points; run: (function, *arrays, **static) -> its result, within a jit, as the compiler likes it; holds: of (z,
-    args), whether a special point that Newton's method comes to is one.
+    args), whether a special point that Newton's method comes to is one; at_once: whether it is compiled before its
+    first answer, as its loops are too long for Python.
     """
 
     function: Callable[[Any, Any], tuple[Float[jax.Array, " unknowns"], Any]]
@@ -49,6 +50,7 @@ class Problem(NamedTuple):
     tests: tuple[Test, ...] = ()
     run: Callable[..., Any] = plainly
     holds: Callable[..., bool] = always
+    at_once: bool = False
 
 
 Function = Callable[

@@ -192,12 +192,15 @@ def halved(point):
     base = exact(plain(point.scene))
     found = []
     for begin in frees:
-        with workdps(DIGITS):
-            low, high = (mpf(point.value) + k * mpf(10) ** -7 for k in (-1, 1))
-            first = _ends(base, spot, begin, low)
-            if first == _ends(base, spot, begin, high):
+        with workdps(80):  # with 50 some hops next to the CH are decided otherwise
+            for reach in (1e-10, 1e-7):
+                low, high = (mpf(point.value) + sign * reach for sign in (-1, 1))
+                first = _ends(base, spot, begin, low)
+                if first != _ends(base, spot, begin, high):
+                    break
+            else:
                 continue
-            for _ in range(24):
+            while high - low > 1e-13:
                 middle = (low + high) / 2
                 low, high = (middle, high) if _ends(base, spot, begin, middle) == first else (low, middle)
             found.append(float(low))

@@ -125,7 +125,7 @@ def test_loci_of_fold_and_doubling_end_at_the_resonant_grazing(loci):
     assert end.scene.amplitude == end.values["amplitude"] and end.scene.frequency == end.values["frequency"]
     assert min(end.orbit.impacts.speed) < 1e-12 and end.orbit.label == end.label == "P112"
     assert loci["SN of P112"].reason == {
-        "first": "an impact loses its speed there, or a flight touches a wall",
+        "first": "an impact loses its speed there, a flight touches a wall, or a rest ends",
         "last": "frequency reached its bound 3",
     }
     for name in ("SN of P112", "PD of P112"):

@@ -1,6 +1,7 @@
 """Branches of orbits that rest: through complete chatter both ways, releases within a rest, in two parameters."""
 
 from dataclasses import fields
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -27,7 +28,7 @@ def from_rest():
 def test_a_branch_goes_on_where_a_chatter_just_does_not_complete(from_rest):
     (point,) = from_rest.points("CH")
     assert point.label == "P1-0-inf"
-    assert abs(point.value - halved(point)) < 1e-9
+    assert point.value == pytest.approx(halved(point), abs=1e-12)
     labels = [part.label for part in from_rest.segments]
     assert labels[0] == "P107"
     assert labels[-1] == "P1-0-inf"
@@ -72,12 +73,16 @@ def test_its_orbits_are_those_of_the_motion(from_rest, tmp_path):
         assert all(hasattr(orbit, each.name) for each in fields(jv.Orbit))
 
 
-@pytest.mark.slow
-def test_a_wall_that_lets_go_within_a_rest_is_a_point_of_its_own():
+@pytest.fixture(scope="module")
+def letting_go():
     drive = (jv.Motion(-1.0, harmonic=3, phase=0.0),)  # at phase 0 the press is 1.5 + drive.0.amplitude - 0.3
     numbers = {"frequency": 0.15, "damping": 0.1, "restitution": 0.3, "walls": (None, 0.3), "drive": drive}
-    branch = followed(1.5, (-1.4, -0.9), "drive.0.amplitude", **numbers)
-    (point,) = branch.points("RL")
+    return followed(1.5, (-1.4, -0.9), "drive.0.amplitude", **numbers)
+
+
+@pytest.mark.slow
+def test_a_wall_that_lets_go_within_a_rest_is_a_point_of_its_own(letting_go):
+    (point,), branch = letting_go.points("RL"), letting_go
     assert point.value == pytest.approx(-1.2, abs=1e-10)
     releases = (abs(branch.data["side"].values) == Contact.STUCK).sum(axis=1)
     assert (releases[branch.values > -1.2] == 1).all()
@@ -96,6 +101,39 @@ def test_grazings_of_orbits_that_rest_are_followed_in_two_parameters():
     amplitude, frequency = found.values[place]
     there = followed(amplitude - 1e-3, (amplitude - 2e-3, amplitude + 2e-3), frequency=frequency, walls=(-0.2, 0.5))
     assert min(abs(one.value - amplitude) for one in there.points("GR")) < 1e-10
+
+
+@pytest.mark.long
+def test_a_complete_chatter_is_followed_in_two_parameters(from_rest):
+    (point,) = from_rest.points("CH")
+    found = jv.locus(point, ("amplitude", "restitution"), {"amplitude": (0.5, 2.0), "restitution": (0.05, 0.95)})
+    assert [one.kind for one in found.special] == ["GR", "EP"]
+    assert found.data["residual"].values.max() < 1e-11
+    for place in np.linspace(1, len(found) - 2, 3).astype(int):
+        scene, spot = found.located(int(place))
+        just = halved(SimpleNamespace(scene=scene, spot=spot, value=spot.value))
+        assert spot.value == pytest.approx(just, abs=1e-12)
+
+
+@pytest.mark.slow
+def test_a_release_within_a_rest_is_followed_in_two_parameters(letting_go):
+    (point,) = letting_go.points("RL")
+    names = "drive.0.amplitude", "right.position"
+    found = jv.locus(point, names, {"drive.0.amplitude": (-1.6, -0.8), "right.position": (0.1, 0.5)})
+    assert [one.kind for one in found.special] == ["EP", "EP"]
+    assert np.ptp(found.values, axis=0).min() > 0.39
+    assert found.values @ [-1.0, 1.0] == pytest.approx(np.full(len(found), 1.5), abs=1e-9)
+
+
+@pytest.mark.slow
+def test_where_a_grazing_meets_a_complete_chatter_its_locus_ends():
+    grazing = followed(0.6, (0.5, 0.7), walls=(-0.2, 0.5)).points("GR")[-1]
+    names = "amplitude", "left.position"
+    found = jv.locus(grazing, names, {"amplitude": (0.1, 4.0), "left.position": (-0.5, 0.0)})
+    (end,) = [one for one in found.special if one.kind == "CH"]
+    scene = grazing.scene.replace(**end.values)
+    around = jv.follow(jv.find_orbit(scene.replace(amplitude=0.7), jv.State(0.0, 0.0)), "amplitude", (0.5, 0.7))
+    assert around.points("CH")[0].value == pytest.approx(end.values["amplitude"], abs=1e-8)
 
 
 @pytest.mark.long

@@ -86,7 +86,7 @@ def _rests(along):
 def _nearest(along, z, value, own):
     """The CH of one of the rests of an orbit, about as far from a value as the orbit itself."""
     rows = np.flatnonzero(np.isfinite(diagnose(along, z[None]).rest[0]))
-    found = [resting.located(along, z, int(row), resting.excess) for row in rows]
+    found = [resting.located(along, z, int(row), resting.excesses) for row in rows]
     found = [one for one in found if one.z is not None and abs(one.z[-1] - value) <= 2.0 * abs(own - value)]
     return min(found, key=lambda one: abs(one.z[-1] - own), default=None)
 

@@ -14,7 +14,7 @@ from ..scene import check
 from ..scene.parameters import values_of
 from ..scene.symmetry import stays_symmetric
 from .corner import outsets, track_on
-from .first_point import LocusStart, impacts_of, named, start_of
+from .first_point import KINDS, RESTS, LocusStart, impacts_of, named, start_of
 from .locus import Locus, locus_of
 from .track import together
 
@@ -42,7 +42,7 @@ def family(
 
     Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
-    start, steps = start_of(special), (first_step, largest_step, tolerance)
+    start, steps = start_of(special, (*KINDS, *RESTS)), (first_step, largest_step, tolerance)
     names, values = named(start.scene, names), values_of(start.scene, third, values)
     if third in names:
         raise check.ArgumentError("third", "must be none of names", third)

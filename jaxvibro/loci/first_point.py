@@ -11,7 +11,7 @@ from continuation.points import start_point
 from ..branches.branch import Special
 from ..branches.follow import SMALLEST, check_settings
 from ..orbits.impact_equations import Cycle
-from ..problem import soft_grazing
+from ..problem import resting, soft_grazing
 from ..problem.equations import are_impacts, codes, problem
 from ..problem.grazing import padded
 from ..problem.orbit_on_branch import OrbitPoint, is_own_image, place_orbit
@@ -22,10 +22,12 @@ from ..scene.parameters import bounds_of, domain, flat, marked, tied
 from ..scene.scale import scene_length
 from ..scene.scene import Scene
 from ..scene.symmetry import stays_symmetric
+from .completing import Completing
 from .extended_system import Grazing, Singular
 from .track import LocusSettings, LocusWay
 
-KINDS = ("SN", "PD", "SB", "GR")
+KINDS = "SN", "PD", "SB", "GR"  # that `loci` follows
+RESTS = "CH", "RL"  # an orbit rests there: a CH that ends a branch has no locus
 
 
 class LocusStart(NamedTuple):
@@ -44,11 +46,14 @@ class LocusStart(NamedTuple):
         return touches(along, z, scene_length(self.scene))
 
 
-def start_of(special):
-    """The `LocusStart` of a `Special`. Raises ArgumentError for points of other kinds."""
-    if not isinstance(special, Special) or special.kind not in KINDS:
+def start_of(special, kinds=KINDS):
+    """The `LocusStart` of a `Special` of one of these kinds. Raises ArgumentError for points of others."""
+    if not isinstance(special, Special) or special.kind not in kinds:
         given = special.kind if isinstance(special, Special) else special
-        raise check.ArgumentError("special", f"must be a special point of kind {', '.join(KINDS)}", given)
+        raise check.ArgumentError("special", f"must be a special point of kind {', '.join(kinds)}", given)
+    if special.kind in RESTS and not (abs(special.spot.sides) == Contact.STUCK).any():
+        rule = "must have a rest: of a chatter that ends its branch nothing is known beyond"
+        raise check.ArgumentError("special", rule, f"{special.kind} at {special.value:.12g}")
     return LocusStart(special.kind, special.name, special.scene, special.spot)
 
 
@@ -109,9 +114,9 @@ def named(scene, names):
 
 
 def equations(start, names, whole=False):
-    """(`Grazing` or `Singular`, z) at a `LocusStart`, along any number of parameters, a list of one; at a GR of one for
-    each touch, which leaves the others out. A tuple of names is one, of several that have one value. whole: of the
-    whole orbit, be it symmetric, unless an SB asks for half of it. Raises ArgumentError."""
+    """(`Grazing`, `Singular` or `Completing`, z) at a `LocusStart`, along any number of parameters, a list of one; at a
+    GR of one for each touch, which leaves the others out. A tuple of names is one, of several that have one value.
+    whole: of the whole orbit, be it symmetric, unless an SB asks for half of it. Raises ArgumentError."""
     scene, spot = start.scene, start.spot
     if start.kind != "GR" and not len(spot.times):
         rule = "must be one of an orbit with impacts: of others a GR alone has derivatives and a locus"
@@ -129,6 +134,8 @@ def equations(start, names, whole=False):
     blank = np.zeros(0)
     numbers = (np.asarray(each) for each in (0.0, periods, turn))
     seed = Singular(numbered, which, Cycle(blank, blank, blank, *numbers), np.asarray(1.0))
+    if start.kind in RESTS:
+        return [_completing(seed, impacts, values, start.kind)]
     if start.kind != "GR":
         closing = 1.0 if start.kind == "SN" else -1.0
         return [_singular(seed._replace(closing=np.asarray(closing)), impacts, values)]
@@ -144,6 +151,18 @@ def _singular(seed, impacts, values):
     """(`Singular`, z) with these impacts."""
     cycle = padded(seed, impacts)
     return seed._replace(cycle=cycle), np.concatenate([cycle.times, cycle.speeds, values])
+
+
+def _completing(seed, impacts, values, kind):
+    """(`Completing`, z) with these impacts, at the row whose rest just is one."""
+    held, slack = kind == "RL", TOUCH * scene_length(seed.scene)
+    cycle = padded(seed, impacts)
+    z = np.concatenate([cycle.times, cycle.speeds, values])
+    curve = Completing(
+        seed.scene, seed.which, cycle, np.zeros(len(cycle.sides)), np.asarray(float(held)), np.asarray(slack)
+    )
+    curve.pick[np.argmin(abs((resting.presses if held else resting.excesses)(curve, z)))] = 1.0
+    return curve, z
 
 
 def _grazing(seed, impacts, values, slack):

@@ -20,7 +20,7 @@ from ..problem.orbit_rows import OrbitRows, SpecialOrbit
 from ..scene import check
 from ..scene.scene import Scene, changed
 from .corner import outsets, track_on
-from .first_point import impacts_of, start_of
+from .first_point import KINDS, RESTS, impacts_of, start_of
 from .track import reason
 
 MEANINGS = {
@@ -30,6 +30,8 @@ MEANINGS = {
     "GR": "end on a grazing",
     "GG": "two grazings",
     "RG": "resonant grazing",
+    "CH": "end on a complete chatter",
+    "RL": "end on a release within a rest",
     "EP": "end",
 }
 
@@ -132,7 +134,7 @@ def locus(
 
     Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
-    start, steps = start_of(special), (first_step, largest_step, tolerance)
+    start, steps = start_of(special, (*KINDS, *RESTS)), (first_step, largest_step, tolerance)
     on, back = outsets(start, names, bounds, *steps)
     ahead = track_on(start, on, steps)
     return locus_of(special, ahead, () if ahead[0][1].end is End.CLOSED else track_on(start, back, steps))

@@ -9,12 +9,14 @@ from continuation.arclength import Control, Point
 from continuation.driver import Met, Task
 from continuation.stretch import Mark
 
+from ..problem import resting
 from ..problem.end import End, ended
 from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
 from ..problem.grazing import FLAT, opening
 from ..problem.touches import stays, touches, wall_sides
 from . import codim2
+from .completing import Completing
 from .extended_system import Grazing, Singular
 
 REASONS = {
@@ -22,7 +24,7 @@ REASONS = {
     End.DOMAIN: "the domain of {name} ends at {value:.12g}",
     End.CLOSED: "it closes: the locus came back to its start",
     End.STEP: "the step became too small: Newton's method does not converge there",
-    End.GRAZE: "an impact loses its speed there, or a flight touches a wall",
+    End.GRAZE: "an impact loses its speed there, a flight touches a wall, or a rest ends",
     End.POINTS: "it has too many points",
 }
 
@@ -44,7 +46,7 @@ class LocusSettings(NamedTuple):
 class LocusWay(NamedTuple):
     """A locus in one direction, to be tracked. curve: its equations; start: a `Point` whose tangent leads away."""
 
-    curve: Grazing | Singular
+    curve: Grazing | Singular | Completing
     start: Point
     asked: LocusSettings
 
@@ -75,8 +77,16 @@ class LocusWatch(OrbitWatch):
 
     def touch(self, task, points, view, bad):
         points, residual = to_touch(task, points, view, bad, self.length)
-        kind = "GG" if isinstance(self.equations, Grazing) else "GR"
-        return None if residual is None else Met(points, Mark(0, kind, residual), End.GRAZE)
+        if residual is None:
+            return None
+        return Met(points, Mark(0, self.meets(points.z[-1]), residual), End.GRAZE)
+
+    def meets(self, z):
+        """The kind of a point at which a flight touches a wall, an impact has lost its speed, or a rest is none."""
+        curve = self.equations
+        if isinstance(curve, Completing):
+            return "GR" if touches(curve, z, self.length) else "CH"
+        return resting.kind_at(curve, z, self.length) or ("GG" if isinstance(curve, Grazing) else "GR")
 
     def events(self, task, points, view, known, end):
         return codim2.events(task, points, view)

@@ -85,7 +85,7 @@ def _looked(frame, tail, since):
     push, change, _ = _press(frame, tail, tail.tau)
     first = 1.0 - found.first / (chatter.LONGEST * frame.reach)
     plain = jnp.minimum(first, push / (abs(push) + jnp.maximum(change, 0.0) * found.first))
-    return Tails(found.rest, _held(frame, tail), plain, found.height, found.pace)
+    return Tails(found.rest, least_press(frame, tail), plain, found.height, found.pace)
 
 
 def _press(frame, tail, tau):
@@ -94,8 +94,8 @@ def _press(frame, tail, tau):
     return [tail.side * each for each in pressed(frame, tail.side, phasor, 2)]
 
 
-def _held(frame, tail):
-    """The least press between two falls of it."""
+def least_press(frame, tail):
+    """The least press between two falls of it; inf: it only falls."""
     cells = jnp.ceil(abs(tail.tau) / (TURN * frame.reach)).astype(int) + 2
     span = abs(tail.tau) / cells
 
@@ -118,17 +118,19 @@ def _held(frame, tail):
 
 
 def excess(frame, cycle, found):
-    """Of each row by how much the speed is too large for the hops to end in rest, after those that are far from the
-    release; where R is 0 how long after it the impact is. (rows,): zero where they just do, -inf of other rows."""
+    """How much `too_fast` each row is, (rows,): zero where its hops just end in rest, -inf of rows that no release
+    follows."""
     every, ends = tails_of(frame, cycle, found)
+    return jnp.where(ends, jax.vmap(partial(too_fast, frame))(every), -jnp.inf)
 
-    def one(tail):
-        release = tail.cosine, tail.sine
-        tau, speed = chatter.late(frame, tail.side, release, tail.tau, tail.speed)
-        return speed - chatter.critical(frame, tail.side, release, tau)
 
-    some = jnp.where(found.met.bounce > 0, jax.vmap(one)(every), every.tau)
-    return jnp.where(ends, some, -jnp.inf)
+def too_fast(frame, tail):
+    """By how much the speed is too large for the hops to end in rest, after those that are far from the release; where
+    R is 0 how long after it the impact is."""
+    release = tail.cosine, tail.sine
+    tau, speed = chatter.late(frame, tail.side, release, tail.tau, tail.speed)
+    over = speed - chatter.critical(frame, tail.side, release, tau)
+    return jnp.where(bounce(frame, tail.side) > 0, over, tail.tau)
 
 
 def _examine(scene, side, phase, tau, speed):

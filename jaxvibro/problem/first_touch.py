@@ -11,7 +11,7 @@ from continuation.rows import at, put, upto
 from . import resting, soft_grazing
 from .diagnostics import diagnose
 from .missed_touches import with_dips
-from .touches import TOUCH, admissible, stilled, touched
+from .touches import TOUCH, admissible, rests, stilled, touched
 
 HALVES = 60  # of an interval in which a touch is looked for
 
@@ -89,7 +89,7 @@ def _first_touch(task, good, there, seen, low, high, length):
 
 def _unrested(along, z, seen):
     """The points near z where rests that are none any more just are: `Located`s."""
-    ends = (resting.excess, seen.rest), (resting.held, seen.hold)
+    ends = zip((resting.excesses, resting.presses), rests(along, seen), strict=True)
     return [resting.located(along, z, int(row), one) for one, values in ends for row in np.flatnonzero(values <= 0)]
 
 

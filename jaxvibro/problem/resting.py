@@ -5,8 +5,6 @@ smooth through the point, whose orbits on the other side leave the wall after so
 is least within a rest is another: where it comes to zero the mass is let go there.
 """
 
-from functools import partial
-
 import numpy as np
 
 from continuation import locate
@@ -30,19 +28,21 @@ def _excess(z, along):
     return one_kernel(_exceeds, z, along)
 
 
-def excess(along, row, z):
-    """By how much the speed in a row that a release follows is too large for a rest; see `releases.excess`."""
-    return np.asarray(_excess(z, along))[row]
+def excesses(along, z):
+    """By how much the speed in each row is too large for a rest, (rows,); see `releases.excess`."""
+    return np.asarray(_excess(z, along))
 
 
-def held(along, row, z):
-    """The least press between two falls of it, in a row that a release follows."""
-    return np.asarray(diagnose(along, z[None]).hold)[0, row]
+def presses(along, z):
+    """The least press between two falls of it on the way from each row to a release, (rows,), inf elsewhere."""
+    return np.asarray(diagnose(along, z[None]).hold)[0]
 
 
 def located(along, z, row, measure):
-    """The point near z where a measure of a row, `excess` or `held`, is zero: `locate.Located`."""
-    towards = partial(measure, along, row)
+    """The point near z where a measure of a row, of `excesses` or `presses`, is zero: `locate.Located`."""
+
+    def towards(z):
+        return measure(along, z)[row]
 
     def system(z):
         value, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), z, along))
@@ -56,6 +56,6 @@ def kind_at(along, z, length):
     if along.cycle.releases is None:
         return ""
     slack = TOUCH * length
-    if (abs(np.asarray(_excess(z, along))) < slack).any():
+    if (abs(excesses(along, z)) < slack).any():
         return "CH"
-    return "RL" if (abs(diagnose(along, z[None]).hold) < slack).any() else ""
+    return "RL" if (abs(presses(along, z)) < slack).any() else ""

@@ -1,6 +1,6 @@
 """Touches: where an impact of an orbit has no speed, or a flight comes to a wall without one."""
 
-from functools import partial
+from functools import partial, singledispatch
 from typing import NamedTuple
 
 import jax
@@ -165,6 +165,12 @@ def admissible(along, zs, look):
     """Which points keep to their walls and hit them with positive speed, and rest where they are to: (points,)."""
     zs = np.atleast_2d(zs)
     fast = (zs[:, len(along.cycle.sides) + along.hits] > 0).all(axis=1)
-    rests = np.concatenate([look.rest, look.hold, look.plain], axis=1)
-    clear = (look.clear >= -along.slack).all(axis=(1, 2)) & (rests > -along.slack).all(axis=1)
+    kept = np.concatenate([*rests(along, look), look.plain], axis=1)
+    clear = (look.clear >= -along.slack).all(axis=(1, 2)) & (kept > -along.slack).all(axis=1)
     return fast & clear & np.isfinite(zs).all(axis=1)
+
+
+@singledispatch
+def rests(along, look):
+    """(how long rests are, how hard walls hold in them), what is not to come to zero along what is followed."""
+    return look.rest, look.hold
