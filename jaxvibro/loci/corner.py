@@ -13,6 +13,7 @@ from ..problem.equations import there as at
 from ..problem.orbit_on_branch import OrbitPoint
 from ..scene import check
 from ..scene.scene import changed
+from .cut_anew import cut_anew
 from .extended_system import Grazing
 from .first_point import LocusStart, backward, ways
 from .track import track
@@ -43,8 +44,11 @@ def track_on(start, way, steps, one=None):
     first, if it is known. start: the `LocusStart` of the locus; steps: as of `outsets`."""
     found = []
     while way is not None and len(found) < MOST:
-        found.append((way, one or track(way)))
-        way, one = _beyond(start, *found[-1], steps), None
+        one = one or track(way)
+        new = cut_anew(start, way, one, steps)
+        kept, on = new or (one, _beyond(start, way, one, steps))
+        found.append((way, kept))
+        way, one = on, None
     return found
 
 

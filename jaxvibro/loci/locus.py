@@ -63,7 +63,7 @@ class Codim2(SpecialOrbit):
 class Locus(OrbitRows[Codim2]):
     """A curve of special points in two parameters.
 
-    kind: of the points, SN, PD, SB or GR; names: of the parameters; bounds: of each; scene: at the start; data: an
+    kind: of the points, that of `special`; names: of the parameters; bounds: of each; scene: at the start; data: an
     xarray.Dataset with a row a point, in order along the curve (see `jaxvibro.locus`); special: points of codimension
     two and ends, in order; reasons: why it ends, at its first and at its last point.
     """
@@ -118,16 +118,16 @@ def locus(
 ) -> Locus:
     """The curve of a special point in two parameters of its scene: a `Locus`.
 
-    special: a `Special` of a branch, SN, PD, SB or GR; names: two parameters; bounds: {name: (low, high)} of both.
+    special: a `Special` of a branch, SN, PD, SB, GR, CH or RL; names: two parameters; bounds: {name: (low, high)}.
     first_step, largest_step, tolerance: as in `follow`, lengths of (times, speeds, parameters), a stiffness
     being measured by 1 and its value at the start.
 
     Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
     point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
     doublings (GPD), degenerate symmetry breakings (DSB), ends on a grazing (GR), grazings of two impacts or walls at
-    once (GG), and on a GR resonant grazings (RG), where loci of SN and PD end, and points where the orbit without the
-    touch is an SN, PD or SB. `switch` follows the loci that leave them. The GR of a motion without impacts goes on from
-    a GG along the other wall, the nearer one from there on.
+    once (GG), a GR where a rest just is one (CH, RL), and on a GR resonant grazings (RG), where loci of SN and PD end,
+    and points where the orbit without the touch is an SN, PD or SB. `switch` follows the loci that leave them. The GR
+    of a motion without impacts goes on from a GG along the other wall, the nearer one from there on.
 
     The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
     multiplier_imag, least_speed, least_clearance, residual.
@@ -150,11 +150,12 @@ def locus_of(special, on, back, left="the start"):
     if back and back[0][0].curve is on[0][0].curve:
         parts[len(back) - 1 : len(back) + 1] = [glued(parts[len(back) - 1 : len(back) + 1])]
     data, found, first = [], {}, 0
+    wide = max(impacts_of(part.args, part.points.z[:1])[0].shape[1] for part in parts)
     for part in parts:
-        data.append(_data(asked.names, part).isel(point=slice(1 if data else 0, None)))
+        data.append(_data(asked.names, part, wide).isel(point=slice(1 if data else 0, None)))
         found |= {first + mark.place: (mark.kind, mark.residual) for mark in part.marks}
         last = first + len(part.points.z) - 1
-        if part is not parts[-1]:  # a corner
+        if part is not parts[-1] and part.args.cycle.releases is None:  # a corner
             found.setdefault(last, ("GG", float(part.points.residual[-1])))
         first = last
     data = xr.concat(data, "point", combine_attrs="override")
@@ -165,7 +166,8 @@ def locus_of(special, on, back, left="the start"):
     return Locus(special.kind, asked.names, asked.bounds, special.scene, data, points, reasons)
 
 
-def _data(names, one):
+def _data(names, one, wide):
+    """The rows of a stretch, with as many columns of impacts as are wanted."""
     curve, z, look = one.args, one.points.z, one.view
     rows = len(curve.cycle.sides)
     times, speeds, sides, periods = impacts_of(curve, z)
@@ -188,7 +190,9 @@ def _data(names, one):
     for key, part in (("real", found.real), ("imag", found.imag)):
         columns[f"multiplier_{key}"] = (("point", "multiplier"), part, _attrs("Floquet's, the larger first", "1"))
     columns |= {key: ("point", each[0], _attrs(*each[1:])) for key, each in plain.items()}
-    return xr.Dataset(columns, attrs={"periods": periods})
+    found = xr.Dataset(columns, attrs={"periods": periods})
+    more = wide - times.shape[1]
+    return found.pad(impact=(0, more), constant_values={"side": 0}) if more else found
 
 
 def _attrs(meaning, units):
@@ -198,7 +202,8 @@ def _attrs(meaning, units):
 def _spot_of(data, place, names):
     """(the `OrbitPoint` at a point of a locus, {name: value})."""
     row, values = row_of(data, place), {name: float(data[name].values[place]) for name in names}
-    rows = (row[key].astype(float) for key in ("time", "speed", "side"))
+    hit = row["side"] != 0
+    rows = (row[key][hit].astype(float) for key in ("time", "speed", "side"))
     return OrbitPoint(values[names[0]], *rows, data.attrs["periods"], np.nan, np.nan, float(row["residual"])), values
 
 

@@ -162,11 +162,12 @@ def _examined(scene, side, phase, tau, speed):
     return one_kernel(_examine, scene, side, phase, tau, speed)
 
 
-def rows_of(scene, phase, times, speeds, sides, spans, periods):
+def rows_of(scene, phase, times, speeds, sides, spans, periods, slack=0.0):
     """(times, speeds, sides) of an orbit that rests, in order of travel, sides +-2 at releases.
 
     phase: the section's; times, speeds, sides: of its impacts since then; spans: of its rests, as `rests.Rests` has
-    them. An impact is a row up to the first from which on all hops on its wall are short and pressed.
+    them. An impact is a row up to the first from which on all hops on its wall are short and pressed. slack: of speeds
+    and presses, by which a rest that just is one may be none.
     """
     length, rate = periods * 2.0 * np.pi / float(scene.frequency), float(scene.frequency)
     order = np.argsort(times)
@@ -183,7 +184,7 @@ def rows_of(scene, phase, times, speeds, sides, spans, periods):
             if every[place][2] != side or (k and place in begun):
                 break
             chain.insert(0, place)
-        taken, more = _cut(scene, phase + rate * end, end, length, [every[k] for k in chain])
+        taken, more = _cut(scene, phase + rate * end, end, length, [every[k] for k in chain], slack)
         gone |= set(chain[taken:])
         rows += [*more, (end, 0.0, 2 * int(side))]
     rows += [each for k, each in enumerate(every) if k not in gone]
@@ -191,14 +192,14 @@ def rows_of(scene, phase, times, speeds, sides, spans, periods):
     return tuple(np.array(column, float) for column in zip(*rows, strict=True))
 
 
-def _cut(scene, phase, end, length, chain):
+def _cut(scene, phase, end, length, chain, slack):
     """(how many of a chain of impacts are rows, impacts that are rows besides)."""
     numbers = partial(np.asarray, dtype=scene.dtype)
     for k, (time, speed, side) in enumerate(chain):
         tau = (time - end) % -length
-        given = (numbers(each) for each in (side, phase, tau, speed))
+        given = (numbers(each) for each in (side, phase, tau, speed * (1.0 - slack)))
         rest, hold, plain, later, paces = _examined(scene, *given)
-        if rest > 0 and hold > 0 and plain > 1.0 - ROOM:
+        if rest > 0 and hold > -slack and plain > 1.0 - ROOM:
             return k + 1, []
     more = []
     for time, speed in zip(later, paces, strict=True):

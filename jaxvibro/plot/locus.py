@@ -17,9 +17,12 @@ LOOKS = {
     "PD": (COLOURS[7], (0, (6, 2))),
     "SB": (COLOURS[5], (0, (7, 2, 1.5, 2))),
     "GR": (COLOURS[2], (0, (1.2, 1.2))),
+    "CH": (COLOURS[3], (0, (3, 1, 1, 1, 1, 1))),
+    "RL": (COLOURS[1], (0, (10, 3))),
 }
 WIDTHS = (2.2, 1.4, 0.8)  # of the first, second and further loci of a kind, points
 MARKERS = {"CP": "*", "GPD": "^", "DSB": "D", "GR": "v", "GG": "s", "RG": "o", "SN": "<", "PD": ">", "SB": "d"}
+MARKERS |= {"CH": "H", "RL": "8"}
 SIZES = {"RG": 9.0}  # points; of others 6: loci that end on a grazing may do so at an RG, whose ring then shows
 FILLED = COLOURS[4]
 HATCHES = ("///", "\\\\\\", "...", "xxx", "")

@@ -1,0 +1,153 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: py:percent,ipynb
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Grazing and rest
+#
+# A mass that just touches a wall, and one that comes to rest on it, are where continuation by hand ends. Here both are
+# points of a branch like others: first the unfolding of a resonant grazing, beside its closed form, then hops that
+# become ever more until the mass rests.
+
+# %%
+from pathlib import Path
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import jaxvibro as jv
+
+jax.config.update("jax_enable_x64", True)
+OUT = Path("out")
+OUT.mkdir(exist_ok=True)
+BLACK, BLUE, RED, GREY = "#000000", "#0072B2", "#D55E00", "#999999"
+
+
+def keep(figure, name):
+    """Save a picture beside the others."""
+    figure.savefig(OUT / f"11_{name}.png", dpi=120)
+
+
+# %% [markdown]
+# ## The unfolding of a resonant grazing
+#
+# One wall at 1. As the drive grows the mass comes to graze it (GR). Along the frequency too that is a curve, and on
+# it lies a point where the grazing orbit comes back after one turn as if nothing had been: at the frequency
+# 2 sqrt(1 - damping^2). There the curves of saddle-nodes and of period doublings of the orbit with the impact begin.
+
+# %%
+DAMPING, R, DISTANCE = 0.05, 0.7, 1.0
+NAMES = "amplitude", "frequency"
+scene = jv.make_scene(amplitude=0.1, frequency=1.9, damping=DAMPING, restitution=R, walls=(None, DISTANCE))
+touch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.0, 6.0), stop="GR").points("GR")[0]
+grazing = jv.locus(touch, NAMES, {"amplitude": (0.0, 20.0), "frequency": (1.6, 2.4)})
+(point,) = grazing.points("RG")
+folds, doublings = jv.switch(point)
+print(grazing.table())
+print(f"2 sqrt(1 - damping^2) = {2.0 * np.sqrt(1.0 - DAMPING**2):.12g}")
+
+# %% [markdown]
+# Both leave it tangentially, along parabolas (Simpson and Ghosh, arXiv 2602.22797). For one wall their coefficients are
+# known in closed form (docs/loci.md, derived anew), here with m = n = 1:
+
+
+# %%
+def touching(omega):
+    """The amplitude at which the mass grazes the wall, in closed form."""
+    return DISTANCE * np.sqrt((1.0 - omega**2) ** 2 + 4.0 * DAMPING**2 * omega**2)
+
+
+centre = point.values["frequency"]
+e = -np.exp(-2.0 * np.pi * DAMPING / centre)
+q = 2.0 * np.pi * (1.0 + R) * e / centre
+folding = -0.5 * touching(centre) * (q / ((1.0 - e) * (1.0 + R * e))) ** 2
+doubling = touching(centre) * (q / (1.0 - e)) ** 2
+doubling *= 1.0 / (1.0 - R * e) ** 2 + (1.0 + R * e) ** 2 / (2.0 * (1.0 - R * e) ** 4)
+
+figure, axes = plt.subplots(figsize=(7, 4.5), layout="constrained")
+for found, bend, colour, name in ((folds, folding, BLUE, "saddle-nodes"), (doublings, doubling, RED, "doublings")):
+    amplitude, omega = found.values.T
+    off = np.linspace(0.0, 0.1, 101) * np.sign(omega[-1] + omega[0] - 2.0 * centre)
+    axes.plot(omega - centre, amplitude - touching(omega), color=colour, label=f"{name}, followed")
+    axes.plot(off, bend * off**2, color=colour, linestyle=(0, (4, 3)), alpha=0.7, label=f"{name}, closed form")
+axes.axhline(0.0, color=BLACK, linewidth=1, label="grazing")
+axes.set(
+    xlim=(-0.1, 0.1), ylim=(-0.35, 0.15), xlabel="frequency from that of the point", ylabel="amplitude beyond grazing"
+)
+axes.legend(frameon=False, fontsize=8)
+keep(figure, "resonant_grazing")
+
+# %% [markdown]
+# How well does the parabola hold? The nearer to the point, the better: the ratio of what was followed to the parabola
+# tends to 1.
+
+# %%
+for found, bend, name in ((folds, folding, "SN"), (doublings, doubling, "PD")):
+    amplitude, omega = found.values.T
+    away = abs(omega - centre)
+    near = np.argsort(away)[[k for k in (1, 2, 4, 8) if k < len(away)]]
+    ratios = (amplitude - touching(omega))[near] / (bend * away[near] ** 2)
+    print(name, *(f"{ratio:.5f} at {far:.2g}" for ratio, far in zip(ratios, away[near], strict=True)), sep="  ")
+
+# %% [markdown]
+# ## Hops that become a rest
+#
+# A slower drive presses the mass on the wall for a while. It hops there, and each hop has R times the speed of the one
+# before. Towards a stronger drive there are ever more hops, each born in a grazing, until infinitely many of them fit
+# in before the wall lets the mass go: it comes to rest, P1-0-inf. The branch goes through the point where they just do
+# (CH).
+
+# %%
+slow = jv.make_scene(amplitude=1.42, frequency=0.5, damping=0.05, restitution=0.5, walls=(None, 0.5))
+resting = jv.find_orbit(slow, jv.State(0.0, 0.0))
+branch = jv.follow(resting, "amplitude", (1.3, 1.45))
+(complete,) = branch.points("CH")
+print(branch.table())
+
+figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+times = np.linspace(0.0, 2.0 * np.pi / 0.5, 4000)
+states, _ = jv.sample(resting.scene, resting.state, times)
+left.plot(times, states.x, color=BLUE)
+left.axhline(0.5, color=BLACK, linewidth=1)
+left.set(xlabel="t", ylabel="x", title=f"{resting.label} at amplitude 1.42")
+
+# %% [markdown]
+# The grazings come nearer to the CH by one factor a hop, which depends on R alone. With q the root of
+# (1 + q) (3 q - 1)^2 = 8 R q between 1/3 and 1 it is mu = (1 + q)^2 / (2 q^2 (3 q - 1)) (Nordmark and Piiroinen, 2009).
+
+# %%
+roots = np.roots(np.polyadd(np.polymul([1.0, 1.0], [9.0, -6.0, 1.0]), [-8.0 * 0.5, 0.0]))
+(q,) = [root.real for root in roots if abs(root.imag) < 1e-12 and 1 / 3 < root.real < 1]
+mu = (1.0 + q) ** 2 / (2.0 * q**2 * (3.0 * q - 1.0))
+hops = np.sort([one.value for one in branch.points("GR")])
+left_over = complete.value - hops
+right.semilogy(left_over, "o", color=RED, label="grazings, followed")
+right.semilogy(left_over[-1] * mu ** np.arange(len(hops))[::-1], color=GREY, label=f"a factor of {mu:.5f} a hop")
+right.set(xlabel="number of the grazing", ylabel="amplitude left to the complete chatter")
+right.legend(frameon=False)
+keep(figure, "complete_chatter")
+print("factors:", np.round(left_over[:-1] / left_over[1:], 5))
+
+# %% [markdown]
+# In two parameters the CH is a curve. On one side of it the mass rests once a period, on the other it hops all along.
+
+# %%
+where = jv.locus(complete, ("amplitude", "restitution"), {"amplitude": (0.5, 3.0), "restitution": (0.05, 0.7)})
+print(where.table())
+figure, axes = plt.subplots(figsize=(6, 4.2), layout="constrained")
+axes.plot(*where.values.T, color=BLUE)
+axes.fill_between(where.values[:, 0], where.values[:, 1], 0.05, color=BLUE, alpha=0.12, linewidth=0)
+axes.text(0.62, 0.2, "rests", transform=axes.transAxes)
+axes.text(0.15, 0.85, "hops", transform=axes.transAxes)
+axes.set(xlabel="amplitude", ylabel="R", xlim=(0.5, 3.0), ylim=(0.05, 0.7))
+keep(figure, "where_it_rests")
