@@ -122,5 +122,6 @@ def test_bad_arguments(key, given, branch, touch):
 
 
 def test_an_end_is_refused(branch):
-    with pytest.raises(jv.ArgumentError, match=r"^special: must be a special point of kind SN, PD, SB, GR, CH, RL; got 'EP'"):
+    kinds = "SN, PD, SB, GR, CH, RL"
+    with pytest.raises(jv.ArgumentError, match=rf"^special: must be a special point of kind {kinds}; got 'EP'"):
         jv.family(branch.special[0], PAIR, BOUNDS, "damping", [0.1])
