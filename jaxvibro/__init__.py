@@ -50,7 +50,7 @@ _HOMES = {
     "OneImpact": "branches.scenario",
     "period_adding": "branches.period_adding",
     "PeriodAdding": "branches.period_adding",
-    "Stretch": "branches.period_adding",
+    "PeriodicWindow": "branches.period_adding",
     "peaks": "branches.peaks",
     "peak": "branches.peaks",
     "sensitivity": "design.sensitivity",

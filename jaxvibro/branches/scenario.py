@@ -9,11 +9,11 @@ from jaxtyping import Complex, Float
 from ..maps import itinerary as words
 from ..orbits.orbit import MARGIN
 from ..output.table_text import columns, pair
+from ..problem.one_impact import kicks, rounds
 from ..problem.orbit_on_branch import place_orbit
 from ..problem.soft_exponent import exponent_of
 from ..problem.soft_grazing import is_smooth
 from ..problem.square_root_map import MOST, SquareRootMap
-from ..problem.one_impact import kicks, rounds
 from ..problem.touch_return import touch_return
 from ..scene import check
 from ..scene.scale import scene_length
@@ -21,15 +21,16 @@ from ..scene.scene import SIDES
 from .branch import Special
 
 LONGEST = 6  # returns
-OVERLAP, ALONE = 0.25, 2.0 / 3.0  # multipliers between which there is chaos between the stretches of period adding
+ROOT = 0.5  # the exponent at a rigid wall
+OVERLAP, ALONE = 0.25, 2.0 / 3.0  # multipliers between which there is chaos between the windows of period adding
 
 
 class Follows(Enum):
     """What a stable motion that comes to a grazing is followed by.
 
-    OVERLAPPING: period adding, each stretch of parameters overlapping the next; ADDING: period adding, with chaos
+    OVERLAPPING: period adding, each window of parameters overlapping the next; ADDING: period adding, with chaos
     between; CHAOS: chaos alone. In these three what follows leaves gradually. JUMP: nothing stays near. C1: the motion
-    goes on, at a soft wall. UNSTABLE: none comes. OPEN: the signs do not decide.
+    goes on, at a soft wall, and its derivative with it. UNSTABLE: none comes. OPEN: the signs do not decide.
     """
 
     OVERLAPPING = "period adding, overlapping"
@@ -39,6 +40,9 @@ class Follows(Enum):
     C1 = "C1"
     UNSTABLE = "unstable"
     OPEN = "open"
+
+
+GRADUAL = (Follows.OVERLAPPING, Follows.ADDING, Follows.CHAOS)
 
 
 @dataclass(frozen=True)
@@ -67,8 +71,9 @@ class Scenario:
     the depth grows with the parameter; side: of the parameter, 1 or -1, on which it is above 0. half: whether a return
     is half of the orbit, the other half its mirror image; matrix: M, what a return makes of a change of (x, v) at the
     touch, its impact left out; multipliers: M's, the larger first. deeper: the first n with C M^n E > 0, 0 where there
-    is none. ratio: in which the stretches of period adding get shorter, one over the square of the larger multiplier,
-    else nan. orbits: a `OneImpact` for each n from 1 on.
+    is none. ratio: by which the touches of `orbits` come nearer to the grazing from n to n + 1 in the end, one over the
+    square of the larger multiplier, where what follows leaves gradually, else nan. orbits: a `OneImpact` for each n
+    from 1 on, none where follows is C1, UNSTABLE, or several touches are to be told apart.
     """
 
     special: Special = field(repr=False)
@@ -86,27 +91,26 @@ class Scenario:
     ratio: float
     orbits: tuple[OneImpact, ...]
 
-    @property
-    def limit(self) -> float:
-        """To which the ratio of the places of period adding tends: one over the square of the larger multiplier."""
-        return float(abs(self.multipliers[0]) ** -2)
-
     def table(self) -> str:
         """What follows as a text, and a line for each n."""
         told = [
             f"{self.follows.value}: {self.special.label} touches the {self.wall} wall at {self.special.value:.12g}",
-            f"jump of the velocity {self.root:.6g} depth^{0.5:g}, depth {self.rate:+.6g} a unit"
-            if self.exponent == 0.5
-            else f"change in proportion to depth^{self.exponent:g}, depth {self.rate:+.6g} a unit",
+            f"{self._change}, depth {self.rate:+.6g} a unit",
             f"multipliers of a return{' of half the orbit' * self.half}: {pair(self.multipliers)}",
         ]
         if np.isfinite(self.ratio):
-            told.append(f"stretches get shorter by {self.ratio:.6g} each")
-        rows = [("returns", "orbit", "C M^n E", "fold", "doubling", "touch", "stable")]
+            told.append(f"places come nearer by {self.ratio:.6g} each")
+        rows: list[tuple[object, ...]] = [("returns", "orbit", "C M^n E", "fold", "doubling", "touch", "stable")]
         for one in self.orbits:
             places = (f"{each:.9g}" if np.isfinite(each) else "-" for each in (one.fold, one.doubling, one.touch))
             rows.append((one.returns, one.label, one.response, *places, "yes" if one.stable else "no"))
         return "\n".join([*told, *([columns(rows)] if self.orbits else [])])
+
+    @property
+    def _change(self):
+        if self.exponent == ROOT:
+            return f"velocity jumps by {self.root:.6g} sqrt(depth)"
+        return f"change as depth^{self.exponent:g}"
 
 
 @check.host("use located for derivatives of a grazing's value")
@@ -152,18 +156,19 @@ def returned(special):
 def scenario_of(special, found, longest):
     """The `Scenario` of a grazing, found: its `TouchReturn`."""
     depth = max((one.depth for one in found.touches), key=lambda one: one.root)
-    wall = special.scene.walls[SIDES[int(depth.side > 0)]]
-    smooth = all(is_smooth(special.scene, one.depth.side) for one in found.touches)
-    near = SquareRootMap(depth.root, found.matrix)
-    follows, deeper = (Follows.C1, 0) if smooth else _decided(near, wall.soft or len(found.touches) > 1 + found.half)
-    period_adding = follows in (Follows.OVERLAPPING, Follows.ADDING)
-    rigid = follows not in (Follows.C1, Follows.UNSTABLE) and not wall.soft and len(found.touches) == 1 + found.half
+    wall, near = special.scene.walls[SIDES[int(depth.side > 0)]], SquareRootMap(depth.root, found.matrix)
+    one_touch = not wall.soft and len(found.touches) == 1 + found.half
+    if all(is_smooth(special.scene, one.depth.side) for one in found.touches):
+        follows, deeper, exponent = Follows.C1, 0, exponent_of(wall)
+    else:
+        (follows, deeper), exponent = _decided(near, one_touch), ROOT
+    mapped = one_touch and follows is not Follows.UNSTABLE
     return Scenario(
         special=special,
         follows=follows,
         wall=SIDES[int(depth.side > 0)],
         root=depth.root,
-        exponent=exponent_of(wall) if smooth else 0.5,
+        exponent=exponent,
         acceleration=depth.acceleration,
         rate=depth.slope,
         side=int(np.sign(depth.slope)),
@@ -171,17 +176,17 @@ def scenario_of(special, found, longest):
         matrix=found.matrix,
         multipliers=near.multipliers,
         deeper=deeper,
-        ratio=float(near.multipliers[0].real ** -2) if period_adding else np.nan,
-        orbits=_one_impact(special.value, found, near, depth, max(longest, deeper)) if rigid else (),
+        ratio=float(near.multipliers[0].real ** -2) if follows in GRADUAL else np.nan,
+        orbits=_one_impact(special.value, found, near, depth, max(longest, deeper)) if mapped else (),
     )
 
 
-def _decided(near, several):
-    """(`Follows` of a square-root map, the first n with C M^n E > 0 or 0); several: whether it is not all there is."""
+def _decided(near, one_touch):
+    """(`Follows` of a square-root map, the first n with C M^n E > 0 or 0); one_touch: whether it is all there is."""
     first, other = near.multipliers
     if not abs(first) < 1.0 - MARGIN:
         return Follows.UNSTABLE, 0
-    deeper = None if several else near.first_deeper()
+    deeper = near.first_deeper() if one_touch else None
     if deeper:
         return Follows.JUMP, deeper
     if deeper is None or first.imag or other.real < 0:
@@ -195,15 +200,18 @@ def _one_impact(value, found, near, depth, longest):
     """The `OneImpact`s of a `TouchReturn`, as its square-root map has them."""
     responses, told = near.responses(longest), []
     for n in range(1, longest + 1):
-        one = near.stretch(n)
+        one = near.window(n)
         ways = one.fold, one.doubling, one.touch
         places = (value + one.depth(s) / depth.slope if np.isfinite(s) and s > 0 else np.nan for s in ways)
-        told.append(OneImpact(n, _label(found, n), float(responses[n]), *map(float, places), bool(one.stable < one.touch)))
+        told.append(
+            OneImpact(n, _label(found, n), float(responses[n]), *map(float, places), bool(one.stable < one.touch))
+        )
     return tuple(told)
 
 
 def _label(found, n):
     """P n p q of the orbits with one impact besides in n returns."""
-    sides = [*np.asarray(found.bare.cycle.sides)] * rounds(found, n) + [found.touches[k].depth.side for _, k in kicks(found, n)]
+    times = rounds(found, n)
+    sides = [*np.asarray(found.bare.cycle.sides)] * times + [found.touches[k].depth.side for _, k in kicks(found, n)]
     flat = "L" * sum(side < 0 for side in sides) + "R" * sum(side > 0 for side in sides)
-    return words.label((flat, *[""] * (rounds(found, n) * int(found.bare.cycle.periods) - 1)))
+    return words.label((flat, *[""] * (times * int(found.bare.cycle.periods) - 1)))

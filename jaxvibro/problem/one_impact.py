@@ -12,7 +12,7 @@ from .diagnostics import diagnose
 from .equations import OrbitEquations, problem
 from .grazing import padded
 from .orbit_on_branch import OrbitPoint
-from .touches import TOUCH, admissible, scales, span, stilled, touched
+from .touches import TOUCH, admissible, scales, settled_near, span, stays, stilled, touched, wall_sides
 
 STEPS = 8  # to where the square-root map has the next touch
 FAR = 3.0  # times as far as that it is looked for
@@ -20,16 +20,35 @@ HALVES = 6  # of a step in which a touch is looked for
 
 
 class OneImpactOrbits(NamedTuple):
-    """Orbits along the speed of one impact. along; grazing: z where that is zero; index: its place in z; control."""
+    """Orbits along the speed of one impact. along; grazing: z where that is zero; place: of the speed in z; passes: (row,
+    wall, time since the flight after it began) of each return in which there is no impact; control; length: the
+    scene's."""
 
     along: OrbitEquations
     grazing: Float[np.ndarray, " unknowns"]
-    index: int
+    place: int
+    passes: tuple[tuple[int, int, float], ...]
     control: Control
+    length: float
 
     def at(self, z, speed):
         """The `Point` near z where the impact has a speed."""
-        return event_search.pinned(problem(self.along), z, self.index, speed, self.control, self.along)
+        return event_search.pinned(problem(self.along), z, self.place, speed, self.control, self.along)
+
+    def nearest(self, z):
+        """(whether the orbit keeps to its walls; (row, wall, time) where a flight is nearest to one, or deepest).
+
+        Where it passes the touch it is asked for itself: as many passes are alike, the least of all turning points
+        is not told from the next to a part of their distance.
+        """
+        look = diagnose(self.along, z[None])
+        row, wall = np.unravel_index(np.argmin(look.clear[0]), look.clear[0].shape)
+        found = [(float(look.clear[0, row, wall]), (int(row), int(wall), float(look.late[0, row, wall])))]
+        for row, wall, late in self.passes:
+            late, distance, _ = settled_near(self.along, z, row, wall, late)
+            found.append((float(distance), (row, wall, float(late))))
+        least, place = min(found)
+        return bool(admissible(self.along, z, look)[0] and least >= 0), place
 
     def spot(self, z, residual):
         """The `OrbitPoint` of z."""
@@ -62,47 +81,52 @@ def one_impact_orbits(found, n, length):
     for k in bare.hits if rows else ():
         late = first.time + (z[k] - first.time) % whole
         listed += [(late + j * whole, z[rows + k], bare.cycle.sides[k]) for j in range(times)]
-    cycle = padded(bare, sorted(listed))._replace(periods=np.asarray(float(times) * float(bare.cycle.periods)))
-    along = bare._replace(cycle=cycle)
-    size = len(cycle.sides)
-    numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
+    listed = sorted(listed)
+    cycle = padded(bare, listed)._replace(periods=np.asarray(float(times) * float(bare.cycle.periods)))
+    along, size = bare._replace(cycle=cycle), len(cycle.sides)
     start = np.concatenate([cycle.times, cycle.speeds, z[-1:]])
-    return OneImpactOrbits(along, start, size, Control(scales(along, length), *numbers))
+    held, walls, passes = stays(along, start), wall_sides(along.scene), []
+    for k in range(1, round(times * whole / found.length)):
+        late, side = first.time + k * found.length, found.touches[k % 2 if found.half else 0].depth.side
+        row = sum(time < late for time, *_ in listed) - 1
+        if (k, 1) not in kicks(found, n):
+            passes.append((row, walls.index(side), late - listed[row][0] - held[row]))
+    numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
+    return OneImpactOrbits(along, start, size, tuple(passes), Control(scales(along, length), *numbers), length)
 
 
-def next_touch(orbits, speed, length):
-    """(z, residual) where the orbits, followed from the grazing along the speed of the impact, touch a wall first, None
+def next_touch(orbits, speed):
+    """(z, the wall's side) where the orbits, followed along the speed of the impact, first touch a wall, None
     where they do not soon; speed: about that there."""
-    before, here, step, reached = None, orbits.grazing, speed / STEPS, 0.0
-    while reached < FAR * speed:
-        guess = here if before is None else 2.0 * here - before
-        point = orbits.at(guess, reached + step)
+    before, here, step = None, orbits.grazing, speed / STEPS
+    for k in range(1, round(FAR * STEPS) + 1):
+        point = orbits.at(here if before is None else 2.0 * here - before, k * step)
         if not point.met:
             return None
-        look = diagnose(orbits.along, point.z[None])
-        if not admissible(orbits.along, point.z, look)[0]:
-            return _between(orbits, here, point.z, look, length)
-        before, here, reached = here, point.z, reached + step
+        good, place = orbits.nearest(point.z)
+        if not good:
+            return _between(orbits, here, point.z, place)
+        before, here = here, point.z
     return None
 
 
-def _between(orbits, good, bad, look, length):
-    """(z, residual) of the first touch between two orbits, good the one before, None where none is found."""
+def _between(orbits, good, bad, place):
+    """(z, the wall's side) of the first touch between two orbits, None where none is found; place: where the bad one is
+    deepest behind a wall."""
+    rows = len(orbits.along.cycle.sides)
     for _ in range(HALVES):
-        row, wall = np.unravel_index(np.argmin(look.clear[0]), look.clear[0].shape)
-        found = touched(orbits.along, bad, row, wall, float(look.late[0, row, wall]))
-        low, high = good[orbits.index], bad[orbits.index]
-        if found.z is not None and low < found.z[orbits.index] <= high:
-            z = stilled(orbits.along, found.z, length)
-            view = diagnose(orbits.along, z[None])
-            if view.clear.min() > -TOUCH * length and z[len(orbits.along.cycle.sides) + orbits.along.hits].min() > 0:
-                return z, found.residual
-        middle = orbits.at(0.5 * (good + bad), 0.5 * (low + high))
+        found = touched(orbits.along, bad, *place)
+        if found.z is not None and good[orbits.place] < found.z[orbits.place] <= bad[orbits.place]:
+            z = stilled(orbits.along, found.z, orbits.length)
+            clear = diagnose(orbits.along, z[None]).clear.min()
+            if clear > -TOUCH * orbits.length and z[rows + orbits.along.hits].min() > 0:
+                return z, wall_sides(orbits.along.scene)[place[1]]
+        middle = orbits.at(0.5 * (good + bad), 0.5 * (good + bad)[orbits.place])
         if not middle.met:
             return None
-        view = diagnose(orbits.along, middle.z[None])
-        if admissible(orbits.along, middle.z, view)[0]:
+        fine, near = orbits.nearest(middle.z)
+        if fine:
             good = middle.z
         else:
-            bad, look = middle.z, view
+            bad, place = middle.z, near
     return None

@@ -17,8 +17,8 @@ so that it keeps off the wall there while s < q - g_k. By M's trace and determin
 Its multipliers are those of M^n (I + E C / 2 s): one is 1 at s = q / 2, one is -1 at s = -c_n / 2 det(I + M^n).
 
 Where c_n < 0 for all n, the motion stays near. For real multipliers 0 <= m < l the orbits with one impact in n returns
-have stretches from s = |c_n| / 2 to |c_(n-1)| - |c_n| for large n: none where l > 2/3, and one overlaps the next where
-l < 1/4, as in Chin, Ott, Nusse and Grebogi, Phys. Rev. E 50, 4427, 1994; the stretches end at mu in proportion to
+have windows from s = |c_n| / 2 to |c_(n-1)| - |c_n| for large n: none where l > 2/3, and one overlaps the next where
+l < 1/4, as in Chin, Ott, Nusse and Grebogi, Phys. Rev. E 50, 4427, 1994; the windows end at mu in proportion to
 l^(2 n). Where c_n > 0 first for some n, an impact with a small s is followed by one with sqrt(c_n s), which is larger,
 until s is about q of that n: nothing stays near, and the orbit with one impact in n returns is there on both sides.
 """
@@ -32,7 +32,7 @@ MOST = 64  # returns: after as many a sign of C M^n E is rounding
 NONE = 1e-8  # of the root times M's largest entry, or of what C M^n E may be: as small has no sign
 
 
-class OneImpactStretch(NamedTuple):
+class OneImpactWindow(NamedTuple):
     """Orbits with one impact in n returns, each s = sqrt(depth) at it, mu = s^2 - q s: they exist from s = 0 to touch,
     where they meet the wall once more, inf if they do not; stable from stable on, nan where none is. fold, doubling: s
     where a multiplier is 1, or -1, nan if not between."""
@@ -83,8 +83,8 @@ class SquareRootMap(NamedTuple):
                 return n
         return 0
 
-    def stretch(self, n):
-        """The `OneImpactStretch` of n returns, of an orbit that is stable itself."""
+    def window(self, n):
+        """The `OneImpactWindow` of n returns, of an orbit that is stable itself."""
         found, shrink = self.responses(n), np.linalg.det(self.matrix)
         trace = np.trace(self.powers(n)[n])
         closed, turned = 1.0 - trace + shrink**n, 1.0 + trace + shrink**n
@@ -93,4 +93,4 @@ class SquareRootMap(NamedTuple):
         touch = float((q - later).min(initial=np.inf))
         fold, doubling = (s if 0.0 < s < touch else np.nan for s in (0.5 * q, -0.5 * found[n] / turned))
         stable = np.nanmin([fold, doubling]) if touch > 0 and not np.isnan([fold, doubling]).all() else np.nan
-        return OneImpactStretch(float(q), touch, float(stable), float(fold), float(doubling))
+        return OneImpactWindow(float(q), touch, float(stable), float(fold), float(doubling))

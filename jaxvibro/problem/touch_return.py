@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from continuation import locate
 from continuation.persistent_jit import SOON, persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
@@ -18,12 +19,13 @@ from ..orbits.saltation import jump
 from ..scene.symmetry import stays_symmetric
 from .depths import BareTouch, bare_touches
 from .diagnostics import flight
-from .equations import OrbitEquations, are_impacts, cycle_at, there
-from .grazing import with_touches
+from .equations import OrbitEquations, are_impacts, cycle_at, problem, there
+from .grazing import Hit, with_impacts, with_touches
 from .orbit_on_branch import OrbitPoint, is_own_image
-from .touches import span, touches
+from .touches import span, stays, touches
 
-HALF = 1e-6  # of the orbit's length: touches as near to half of it apart are mirror images
+HALF = 1e-6  # of the orbit's length: touches as near to half of it apart are mirror images, as near are one
+SAME = 1e-6  # of the scene's length: an orbit that misses itself by less is one of fewer periods
 
 
 class TouchReturn(NamedTuple):
@@ -48,10 +50,38 @@ def touch_return(scene, name, along, z, length):
         return None
     bare, start, out = with_touches(along, z, met, (False,) * len(met))
     found = bare_touches(scene, bare, start, out, length)
+    bare, start, found = _once(bare, start, found, length)
     half = _mirrored(scene, name, bare, start, found)
     ends = (found[0], found[1]) if half else (found[0], found[0])
     matrix = _between(bare, start, *ends) * (-1.0 if half else 1.0)
     return TouchReturn(bare, start, found, matrix, half, span(bare, start) * (0.5 if half else 1.0))
+
+
+def _once(bare, z, found, length):
+    """The orbit gone through once, and its touches: it may be that of a branch of more periods."""
+    periods, hits = int(bare.cycle.periods), bare.hits if len(bare.cycle.sides) else ()
+    for fewer in (each for each in range(1, periods) if periods % each == 0 and len(hits) * each % periods == 0):
+        kept = [Hit(z[k], z[len(bare.cycle.sides) + k], bare.cycle.sides[k], True) for k in hits]
+        short, start = with_impacts(bare, z, kept[: len(hits) * fewer // periods])
+        short = short._replace(cycle=short.cycle._replace(periods=np.asarray(float(fewer))))
+        left, _ = locate.evaluated(problem(short), start, short)
+        if abs(np.asarray(left)).max() <= SAME * length:
+            return short, start, _placed(short, start, found)
+    return bare, z, found
+
+
+def _placed(short, z, found):
+    """Touches of an orbit gone through several times as those of once: `BareTouch`es."""
+    whole, held, told = span(short, z), stays(short, z), []
+    begins = z[short.hits] + held[short.hits] if len(short.cycle.sides) else np.zeros(1)
+    for one in found:
+        since = (one.time - begins) % whole
+        row = int(np.argmin(since))
+        new = one._replace(row=row, late=float(since[row]), time=float(begins[row] + since[row]))
+        near = (abs((new.time - each.time + 0.5 * whole) % whole - 0.5 * whole) for each in told)
+        if not any(away < HALF * whole for away in near):
+            told.append(new)
+    return tuple(told)
 
 
 def _mirrored(scene, name, bare, z, found):
