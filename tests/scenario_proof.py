@@ -29,7 +29,7 @@ FINE = 1e-7  # of the parameter: windows that end nearer to the grazing are roun
 SHARES = (1e-1, 1e-2, 1e-3, 1e-4)  # of a depth
 EARLY = 0.1  # before a touch
 SETTLED, KEPT = 3000, 300  # returns of a long run
-NEAR = 1e-6  # of the parameter: as near is the same grazing
+NEAR = 1e-3  # of the way from the grazing: as near is the same touch
 
 
 def strongly_damped(rng, low, high):
@@ -86,15 +86,12 @@ def places(count, seed):
         for one in found.windows:
             if one.orbit is None or abs(one.found - point.value) < FINE * size:
                 continue
-            room = sorted((point.value, one.found + 0.1 * (one.found - point.value)))
-            step = 0.05 * np.sqrt(abs(one.found - point.value))
-            branch = jv.follow(one.orbit, point.name, room, first_step=step, largest_step=2 * step)
-            last = sorted(branch.points("GR"), key=lambda each: abs(each.value - one.found))
-            if not last or abs(last[0].value - one.found) > NEAR * size:
-                told.append(f"n {one.returns}: not followed to {one.found}, {branch.reasons}")
+            last = followed(point, one)
+            if last is None:
+                told.append(f"n {one.returns}: not followed to {one.found}")
                 continue
             compared += 1
-            away, exact = abs(last[0].value - one.found) / size, error(last[0]) / size
+            away, exact = abs(last.value - one.found) / size, error(last) / size
             far, off = max(far, away), max(off, exact)
             share = one.ratio / found.scenario.ratio - 1.0
             told.append(f"n {one.returns}: {exact:.1e}, {away:.1e}, ratio {share:+.4f}")
@@ -104,6 +101,16 @@ def places(count, seed):
         print(k + 1, point.label, scene, "; ".join(told), f"({time.perf_counter() - began:.1f} s)", flush=True)
     print(f"{count} grazings, {compared} places: off by {off:.1e} of 1 + value, from branches by {far:.1e};", end=" ")
     print(f"ratio at n = {LAST} within {steep:.1e} of the limit where multipliers are below 0.4")
+
+
+def followed(point, one):
+    """The `Special` of the branch of a window's orbit where it touches, None where the branch does not come there."""
+    room = sorted((point.value, one.found + 0.1 * (one.found - point.value)))
+    step = 0.05 * np.sqrt(abs(one.found - point.value))
+    branch = jv.follow(one.orbit, point.name, room, first_step=step, largest_step=2 * step)
+    last = min(branch.points("GR"), key=lambda each: abs(each.value - one.found), default=None)
+    far = NEAR * abs(one.found - point.value)
+    return last if last is not None and abs(last.value - one.found) <= far else None
 
 
 def matrix_in_digits(point, found):

@@ -20,9 +20,9 @@ HALVES = 6  # of a step in which a touch is looked for
 
 
 class OneImpactOrbits(NamedTuple):
-    """Orbits along the speed of one impact. along; grazing: z where that is zero; place: of the speed in z; passes: (row,
-    wall, time since the flight after it began) of each return in which there is no impact; control; length: the
-    scene's."""
+    """Orbits along the speed of one impact. along; grazing: z where that is zero; place: of the speed in z; passes:
+    (row, wall, time since the flight after it began) of each return in which there is no impact; control; length:
+    the scene's."""
 
     along: OrbitEquations
     grazing: Float[np.ndarray, " unknowns"]
