@@ -84,6 +84,12 @@ def test_an_orbit_gone_through_several_times(grazing, found):
     assert told.matrix == pytest.approx(jv.scenario(grazing).matrix, rel=1e-7)
 
 
+def test_windows_of_many_returns(grazing):
+    """Passes that differ by 1e-9 are told apart: the last is the first to touch."""
+    found = jv.period_adding(grazing, 8).windows[-1]
+    assert found.found - grazing.value == pytest.approx(1.21557e-08, rel=1e-4)
+
+
 MATRICES = [
     np.array([[0.5, 0.3], [-0.1, 0.1]]),
     np.array([[0.1, 0.7], [-0.6, -0.1]]),
@@ -161,6 +167,18 @@ def test_half_of_a_symmetric_orbit(gamma):
 def test_walls_that_are_unlike_are_open():
     told = jv.scenario(first_grazing(jv.make_scene(1.0, OMEGA, GAMMA, R, (jv.Wall(-1.0, 0.5), jv.Wall(1.0, 0.8)))))
     assert told.follows is FOLLOWS.OPEN and told.wall == "right" and told.orbits == ()
+
+
+def test_an_orbit_with_impacts():
+    """M through the impacts of the orbit without the touch, in 40 digits."""
+    scene = jv.make_scene(0.7, 0.7, 0.05, 0.7, (jv.Wall(-1.0, 0.5), jv.Wall(1.0, 0.8)))
+    point = first_grazing(scene, bounds=(0.6, 0.8))
+    found, bare = returned(point), min(point.meets, key=lambda one: one.impacts.count)
+    assert bare.label == "P101" and found.matrix == pytest.approx(matrix_in_digits(point, found), rel=1e-10)
+    told = jv.scenario(point)
+    assert told.multipliers == pytest.approx(bare.multipliers, abs=1e-3)  # a little beside the point
+    assert told.root == pytest.approx(1.5 * np.sqrt(2.0 * told.acceleration), rel=1e-12)
+    assert told.wall == "left" and told.orbits[1].label == "P212" and told.follows is FOLLOWS.JUMP
 
 
 @pytest.mark.slow

@@ -20,11 +20,13 @@ FIRST = 2  # returns: with one impact in each there is no other to be met
 
 @dataclass(frozen=True)
 class PeriodicWindow:
-    """The orbits with one impact besides in n returns. returns: n; predicted: the parameter's value where they touch
-    the wall once more, by the square-root map; found: where they touch a wall first, nan where that was not found;
-    wall: which, "left" or "right", "" where none; ratio: how far the place found for n - 1 is from the grazing, over
-    how far this one is; orbit: one of them, halfway from where they become stable to the touch; None where none was
-    found."""
+    """The orbits with one impact besides in n returns, as `period_adding` found them.
+
+    returns: n; predicted: the parameter's value where they touch the wall once more, by the square-root map; found:
+    where they touch a wall first, nan where that was not found; wall: which, "left" or "right", "" where none; ratio:
+    how far the place found for n - 1 is from the grazing, over how far this one is; orbit: one of them, halfway from
+    where they become stable to the touch; None where none was found.
+    """
 
     returns: int
     predicted: float
@@ -61,7 +63,7 @@ def _or_dash(text):
 
 @check.host("use located for derivatives of a grazing's value")
 def period_adding(special: Special, longest: int = LONGEST) -> PeriodAdding:
-    """The places where the orbits of period adding beyond a grazing meet the wall once more: a `PeriodAdding`.
+    """The places where the orbits of period adding beyond a grazing touch a wall once more: a `PeriodAdding`.
 
     special, longest: as of `scenario`. For each n the orbits with one impact besides in n returns are followed from the
     grazing on along the speed of that impact, until a flight touches a wall; the place is located to rounding. From a

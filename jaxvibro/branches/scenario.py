@@ -47,10 +47,12 @@ GRADUAL = (Follows.OVERLAPPING, Follows.ADDING, Follows.CHAOS)
 
 @dataclass(frozen=True)
 class OneImpact:
-    """The orbits with one impact besides in n returns, as the square-root map has them. returns: n; label; response:
-    C M^n E, above 0 where an impact is followed by a deeper contact n returns later; fold, doubling, touch: the
-    parameter's value where they fold, double their period and meet the wall once more, nan where they do not; stable:
-    whether some are."""
+    """The orbits with one impact besides in n returns, as the square-root map has them.
+
+    returns: n; label; response: C M^n E, above 0 where an impact is followed by a deeper contact n returns later; fold,
+    doubling, touch: the parameter's value where they fold, double their period and touch the wall once more, nan where
+    they do not; stable: whether some are.
+    """
 
     returns: int
     label: str

@@ -6,23 +6,24 @@ import numpy as np
 from jaxtyping import Float
 
 from continuation import event_search
-from continuation.arclength import Control
+from continuation.arclength import Control, Point
 
 from .diagnostics import diagnose
 from .equations import OrbitEquations, problem
 from .grazing import padded
 from .orbit_on_branch import OrbitPoint
-from .touches import TOUCH, admissible, scales, settled_near, span, stays, stilled, touched, wall_sides
+from .touches import TOUCH, admissible, flight_times, scales, settled_near, span, stays, stilled, touched, wall_sides
 
 STEPS = 8  # to where the square-root map has the next touch
 FAR = 3.0  # times as far as that it is looked for
+NEAR = 0.25  # of a return: so near to where it was at the grazing a pass is looked for
 HALVES = 6  # of a step in which a touch is looked for
 
 
 class OneImpactOrbits(NamedTuple):
     """Orbits along the speed of one impact. along; grazing: z where that is zero; place: of the speed in z; passes:
-    (row, wall, time since the flight after it began) of each return in which there is no impact; control; length:
-    the scene's."""
+    (row, wall, share of the flight after it) of each return in which there is no impact; control; length: the
+    scene's."""
 
     along: OrbitEquations
     grazing: Float[np.ndarray, " unknowns"]
@@ -31,34 +32,37 @@ class OneImpactOrbits(NamedTuple):
     control: Control
     length: float
 
-    def at(self, z, speed):
+    def at(self, z: Float[np.ndarray, " unknowns"], speed: float) -> Point:
         """The `Point` near z where the impact has a speed."""
         return event_search.pinned(problem(self.along), z, self.place, speed, self.control, self.along)
 
-    def nearest(self, z):
+    def nearest(self, z: Float[np.ndarray, " unknowns"]) -> tuple[bool, tuple[int, int, float]]:
         """(whether the orbit keeps to its walls; (row, wall, time) where a flight is nearest to one, or deepest).
 
         Where it passes the touch it is asked for itself: as many passes are alike, the least of all turning points
         is not told from the next to a part of their distance.
         """
         look = diagnose(self.along, z[None])
-        row, wall = np.unravel_index(np.argmin(look.clear[0]), look.clear[0].shape)
-        found = [(float(look.clear[0, row, wall]), (int(row), int(wall), float(look.late[0, row, wall])))]
-        for row, wall, late in self.passes:
-            late, distance, _ = settled_near(self.along, z, row, wall, late)
-            found.append((float(distance), (row, wall, float(late))))
+        near, met = np.unravel_index(np.argmin(look.clear[0]), look.clear[0].shape)
+        found = [(float(look.clear[0, near, met]), (int(near), int(met), float(look.late[0, near, met])))]
+        spans, length = flight_times(self.along, z), span(self.along, z) / (len(self.passes) + 1)
+        for row, wall, share in self.passes:
+            guess = share * spans[row]
+            late, distance, _ = settled_near(self.along, z, row, wall, guess)
+            if abs(late - guess) < NEAR * length:  # else it is no pass any more, or another one
+                found.append((float(distance), (row, wall, float(late))))
         least, place = min(found)
         return bool(admissible(self.along, z, look)[0] and least >= 0), place
 
-    def spot(self, z, residual):
+    def spot(self, z: Float[np.ndarray, " unknowns"], residual: float) -> OrbitPoint:
         """The `OrbitPoint` of z."""
         rows, hits = len(self.along.cycle.sides), self.along.hits
         look = diagnose(self.along, z[None])
         times = np.mod(z[hits], span(self.along, z))
         order = np.argsort(times)
         parts = times[order], z[rows + hits][order], np.asarray(self.along.cycle.sides)[hits][order]
-        numbers = int(self.along.cycle.periods), float(look.x[0, 0]), float(look.v[0, 0]), float(residual)
-        return OrbitPoint(float(z[-1]), *parts, *numbers)
+        x, v, periods = float(look.x[0, 0]), float(look.v[0, 0]), int(self.along.cycle.periods)
+        return OrbitPoint(float(z[-1]), *parts, periods, x, v, float(residual))
 
 
 def rounds(found, n):
@@ -85,12 +89,13 @@ def one_impact_orbits(found, n, length):
     cycle = padded(bare, listed)._replace(periods=np.asarray(float(times) * float(bare.cycle.periods)))
     along, size = bare._replace(cycle=cycle), len(cycle.sides)
     start = np.concatenate([cycle.times, cycle.speeds, z[-1:]])
-    held, walls, passes = stays(along, start), wall_sides(along.scene), []
+    spans, walls, passes = flight_times(along, start), wall_sides(along.scene), []
+    held = stays(along, start)
     for k in range(1, round(times * whole / found.length)):
         late, side = first.time + k * found.length, found.touches[k % 2 if found.half else 0].depth.side
         row = sum(time < late for time, *_ in listed) - 1
         if (k, 1) not in kicks(found, n):
-            passes.append((row, walls.index(side), late - listed[row][0] - held[row]))
+            passes.append((row, walls.index(side), float((late - listed[row][0] - held[row]) / spans[row])))
     numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
     return OneImpactOrbits(along, start, size, tuple(passes), Control(scales(along, length), *numbers), length)
 

@@ -26,7 +26,7 @@ until s is about q of that n: nothing stays near, and the orbit with one impact 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Complex, Float
 
 MOST = 64  # returns: after as many a sign of C M^n E is rounding
 NONE = 1e-8  # of the root times M's largest entry, or of what C M^n E may be: as small has no sign
@@ -43,7 +43,7 @@ class OneImpactWindow(NamedTuple):
     fold: float
     doubling: float
 
-    def depth(self, s):
+    def depth(self, s: float) -> float:
         """mu."""
         return s * s - self.q * s
 
@@ -55,23 +55,23 @@ class SquareRootMap(NamedTuple):
     matrix: Float[np.ndarray, "2 2"]
 
     @property
-    def multipliers(self):
+    def multipliers(self) -> Complex[np.ndarray, "2"]:
         """M's, the larger first: (2,) complex."""
         found = np.linalg.eigvals(self.matrix).astype(complex)
         return found[np.argsort(-abs(found), kind="stable")]
 
-    def powers(self, count):
+    def powers(self, count: int) -> Float[np.ndarray, "powers 2 2"]:
         """M^n for n = 0 to count: (count + 1, 2, 2)."""
         found = [np.eye(2)]
         for _ in range(count):
             found.append(self.matrix @ found[-1])
         return np.stack(found)
 
-    def responses(self, count):
+    def responses(self, count: int) -> Float[np.ndarray, " powers"]:
         """C M^n E for n = 0 to count: (count + 1,)."""
         return -self.root * self.powers(count)[:, 0, 1]
 
-    def first_deeper(self):
+    def first_deeper(self) -> int | None:
         """The first n for which C M^n E > 0, 0 where there is none up to MOST, None where one before has no sign."""
         found, size = self.responses(MOST), abs(self.multipliers[0])
         if abs(found[1]) <= NONE * self.root * abs(self.matrix).max():
@@ -83,7 +83,7 @@ class SquareRootMap(NamedTuple):
                 return n
         return 0
 
-    def window(self, n):
+    def window(self, n: int) -> OneImpactWindow:
         """The `OneImpactWindow` of n returns, of an orbit that is stable itself."""
         found, shrink = self.responses(n), np.linalg.det(self.matrix)
         trace = np.trace(self.powers(n)[n])
