@@ -24,7 +24,7 @@ def first_grazing(scene, name="amplitude", bounds=(0.0, 20.0), start=(0.0, 0.0))
 
 @pytest.fixture(scope="module")
 def grazing():
-    return first_grazing(jv.make_scene(5.0, OMEGA, GAMMA, R, (None, 1.0)))
+    return first_grazing(jv.make_scene(6.0, OMEGA, GAMMA, R, (None, 1.0)), bounds=(6.0, 6.2))
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_places_are_found_to_rounding(grazing, found):
     assert all(one.wall == "right" for one in found.windows) and "24.8152" in found.table()
 
 
-@pytest.mark.parametrize("n", [3, 4, 5, 6])
+@pytest.mark.parametrize("n", [3, 6])
 def test_places_by_another_route(grazing, found, n):
     """The orbit that is given is followed to its touch, and that solved for in 50 digits."""
     one = found.windows[n - 2]
@@ -150,10 +150,11 @@ def test_a_turning_map_deepens_after_half_a_turn(angle):
     assert SquareRootMap(1.0, turned.T).first_deeper() == 1
 
 
-@pytest.mark.parametrize("gamma", [0.05, 1.2])
-def test_half_of_a_symmetric_orbit(gamma):
+@pytest.mark.parametrize("gamma,amplitude", [(0.05, 1.0), (1.2, 4.5)])
+def test_half_of_a_symmetric_orbit(gamma, amplitude):
     """A return is half a period and the mirror image: its multipliers are -exp(-gamma T / 2) and so on."""
-    told = jv.scenario(first_grazing(jv.make_scene(1.0, OMEGA, gamma, R, (-1.0, 1.0))))
+    scene = jv.make_scene(amplitude, OMEGA, gamma, R, (-1.0, 1.0))
+    told = jv.scenario(first_grazing(scene, bounds=(amplitude, amplitude + 2.5)))
     roots = -np.exp(
         np.array([-gamma + np.emath.sqrt(gamma**2 - 1), -gamma - np.emath.sqrt(gamma**2 - 1)]) * np.pi / OMEGA
     )
@@ -165,7 +166,8 @@ def test_half_of_a_symmetric_orbit(gamma):
 
 
 def test_walls_that_are_unlike_are_open():
-    told = jv.scenario(first_grazing(jv.make_scene(1.0, OMEGA, GAMMA, R, (jv.Wall(-1.0, 0.5), jv.Wall(1.0, 0.8)))))
+    scene = jv.make_scene(4.5, OMEGA, GAMMA, R, (jv.Wall(-1.0, 0.5), jv.Wall(1.0, 0.8)))
+    told = jv.scenario(first_grazing(scene, bounds=(4.5, 6.2)))
     assert told.follows is FOLLOWS.OPEN and told.wall == "right" and told.orbits == ()
 
 
