@@ -1,9 +1,10 @@
 """What follows a grazing, held against digits and long runs: `python -m tests.scenario_proof WHAT N [seed]`.
 
-returns: M and the sign of C M^n E at N grazings of random branches, against products of flights in 40 digits. places:
-at N grazings of random scenes that period adding follows the places found, against branches followed from the orbits,
-and against tests/reference/special.py. runs: at N grazings how far long runs are from the orbit a little beyond.
-jumps: at N grazings of strongly damped scenes where nothing stays near the orbit with one impact in n returns.
+returns: M at N grazings of random branches, against products of flights in 40 digits. places: at N grazings of random
+scenes that period adding follows the places found, against branches followed from the orbits, and against
+tests/reference/special.py. runs: at N grazings how far long runs are from the orbit a little beyond. chaos: at N the
+exponents of long runs, between the windows of period adding and in them. jumps: at N grazings of strongly damped scenes
+where nothing stays near the fold of the orbit with one impact in n returns.
 """
 
 import sys
@@ -27,6 +28,8 @@ NAMES = ("amplitude", "frequency", "damping", "right.position", "right.motion.am
 LAST = 6  # returns
 FINE = 1e-7  # of the parameter: windows that end nearer to the grazing are rounding
 SHARES = (1e-1, 1e-2, 1e-3, 1e-4)  # of a depth
+FAR = 0.02  # root of the depth at a touch: nearer to the grazing the map's windows are the orbits'
+DEPTHS = 24
 EARLY = 0.1  # before a touch
 SETTLED, KEPT = 3000, 300  # returns of a long run
 NEAR = 1e-3  # of the way from the grazing: as near is the same touch
@@ -196,6 +199,40 @@ def runs(count, seed):
     print(f"{right} of {done} as told", seen)
 
 
+def chaos(count, seed):
+    """Whether exponents are above zero at depths within a factor of the ratio, between windows as the map has them, and
+    below zero in these."""
+    rng, done, tables = np.random.default_rng(seed), {}, {}
+    given = grazings(rng, 1.0, 2.5, GRADUAL)
+    while sum(done.values()) < count:
+        point = next(given)
+        found, told = returned(point), jv.scenario(point)
+        kind = told.follows.name
+        if len(point.spot.times) or found.half or done.get(kind, 0) * 3 > count:
+            continue
+        done[kind] = done.get(kind, 0) + 1
+        near = SquareRootMap(told.root, told.matrix)
+        n = next(n for n in range(2, 40) if near.window(n).touch < FAR)
+        top = near.window(n).depth(near.window(n).touch)
+        depths = top * told.ratio ** -rng.random(DEPTHS)
+        scene = point.scene.replace(**{point.name: point.value + top / told.rate})
+        x, v = before(point, found)
+        start = jv.State(x, v, float(scene.frequency) * (found.touches[0].time - EARLY))
+        seen = jv.spectrum(scene, point.name, point.value + depths / told.rate, start, settle=2000, most=2**14)
+        positive = seen["exponent"].values[:, 0] > 0
+        ends = [
+            (one.depth(one.stable), one.depth(one.touch)) for one in map(near.window, range(1, 60)) if one.stable > 0
+        ]
+        inside = np.array([any(low < depth < high for low, high in ends) for depth in depths])
+        table = tables.setdefault(kind, np.zeros((2, 2), int))
+        np.add.at(table, (inside.astype(int), positive.astype(int)), 1)
+        between, within = (f"{positive[part].sum()} of {part.sum()}" for part in (~inside, inside))
+        shown = f"between windows {between}, in windows {within}"
+        print(kind, told.multipliers.real, "exponent above 0:", shown, flush=True)
+    for kind, ((a, b), (c, d)) in tables.items():
+        print(f"{kind}: chaos between windows {b} of {a + b}, in windows {d} of {c + d}")
+
+
 def jumps(count, seed):
     """Where orbits with one impact in n returns fold and what they are at the grazing, against the square-root map."""
     rng, given, worst = np.random.default_rng(seed), None, []
@@ -236,4 +273,6 @@ def jumps(count, seed):
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     what, number, *rest = sys.argv[1:]
-    {"places": places, "returns": returns, "runs": runs, "jumps": jumps}[what](int(number), *map(int, rest or [0]))
+    {"places": places, "returns": returns, "runs": runs, "chaos": chaos, "jumps": jumps}[what](
+        int(number), *map(int, rest or [0])
+    )
