@@ -67,7 +67,7 @@ class OneImpact:
 class Scenario:
     """What follows a grazing, made by `scenario`.
 
-    special: the grazing; follows: a `Follows`. wall: "left" or "right", that is touched, of two that of the larger root.
+    special: the grazing; follows: a `Follows`. wall: "left" or "right", that is touched, of two with the larger root.
     root: by how much the velocity jumps, over the root of the depth that a contact would have; exponent: of the depth
     in how it changes the motion, 0.5 at a rigid wall; acceleration: away from the wall, relative to it; rate: how fast
     the depth grows with the parameter; side: of the parameter, 1 or -1, on which it is above 0. half: whether a return
