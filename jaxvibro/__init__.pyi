@@ -17,6 +17,13 @@ from .branches.follow import follow_all as follow_all
 from .branches.isolas import find_isolas as find_isolas
 from .branches.peaks import peak as peak
 from .branches.peaks import peaks as peaks
+from .branches.period_adding import PeriodAdding as PeriodAdding
+from .branches.period_adding import PeriodicWindow as PeriodicWindow
+from .branches.period_adding import period_adding as period_adding
+from .branches.scenario import Follows as Follows
+from .branches.scenario import OneImpact as OneImpact
+from .branches.scenario import Scenario as Scenario
+from .branches.scenario import scenario as scenario
 from .branches.switch import extend as extend
 from .design.fit import fit as fit
 from .design.fitted import Combination as Combination

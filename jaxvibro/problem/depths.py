@@ -34,15 +34,31 @@ def depths(scene, along, z, length):
     """The `Depth`s at a grazing, in the order of its touches along the orbit; scene: at the point."""
     met = touches(along, z, length)
     bare, start, out = with_touches(along, z, met, (False,) * len(met))
+    return tuple(one.depth for one in bare_touches(scene, bare, start, out, length))
+
+
+class BareTouch(NamedTuple):
+    """Where an orbit that leaves all touches out touches a wall. row: of the impact before; late: the time since the
+    flight after that began; time: since the drive was at phase 0; depth: its `Depth`."""
+
+    row: int
+    late: float
+    time: float
+    depth: Depth
+
+
+def bare_touches(scene, bare, start, out, length):
+    """The `BareTouch`es of an orbit that leaves touches out, as `grazing.with_touches` gives it and them."""
     tangent = event_search.tangent(problem(bare), start, scales(bare, length), bare)
-    walls, found, held = wall_sides(along.scene), [], stays(bare, start)
+    walls, found, held = wall_sides(bare.scene), [], stays(bare, start)
     for row, wall, late in out:
         late, _, towards = settled_near(bare, start, row, wall, late)
         side, growing = walls[wall], -opening(bare, start, tangent, row, wall, late)
         slope = growing / tangent[-1] if tangent[-1] else np.inf
         begin = start[row] + held[row] if len(bare.cycle.sides) else 0.0
-        away = -float(towards)
-        found.append(Depth(side, _root(scene, side, away, float(begin + late)), float(slope), away))
+        away, time = -float(towards), float(begin + late)
+        depth = Depth(side, _root(scene, side, away, time), float(slope), away)
+        found.append(BareTouch(int(row), float(late), time, depth))
     return tuple(found)
 
 

@@ -85,6 +85,8 @@ def _distinct(along, z, met):
     """The choices of touches to be impacts: of those that are one orbit, counted from another period, the branch's own
     or the first."""
     own, kept = tuple(one.own for one in met), []
+    if not met:  # as of passes that differ by less than samples tell: none is known to be the touch
+        return [own]
     times = np.array([one.late + (z[one.row] if len(along.cycle.sides) else 0.0) for one in met])
     places = turns(along, z, times, np.array([one.side for one in met]))
     for included in _choices(met):
