@@ -100,6 +100,30 @@ for found, bend, name in ((folds, folding, "SN"), (doublings, doubling, "PD")):
     print(name, *(f"{ratio:.5f} at {far:.2g}" for ratio, far in zip(ratios, away[near], strict=True)), sep="  ")
 
 # %% [markdown]
+# ## What follows a grazing
+#
+# Beyond a grazing a motion may jump away, become chaotic, or hit once in ever fewer turns. Signs at the point say
+# which: here, under strong damping, it is followed by orbits with one impact in n periods, n the smaller the farther
+# away (period adding). Where each of them touches the wall once more was foretold, and is then found by following it.
+
+# %%
+damped = jv.make_scene(amplitude=5.0, frequency=2.1, damping=1.2, restitution=0.7, walls=(None, 1.0))
+quiet = jv.find_orbit(damped, jv.State(0.0, 0.0))
+told = jv.period_adding(jv.follow(quiet, "amplitude", (4.0, 7.0)).points("GR")[0], longest=7)
+print(told.scenario.table())
+print(told.table())
+
+figure, axes = plt.subplots(figsize=(6, 4.2), layout="constrained")
+value, count = told.scenario.special.value, [window.returns for window in told.windows]
+axes.semilogy(count, [window.found - value for window in told.windows], "o", color=RED, label="found by following")
+axes.semilogy(
+    count, [window.predicted - value for window in told.windows], "+", color=BLACK, markersize=10, label="by the map"
+)
+axes.set(xlabel="periods with one impact", ylabel="amplitude beyond the grazing")
+axes.legend(frameon=False)
+keep(figure, "period_adding")
+
+# %% [markdown]
 # ## Hops that become a rest
 #
 # A slower drive presses the mass on the wall for a while. It hops there, and each hop has R times the speed of the one

@@ -89,6 +89,8 @@ def chatter(count, seed=1):
         worst = np.maximum(worst, [abs(rest - float(end - began)), state_error(scene, given, side, now, before, end)])
         hops.append(len(hits))
         foreseen.append(np.log(max(speed, 1e-300) / 1e-13) / -np.log(bounce) if bounce else 0.0)
+        if len(hops) % 100 == 0:
+            print(f"{done}: {worst}", flush=True)
     print(
         f"{done} chatters, {apart} decided otherwise, {len(hops)} rest; error of when {worst[0]:.2g}, of the state "
         f"after the release {worst[1]:.2g}; hops {np.mean(hops):.1f}, ln(v0 / v_c) / ln(1 / R) {np.mean(foreseen):.1f}"
