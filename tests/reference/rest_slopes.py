@@ -38,8 +38,8 @@ class Stretch(NamedTuple):
 
 
 class Story(NamedTuple):
-    """What happens in a period. held: the side of the wall that the mass rests on at the end, 0: none; slowest: speed
-    of the impacts of the last stretch; plastic: whether an impact without rebound lets the mass leave in the last one."""
+    """What happens in a period. held: the side of the wall that the mass rests on at the end, 0: none; of the last
+    stretch slowest: the least speed of an impact; plastic: whether one without rebound lets the mass leave."""
 
     stretches: list
     held: int
