@@ -92,22 +92,22 @@ def first(count, seed, way):
         members, more = cases(rng, structure, share)
         unfair += more
         moving += share * any(structure)
-        rows += _errors(members, *told(members, way), way)
+        rows += errors(members, *told(members, way), way)
         print(f"{structure}: {share} cases, {time.time() - begun:.0f} s", flush=True)
     print(f"{len(rows)} cases, {moving} with moving walls; {unfair} draws left out")
-    rows = np.array(rows)
+    rows = np.array(rows).reshape(-1, 8)
     for k, kind in enumerate(KINDS):
         own = rows[rows[:, 0] == k]
         apart, ranks = own[:, 1] > 0, own[:, 2]
-        errors = own[~apart, 3:].max(0, initial=0) if len(own) else np.zeros(4)
+        worst = own[~apart, 3:].max(0, initial=0)
         print(
             f"{kind}: {len(own)}, {apart.sum()} decided otherwise, {int((own[:, 7] > SLOTS).sum())} with more than"
-            f" {SLOTS} impacts; ranks that differ {int(ranks.sum())}; largest errors: end {errors[0]:.2g}, its"
-            f" derivatives {errors[1]:.2g} (relative {errors[2]:.2g}), impacts' {errors[3]:.2g}"
+            f" {SLOTS} impacts; ranks that differ {int(ranks.sum())}; largest errors: end {worst[0]:.2g}, its"
+            f" derivatives {worst[1]:.2g} (relative {worst[2]:.2g}), impacts' {worst[3]:.2g}"
         )
 
 
-def _errors(members, values, found, way):
+def errors(members, values, found, way):
     """Rows (kind, whether decided otherwise, whether the rank differs, errors: end, its derivatives over the largest of
     the column or 1, over the largest of the column, those of impacts over the largest of their row; impacts)."""
     rows = []
