@@ -18,7 +18,7 @@ from tests.reference.scene import Motion, Scene, Wall
 
 MANY = Draw(Scene(0.1, 0.5, 3.0, Wall(-9.0, 0.5), Wall(1.0, 0.85)), 0.7, 0.3, -1.5)  # hops on the right wall
 HELD = Draw(Scene(0.1, 0.5, 0.5, Wall(-9.0, 0.5), Wall(-1.2, 0.88)), -1.4, 0.3, 0.0)  # as many, and then a rest
-BOTH = Draw(Scene(0.1, 0.2, 1.5, Wall(-0.5, 0.3), Wall(0.6, 0.4)), 0.0, 0.3, -1.5)  # a rest on each wall
+BOTH = Draw(Scene(0.19, 0.3, 2.7, Wall(-0.8, 0.6), Wall(1.0, 0.82)), 0.0, 0.3, 2.8)  # a rest on each, four impacts
 MOVING = Draw(Scene(0.1, 0.5, 1.5, None, Wall(-0.3, 0.6, Motion(0.1, 0.3))), -0.8, 0.3, 2.5)
 BY = ("x", "amplitude", "right.position")
 
@@ -71,10 +71,11 @@ def test_two_rests_of_a_period():
     (end, times, speeds), (_, impacts) = sloped(BOTH)
     columns = [slopes.names(BOTH.scene).index(name) for name in BY]
     story = rest_slopes.story(*BOTH)
-    assert [stretch.since and stretch.since[0] for stretch in story.stretches] == [None, 1, -1]
-    assert np.allclose(end, rest_slopes.jacobian(BOTH, story)[:, columns], rtol=1e-12, atol=1e-15)
+    assert [stretch.since and stretch.since[0] for stretch in story.stretches] == [None, -1, 1]
+    assert len(story.stretches[-1].hits) == 4
+    assert np.allclose(end, rest_slopes.jacobian(BOTH, story)[:, columns], rtol=1e-12, atol=1e-12)
     for stretch in story.stretches[:2]:
-        known = np.array([t - BOTH.phase / 0.2 for t, _ in stretch.hits[:2]])
+        known = np.array([t - BOTH.phase / BOTH.scene.omega for t, _ in stretch.hits[:2]])
         for time, true in rest_slopes.impacts(BOTH, story, known, 2).items():
             k = int(np.argmin(abs(impacts.time - time)))
             assert abs(impacts.time[k] - time) < 1e-9 and (true[0, 0] == 0) == (stretch.since is not None)
@@ -90,7 +91,7 @@ def test_two_periods_with_rests_are_two_strobes():
         (end, *_), _ = strobed(after._replace(v=z[1]), jnp.array([z[0], *z[2:]]))
         return end
 
-    second = jax.jacfwd(onward)(jnp.array([after.x, after.v, 1.5, 0.6]))
+    second = jax.jacfwd(onward)(jnp.array([after.x, after.v, BOTH.scene.amplitude, BOTH.scene.right.position]))
     (whole, times, speeds), _ = sloped(BOTH, periods=2)
     assert np.allclose(whole, second[:, :2] @ first[0] + np.pad(second[:, 2:], ((0, 0), (1, 0))), rtol=1e-10)
     count = int(impacts.count)
