@@ -134,7 +134,8 @@ def test_a_rest_forgets_a_derivative_that_was_not_known():
 
 @pytest.mark.slow
 def test_samples_after_a_release_forget_as_many_impacts():
-    late = np.array([(np.arccos(1.0 / 3.0) - MANY.phase) / 0.5 - 0.1, 4.0 * np.pi])
+    _, (_, impacts) = strobed(MANY, jnp.array([MANY.x, 3.0, 1.0]))
+    late = np.array([np.mean(impacts.time[34:36]), (np.arccos(1.0 / 3.0) - MANY.phase) / 0.5 - 0.1, 4.0 * np.pi])
 
     def states(numbers):
         scene = jv.make_scene(numbers[1], 0.5, 0.1, 0.85, (None, numbers[2]))
@@ -142,8 +143,9 @@ def test_samples_after_a_release_forget_as_many_impacts():
         return jnp.stack([found.x, found.v])
 
     found = jax.jacfwd(states)(jnp.array([MANY.x, 3.0, 1.0]))
-    assert np.array_equal(found[:, 0], [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
-    assert np.allclose(found[:, 1], free(MANY), rtol=1e-11, atol=0)
+    assert np.isnan(found[:, 0]).all()  # among its last hops, too many for the slots
+    assert np.array_equal(found[:, 1], [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+    assert np.allclose(found[:, 2], free(MANY), rtol=1e-11, atol=0)
 
 
 @pytest.mark.long

@@ -219,7 +219,8 @@ def _replayed(task, leaves, fault, piece, told, slopes):
 
     full = [*leaves[:-1], jnp.zeros_like(slopes.began)]
     later = towered(end, task.order)(*(full[place] for place in task.chosen))[1:]
-    lost = choose(lost, 1.0, slopes.lost)
+    forgets = still | (told.freed >= 0)
+    lost = choose(lost, 1.0, choose(forgets, 0.0, slopes.lost))
     lasting = _where(lost == 0, jax.tree.map(partial(_kept, task.chosen, times, path.x.ndim), later), 0.0)
     hit = _is_hit(old, piece.length, hits, slopes.hit)
     return _cleared(piece, told, Slopes(lasting, later, slopes.began + piece.length, lost, hit))
