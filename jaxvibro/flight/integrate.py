@@ -49,13 +49,14 @@ class Cap(NamedTuple):
     steps: Float[jax.Array, "..."]
 
 
-def begin(frame, path, slots, end, clearance=False):
-    """A `Journey` that has not begun; end: when the time to go is used up; clearance: with closest calls."""
+def begin(frame, path, slots, end, clearance=False, late=0):
+    """A `Journey` that has not begun; end: when the time to go is used up; clearance: with closest calls; late: see
+    `impact_log.empty`."""
     calls = turning_points.nothing(path.x) if frame.walls and clearance else None
     none = jnp.zeros_like(path.x)
     steps = jnp.zeros((), path.x.dtype)
     wait = stays_of(frame).unbegun(none)
-    return Journey(path, *impact_log.empty(path.x, slots, end), calls, none - 1.0, steps, wait)
+    return Journey(path, *impact_log.empty(path.x, slots, end, late), calls, none - 1.0, steps, wait)
 
 
 def cap(frame, periods):
@@ -72,9 +73,12 @@ def run(frame, journey, cap, again=None):
     def turn(journey):
         step = micro(frame, journey.path)
         rest, contact = step.path.to_go, journey.path.contact
-        freed = merge(stage(_freed, step.side, contact), stage(_ended, journey.log, rest), journey.freed)
+        book, released = journey.log, stage(_freed, step.side, contact)
+        freed = merge(released, stage(_ended, book, rest), journey.freed)
+        if book.since is not None:
+            book = book._replace(since=merge(released, book.count, book.since))
         side = stage(_struck, step.side, contact)
-        book = impact_log.write(journey.log, side, step.strike.speed, step.strike.least, rest)
+        book = impact_log.write(book, side, step.strike.speed, step.strike.least, rest, freed)
         calls = turning_points.note(frame, journey.path, step, journey.calls) if watched else None
         wait = None if journey.wait is None else stage(_waited, journey.wait, step.path.contact)
         journey = journey._replace(path=step.path, log=book, calls=calls, freed=freed, wait=wait)

@@ -22,7 +22,7 @@ from ..scene.state import State
 from . import two_tiers
 from .one_period import SLOTS
 from .replay import KnownImpacts
-from .replayed_slopes import cut, known_impacts, replayed_slopes
+from .replayed_slopes import cut, known_impacts, replayed_slopes, slots_first
 from .tensors import contracted, moving_places, some
 
 
@@ -103,13 +103,13 @@ def _sloped(task):
 @cache
 def _recorded(task):
     """The same, and what a replay has to know, whose derivatives are not asked for."""
-    slots = max(task.slots, SLOTS * task.periods)
-    asked = {"periods": task.periods, "slots": slots, "clearance": task.clearance}
+    late = SLOTS * task.periods
+    asked = {"periods": task.periods, "slots": max(task.slots, late), "clearance": task.clearance, "late": late}
     inner = jax.jit(partial(two_tiers.recorded, **asked, least=1))
 
     def found(*leaves):
-        (end, impacts), freed = _real(inner(*task.tree.unflatten(leaves)))
-        return (end, cut(impacts, task.slots)), known_impacts(end, impacts, freed)
+        (end, impacts), past = _real(inner(*task.tree.unflatten(leaves)))
+        return (end, cut(impacts, task.slots)), known_impacts(end, impacts, past)
 
     run = jax.custom_jvp(batched(found))
 
@@ -128,7 +128,7 @@ def _tensors(task):
     An order's are two arrays with an axis for each time a number was chosen, last.
     """
     inner = jax.jit(partial(_blocks, task))
-    run = jax.custom_jvp(batched(lambda *given: inner(*given), rows=2))
+    run = jax.custom_jvp(batched(lambda *given: inner(*given), rows=2 if task.of_state else 3))
 
     def rule(primals, tangents):
         given = tangents[: task.tree.num_leaves]
@@ -168,8 +168,10 @@ def _pushed(task, out, known, primals, tangents, slopes=None):
 
 def _replayed(task, known, leaves, of_state):
     """The first derivatives by the chosen numbers: of x and v at the end, or of the impacts' times and speeds."""
+    known = known.of_state if of_state else known.of_impacts
     told = known.count, known.freed, known.rests, known.times, known.sides
-    return _tensors(task._replace(of_state=of_state))(*leaves, *told)[0]
+    rows = () if of_state else (known.before,)
+    return _tensors(task._replace(of_state=of_state))(*leaves, *told, *rows)[0]
 
 
 def _real(out):
@@ -179,17 +181,18 @@ def _real(out):
 
 def _blocks(task, *given):
     """What `_tensors` gives, computed block by block; given: the leaves, then the fields of `KnownImpacts`."""
-    leaves, (count, freed, rests, times, sides) = given[: task.tree.num_leaves], given[task.tree.num_leaves :]
+    leaves, (count, freed, rests, *rest) = given[: task.tree.num_leaves], given[task.tree.num_leaves :]
+    times = rest[0]
     choices, rows = len(task.chosen), [] if task.of_state else [times.shape[-1]]
 
     def blank(lanes):
         shapes = [(lanes, *rows, *[choices] * order) for order in range(1, task.order + 1)]
         return tuple((jnp.zeros(shape, times.dtype), jnp.zeros(shape, times.dtype)) for shape in shapes)
 
-    def run(tree, times, sides):
-        leaves, (count, freed, rests) = tree
-        known = KnownImpacts(jnp.moveaxis(times, -1, 0), jnp.moveaxis(sides, -1, 0), count, freed, rests)
+    def run(tree, times, sides, *before):
+        leaves, told = tree
+        known = slots_first(KnownImpacts(times, sides, *told, *before))
         asked = {name: getattr(task, name) for name in ("tree", "chosen", "periods", "order", "of_state")}
         return one_kernel(replayed_slopes, leaves, known, **asked)
 
-    return in_blocks(run, (leaves, (count, freed, rests)), blank, 1, (times, sides))
+    return in_blocks(run, (leaves, (count, freed, rests)), blank, 1, rest)

@@ -100,7 +100,7 @@ def passage(scene, state, periods, slots, clearance=False):
     the end, its matrix the product of P and Q, of no meaning with a status from CAP on, or with more impacts than
     slots. state.x has the lanes' shape, other numbers are scalars or of that shape. To be called within one kernel.
     """
-    (end, impacts), freed = one_period.through(scene, state, periods, slots, clearance)
+    (end, impacts), (freed, *_) = one_period.through(scene, state, periods, slots, clearance)
     rests = (abs(end.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (freed >= 0)
     return end, impacts, rests, _product(scene, state, impacts, lax.full_like(freed, 0.0), periods, slots)
 

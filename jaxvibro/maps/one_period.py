@@ -2,18 +2,19 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 from jax import lax
+from jaxtyping import Float
 
 from ..compiled.blocks import in_blocks
 from ..compiled.compiler_hints import choose, one_kernel, positive, stage
-from ..flight import integrate
+from ..flight import impact_log, integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
 from ..flight.flight_state import CAPPED, absolute
-from ..flight.impact_log import rows
 from ..flight.soft_contact import is_inside
 from ..scene.codes import Contact, Status
 from ..scene.state import Impacts, State
@@ -21,25 +22,36 @@ from ..scene.state import Impacts, State
 SLOTS = 32  # impacts of a period whose derivatives can be told
 
 
+class Past(NamedTuple):
+    """freed: when the mass was last released from a wall, -1: never. What a replay has to know besides, else None:
+    count, times, sides of the impacts since then, and before: freed at each of the impacts from the start on."""
+
+    freed: Float[jax.Array, "*lanes"]
+    count: Float[jax.Array, "*lanes"] | None = None  # type: ignore[assignment]  # a tuple has a method of this name
+    times: Float[jax.Array, "*lanes late"] | None = None
+    sides: Float[jax.Array, "*lanes late"] | None = None
+    before: Float[jax.Array, "*lanes slots"] | None = None
+
+
 def strobe(scene, state, periods, slots, least, clearance=False, due=None):
     """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least; due: see `in_blocks`."""
     return _in_blocks(_seen, scene, state, periods, slots, least, clearance, due)
 
 
-def recorded(scene, state, periods, slots, least, clearance=False):
-    """((State, Impacts), when the mass was last released from a wall, -1: never), as `strobe`."""
-    return _in_blocks(through, scene, state, periods, slots, least, clearance)
+def recorded(scene, state, periods, slots, least, clearance=False, late=0):
+    """((State, Impacts), `Past`), as `strobe`."""
+    return _in_blocks(through, scene, state, periods, slots, least, clearance, late=late)
 
 
-def _in_blocks(function, scene, state, periods, slots, least, clearance, due=None):
+def _in_blocks(function, scene, state, periods, slots, least, clearance, due=None, **more):
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
 
     def run(given):
-        return one_kernel(function, *given, periods=periods, slots=slots, clearance=clearance)
+        return one_kernel(function, *given, periods=periods, slots=slots, clearance=clearance, **more)
 
     def empty(count):
         out = blank(count, slots, scene.dtype, clearance)
-        return out if function is _seen else (out, jnp.zeros(count, scene.dtype))
+        return out if function is _seen else (out, nothing(count, slots, scene.dtype, **more))
 
     return in_blocks(run, (scene, replace(state, x=jnp.broadcast_to(state.x, shape))), empty, least, due=due)
 
@@ -48,10 +60,10 @@ def _seen(scene, state, periods, slots, clearance):
     return through(scene, state, periods, slots, clearance)[0]
 
 
-def through(scene, state, periods, slots, clearance=False):
-    """((State, Impacts), when the mass was last released from a wall, -1: never): numbers are scalars or of one shape.
+def through(scene, state, periods, slots, clearance=False, late=0):
+    """((State, Impacts), `Past`): numbers are scalars or of one shape.
 
-    state.x is of that shape. clearance: whether to measure the least one; None if not.
+    state.x is of that shape. clearance: whether to measure the least one; None if not. late: slots of the `Past`.
     """
     built = frame(scene)
     path, fault = stage(enter, built, state)
@@ -60,8 +72,15 @@ def through(scene, state, periods, slots, clearance=False):
     end = built.period if periods == 1 else built.period + lax.full_like(path.x, 0.0)
     limit = integrate.cap(built, periods)
     again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
-    told = integrate.run(built, integrate.begin(built, path, slots, end, clearance), limit, again)
-    return finish(built, told, state, fault, clearance), told.freed
+    told = integrate.run(built, integrate.begin(built, path, slots, end, clearance, late), limit, again)
+    past = _past(told) if late else Past(told.freed)
+    return finish(built, told, state, fault, clearance), past
+
+
+def _past(told):
+    times, speeds, count = impact_log.late(told.log, told.slots)
+    times, sides, before = (jnp.moveaxis(each, 0, -1) for each in (times, jnp.sign(speeds), told.slots.freed))
+    return Past(told.freed, count, times, sides, before)
 
 
 def _again(frame, start, last, told):
@@ -92,7 +111,7 @@ def finish(frame, told, state, fault, clearance=False):
     contact = contact_at_end(path)
     phase = jnp.broadcast_to(state.phase, status.shape)
     end = State(choose(good, x, jnp.nan), choose(good, v, jnp.nan), phase, choose(good, contact, 0.0))
-    times, sides, speeds = rows(slots)
+    times, sides, speeds = impact_log.rows(slots)
     closest = jnp.full_like(path.x, jnp.inf) if calls is None else calls.least
     return end, Impacts(
         time=times,
@@ -109,6 +128,24 @@ def contact_at_end(path):
     """The contact as a `State` has it: what has entered a wall is within it, what is released has landed."""
     kind = choose(is_inside(path.contact), Contact.WITHIN, abs(jnp.sign(path.contact)))
     return jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, kind)
+
+
+def nothing(count, slots, dtype, late=0):
+    """The same of the `Past`."""
+    none = jnp.zeros(count, dtype)
+    if not late:
+        return Past(none)
+    times, sides = jnp.full((count, late), jnp.inf, dtype), jnp.zeros((count, late), dtype)
+    return Past(none, none, times, sides, jnp.full((count, slots), -1.0, dtype))
+
+
+def unreleased(impacts, late):
+    """The `Past` of lanes that never rest."""
+    times, none = impacts.time, jnp.zeros_like(impacts.least_speed)
+    if not late:
+        return Past(none - 1.0)
+    count, sides = impacts.count.astype(none.dtype), impacts.side.astype(none.dtype)
+    return Past(none - 1.0, count, times[..., :late], sides[..., :late], jnp.full_like(times, -1.0))
 
 
 def blank(count, slots, dtype, clearance=False):

@@ -26,15 +26,15 @@ from .stay_replays import replay_of
 class KnownImpacts(NamedTuple):
     """What happened: times and sides (-1, 0, +1) of the impacts, shape (slots, lanes), inf and 0 where there is none;
     count: how many, below 0 where a replay is not possible; freed: when the mass was last released from a wall, -1 if
-    never; rests: the contact of a mass that rests on a wall at the end, or is within a soft one, else 0; slowest: the
-    place of the slowest impact."""
+    never; rests: the contact of a mass that rests on a wall at the end, or is within a soft one, else 0; before: of
+    each impact, when the mass had last been released, None: all are after `freed`."""
 
     times: Float[jax.Array, "..."]
     sides: Float[jax.Array, "..."]
     count: Real[jax.Array, "*lanes"]  # type: ignore[assignment]  # a tuple has a method of this name
     freed: Float[jax.Array, "*lanes"]
     rests: Float[jax.Array, "*lanes"]
-    slowest: Float[jax.Array, "*lanes"] | None = None
+    before: Float[jax.Array, "..."] | None = None
 
 
 def replay(frame, state, known, periods, order):
@@ -78,24 +78,28 @@ def _journey(frame, start, entry, known, whole, order):
 
     def turn(carry):
         """To the next impact, or to the release before it, or, after all impacts, to the end."""
-        k, freed, now, entry, *rows = carry
+        k, passed, now, entry, *rows = carry
         now = stays.gone(frame, now, entry, whole, order)
         time, side = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in (known.times, known.sides))
         last = k == most
         time, side = choose(last, whole, time), choose(last, 0.0, side)
-        due = (freed >= 0) & (freed < time)
+        freed = known.freed
+        if known.before is not None:
+            freed = choose(last, freed, lax.dynamic_index_in_dim(known.before, k, keepdims=False))
+        due = freed > passed
         waits = jnp.any(due)
         hit = (side != 0) & ~waits
-        aim = choose(waits, choose(due, freed, now.time), choose(hit | last, time, now.time))
+        aim = choose(~waits & (hit | last), time, now.time)
         now = _fly(frame, now, aim - now.time)
-        now = lax.cond(waits, lambda now: _left(frame, now, due, order), lambda now: now, now)
+        now = lax.cond(waits, lambda now: _left(frame, now, due, freed, order), lambda now: now, now)
         late, speed, x, v = stage(_kick, frame, now, side, order=order)
         rows = [_put(*each, k, hit) for each in zip(rows, (time + late, speed), strict=True)]
         now = now._replace(x=choose(hit, x, now.x), v=choose(hit, v, now.v))
         now, entry = stays.entered(frame, now, choose(hit, side, 0.0), late, whole, order)
-        return k + (~waits).astype(jnp.int32), choose(due, -1.0, freed), now, entry, *rows
+        return k + (~waits).astype(jnp.int32), choose(due, freed, passed), now, entry, *rows
 
-    carry = (jnp.int32(0), known.freed, start, entry, known.times, jnp.zeros_like(known.times))
+    never = lax.full_like(known.freed, -1.0)
+    carry = (jnp.int32(0), never, start, entry, known.times, jnp.zeros_like(known.times))
     _, _, now, _, *rows = lax.while_loop(lambda carry: carry[0] <= most, turn, carry)
     return now, *rows
 
@@ -125,11 +129,15 @@ def _held(frame, now, side):
     return now._replace(x=choose(held, where, now.x), v=choose(held, 0.0 if speed is None else speed, now.v))
 
 
-def _left(frame, now, due, order):
-    """Lanes that leave a wall about now, where the press on it passes zero: no earlier state matters any more.
+def _left(frame, now, due, freed, order):
+    """Lanes that are due brought to where they leave a wall, where the press on it passes zero: no earlier state
+    matters, and none is flown on from.
 
     Of two walls it is the one with the lesser press.
     """
+    time = choose(due, freed, now.time)
+    phasor = flow.rotated(now.cosine, now.sine, frame.frequency * (time - now.time))
+    now = Now(now.x, now.v, *(choose(due, *each) for each in zip(phasor, now[2:4], strict=True)), time)
     pushes = [flow_of(frame).press(frame, wall, now.cosine, now.sine, order) for wall in frame.walls]
     side = lax.full_like(now.x, float(frame.walls[0].sign))
     if len(pushes) == 2:

@@ -1,23 +1,45 @@
 """Derivatives of what a replay makes again, by chosen numbers of scene and state."""
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+from jaxtyping import Float
 
 from ..flight.coefficients import frame
 from ..scene.codes import Contact, Status
 from .replay import KnownImpacts, replay
 
 
-def known_impacts(end, impacts, freed):
-    """The `KnownImpacts` of a strobe, slots last: where the mass ended and its impacts, when it was last released."""
+class Known(NamedTuple):
+    """What the replays of a strobe have to know: of its end, with the impacts since the last release; of its impacts,
+    with the first ones; slowest: the place of the slowest among these, -1: none."""
+
+    of_state: KnownImpacts
+    of_impacts: KnownImpacts
+    slowest: Float[jax.Array, "*lanes"]
+
+
+def known_impacts(end, impacts, past):
+    """The `Known` of a strobe, slots last: where the mass ended, its impacts, its `one_period.Past`.
+
+    The end of a mass that rests is that of its wall, whatever came before.
+    """
     rests = jnp.where(abs(end.contact) >= Contact.STUCK, end.contact, 0.0)
-    few = impacts.time.shape[-1]
-    lost = (impacts.status >= Status.CAP) | ((impacts.count > few) & (abs(rests) != Contact.STUCK))
-    count = jnp.where(lost, -1.0, impacts.count)
+    none, still = impacts.status >= Status.CAP, abs(rests) == Contact.STUCK
+    later = jnp.where(past.count > past.times.shape[-1], -1.0, past.count)
+    later = jnp.where(none, -1.0, jnp.where(still, 0.0, later))
+    first = jnp.where(none, -1.0, impacts.count)
     sides = impacts.side.astype(impacts.time.dtype)
-    return KnownImpacts(impacts.time, sides, count, freed, rests, _slowest(impacts))
+    of_state = KnownImpacts(past.times, past.sides, later, past.freed, rests)
+    return Known(of_state, KnownImpacts(impacts.time, sides, first, past.freed, rests, past.before), _slowest(impacts))
+
+
+def slots_first(known):
+    """`KnownImpacts` with slots first in place of last."""
+    rows = {name: getattr(known, name) for name in ("times", "sides", "before")}
+    return known._replace(**{name: None if row is None else jnp.moveaxis(row, -1, 0) for name, row in rows.items()})
 
 
 def _slowest(impacts):

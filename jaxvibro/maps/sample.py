@@ -33,8 +33,8 @@ def sample(scene: Scene, state: State, times: Float[ArrayLike, "..."]) -> tuple[
 
     jax.grad, jacfwd, jacrev, hessian and the rest go through it, at any order: x and v by those of the state, its
     phase, every number of the scene and the times. A derivative is nan where there is no state, at the time of an
-    impact, and from the time on that more than 32 impacts lie between two times and within a period. A mass at rest
-    forgets its start.
+    impact, and from the time on that more than 32 impacts lie between two times and within a period, up to the next
+    rest. A mass at rest forgets its start, and the impacts before it.
 
     Raises ArgumentError for times, where they are known, that are not finite, negative or not in order, for a state or
     times that do not broadcast, and for what is no number.

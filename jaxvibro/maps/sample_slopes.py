@@ -122,7 +122,7 @@ def _flown(leaves, times, task):
     far = times[-1] > MOST_PERIODS * built.period
     path = path._replace(to_go=choose(far & (fault == Status.OK), CAPPED, path.to_go))
     stops = _stops(built, state, times, (fault == Status.OK) & ~far)
-    told = integrate.begin(built, path, SLOTS if task.order else 0, built.period + 0.0 * path.x)
+    told = integrate.begin(built, path, 0, built.period + 0.0 * path.x, late=SLOTS if task.order else 0)
     slopes = _begun(task, path.x, stops.span[0] * 0.0) if task.order else ()
     note = partial(_replayed, task, leaves, fault) if task.order else _cleared
     (told, _), seen = walk(built, told, slopes, stops, integrate.cap(built, 1), note, partial(_seen, built, fault))
@@ -173,7 +173,8 @@ def _where(good, tree, other):
 
 def _cleared(piece, told, more):
     """A journey whose impacts are told anew, from 0 on."""
-    log, slots = impact_log.empty(told.path.x, len(told.slots.times), piece.length)
+    late = 0 if told.slots.late is None else SLOTS
+    log, slots = impact_log.empty(told.path.x, 0, piece.length, late)
     return told._replace(log=log, slots=slots, freed=jnp.full_like(told.freed, -1.0), steps=told.steps * 0.0), more
 
 
@@ -192,14 +193,15 @@ def _begun(task, x, none):
 
 def _replayed(task, leaves, fault, piece, told, slopes):
     """A piece's end: its impacts are known, and made again."""
-    path, log, slots = told.path, told.log, told.slots
+    path, (hits, speeds, count) = told.path, impact_log.late(told.log, told.slots)
     times, old = task.tree.num_leaves - 1, frame(task.tree.unflatten(leaves)[0])
     contact = contact_at_end(path)
     rests = choose(abs(contact) >= Contact.STUCK, contact, 0.0)
     gone = (path.to_go == CAPPED) | (fault != Status.OK)
-    lost = gone | ((log.count > SLOTS) & (abs(contact) != Contact.STUCK))
-    count = choose(lost, -1.0, log.count)
-    known = KnownImpacts(slots.times, jnp.sign(slots.speeds), count, told.freed, rests)
+    still = abs(contact) == Contact.STUCK
+    lost = gone | ((count > SLOTS) & ~still)
+    count = choose(lost, -1.0, choose(still, 0.0, count))
+    known = KnownImpacts(hits, jnp.sign(speeds), count, told.freed, rests)
     start = absolute(old, piece.path)
 
     def end(*numbers):
@@ -217,15 +219,16 @@ def _replayed(task, leaves, fault, piece, told, slopes):
 
     full = [*leaves[:-1], jnp.zeros_like(slopes.began)]
     later = towered(end, task.order)(*(full[place] for place in task.chosen))[1:]
-    lost = choose(lost, 1.0, slopes.lost)
+    forgets = still | (told.freed >= 0)
+    lost = choose(lost, 1.0, choose(forgets, 0.0, slopes.lost))
     lasting = _where(lost == 0, jax.tree.map(partial(_kept, task.chosen, times, path.x.ndim), later), 0.0)
-    hit = _is_hit(old, piece.length, told.slots, slopes.hit)
+    hit = _is_hit(old, piece.length, hits, slopes.hit)
     return _cleared(piece, told, Slopes(lasting, later, slopes.began + piece.length, lost, hit))
 
 
-def _is_hit(frame, length, slots, before):
+def _is_hit(frame, length, times, before):
     """1 of lanes whose last impact was at the end of a piece, by rounding; a piece of no length changes nothing."""
-    last = jnp.max(choose(slots.speeds != 0, slots.times, -jnp.inf), axis=0)
+    last = jnp.max(choose(times < jnp.inf, times, -jnp.inf), axis=0)
     near = length - last <= 8.0 * rounding(length.dtype) * frame.period
     return choose(length > 0, choose(near, lax.full_like(before, 1.0), 0.0), before)
 

@@ -19,21 +19,23 @@ from ..flight import impact_log, lean, lean_numbers, lean_tangent
 from ..flight.coefficients import frame
 from ..flight.entry import enter
 from ..flight.lean_tangent import Tangent
-from ..scene.codes import Status
+from ..scene.codes import Contact, Status
 from ..scene.state import Impacts, State
 from . import one_period
-from .replayed_slopes import cut, known_impacts, replayed_slopes
+from .one_period import Past
+from .replayed_slopes import known_impacts, replayed_slopes, slots_first
 
 STRIP = 8  # blocks of one kernel: what is launched around a kernel takes a tenth of a block's time
 
 
 class Asked(NamedTuple):
-    """What is asked for, static: how many slots, whether the least clearance, and derivatives by which leaves of
-    (scene, state)."""
+    """What is asked for, static: how many slots, whether the least clearance, derivatives by which leaves of (scene,
+    state), and how many slots of a `one_period.Past` a period, which is for a replay."""
 
     slots: int
     clearance: bool = False
     chosen: tuple[int, ...] = ()
+    late: int = 0
 
 
 def strobe(scene, state, periods, slots, least, clearance=False):
@@ -41,13 +43,13 @@ def strobe(scene, state, periods, slots, least, clearance=False):
     return recorded(scene, state, periods, slots, least, clearance)[0]
 
 
-def recorded(scene, state, periods, slots, least, clearance=False):
-    """((State, Impacts), when the mass was last released from a wall, -1: never), as `strobe`."""
+def recorded(scene, state, periods, slots, least, clearance=False, late=0):
+    """((State, Impacts), `one_period.Past`), as `strobe`; late: slots of the past, not more than of the impacts."""
     if not takes(scene):
-        return one_period.recorded(scene, state, periods, slots, least, clearance)
+        return one_period.recorded(scene, state, periods, slots, least, clearance, late)
     scene, state, shape = _flat(scene, state)
-    out, freed, _ = _periods(scene, state, (), periods, Asked(slots, clearance), least)
-    return _shaped((out, freed), shape)
+    out, past, _ = _periods(scene, state, (), periods, Asked(slots, clearance, late=late), least)
+    return _shaped((out, past), shape)
 
 
 def sloped(tree, *leaves, periods, slots, least, chosen):
@@ -161,10 +163,11 @@ def _shift(numbers, scene, state, place):
 
 
 def _tried(scene, state, start, asked, least):
-    """((State, Impacts), last release, tangents) of one period, of flat numbers: by lean steps, else by full ones."""
+    """((State, Impacts), `Past`, tangents) of one period, of flat numbers: by lean steps, else by full ones."""
     out, tangents, given_up = _in_blocks(scene, state, start, asked, least)
     again = partial(_full, (scene, state, start), asked, given_up)
-    return lax.cond(jnp.any(given_up), again, lambda same: same, (out, jnp.full_like(state.x, -1.0), tangents))
+    past = one_period.unreleased(out[1], asked.late)
+    return lax.cond(jnp.any(given_up), again, lambda same: same, (out, past, tangents))
 
 
 def _full(given, asked, due, out):
@@ -185,44 +188,39 @@ def _full(given, asked, due, out):
 
 def _through(scene, state, start, asked):
     """As `_tried`, by full steps; derivatives by a replay."""
-    chosen, slots = asked.chosen, asked.slots
-    few = max(slots, one_period.SLOTS) if chosen else slots
-    (end, impacts), freed = one_kernel(
-        one_period.through, scene, state, periods=1, slots=few, clearance=asked.clearance
-    )
+    chosen = asked.chosen
+    told = {"slots": asked.slots, "clearance": asked.clearance, "late": one_period.SLOTS if chosen else asked.late}
+    (end, impacts), past = one_kernel(one_period.through, scene, state, periods=1, **told)
     if not chosen:
-        return (end, impacts), freed, ()
+        return (end, impacts), past, ()
     leaves, tree = jax.tree.flatten((scene, state))
-    known = known_impacts(end, impacts, freed)
-    known = known._replace(times=jnp.moveaxis(known.times, -1, 0), sides=jnp.moveaxis(known.sides, -1, 0))
+    known = slots_first(known_impacts(end, impacts, past).of_state)
     own = _own(tree)
     moving = tuple(sorted({*chosen, *own}))
     ((x, v),) = one_kernel(replayed_slopes, leaves, known, tree=tree, chosen=moving, periods=1, order=1, of_state=True)
     by = {place: (x[..., k], v[..., k]) for k, place in enumerate(moving)}
+    forgets = (past.freed >= 0) | (abs(end.contact) == Contact.STUCK)
 
     def later(place, tangent):
         way = [sum(by[k][row] * rate for k, rate in zip(own, tangent, strict=True)) for row in (0, 1)]
+        way = [choose(forgets, 0.0, each) for each in way]  # whatever the start was, nan too
         return Tangent(*way) if place in own else Tangent(*(a + b for a, b in zip(way, by[place], strict=True)))
 
     tangents = tuple(later(*each) for each in zip(chosen, start, strict=True))
-    return (end, cut(impacts, slots)), freed, tangents
+    return (end, impacts), Past(past.freed), tangents
 
 
 def _again(scene, asked, least, k, past):
     """The results with those of one period more, the k-th from 0."""
     slots = asked.slots
-    (state, seen), freed, tangents = past
-    (end, new), late, tangents = _tried(scene, state, tangents, asked, least)
+    (state, seen), before, tangents = past
+    (end, new), after, tangents = _tried(scene, state, tangents, asked, least)
     begun = k * frame(scene).period
     lost = seen.status >= Status.CAP
     status = jnp.where(lost, seen.status, jnp.maximum(seen.status, new.status))
-    place = jnp.arange(slots) - seen.count[..., None]
-
-    def put(old, rows):
-        return jnp.where(place >= 0, jnp.take_along_axis(rows, jnp.maximum(place, 0), -1), old)
-
+    put = partial(_put, seen.count)
     impacts = Impacts(
-        time=put(seen.time, new.time + jnp.asarray(begun)[..., None]),
+        time=put(seen.time, _later(new.time, begun)),
         side=put(seen.side, new.side),
         speed=put(seen.speed, new.speed),
         count=seen.count + new.count,
@@ -230,4 +228,34 @@ def _again(scene, asked, least, k, past):
         least_clearance=jnp.minimum(seen.least_clearance, new.least_clearance) if asked.clearance else None,
         status=jnp.where((status == Status.OK) & (seen.count + new.count > slots), Status.FULL, status),
     )
-    return (end, impacts), jnp.where(late >= 0, late + begun, freed), tangents
+    return (end, impacts), _joined(seen.count, before, after, begun), tangents
+
+
+def _put(count, old, rows):
+    """Rows with others after the first so many; slots last."""
+    place = jnp.arange(old.shape[-1]) - count.astype(int)[..., None]
+    return jnp.where(place >= 0, jnp.take_along_axis(rows, jnp.maximum(place, 0), -1), old)
+
+
+def _later(rows, begun):
+    return rows + jnp.asarray(begun)[..., None]
+
+
+def _joined(count, before, after, begun):
+    """The `Past` of a path and a period after it; count: the path's impacts."""
+    anew = after.freed >= 0
+    freed = jnp.where(anew, after.freed + begun, before.freed)
+    if after.count is None:
+        return Past(freed)
+
+    def since(old, rows):
+        return jnp.where(anew[..., None], rows, _put(before.count, old, rows))
+
+    earlier = jnp.where(after.before >= 0, _later(after.before, begun), before.freed[..., None])
+    return Past(
+        freed,
+        jnp.where(anew, after.count, before.count + after.count),
+        since(before.times, _later(after.times, begun)),
+        since(before.sides, after.sides),
+        _put(count, before.before, earlier),
+    )
