@@ -35,6 +35,8 @@ MEANINGS = {
     "PD": "period doubling",
     "NS": "Neimark-Sacker point",
     "NSA": "neutral saddle",
+    "R3": "1:3 resonance",
+    "R4": "1:4 resonance",
     "GR": "grazing",
     "CH": "rest after chatter",
     "RL": "release within a rest",
@@ -57,8 +59,9 @@ class Segment:
 class Special(SpecialOrbit):
     """A special point of a branch.
 
-    kind: SN, SB (symmetry breaking), BP (other branch point), PD, NS (Neimark-Sacker), NSA (neutral saddle), GR, CH
-    (a chatter just ends in rest), RL (a wall lets go within a rest), EP (end), or a monitor's name. name, value: of
+    kind: SN, SB (symmetry breaking), BP (other branch point), PD, NS (Neimark-Sacker), NSA (neutral saddle), R3, R4
+    (resonances 1:3, 1:4), GR, CH (a chatter just ends in rest), RL (a wall lets go within a rest), EP (end), or a
+    monitor's name. name, value: of
     the parameter. bounds: of the branch. scene: at the value. itinerary: the walls hit, a word a period. multipliers:
     the larger first, infinite at an impact without speed. residual: the largest error left in the point's equations.
     place: among the branch's points. spot: the orbit in plain numbers; slopes: its unit tangent (times, speeds, the

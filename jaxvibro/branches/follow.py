@@ -57,9 +57,10 @@ def follow(
     Unknowns are the impacts' times and speeds, and the parameter, by pseudo-arclength. Located are saddle-nodes (SN),
     symmetry breakings and other branch points (SB, BP), period doublings (PD) from the Jacobian of those equations, and
     grazings (GR): at one the impact is put in or left out and the branch goes on, if orbits do. Under a force that is
-    not proved to be dissipative so are Neimark-Sacker points (NS) and neutral saddles (NSA). Orbits that rest are
-    followed from release to release, past the points where a chatter just ends in rest (CH) or a wall lets go within
-    one (RL). Every point is checked to keep to its walls.
+    not proved to be dissipative so are Neimark-Sacker points (NS) and neutral saddles (NSA); where areas are kept, as
+    without damping at R = 1, the resonances 1:3 and 1:4 (R3, R4). Orbits that rest are followed from release to
+    release, past the points where a chatter just ends in rest (CH) or a wall lets go within one (RL). Every point is
+    checked to keep to its walls.
 
     The branch's `data` has a row a point: the parameter, time, speed and side of each impact, x and v at phase 0 of
     each period, multiplier_real and multiplier_imag, stable, least_speed, least_clearance, residual, segment.

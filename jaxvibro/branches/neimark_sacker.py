@@ -8,9 +8,8 @@ from continuation.rows import at
 
 from ..problem.diagnostics import diagnose
 from ..scene.dissipation import never_grow
+from .resonances import areas_kept
 from .user_monitors import crossings
-
-ROUNDING = 1e-9  # of 1 + the trace, squared: nearer to 1 a determinant is 1
 
 
 def neimark_sacker(task, points, look):
@@ -20,7 +19,7 @@ def neimark_sacker(task, points, look):
     off = look.determinant - 1.0
     if task.args.scene.force is None or not (np.diff(np.sign(off)) != 0).any():
         return []
-    if (abs(off) <= ROUNDING * (1.0 + abs(look.trace)) ** 2).all() or never_grow(*_ends(task.args, points)):
+    if areas_kept(look) or never_grow(*_ends(task.args, points)):
         return []
     return [one._replace(kind=_kind(task.args, one)) for one in crossings(task, points, look, "NS", _beyond)]
 

@@ -21,6 +21,7 @@ from ..problem.same_orbit import images, is_repeated
 from ..problem.touches import Touch, is_pressed
 from . import through_rests
 from .neimark_sacker import neimark_sacker
+from .resonances import resonances
 from .user_monitors import MonitoredPoint, crossings
 
 
@@ -131,7 +132,7 @@ class BranchWatch(OrbitWatch):
         found = event_search.events(
             task.problem, points._replace(tangent=tangent), values, task.control, task.args, known
         )
-        found += neimark_sacker(task, points, view)
+        found += [*neimark_sacker(task, points, view), *resonances(task, points, view)]
         for kind, function in self.monitors.items():
             found += crossings(task, points, view, kind, function)
         return found

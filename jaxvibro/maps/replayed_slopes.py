@@ -44,6 +44,8 @@ def slots_first(known):
 
 def _slowest(impacts):
     """The place of the slowest impact, -1 where it is not among those recorded, or has no speed."""
+    if not impacts.speed.shape[-1]:
+        return jnp.full_like(impacts.least_speed, -1.0)
     speeds = jnp.where(impacts.side != 0, impacts.speed, jnp.inf)
     known = jnp.isfinite(impacts.least_speed) & (jnp.min(speeds, axis=-1) == impacts.least_speed)
     return jnp.where(known, jnp.argmin(speeds, axis=-1), -1.0)

@@ -15,7 +15,19 @@ from .style import COLOURS, COORDINATES, WALL, are_of, axes, is_of, label, plain
 ORDER = tuple(COLOURS[k] for k in (2, 7, 5, 3, 0, 6, 1))  # yellow is too pale for a line
 WIDTHS = {True: 2.0, False: 0.9}  # of a stable and of an unstable part, points
 STYLES = {True: "-", False: (0, (4, 2))}
-MARKERS = {"SN": "o", "SB": "D", "BP": "s", "PD": "^", "GR": "v", "NS": "P", "NSA": "X", "CH": "H", "RL": "8"}
+MARKERS = {
+    "SN": "o",
+    "SB": "D",
+    "BP": "s",
+    "PD": "^",
+    "GR": "v",
+    "NS": "P",
+    "NSA": "X",
+    "CH": "H",
+    "RL": "8",
+    "R3": "<",
+    "R4": "d",
+}
 FILLED = COLOURS[4]  # of special points: attractors are white or black
 OTHERS = "XP*pdh<>"  # of monitors
 LINES = 3  # on one tick
