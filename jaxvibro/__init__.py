@@ -38,6 +38,7 @@ _HOMES = {
     "OrbitSolutions": "orbits.solve",
     "Orbit": "orbits.orbit",
     "OrbitError": "orbits.orbit",
+    "twist": "orbits.twist",
     "follow": "branches.follow",
     "follow_all": "branches.follow",
     "switch": "loci.switch",

@@ -65,6 +65,7 @@ from .orbits.orbit import Orbit as Orbit
 from .orbits.orbit import OrbitError as OrbitError
 from .orbits.solve import OrbitSolutions as OrbitSolutions
 from .orbits.solve import solve_orbits as solve_orbits
+from .orbits.twist import twist as twist
 from .output.checksums import load_data as load_data
 from .reproduction.run import paper as paper
 from .scene.check import ArgumentError as ArgumentError

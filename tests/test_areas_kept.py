@@ -34,3 +34,47 @@ def test_with_losses_there_are_none():
     scene = jv.make_scene(0.1, 2.5, damping=0.01, restitution=1.0, walls=(None, 1.0))
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "frequency", (2.5, 4.5))
     assert [one.kind for one in branch.special] == ["EP", "EP"]
+
+
+@pytest.fixture(scope="module")
+def elliptic():
+    scene = jv.make_scene(1.5, 3.2, walls=(None, 0.5), **KEPT)
+    (orbit,) = (one for one in jv.find_orbits(scene, max_period=2) if one.label == "P201" and one.multipliers[0].imag)
+    return orbit
+
+
+@pytest.mark.slow
+def test_the_twist_is_what_rotation_numbers_say(elliptic):
+    told = jv.twist(elliptic)
+    angle = abs(np.angle(elliptic.multipliers[0]))
+    middle = np.array([float(elliptic.state.x), float(elliptic.state.v)])
+    matrix = np.asarray(jv.monodromy(elliptic.scene, elliptic.state, 2))
+    roots, vectors = np.linalg.eig(matrix)
+    frame = vectors[:, roots.imag > 0][:, 0]
+    plane = np.stack([frame.real, -frame.imag], 1)  # z q + its conjugate, halved, is this matrix times (re z, im z)
+    count, away = 1024, 2e-3
+    turned = []
+    start = middle + plane @ [away, 0.0]
+    state = jv.State(*start, elliptic.state.phase)
+    for _ in range(count):
+        turned.append(np.linalg.solve(plane, np.array([float(state.x), float(state.v)]) - middle))
+        state, _ = jv.strobe(elliptic.scene, state, 2, 0)
+    z = np.array(turned) @ [1.0, 1.0j]
+    late = (np.arange(count - 1) + 1.0) / count
+    weight = np.exp(-1.0 / (late * (1.0 - late)))  # of a mean that converges fast
+    weight /= weight.sum()
+    off = np.angle(z[1:] / z[:-1] * np.exp(-1.0j * angle))
+    action = abs(np.linalg.det(plane)) * np.sum(weight * abs(z[1:]) ** 2) / 2.0
+    assert np.sum(weight * off) / action == pytest.approx(told, rel=1e-5)
+
+
+@pytest.mark.long
+def test_a_motion_without_impacts_has_no_twist():
+    free = jv.find_orbit(jv.make_scene(0.1, 2.5, walls=(None, 1.0), **KEPT), jv.State(-0.1 / 5.25, 0.0), settle=0)
+    assert jv.twist(free) == pytest.approx(0.0, abs=1e-14)
+
+
+def test_the_twist_of_what_loses_areas_is_refused():
+    scene = jv.make_scene(0.1, 2.5, damping=0.01, restitution=1.0, walls=(None, 1.0))
+    with pytest.raises(jv.ArgumentError, match="orbit: must be elliptic"):
+        jv.twist(jv.find_orbit(scene, jv.State(0.0, 0.0)))
