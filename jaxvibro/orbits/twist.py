@@ -35,7 +35,7 @@ def twist(orbit: Orbit) -> float:
         raise check.ArgumentError("orbit", "must be elliptic, its multipliers on the unit circle", orbit.multipliers)
     if abs(first**3 - 1.0) < RESONANT:
         raise check.ArgumentError("orbit", "must be none of the resonance 1:3", orbit.multipliers)
-    here = np.array([float(orbit.state.x), float(orbit.state.v)])
+    here = np.array([np.asarray(orbit.state.x), np.asarray(orbit.state.v)])
     return _coefficient(*(np.asarray(each) for each in _derivatives(orbit.scene, orbit.state, here, orbit.periods)))
 
 
