@@ -180,6 +180,7 @@ def test_a_number_goes_no_further_than_its_bound():
     assert found.values["damping"] == pytest.approx(alone.values["damping"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_settled_record_holds_its_phases_alone():
     one = jv.make_scene(1.0, 1.2, 0.1, 0.8, (jv.Wall(-0.6, 0.8), jv.Wall(0.6, 0.8)))
     settled, _ = jv.strobe(one, jv.State(0.1, 1.0), periods=400)

@@ -39,6 +39,7 @@ def test_the_numbers_that_made_the_values_are_found_with_their_errors(scene, poi
     assert "damping" in fit.table() and "OK" in fit.table()
 
 
+@pytest.mark.slow
 def test_several_numbers_may_be_one(scene, points, values):
     pair = ("left.restitution", "right.restitution")
     fit = jv.fit(scene, jv.PointRecord(points, values, 1e-4), {"damping": 0.02, pair: 0.05}, {pair: (0.5, 0.9)})

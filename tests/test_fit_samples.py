@@ -100,7 +100,8 @@ def test_numbers_are_those_of_another_minimiser():
 
 
 @pytest.mark.parametrize(
-    ("often", "periods", "velocities"), [pytest.param(16, 30, False, marks=pytest.mark.long), (1, 60, True)]
+    ("often", "periods", "velocities"),
+    [pytest.param(16, 30, False, marks=pytest.mark.long), pytest.param(1, 60, True, marks=pytest.mark.slow)],
 )
 def test_numbers_that_made_a_chaotic_record_are_found(often, periods, velocities):
     """Of x(t), and of a section once a period, in which neighbouring motions have long parted."""

@@ -96,7 +96,7 @@ def _coefficients(function, order):
 
 MOVING = jv.Wall(-1.2, 0.5), jv.Wall(0.9, motion=jv.Motion(0.1, 0.4, 2))
 WAYS = [
-    pytest.param(walls, tolerance, marks=() if place == power == 0 else pytest.mark.long if power else pytest.mark.slow)
+    pytest.param(walls, tolerance, marks=pytest.mark.long if power else pytest.mark.slow)
     for place, walls in enumerate([(-1.0, 1.0), (None, 0.7), MOVING])
     for power, tolerance in enumerate([1e-13, 1e-9, 1e-6])
 ]

@@ -61,6 +61,7 @@ def test_the_peak_of_a_motion_without_impacts(scene):
     assert np.array(jax.grad(mine, (0, 1))(*at)) == pytest.approx(slopes, rel=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "wall, names",
     [

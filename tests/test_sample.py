@@ -21,6 +21,7 @@ def test_states_and_slopes_are_those_of_exact_motions():
     assert max(forward.max(), reverse.max()) < 1e-12
 
 
+@pytest.mark.slow
 def test_soft_walls_against_exact_motions():
     errors, _ = soft_errors(2, seed=3)
     assert errors.max() < 1
@@ -41,6 +42,7 @@ def test_whole_periods_are_strobes_whatever_times_lie_between(scene):
     assert np.allclose(state.phase, 0.4 + 2.1 * times, rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_a_long_way_in_one_stretch_is_as_many_strobes(scene):
     # damped much, so that an attractor is reached: 40 periods have far more impacts than one of 32
     far = scene.replace(damping=0.3, amplitude=4.0)

@@ -32,6 +32,7 @@ def leaving(speed, dissipation):
     return -brentq(lambda w: integral(w) - integral(speed), -speed, -1e-9 * speed, xtol=1e-16, rtol=1e-15)
 
 
+@pytest.mark.slow
 def test_one_contact_without_other_forces():
     """Hertz: nothing is lost, the contact takes 2 depth / speed sqrt(pi) gamma(7/5) / gamma(9/10), depth = (5 speed^2 /
     (4 stiffness))^(2/5), and is deepest after half of that. Hunt and Crossley: what is lost."""

@@ -33,6 +33,7 @@ def test_they_are_the_orbits_that_are_found_alone(orbit):
     assert np.asarray(found.multipliers).prod(-1).real == pytest.approx(np.linalg.det(matrix), abs=1e-13)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_root(orbit):
     def size(scene):
         found = jv.solve_orbits(scene, orbit.state, orbit.itinerary)

@@ -26,7 +26,10 @@ def scene():
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS)
 
 
-@pytest.fixture(scope="module", params=[recorded, measured], ids=["plain", "measured"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param(recorded, id="plain", marks=pytest.mark.slow), pytest.param(measured, id="measured")],
+)
 def lanes(scene, request):
     """130 states, three blocks of lanes, the last one part full, some of them starting into a wall, which lean steps
     give up: (scene, start, end, impacts, the function that has run them)."""
