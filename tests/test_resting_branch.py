@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import fsolve
 
 import jaxvibro as jv
 from jaxvibro.scene.codes import Contact
@@ -136,6 +137,50 @@ def test_where_a_grazing_meets_a_complete_chatter_its_locus_ends():
     scene = grazing.scene.replace(**end.values)
     around = jv.follow(jv.find_orbit(scene.replace(amplitude=0.7), jv.State(0.0, 0.0)), "amplitude", (0.5, 0.7))
     assert around.points("CH")[0].value == pytest.approx(end.values["amplitude"], abs=1e-8)
+
+
+def degenerate(wall, frequency, damping, start):
+    """(amplitude, that of a second harmonic, a sine) at which a mass that a right wall lets go comes back to it without
+    speed as the press begins: by phasors."""
+    turn = np.sqrt(1.0 - damping**2)
+
+    def press(t, one, two):
+        return one * np.cos(frequency * t) - two * np.sin(2.0 * frequency * t) - wall
+
+    def steady(t, one, two):
+        both = ((one, frequency, 0.0), (two, 2.0 * frequency, 0.5 * np.pi))
+        waves = [(a * np.exp(1j * (w * t + p)) / (1.0 - w * w + 2j * damping * w), w) for a, w, p in both]
+        return np.array([sum(wave.real for wave, _ in waves), sum((1j * w * wave).real for wave, w in waves)])
+
+    def left(numbers):
+        begin, end, *drive = numbers
+        x, v = np.array([wall, 0.0]) - steady(begin, *drive)
+        late, shrunk = turn * (end - begin), np.exp(-damping * (end - begin))
+        x, v = (
+            shrunk * (x * np.cos(late) + (v + damping * x) / turn * np.sin(late)),
+            shrunk * (v * np.cos(late) - (x + damping * v) / turn * np.sin(late)),
+        )
+        found = steady(end, *drive) + np.array([x, v])
+        return [press(begin, *drive), press(end, *drive), found[0] - wall, found[1]]
+
+    found = fsolve(left, start, xtol=1e-14)
+    assert max(abs(np.array(left(found)))) < 1e-13
+    return found[2:]
+
+
+@pytest.mark.slow
+def test_a_locus_of_grazings_ends_where_the_touch_has_no_acceleration():
+    amplitude, second = degenerate(0.5, 0.4, 0.03, (3.0, 12.7, 1.36, 0.0))
+    drive = (jv.Motion(second - 0.02, harmonic=2, phase=0.5 * np.pi),)
+    scene = jv.make_scene(amplitude, 0.4, 0.03, 0.3, (None, 0.5), drive=drive)
+    near = (amplitude - 0.3, amplitude + 0.3)
+    (grazing,) = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", near).points("GR")
+    names = "amplitude", "drive.0.amplitude"
+    found = jv.locus(grazing, names, dict(zip(names, (near, (second - 0.2, second + 0.2)), strict=True)))
+    (point,) = found.points("DG")
+    assert list(point.values.values()) == pytest.approx([amplitude, second], abs=1e-12)
+    assert point.place in (0, len(found) - 1)
+    assert point.residual < 1e-12
 
 
 @pytest.mark.long

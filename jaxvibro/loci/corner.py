@@ -14,6 +14,7 @@ from ..problem.orbit_on_branch import OrbitPoint
 from ..scene import check
 from ..scene.scene import changed
 from .cut_anew import cut_anew
+from .degenerate import to_degenerate
 from .extended_system import Grazing
 from .first_point import LocusStart, backward, ways
 from .track import track
@@ -45,7 +46,8 @@ def track_on(start, way, steps, one=None):
     found = []
     while way is not None and len(found) < MOST:
         one = one or track(way)
-        new = cut_anew(start, way, one, steps)
+        point = to_degenerate(way, one)
+        new = (point, None) if point else cut_anew(start, way, one, steps)
         kept, on = new or (one, _beyond(start, way, one, steps))
         found.append((way, kept))
         way, one = on, None

@@ -38,9 +38,17 @@ def cut_anew(start, way, one, steps):
         view=upto(one.view, last + 1),
         marks=tuple(mark for mark in one.marks if mark.place < last),
     )
-    (new,) = ways(again, way.asked.names, way.asked.bounds, *steps)
+    new = min(
+        ways(again, way.asked.names, way.asked.bounds, *steps),
+        key=lambda each: abs(_place(each.curve, each.start.z) - _place(curve, one.points.z[last])),
+    )
     ahead = np.sum(new.start.tangent[-2:] * one.points.tangent[last][-2:])
     return kept, new if ahead > 0 else backward(new)
+
+
+def _place(curve, z):
+    """The time of the row that the locus is of."""
+    return z[np.argmax(curve.pick)]
 
 
 def _recut(curve, z, start, name):

@@ -30,6 +30,7 @@ MEANINGS = {
     "GR": "end on a grazing",
     "GG": "two grazings",
     "RG": "resonant grazing",
+    "DG": "degenerate grazing",
     "CH": "end on a complete chatter",
     "RL": "end on a release within a rest",
     "EP": "end",
@@ -41,10 +42,10 @@ class Codim2(SpecialOrbit):
     """A special point of a locus.
 
     kind: CP (cusp), GPD (generalized period doubling), DSB (degenerate symmetry breaking), GR (an SN, PD or SB ends on
-    a grazing), GG (two grazings), RG (resonant grazing), SN, PD, SB (a grazing meets such a locus), EP (end). on: the
-    kind of the locus; values: the two parameters by name; bounds: of each; multipliers: the larger first; place: among
-    the locus' points; residual: the largest error left in the point's equations; label, itinerary: of the orbit; scene:
-    at the values.
+    a grazing), GG (two grazings), RG (resonant grazing), DG (degenerate one), SN, PD, SB (a grazing meets such a
+    locus), CH, RL (a rest just is one there), EP (end). on: the kind of the locus; values: the two parameters by name;
+    bounds: of each; multipliers: the larger first; place: among the locus' points; residual: the largest error left in
+    the point's equations; label, itinerary: of the orbit; scene: at the values.
     """
 
     kind: str
@@ -125,9 +126,10 @@ def locus(
     Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
     point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
     doublings (GPD), degenerate symmetry breakings (DSB), ends on a grazing (GR), grazings of two impacts or walls at
-    once (GG), a GR where a rest just is one (CH, RL), and on a GR resonant grazings (RG), where loci of SN and PD end,
-    and points where the orbit without the touch is an SN, PD or SB. `switch` follows the loci that leave them. The GR
-    of a motion without impacts goes on from a GG along the other wall, the nearer one from there on.
+    once (GG), a GR where a rest just is one (CH, RL) or its touch has no acceleration (DG), and on a GR resonant
+    grazings (RG), where loci of SN and PD end, and points where the orbit without the touch is an SN, PD or SB.
+    `switch` follows the loci that leave RG, GPD, DSB, SN, PD, SB and GR. The GR of a motion without impacts goes on
+    from a GG along the other wall, the nearer one from there on.
 
     The `data` has a row a point: the parameters, time, speed and side of each impact, multiplier_real and
     multiplier_imag, least_speed, least_clearance, residual.

@@ -22,7 +22,7 @@ LOOKS = {
 }
 WIDTHS = (2.2, 1.4, 0.8)  # of the first, second and further loci of a kind, points
 MARKERS = {"CP": "*", "GPD": "^", "DSB": "D", "GR": "v", "GG": "s", "RG": "o", "SN": "<", "PD": ">", "SB": "d"}
-MARKERS |= {"CH": "H", "RL": "8"}
+MARKERS |= {"CH": "H", "RL": "8", "DG": "P"}
 SIZES = {"RG": 9.0}  # points; of others 6: loci that end on a grazing may do so at an RG, whose ring then shows
 FILLED = COLOURS[4]
 HATCHES = ("///", "\\\\\\", "...", "xxx", "")

@@ -121,15 +121,15 @@ def stilled(along, z, length):
     return found
 
 
+def acceleration(along, z, row):
+    """That towards the wall of an impact, relative to it, as it is left."""
+    wall = wall_sides(along.scene).index(int(along.cycle.sides[row]))
+    return float(_contact(np.append(z, 0.0), along, np.int32(row), np.int32(wall))[2])
+
+
 def is_pressed(along, z, there_are):
     """Whether at one of the touches that are impacts the wall is in the way of the mass, which then rests on it."""
-    walls = wall_sides(along.scene)
-    pulls = [
-        float(_contact(np.append(z, 0.0), along, np.int32(one.row), np.int32(walls.index(one.side)))[2])
-        for one in there_are
-        if one.own
-    ]
-    return any(pull > 0 for pull in pulls)
+    return any(acceleration(along, z, one.row) > 0 for one in there_are if one.own)
 
 
 def span(along, z):
