@@ -93,8 +93,13 @@ def test_a_measurement(monkeypatch):
     assert "| jaxvibro | 12 | 0: 0.0 % (0.0 to 26.5) |" in text and "SciPy arclength" in text
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("module", "fold"), [(scipy_branch, 7.245431514880592), (jaxcont_branch, 0.40044852663887776)])
+@pytest.mark.parametrize(
+    ("module", "fold"),
+    [
+        pytest.param(scipy_branch, 7.245431514880592, marks=pytest.mark.slow),
+        pytest.param(jaxcont_branch, 0.40044852663887776, marks=pytest.mark.long),
+    ],
+)
 def test_a_rival_follows_a_branch_where_its_map_is_smooth(module, fold):
     (truth,) = (each for each in branches.drawn(30) if abs(each.special[-1][1] - fold) < 1e-9)
     told = branches.judge(truth, branches.by(module)(truth), ("SN",))

@@ -39,7 +39,7 @@ def _bent(slopes):
             (1, 1, pytest.mark.slow),
             (1, 3, pytest.mark.long),
             (4, 1, pytest.mark.long),
-            (4, 3, pytest.mark.slow),
+            (4, 3, pytest.mark.long),
             (5, 1, pytest.mark.long),
             (5, 3, pytest.mark.long),
         )

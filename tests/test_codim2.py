@@ -64,7 +64,7 @@ def test_what_leaves_is_told_and_leads_back(resonant):
         assert one.data["least_speed"][1:].min() > 0 and abs(one.data["least_speed"][0]) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_fold_of_the_doubled_orbit_leaves_a_degenerate_doubling():
     """Along it the doubled orbit is an SN of branches that come from elsewhere; it is tangent to the PD."""
     span = {"amplitude": (0.0, 20.0), "frequency": (0.6, 3.2)}

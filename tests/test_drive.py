@@ -228,7 +228,7 @@ def test_beside_a_force_that_is_the_spring_it_is_the_same():
 # ---- orbits and branches -----------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_branch_along_a_term_has_the_points_that_the_strobe_has(tmp_path):
     scene = jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, 1.0), drive=[(0.3, 2, 0.5)])
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1), settle=300), "drive.0.amplitude", bounds=(0.0, 3.0))

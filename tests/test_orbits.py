@@ -230,7 +230,7 @@ def _start(orbit):
     return orbit.state.x, orbit.state.v, orbit.state.phase
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_orbits_of_two_periods_against_a_search_on_a_grid(scene):
     there = scene.replace(amplitude=5.6)
     found = [(orbit.periods, orbit.multipliers[0]) for orbit in jv.find_orbits(there, max_period=2)]

@@ -279,6 +279,7 @@ FAST = [(scaling, "moving"), (mirror, "moving"), (shift, "moving"), (order, "mov
 FAST += [(reversal, "moving"), (semigroup, "one"), (derivative, "one")]
 SLOW = [(each, "soft") for each in (scaling, shift, areas, reversal, semigroup)]
 SLOW += [(chunks, "moving"), (derivative, "moving"), (sampled, "one"), (mirror, "two")]
+LONG = (shift, "soft"), (chunks, "moving")
 
 
 def hold(check, kind, examples):
@@ -297,8 +298,10 @@ def test_it_holds_of_any_scene(check, kind):
     hold(check, kind, FEW)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("check", "kind"), SLOW)
+@pytest.mark.parametrize(
+    ("check", "kind"),
+    [pytest.param(*each, marks=pytest.mark.long if each in LONG else pytest.mark.slow) for each in SLOW],
+)
 def test_it_holds_of_many_scenes(check, kind):
     hold(check, kind, MANY)
 

@@ -104,7 +104,7 @@ def test_growth_between_rests_under_a_force_of_ones_own_is_that_of_the_spring(nu
     assert abs(found.rate - exact.rate) < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_count_of_hops_is_in_a_label():
     """Whatever R is, and so however many hops are flown until they are sure to end."""
     for side in (-1, 1):

@@ -113,7 +113,7 @@ def test_the_reference_by_half_a_step_and_by_the_wall(monkeypatch):
     assert np.allclose(by["right.motion.amplitude"], [np.cos(1.3), -0.5 * np.sin(1.3)], rtol=0, atol=1e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_rest_forgets_a_derivative_that_was_not_known():
     # hops of one period, more than there are slots for, end in the next
     scene = jv.make_scene(0.8, 1.0, 0.1, 0.98, (None, -1.0))

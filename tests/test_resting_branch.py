@@ -91,7 +91,7 @@ def test_a_wall_that_lets_go_within_a_rest_is_a_point_of_its_own(letting_go):
     assert branch.values[[0, -1]] == pytest.approx([-1.4, -0.9])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_grazings_of_orbits_that_rest_are_followed_in_two_parameters():
     grazing = followed(1.02, (1.0, 1.02), walls=(-0.2, 0.5)).points("GR")[0]
     assert float(jv.sensitivity(grazing, "damping")[0]) == pytest.approx(-1.00346396, abs=1e-7)  # by differences
