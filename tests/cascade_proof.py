@@ -48,15 +48,20 @@ def cascades(restitution, seed):
         if not orbit.rests or orbit.periods > 2:
             continue
         branch = jv.follow(orbit, "amplitude", (0.3 * value, 1.6 * value))
-        for point in branch.points("CH"):
-            left = np.array([one.value - point.value for one in branch.points("GR") if not one.multipliers.any()])
-            for sign in (-1.0, 1.0):
-                side = np.sort(abs(left[left * sign > 0]))[::-1]
-                ratios = side[:-1] / side[1:]
-                far = np.flatnonzero(abs(ratios / scaling(restitution)[1] - 1.0) > NEAR)
-                ratios = ratios[far[-1] + 1 :] if len(far) else ratios
+        for place, point in enumerate(branch.special):
+            for side in (branch.special[:place][::-1], branch.special[place + 1 :]) if point.kind == "CH" else ():
+                ratios = next_to(point, side, scaling(restitution)[1])
                 if len(ratios) >= FEWEST - 1:
                     yield point, ratios
+
+
+def next_to(point, side, mu):
+    """The ratios of the grazings between a CH and the next one, of the special points from it on to one side."""
+    ended = next((k for k, one in enumerate(side) if one.kind == "CH"), len(side))
+    left = np.array([one.value - point.value for one in side[:ended] if one.kind == "GR" and not one.multipliers.any()])
+    ratios = left[1:] / left[:-1]  # from the CH on
+    far = np.flatnonzero(abs(ratios / mu - 1.0) > NEAR)
+    return ratios[: far[0] if len(far) else None][::-1]
 
 
 def main(count=2, *percents):

@@ -174,7 +174,7 @@ def test_a_number_goes_no_further_than_its_bound():
     assert found.values["right.position"] == pytest.approx(0.9985, abs=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_soft_wall_and_a_motion_that_comes_to_rest():
     walls = (jv.Wall(-0.7, stiffness=40.0, damping=0.3), jv.Wall(0.9, 0.6))
     soft = jv.make_scene(1.5, 1.1, 0.05, 0.8, walls)

@@ -290,8 +290,10 @@ WALLS = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", BACK)
+@pytest.mark.parametrize(
+    "name",
+    [pytest.param("a sharp turn", marks=pytest.mark.slow), pytest.param("a short piece", marks=pytest.mark.long)],
+)
 def test_a_branch_goes_back_by_the_way_it_came(name):
     numbers, state, bounds = BACK[name]
     scene = jv.make_scene(*numbers, WALLS[name])

@@ -54,10 +54,8 @@ def test_strobes_of_other_kinds_against_ball_arithmetic():
     assert max(row.state for row in rows) < 0.01 and max(row.sharp for row in rows) < 0.2
 
 
-KINDS = pytest.param(STANDING, marks=pytest.mark.slow), pytest.param(MIXED, marks=pytest.mark.long)
-
-
-@pytest.mark.parametrize("kind", KINDS, ids=["standing", "mixed"])
+@pytest.mark.long
+@pytest.mark.parametrize("kind", [STANDING, MIXED], ids=["standing", "mixed"])
 def test_slopes_against_ball_arithmetic(kind):
     (members,), _ = soft_proof.groups(120, kinds={kind})
     for rows in soft_proof.slope_errors(members).values():
