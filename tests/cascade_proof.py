@@ -39,7 +39,8 @@ def extrapolated(ratios, lam, mu):
 def cascades(restitution, seed):
     """(a CH of a branch, the ratios of its grazings) of random scenes, orbits that rest elsewhere too."""
     for scene, _ in resting(np.random.default_rng(seed)):
-        scene = scene.replace(restitution=restitution)
+        own = [f"{side}.restitution" for side, wall in scene.walls.items() if wall and wall.restitution is not None]
+        scene = scene.replace(restitution=restitution, **dict.fromkeys(own, restitution))
         value = float(scene.amplitude)
         try:
             orbit = jv.find_orbit(scene, jv.State(float(scene.right.position) - 0.1, 0.0))

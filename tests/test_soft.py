@@ -137,7 +137,7 @@ def test_periods_within_a_wall_are_all_flown():
     assert not impacts.status and abs((end.x + 1.0) - y) < 1e-15 and end.contact == Contact.WITHIN
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_multipliers_of_orbits_are_those_of_the_product_and_of_autodiff(resonance):
     orbit, _ = resonance
     product = np.asarray(jv.monodromy(orbit.scene, orbit.state))

@@ -70,7 +70,7 @@ def test_the_entry_itself_is_within_the_wall():
     assert value == pytest.approx([0.0, speed], abs=1e-15) and slope == pytest.approx([speed, pull], abs=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_gradients_of_orbits_that_are_solved_for():
     """Backward: the loops of a stay go forward alone."""
     found = []
