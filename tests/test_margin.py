@@ -116,11 +116,12 @@ def test_an_end_of_a_boundary_keeps_to_the_bounds():
         assert point.at_bound == (("amplitude",) if bounds else ())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "amplitude, frequency, times",
     [
-        pytest.param(0.7233604331, 1.1749217932, (2.2598981, 4.9738107, 11.1848721), marks=pytest.mark.long),
-        pytest.param(0.7432175560, 1.1773081508, (2.6730035, 5.1108067, 11.0407840), marks=pytest.mark.slow),
+        (0.7233604331, 1.1749217932, (2.2598981, 4.9738107, 11.1848721)),
+        (0.7432175560, 1.1773081508, (2.6730035, 5.1108067, 11.0407840)),
     ],
 )
 def test_the_tip_of_a_cusp_is_nearest_from_beside_it(amplitude, frequency, times):

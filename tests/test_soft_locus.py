@@ -86,9 +86,12 @@ def compliant_stay(force, w, theta, u):
     return times[np.argmax(depth < 0)]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    "kind, names, high, aside", [("SN", "left.restitution", 1.0, 0.02), ("GR", "frequency", 3.0, -0.02)]
+    "kind, names, high, aside",
+    [
+        pytest.param("SN", "left.restitution", 1.0, 0.02, marks=pytest.mark.slow),
+        pytest.param("GR", "frequency", 3.0, -0.02, marks=pytest.mark.long),
+    ],
 )
 def test_one_wall_rigid_and_one_soft(kind, names, high, aside):
     scene = jv.make_scene(2.0, 2.1, GAMMA, 0.7, (-1.0, soft(1.0, 1e3, 2.0)))
@@ -118,7 +121,7 @@ def test_one_soft_wall_from_stiffness_44_to_ten_thousand():
     assert by_branch(locus, place, -0.01) < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_symmetry_breaking_while_both_walls_get_harder():
     scene = jv.make_scene(2.0, 2.1, GAMMA, 0.7, (soft(-1.0, 100.0, 0.5), soft(1.0, 100.0, 0.5)))
     breaking = special(scene, "SB", "amplitude", (0.0, 6.0), (0.9, -1.1))
