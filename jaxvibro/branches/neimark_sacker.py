@@ -6,9 +6,9 @@ import numpy as np
 
 from continuation.rows import at
 
+from ..orbits.orbit import areas_kept
 from ..problem.diagnostics import diagnose
 from ..scene.dissipation import never_grow
-from .resonances import areas_kept
 from .user_monitors import crossings
 
 
@@ -19,7 +19,7 @@ def neimark_sacker(task, points, look):
     off = look.determinant - 1.0
     if task.args.scene.force is None or not (np.diff(np.sign(off)) != 0).any():
         return []
-    if areas_kept(look) or never_grow(*_ends(task.args, points)):
+    if areas_kept(look.trace, look.determinant) or never_grow(*_ends(task.args, points)):
         return []
     return [one._replace(kind=_kind(task.args, one)) for one in crossings(task, points, look, "NS", _beyond)]
 

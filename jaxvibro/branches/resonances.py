@@ -8,20 +8,15 @@ stay near it (Arnold, Mathematical Methods of Classical Mechanics, appendix 7).
 
 import numpy as np
 
+from ..orbits.orbit import areas_kept
 from .user_monitors import crossings
 
-ROUNDING = 1e-9  # of 1 + the trace, squared: nearer to 1 a determinant is 1
 TRACES = {"R3": -1.0, "R4": 0.0}
-
-
-def areas_kept(look):
-    """Whether the product of the multipliers is 1 at every point."""
-    return bool((abs(look.determinant - 1.0) <= ROUNDING * (1.0 + abs(look.trace)) ** 2).all())
 
 
 def resonances(task, points, look):
     """The `Event`s R3 and R4 of a row of points, none unless areas are kept."""
-    if not areas_kept(look):
+    if not areas_kept(look.trace, look.determinant):
         return []
 
     def beyond(trace):

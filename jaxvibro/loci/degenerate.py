@@ -7,13 +7,12 @@ equations with them are singular there. Those without are not: the touch is the 
 
 import numpy as np
 
-from continuation import locate
 from continuation.stretch import Mark
 
 from ..problem.end import End
-from ..problem.equations import are_impacts, codes, problem
+from ..problem.equations import are_impacts, codes
 from ..problem.grazing import padded, recut
-from ..problem.touches import acceleration
+from ..problem.touches import acceleration, zero_near
 from ..scene.codes import Contact
 from .extended_system import Grazing
 
@@ -35,17 +34,8 @@ def to_degenerate(way, one):
     listed = zip(z[kept], z[rows + np.array(kept)], codes(curve.cycle)[kept], strict=True)
     bare = recut(curve, padded(curve, list(listed)), kept)
     place = kept.index(touch)
-
-    def system(z):
-        value, slopes = (np.asarray(each) for each in locate.evaluated(problem(bare), z, bare))
-
-        def pull(z):
-            return acceleration(bare, z, place)
-
-        return np.append(value, pull(z)), np.vstack([slopes, locate.differences(pull, z)])
-
     start = np.concatenate([bare.cycle.times, bare.cycle.speeds, z[2 * rows :]])
-    found = locate.newton(system, start)
+    found = zero_near(bare, start, lambda z: acceleration(bare, z, place))
     if found.z is None or (abs(found.z[-2:] - z[-2:]) > NEAR * (1.0 + abs(z[-2:]))).any():
         return None
     wide = len(bare.cycle.sides)

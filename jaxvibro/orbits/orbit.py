@@ -10,6 +10,7 @@ from ..maps.rests import NO_RESTS
 from ..scene.scene import Scene
 from ..scene.state import Impacts, State
 
+KEPT = 1e-9  # of 1 + the trace, squared: nearer to 1 a determinant is 1
 MARGIN = 1e-9  # a multiplier as near to size 1 is a special point's, whose stability rounding would decide
 
 
@@ -96,3 +97,8 @@ def described(scene, state, impacts, itinerary, roots, residual, unknowns, resti
         scene=scene,
         rests=resting.rests,
     )
+
+
+def areas_kept(trace, determinant):
+    """Whether the product of the multipliers is 1, of each orbit that there is."""
+    return bool(np.all(abs(determinant - 1.0) <= KEPT * (1.0 + abs(trace)) ** 2))

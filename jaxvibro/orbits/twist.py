@@ -10,9 +10,8 @@ from continuation.persistent_jit import persistent_jit
 
 from ..maps.strobe import strobe
 from ..scene import check
-from .orbit import Orbit
+from .orbit import Orbit, areas_kept
 
-KEPT = 1e-9  # of the determinant from 1, over 1 + the trace squared
 RESONANT = 1e-6  # of a multiplier from a third root of 1
 
 
@@ -30,7 +29,7 @@ def twist(orbit: Orbit) -> float:
     1:3, where there is none.
     """
     first = orbit.multipliers[0]
-    kept = abs(np.prod(orbit.multipliers) - 1.0) <= KEPT * (1.0 + abs(np.sum(orbit.multipliers)) ** 2)
+    kept = areas_kept(np.sum(orbit.multipliers), np.prod(orbit.multipliers))
     if orbit.rests or not kept or not first.imag:
         raise check.ArgumentError("orbit", "must be elliptic, its multipliers on the unit circle", orbit.multipliers)
     if abs(first**3 - 1.0) < RESONANT:

@@ -7,7 +7,6 @@ is least within a rest is another: where it comes to zero the mass is let go the
 
 import numpy as np
 
-from continuation import locate
 from continuation.persistent_jit import SOON, persistent_jit
 
 from ..compiled.compiler_hints import one_kernel
@@ -15,7 +14,8 @@ from ..flight.coefficients import framed
 from ..orbits import impact_equations, releases
 from ..orbits.flight_clearance import TOUCH
 from .diagnostics import diagnose
-from .equations import cycle_at, problem, there
+from .equations import cycle_at, there
+from .touches import zero_near
 
 
 def _exceeds(z, along):
@@ -40,15 +40,7 @@ def presses(along, z):
 
 def located(along, z, row, measure):
     """The point near z where a measure of a row, of `excesses` or `presses`, is zero: `locate.Located`."""
-
-    def towards(z):
-        return measure(along, z)[row]
-
-    def system(z):
-        value, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), z, along))
-        return np.append(value, towards(z)), np.vstack([slopes, locate.differences(towards, z)])
-
-    return locate.newton(system, z)
+    return zero_near(along, z, lambda z: measure(along, z)[row])
 
 
 def kind_at(along, z, length):

@@ -85,6 +85,16 @@ def touched(along, z, row, wall, late):
     return found if found.z is None else found._replace(z=found.z[:-1])
 
 
+def zero_near(along, z, towards):
+    """The point near z where a function of z is zero too: `locate.Located`."""
+
+    def system(z):
+        value, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), z, along))
+        return np.append(value, towards(z)), np.vstack([slopes, locate.differences(towards, z)])
+
+    return locate.newton(system, z)
+
+
 def settled_near(along, z, row, wall, late):
     """(time, distance, acceleration towards the wall) at the turning point of the flight after a row that is near."""
     for _ in range(ROUNDS):
