@@ -164,6 +164,8 @@ def _part(task, points, status):
     tried = upto(points, bad + 1)
     jump, known = event_search.jump(task.problem, tried, task.control, task.args, watch.passed(tried))
     met = watch.before(task, upto(points, bad if jump is None else jump))
+    if met is not None and _is_outside(task, met.points.z[-1]):
+        met = None
     if met is None and jump is not None:
         points, (end, again) = upto(points, jump), _retried(points.step[jump], task.control)
     elif met is None and bad < size:
@@ -220,6 +222,11 @@ def _within(task, points, end):
             domain = task.domain[k] if task.domain else ()
             end, which = (End.DOMAIN if value in domain else End.BOUND) if there else End.STEP, k
     return points, end, which
+
+
+def _is_outside(task, z):
+    """Whether a parameter is beyond a bound."""
+    return any(not low <= z[k] <= high for k, (low, high) in zip(range(-len(task.box), 0), task.box, strict=True))
 
 
 def _retried(step, control):

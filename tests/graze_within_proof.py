@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from tests.reference.graze_within import Oscillator, grazing, orbit
+from tests.reference.graze_within import Oscillator, flown, grazing, orbit
 
 NEAR, SLOW = 1e-3, 0.05  # speeds that are looked at; at which a flight between contacts is told without samples
 SAMPLES = 4000  # of a drive period
@@ -60,11 +60,19 @@ def contacts_at(scene, other, data, place):
         later = times[after] + (2 * np.pi / frequency if after <= k else 0.0)
         if sides[after] == side and after != k and speeds[after] < SLOW:
             pull = side * (other.amplitude * np.cos(frequency * later) - other.walls[side][0])
-            stay = later - time - 2 * speeds[after] / pull
+            stay = later - time - hop(other, side, frequency, later, speeds[after], 2 * speeds[after] / pull)
         else:
             stay = first_exit(here, jv.State(other.walls[side][0], side * speed, frequency * time, 3.0 * side), side)
         found.append((time, speed, stay))
     return found, sides
+
+
+def hop(other, side, frequency, end, speed, guess):
+    """About how long the short flight from a wall took that comes back to it at a time with a speed."""
+    for _ in range(5):
+        x, v = flown(other, 0, frequency, end, -guess, other.walls[side][0], side * speed)
+        guess += float((x - other.walls[side][0]) / v)
+    return guess
 
 
 def first_exit(scene, start, side):

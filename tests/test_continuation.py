@@ -8,7 +8,8 @@ import pytest
 from continuation import arclength, branch_switching, driver, event_search, locate, newton, problem
 from continuation.linear import solve
 from continuation.problem import Given, equilibria, fixed_points, problem_of
-from continuation.rows import upto
+from continuation.rows import at, put, upto
+from continuation.stretch import Mark
 from tests.test_trace import KNOTS as KNOTS_SYSTEM
 from tests.test_trace import close
 
@@ -268,6 +269,27 @@ def test_runs_together_are_as_one_by_one_and_may_retry():
         assert [one[:2] for one in mine.marks] == [one[:2] for one in alone.marks]
         assert close(mine.points.z, alone.points.z, 1e-12)
     assert together[1].points.step[1:].min() < 0.05 <= together[0].points.step[1:-1].min()
+
+
+@pytest.mark.parametrize(("bound", "end"), [(0.5, "BOUND"), (0.8, "STOPPED")])
+def test_an_end_seen_ahead_beyond_a_bound_is_none(bound, end):
+    """A `Watch` that looks ahead sees the same end from each point within half a unit of it."""
+
+    class Ahead(driver.Watch):
+        def before(self, task, points):
+            z = np.array([np.sqrt(1 - 0.7**2), 0.7])
+            (near,) = np.nonzero(abs(z[1] - 0.25 - points.z[:, 1]) < 0.25)
+            if not len(near):
+                return None
+            points = put(upto(points, near[-1] + 1), near[-1] + 1, at(points, near[-1])._replace(z=z))
+            return driver.Met(points, Mark(0, "X", 0.0), driver.End.STOPPED)
+
+    z = np.array([1.0, 0.0])
+    task = driver.Task(CIRCLE, given(1.0), control_of(2, largest=0.1), 0.05, ((-3.0, bound),), watch=Ahead())
+    found = driver.run(task, point_of(z, event_search.tangent(CIRCLE, z, np.ones(2), given(1.0))))
+    assert found.end is driver.End[end]
+    assert close(found.points.z[-1, 1], min(bound, 0.7), 1e-15)
+    assert [one.kind for one in found.marks] == ["X"] * (bound > 0.7)
 
 
 def test_a_step_is_kept_only_where_newton_s_method_ended():

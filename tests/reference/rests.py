@@ -8,7 +8,7 @@ changes.
 
 from typing import NamedTuple
 
-from mpmath import cos, fabs, mp, mpf
+from mpmath import cos, fabs, inf, mp, mpf
 
 from .special import fly, place, restitution
 
@@ -72,11 +72,12 @@ def departure(scene, side, t, speed):
     return t, wall.x, wall.v - side * speed
 
 
-def first(scene, begin, own, step, growth):
-    """The first `Hit` of a flight, on a grid of steps that grow; own: the side that it leaves."""
+def first(scene, begin, own, step, growth, until=inf):
+    """The first `Hit` of a flight, on a grid of steps that grow, None where it has none until a time; own: the side
+    that it leaves."""
     t = begin[0]
     above = dict.fromkeys((side for side, _ in scene.walls()), None)
-    while True:
+    while t < until:
         t, before, step = t + step, t, min(step * growth, GRID)
         for side in above:
             y, _ = height(scene, side, begin, t)
@@ -88,16 +89,17 @@ def first(scene, begin, own, step, growth):
                 t = landing(scene, side, begin, high)
                 return Hit(t, -height(scene, side, begin, t)[1], side)
             above[side] = above[side] or y > 0
+    return None
 
 
-def next_hit(scene, side, t, speed):
-    """The `Hit` after a wall was left with a speed."""
+def next_hit(scene, side, t, speed, until=inf):
+    """The `Hit` after a wall was left with a speed, None where there may be none until a time."""
     begin, (here, change) = departure(scene, side, t, speed), press(scene, side, t)
     guess = 2 * speed / here if here > 0 else GRID
     if speed > 0 and guess < SHORT and guess * fabs(change) < here / 5:
         t = landing(scene, side, begin, t + guess * (1 - 2 * speed * change / (3 * here**2)))
         return Hit(t, -height(scene, side, begin, t)[1], side)
-    return first(scene, begin, side, min(guess / 8, GRID) if speed > 0 else GRID, mpf(5) / 4)
+    return first(scene, begin, side, min(guess / 8, GRID) if speed > 0 else GRID, mpf(5) / 4, until)
 
 
 def until_rest(scene, side, t, speed, end, most=4000):
@@ -110,22 +112,24 @@ def until_rest(scene, side, t, speed, end, most=4000):
             return hits, t + 2 * speed / ((1 - again) * here)
         if speed == 0 and here > 0:
             return hits, t
-        hit = next_hit(scene, side, t, speed)
-        if hit.side != side or hit.time >= end:
-            return [*hits, hit], None
+        hit = next_hit(scene, side, t, speed, end)
+        if hit is None or hit.side != side or hit.time >= end:
+            return hits, None
         hits.append(hit)
         t, speed = hit.time, again * hit.speed
     raise ArithmeticError("no end of hops")
 
 
-def from_release(scene, side, t, end=None, most=400):
+def from_release(scene, side, t, end=inf, most=400):
     """(all `Hit`s after a wall let the mass go, when it next comes to rest, None: not before `end`, on which side)."""
     hits, now, own, speed = [], t, side, mpf(0)
     for _ in range(most):
-        hit = next_hit(scene, own, now, speed)
+        hit = next_hit(scene, own, now, speed, end)
+        if hit is None:
+            return hits, None, own
         hits.append(hit)
         own, now, speed = hit.side, hit.time, restitution(scene, hit.side) * hit.speed
-        if end is not None and now >= end:
+        if now >= end:
             return hits, None, own
         here, _ = press(scene, own, now)
         if here > 0 and speed < mpf(10) ** (-mp.dps // 4) * here:
@@ -136,7 +140,7 @@ def from_release(scene, side, t, end=None, most=400):
 def state_after(scene, side, t, speed, end):
     """(x, v) at a time after a wall was left, with a speed, or let the mass go; no rest begins before it."""
     while True:
-        hit = next_hit(scene, side, t, speed)
-        if hit.time >= end:
+        hit = next_hit(scene, side, t, speed, end)
+        if hit is None or hit.time >= end:
             return fly(scene, *departure(scene, side, t, speed), end)
         side, t, speed = hit.side, hit.time, restitution(scene, hit.side) * hit.speed
