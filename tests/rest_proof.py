@@ -83,7 +83,9 @@ def chatter(count, seed=1):
         if plainly <= 0:
             continue
         done += 1
-        apart += (began is None) != (rest <= 0)
+        if (began is None) != (rest <= 0):
+            apart += 1
+            print(done, "decided otherwise:", rest, began, tau, before, scene, flush=True)
         if began is None or rest <= 0:
             continue
         worst = np.maximum(worst, [abs(rest - float(end - began)), state_error(scene, given, side, now, before, end)])

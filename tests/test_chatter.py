@@ -74,6 +74,21 @@ def test_hops_end_in_rest_when_those_of_50_digits_do(bounce, speed):
             assert float(hit.speed) == pytest.approx(pace, abs=1e-13)
 
 
+@pytest.mark.parametrize(("speed", "is_plain"), [(0.1, True), (0.412, False)])
+def test_a_first_hop_beyond_its_series_is_no_plain_one(speed, is_plain):
+    """At much damping it does not land by its polynomial, though in truth it does, and the mass comes to rest."""
+    wall = jv.Wall(0.2869737, 0.17737789, motion=jv.Motion(0.13298062, 5.02168711, 2))
+    scene = jv.make_scene(1.94542487, 0.34722585, 1.48387529, 0.5, (wall, None))
+    given, tau = exact(plain(scene)), -0.64
+    with workdps(50):
+        end = rests.release(given, -1, mpf(31.6744))
+        _, began = rests.until_rest(given, -1, end + tau, given.left.restitution * mpf(speed), end)
+        numbers = (np.float64(each) for each in (-1.0, given.omega * end, tau, speed))
+    rest, _, plainly, *_ = (np.asarray(each) for each in releases._examined(scene, *numbers))
+    assert (plainly > 0) == is_plain
+    assert not is_plain or float(rest) == pytest.approx(float(end - began), abs=1e-12)
+
+
 MOVING = (jv.Wall(-0.4, 0.6), jv.Wall(0.7, motion=jv.Motion(0.15, 2.0)))
 
 

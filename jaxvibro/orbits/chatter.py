@@ -53,7 +53,7 @@ class Hop(NamedTuple):
 
 class Ending(NamedTuple):
     """rest: how long the mass rests before the release, negative: it does not come to rest; first: how long the first
-    hop is; height, pace: over the wall and away from it, at times asked for."""
+    hop is, `Frame.reach` where it is longer; height, pace: over the wall and away from it, at times asked for."""
 
     rest: Float[Array, ""]
     first: Float[Array, ""]
@@ -116,7 +116,7 @@ def ending(frame, side, release, tau, speed, since):
             jnp.where(lands, again * found.landing, speed),
             rest,
             count + 1.0,
-            jnp.where(count == 0, found.time, first),
+            jnp.where(count == 0, jnp.where(ends | jnp.isfinite(found.landing), found.time, frame.reach), first),
             height,
             pace,
             (ends | ~lands).astype(jnp.int32),

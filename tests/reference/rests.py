@@ -138,9 +138,25 @@ def from_release(scene, side, t, end=inf, most=400):
 
 
 def state_after(scene, side, t, speed, end):
-    """(x, v) at a time after a wall was left, with a speed, or let the mass go; no rest begins before it."""
+    """(x, v) at a time after a wall was left, with a speed, or let the mass go."""
+    tiny = mpf(10) ** (-mp.dps // 4)
     while True:
+        here, _ = press(scene, side, t)
+        if here > tiny and speed < tiny * here:  # it rests
+            t, speed = let_go(scene, side, t, end), mpf(0)
+            if t is None:
+                return tuple(place(scene, side, end)[:2])
         hit = next_hit(scene, side, t, speed, end)
         if hit is None or hit.time >= end:
             return fly(scene, *departure(scene, side, t, speed), end)
         side, t, speed = hit.side, hit.time, restitution(scene, hit.side) * hit.speed
+
+
+def let_go(scene, side, t, end):
+    """When a wall lets go a mass that rests on it from a time on, None where not before `end`."""
+    while t < end:
+        if press_alone(scene, side, t + GRID) <= 0:
+            found = release(scene, side, t + GRID / 2)
+            return found if found < end else None
+        t += GRID
+    return None
