@@ -50,7 +50,7 @@ test: $(VENV)/.dev ## lint, types and the tests that take seconds
 	$(PYTEST) -m "not slow and not long"
 
 test-slow: $(VENV)/.dev ## the tests that take minutes
-	$(PYTEST) -m slow
+	$(PYTEST) -m "slow and not long"
 
 test-long: $(VENV)/.dev ## what takes minutes a test
 	$(PYTEST) -m long

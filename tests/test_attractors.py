@@ -185,6 +185,7 @@ def test_too_many_impacts_are_told():
     assert np.isfinite(one.state.x) and abs(one.state.x) <= 1e-3
 
 
+@pytest.mark.slow
 def test_a_mass_that_sticks():
     """No rebound: what lands leaves with the wall's speed; at phase 0 it still rests on the right wall, pressed on."""
     sticky = scene(2.0, 0.4, 0.05, 0.0)

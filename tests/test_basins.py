@@ -40,11 +40,11 @@ def nearest(data, z):
 
 
 QUICK = (("figure 5", 0.0),)
-SLOW = [pytest.param(name, 4.0, marks=pytest.mark.slow) for name in ("moving wall", "uneven walls")]
+OTHERS = [pytest.param(name, 4.0, marks=pytest.mark.long) for name in ("moving wall", "uneven walls")]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "phase"), [*QUICK, *SLOW])
+@pytest.mark.parametrize(("name", "phase"), [*QUICK, *OTHERS])
 def test_labels_are_those_of_states_run_on_alone(name, phase):
     scene, attractors = known(name)
     x, v = np.linspace(-1.4, 1.2, 27), np.linspace(-3.1, 3.0, 17)

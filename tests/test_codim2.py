@@ -92,7 +92,7 @@ def breaking():
     return end
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_grazings_of_lopsided_and_doubled_orbits_leave_nonhyperbolic_grazings(breaking):
     through, lopsided = jv.switch(breaking)
     assert (through.kind, through.label, lopsided.kind, lopsided.label) == ("GR", "P122", "GR", "P112")

@@ -61,7 +61,7 @@ def test_a_motion_leaves_nothing_open_and_derivatives_are_those_of_differences()
     assert abs(by[6] - found.by[6, :, 2]).max() < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_motion_goes_on_from_soft_walls_both_ways():
     """Through stays within a moving soft wall, as the kernel has it, and the chain's equations leave nothing open."""
     moving = jv.Wall(-0.7, stiffness=30.0, damping=0.2, motion=jv.Motion(0.1, 2.0, harmonic=2))
@@ -83,7 +83,7 @@ def test_a_motion_goes_on_from_soft_walls_both_ways():
     assert Motion(sunk, 0.0).onward(Impact(-1.0, 0.0, 0.1), 50.0, 1) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_impacts_on_a_soft_wall_are_fitted():
     """With two of them missing; an impact is when the mass comes to the wall."""
     scene = jv.make_scene(1.5, 1.3, 0.05, 0.8, (jv.Wall(-0.7, stiffness=30.0, damping=0.3), jv.Wall(0.9, 0.7)))

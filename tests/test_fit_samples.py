@@ -47,7 +47,7 @@ def free_numbers(names, begun):
     return Free(names, np.full(len(names), 0.1), begun, -ends, ends, 0.0 * np.eye(len(names)))
 
 
-@pytest.mark.parametrize("velocities", [False, True])
+@pytest.mark.parametrize("velocities", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_derivatives_are_those_of_differences(velocities):
     """Of what shots leave open and of residuals, by every node and number, the phase too; a wall moves."""
     walls = (jv.Wall(-1.0, 0.8, motion=jv.Motion(0.1, 0.3)), jv.Wall(1.0, 0.7))
@@ -165,7 +165,7 @@ def test_a_record_of_another_scene_is_explained_by_none():
     assert found.values == {"damping": 0.05}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_number_goes_no_further_than_its_bound():
     free = {"damping": 0.01, "right.position": 0.1}
     start = CHAOTIC.replace(**{"damping": 0.052, "right.position": 0.99})

@@ -292,7 +292,7 @@ WALLS = {
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param("a sharp turn", marks=pytest.mark.slow), pytest.param("a short piece", marks=pytest.mark.long)],
+    [pytest.param("a sharp turn", marks=pytest.mark.long), pytest.param("a short piece", marks=pytest.mark.long)],
 )
 def test_a_branch_goes_back_by_the_way_it_came(name):
     numbers, state, bounds = BACK[name]

@@ -96,7 +96,7 @@ def _coefficients(function, order):
 
 MOVING = jv.Wall(-1.2, 0.5), jv.Wall(0.9, motion=jv.Motion(0.1, 0.4, 2))
 WAYS = [
-    pytest.param(walls, tolerance, marks=pytest.mark.long if power or place == 1 else pytest.mark.slow)
+    pytest.param(walls, tolerance, marks=pytest.mark.long if power or place else pytest.mark.slow)
     for place, walls in enumerate([(-1.0, 1.0), (None, 0.7), MOVING])
     for power, tolerance in enumerate([1e-13, 1e-9, 1e-6])
 ]
@@ -125,8 +125,7 @@ def test_a_spring_as_a_force_of_ones_own_ends_as_the_spring(walls, tolerance):
     "force",
     [
         "duffing",
-        pytest.param("stribeck", marks=pytest.mark.slow),
-        *(pytest.param(name, marks=pytest.mark.long) for name in ("pendulum", "van_der_pol")),
+        *(pytest.param(name, marks=pytest.mark.long) for name in ("stribeck", "pendulum", "van_der_pol")),
     ],
 )
 def test_strobes_are_those_of_series_by_hand(force):
@@ -196,7 +195,7 @@ def test_shallow_impacts_are_seen(depth):
     assert hits.count.tolist() == [1, 0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_motion_at_any_time_and_its_sections_are_those_of_the_spring():
     exact, found = linear(), linear_as_own()
     times = np.array([0.1, 0.9, 1.7, 2.3, 2.9, 4.4])
@@ -257,7 +256,7 @@ def test_second_derivatives_of_a_spring_as_a_force_are_those_of_the_spring():
     assert np.allclose(found, exact, rtol=0, atol=1e-10 * abs(exact).max())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_monodromy_matrix_is_the_derivative():
     for force in ("duffing", "pendulum"):
         scene, state = own(force), jv.State(0.3, 0.4)
@@ -269,6 +268,7 @@ def test_the_monodromy_matrix_is_the_derivative():
 # ---- orbits and branches -----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_branch_of_a_spring_as_a_force_is_that_of_the_spring():
     start, bounds = jv.State(0.9, -1.1), (0.0, 6.0)
     exact, found = (jv.follow(jv.find_orbit(s, start), "amplitude", bounds) for s in (linear(), linear_as_own()))

@@ -32,7 +32,7 @@ def matrix_of(force, point):
     return max(abs(end[0] - x), abs(end[1] - v)), mp.matrix(columns).T
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_pendulum_tilts_and_doubles_its_period_where_digits_say_so():
     orbit = jv.find_orbit(pendulum(0.95), jv.State(0.1, 0.0))
     (tilt,) = jv.follow(orbit, "amplitude", (0.95, 1.02), direction="forward").points("SB")

@@ -171,7 +171,7 @@ def test_points_that_nothing_leaves_are_refused(loci):
         jv.switch(point, largest_step=0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_locus_from_its_other_end_in_other_steps(loci):
     """From orbits where the first loci end, the special points there; their loci lead back along the same curves."""
     far = {name: loci[name].orbit(-1) for name in ("PD of P112", "SN of P112")}
@@ -282,7 +282,7 @@ def test_where_doubling_and_breaking_change_their_side(slowly, kind, name):
         assert codim_error(end, "GR", locus.kind, kind == "DSB") < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cusps():
     scene = jv.make_scene(2.0, 1.2, 0.02, 0.9, (-1.5, 1.0))
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.0, 3.0))
@@ -370,7 +370,7 @@ SCENES = {
 }
 
 
-LENGTHS = {"restitution per wall": pytest.mark.long}
+LENGTHS = dict.fromkeys(("restitution per wall", "two, one moving"), pytest.mark.long)
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=LENGTHS.get(name, pytest.mark.slow)) for name in SCENES])

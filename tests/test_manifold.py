@@ -36,13 +36,13 @@ def points(data):
     return np.stack([data["x"].values, data["v"].values], -1)
 
 
-SLOW = [
-    pytest.param(name, marks=pytest.mark.slow)
-    for name in ("one wall", "uneven walls", "moving wall", "a restitution each")
+OTHERS = [
+    pytest.param("moving wall", marks=pytest.mark.slow),
+    *(pytest.param(name, marks=pytest.mark.long) for name in ("one wall", "uneven walls", "a restitution each")),
 ]
 
 
-@pytest.mark.parametrize("name", ["figure 5", *SLOW])
+@pytest.mark.parametrize("name", ["figure 5", *OTHERS])
 @pytest.mark.parametrize("phase", [0.0, pytest.param(1.3, marks=pytest.mark.slow)])
 def test_the_way_back_is_the_inverse(name, phase):
     scene, rng = jv.make_scene(**SCENES[name]), np.random.default_rng(0)
@@ -166,9 +166,9 @@ def test_a_saddle_that_flips_has_two_sides_too():
     "name",
     [
         pytest.param("one wall", marks=pytest.mark.long),
-        pytest.param("uneven walls", marks=pytest.mark.slow),
+        pytest.param("uneven walls", marks=pytest.mark.long),
         pytest.param("moving wall", marks=pytest.mark.slow),
-        pytest.param("a restitution each", marks=pytest.mark.slow),
+        pytest.param("a restitution each", marks=pytest.mark.long),
     ],
 )
 def test_other_scenes_have_manifolds(name):

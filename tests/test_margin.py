@@ -80,7 +80,7 @@ def test_a_motion_without_impacts_ends_where_it_touches_a_wall():
     assert list(point.direction.values()) == pytest.approx(normal / np.linalg.norm(normal), abs=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_period_doubling_that_ends_on_a_grazing_has_its_nearest_point_there():
     """P101 near the resonant grazing, where the free flow of a drive period leaves a speed no trace: sin = 0."""
     amplitude, frequency, place = 3.02, 1.93, 0.79
@@ -96,7 +96,7 @@ def test_a_period_doubling_that_ends_on_a_grazing_has_its_nearest_point_there():
     assert "ends there in an impact without speed" in near.table()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_end_of_a_boundary_keeps_to_the_bounds():
     """The same with the amplitude free: the end is a line, wall = c amplitude, and the bound cuts it off."""
     amplitude, frequency, place = 3.02, 1.93, 0.79

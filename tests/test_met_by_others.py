@@ -20,7 +20,7 @@ def test_an_answer_is_judged_by_its_numbers_and_its_contacts():
     assert not met_by_others.Told("", "", 1e-5).right and not met_by_others.Told("", "", math.inf).right
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_diffrax_as_it_is_locked():
     met = met_by_others.measure()
     right = {each.case.source: [] for each in met}

@@ -347,7 +347,7 @@ def test_an_unknown_figure_is_refused(tmp_path, capsys):
         jv.paper(["fig9"], tmp_path, workers=0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_formulas_and_one_wall(tmp_path):
     done = jv.paper(["formulas", "walls"], tmp_path, workers=2)  # a process each
     found = {(one.figure, one.text): one for one in done.claims}

@@ -88,6 +88,7 @@ def test_a_mass_at_rest_goes_with_its_wall_at_any_time():
         assert np.allclose(each, true, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_second_derivatives(scene):
     def x(z):
         return jv.sample(scene.replace(amplitude=z[0]), jv.State(0.9, z[1]), jnp.stack([z[2], 2.0 + z[2]]))[0].x

@@ -98,7 +98,7 @@ def test_a_release_goes_with_the_drive():
     assert np.allclose(jax.jacfwd(released)(3.0), jax.jacfwd(flown)(3.0), rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_release_forgets_the_start_and_keeps_the_scene():
     # sticks on a wall, is released, hits and is released again within a period: the last release counts
     scene = jv.make_scene(3.0, 2.0, 0.1, 0.0, (None, 1.0))

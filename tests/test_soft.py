@@ -39,7 +39,7 @@ def compared(count, kinds=None):
     return [row for group in members for row in soft_proof.strobe_rows(group)]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_strobes_against_ball_arithmetic():
     rows = compared(150, {STANDING, MIXED})
     assert len(rows) >= 20 and sum(row.count for row in rows) >= 30

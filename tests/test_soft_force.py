@@ -82,7 +82,7 @@ def as_spring(count, moving, seed=0):
     return exact, found, jv.State(rng.uniform(left, right), rng.normal(size=count), rng.uniform(0, 6, count))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_spring_as_a_force_between_soft_walls():
     exact, found, state = as_spring(120, False)
     (end, hits), (other, others) = (told(scene, state, slots=32) for scene in (exact, found))

@@ -60,7 +60,7 @@ def test_the_grazing_is_that_of_the_linear_response(branch):
         assert np.allclose(square.values[:, 0], np.exp(-4.0 * np.pi * GAMMA / w), rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_fold_is_the_reference_round_its_cusp(branch):
     first, second = (jv.locus(one, PAIR, BOUNDS) for one in branch.points("SN"))
     assert is_sound(first) and kinds(first) == kinds(second) == "EP CP EP"
@@ -89,7 +89,7 @@ def compliant_stay(force, w, theta, u):
 @pytest.mark.parametrize(
     "kind, names, high, aside",
     [
-        pytest.param("SN", "left.restitution", 1.0, 0.02, marks=pytest.mark.slow),
+        pytest.param("SN", "left.restitution", 1.0, 0.02, marks=pytest.mark.long),
         pytest.param("GR", "frequency", 3.0, -0.02, marks=pytest.mark.long),
     ],
 )
@@ -132,7 +132,7 @@ def test_symmetry_breaking_while_both_walls_get_harder():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("damping", [None, 0.3])  # smooth at the grazing; with a root
+@pytest.mark.parametrize("damping", [None, pytest.param(0.3, marks=pytest.mark.long)])  # smooth there; with a root
 def test_the_grazing_of_a_wall_that_moves(damping):
     wall = soft(1.0, 30.0, damping, motion=jv.Motion(0.1))
     scene = jv.make_scene(1.0, 1.7, GAMMA, 0.7, (None, wall))

@@ -124,7 +124,7 @@ def test_what_a_stay_makes_of_its_start_is_as_by_the_derivatives_of_the_replays(
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param("unlike", marks=pytest.mark.long), pytest.param("moving", marks=pytest.mark.slow)]
+    "kind", [pytest.param("unlike", marks=pytest.mark.long), pytest.param("moving", marks=pytest.mark.long)]
 )
 def test_second_derivatives_of_a_stay_are_differences_of_the_first(kind):
     scene, side, cosine, sine, speed = entries(kind)

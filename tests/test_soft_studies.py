@@ -56,7 +56,7 @@ def test_exponents_of_chaos_against_another_method_and_their_sum():
     assert abs(found.exponent[0].sum() - total) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_exponents_of_an_orbit_between_a_soft_wall_and_a_rigid_one():
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, MIXED)
     found = jv.spectrum(scene, "amplitude", [2.0], jv.State(0.5, -1.1))

@@ -141,7 +141,7 @@ def test_a_scene_file_names_a_solver(tmp_path):
 # ---- slow: every solver compiles for some seconds ----------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_kink_is_flown_by_dopri8_as_the_exact_flow_of_a_soft_wall_has_it():
     force = scene(bilinear, {"damping": DAMPING, "stiffness": 3.0}, walls=(-1.0, None))
     soft = jv.Wall(0.4, stiffness=3.0, damping=DAMPING)
@@ -171,7 +171,7 @@ def test_each_solver_comes_to_where_taylor_steps_come(solver, tolerance):
     assert apart(given, taylor) < 20 * tolerance * 4.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_derivatives_through_a_solver_are_those_of_taylor_steps():
     numbers = {"cubic": 0.5, "damping": DAMPING}
 

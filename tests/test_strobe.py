@@ -82,7 +82,7 @@ def test_a_flight_that_stops_bending_before_a_wall_does_not_land_early():
     assert (impacts.least_clearance > 0.25).all()
 
 
-@pytest.mark.parametrize("swing", [None, 0.2])
+@pytest.mark.parametrize("swing", [None, pytest.param(0.2, marks=pytest.mark.slow)])
 def test_the_least_clearance_of_a_flight_that_turns_back_from_both_walls_within_a_step(swing):
     rng = np.random.default_rng(1)
     phase, pull, far = rng.uniform((1.0, 0.2, 1.0), (2.1, 0.6, 2.0), (60, 3)).T

@@ -25,7 +25,7 @@ def test_random_scenes_end_as_by_full_steps(kind, make, most):
     assert found.given_up < most * MOST  # so that there is something to compare
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_turns_back_near_a_wall_is_given_up():
     scene, start = grazing(np.random.default_rng(6), MOST)
     found = compared(scene, start)

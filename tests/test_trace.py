@@ -325,6 +325,7 @@ def test_a_bogdanov_takens_point_of_lorenz_84():
     assert "stopped at BT" in curve.reasons[0] + curve.reasons[1]
 
 
+@pytest.mark.slow
 def test_bratu():
     found = co.trace(co.equilibria(bratu), np.zeros(99), {"p": 0.0}, "p", (-0.1, 4.0), stop=["SN"], largest_step=2.0)
     assert close(found.points("SN")[0].p["p"], 3.51364790397, 1e-10)

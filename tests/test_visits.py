@@ -24,7 +24,7 @@ def test_an_orbit_leaves_one_point_on_each_section():
 
 
 @pytest.mark.parametrize(
-    "walls", [pytest.param({}, marks=pytest.mark.long), pytest.param(MOVING, marks=pytest.mark.slow)]
+    "walls", [pytest.param({}, marks=pytest.mark.long), pytest.param(MOVING, marks=pytest.mark.long)]
 )
 def test_the_maps_lead_from_each_point_to_the_next(walls):
     scene = jv.make_scene(**SCENE | walls | {"amplitude": 5.4})

@@ -53,7 +53,7 @@ def test_what_is_regular_is_not_taken_for_chaos():
     assert rate == -np.inf and "not positive beyond doubt" in why
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mass_that_rests_is_not_chaotic():
     """It comes back exactly after 89 periods; trajectories beside it rest at other times, and so part."""
     found = jv.find_attractors(drawn("two", 129), starts=24, seed=129)
