@@ -8,6 +8,7 @@ from continuation.stretch import Mark, Stretch
 
 from ..orbits.orbit_comparison import is_same_orbit
 from ..problem.end import End, Reason
+from ..problem.equations import codes
 from ..problem.same_orbit import impacts, is_repeated
 from ..problem.touches import scales
 from .segment import GrazingPoint, follow_itinerary
@@ -34,7 +35,7 @@ def go_on(along, start, asked):
         one = one._replace(marks=(*rest, *one.marks))
         way, rest = None, ()
         if one.end is End.GRAZE:
-            one, way = _onwards(one, scale)
+            one, way = _onwards(along, one, scale)
             here = one.points.z[-1, -1], impacts(along, one.points.z[-1], asked.length)
             if any(_is_met(here, each) for each in met):
                 one, way = one._replace(end=End.CLOSED), None
@@ -54,7 +55,7 @@ def go_on(along, start, asked):
         along, start = way.along, way.point
 
 
-def _onwards(one, scale):
+def _onwards(along, one, scale):
     """(the piece, its last mark telling which exits are left aside; the `GrazingExit` by which the branch goes on).
 
     It goes on with the touches' impacts exchanged, those it had for those it had not, else as many of them as can be;
@@ -62,10 +63,10 @@ def _onwards(one, scale):
     """
     mark, met = one.marks[-1], one.marks[-1].more
     here = tuple(touch.own for touch in met.touches)
-    arrived = one.points.tangent[-1]
+    arrived, rows = one.points.tangent[-1], codes(along.cycle)
 
     def is_back(way):
-        same = way.included == here and way.point.tangent.shape == arrived.shape
+        same = way.included == here and np.array_equal(codes(way.along.cycle), rows)
         return same and np.sum(scale * scale * way.point.tangent * arrived) < 0
 
     def exchanged(way):
