@@ -38,6 +38,9 @@ def is_chatter(along, z, length, touches=(), slow=SLOW):
 def exits(along, z, sign, length):
     """The `GrazingExit`s of a CH or RL, in a list: the orbits on the other side, towards greater values of the
     parameter where sign is 1."""
+    lifted = resting.lifted(along, z, length)
+    if lifted is not None:
+        return [_towards(lifted, z, sign, length)]
     for aside in ASIDE:
         found = _settled(along, z, z[-1] + sign * aside * (1.0 + abs(z[-1])))
         if found is not None and not is_chatter(*found, length):
@@ -80,7 +83,7 @@ def completed(along, z, sign, length):
 
 def _rests(along):
     """How many there are."""
-    return 0.0 if along.cycle.releases is None else np.sum(along.cycle.releases)
+    return 0 if along.cycle.releases is None else np.count_nonzero(along.cycle.releases)
 
 
 def _nearest(along, z, value, own):

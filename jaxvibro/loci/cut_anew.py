@@ -10,9 +10,8 @@ from continuation.rows import upto
 
 from ..orbits import releases
 from ..problem.end import End
-from ..problem.equations import there
+from ..problem.equations import are_releases, there
 from ..problem.orbit_on_branch import OrbitPoint
-from ..scene.codes import Contact
 from .first_point import LocusStart, backward, impacts_of, ways
 
 LONG, SHORT = 0.05, 0.95  # `releases.Tails.plain` of a hop that is about to be too long, of one that is too short
@@ -56,7 +55,7 @@ def _recut(curve, z, start, name):
     scene = there(curve, z)
     times, speeds, sides, periods = impacts_of(curve, z[None])
     times, speeds = times[0], speeds[0]
-    free = np.flatnonzero(abs(sides) == Contact.STUCK)
+    free = np.flatnonzero(are_releases(sides))
     spans = [(np.sign(sides[k]), times[k - 1], times[k]) for k in free]
     hits = np.setdiff1d(np.arange(len(sides)), free)
     rows = releases.rows_of(scene, 0.0, times[hits], speeds[hits], sides[hits], spans, periods, SLACK)

@@ -10,10 +10,9 @@ import numpy as np
 from continuation.stretch import Mark
 
 from ..problem.end import End
-from ..problem.equations import are_impacts, codes
+from ..problem.equations import are_impacts, are_releases, codes
 from ..problem.grazing import padded, recut
 from ..problem.touches import acceleration, zero_near
-from ..scene.codes import Contact
 from .extended_system import Grazing
 
 SLOW = 1e-3  # of the scene's length per t: hops that are as slow may be about to vanish
@@ -54,7 +53,7 @@ def _vanishing(curve, z, touch, length):
     sides, hits, found = codes(curve.cycle)[:count], are_impacts(curve.cycle), []
     for ahead in range(1, count):
         k = (touch + ahead) % count
-        if abs(sides[k]) == Contact.STUCK:
+        if are_releases(sides[k]):
             return found if np.sign(sides[k]) == sides[touch] else []
         if not hits[k] or sides[k] != sides[touch] or z[rows + k] > SLOW * length:
             return []

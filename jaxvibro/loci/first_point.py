@@ -12,12 +12,11 @@ from ..branches.branch import Special
 from ..branches.follow import SMALLEST, check_settings
 from ..orbits.impact_equations import Cycle
 from ..problem import resting, soft_grazing
-from ..problem.equations import are_impacts, codes, problem
+from ..problem.equations import are_impacts, are_releases, codes, problem
 from ..problem.grazing import padded
 from ..problem.orbit_on_branch import OrbitPoint, is_own_image, place_orbit
 from ..problem.touches import TOUCH, Touch, scales, touches
 from ..scene import check
-from ..scene.codes import Contact
 from ..scene.parameters import bounds_of, domain, flat, marked, tied
 from ..scene.scale import scene_length
 from ..scene.scene import Scene
@@ -51,7 +50,7 @@ def start_of(special, kinds=KINDS):
     if not isinstance(special, Special) or special.kind not in kinds:
         given = special.kind if isinstance(special, Special) else special
         raise check.ArgumentError("special", f"must be a special point of kind {', '.join(kinds)}", given)
-    if special.kind in RESTS and not (abs(special.spot.sides) == Contact.STUCK).any():
+    if special.kind in RESTS and not are_releases(special.spot.sides).any():
         rule = "must have a rest: of a chatter that ends its branch nothing is known beyond"
         raise check.ArgumentError("special", rule, f"{special.kind} at {special.value:.12g}")
     return LocusStart(special.kind, special.name, special.scene, special.spot)
@@ -140,7 +139,7 @@ def equations(start, names, whole=False):
         closing = 1.0 if start.kind == "SN" else -1.0
         return [_singular(seed._replace(closing=np.asarray(closing)), impacts, values)]
     slack = TOUCH * scene_length(scene)
-    still = [k for k, (_, speed, side) in enumerate(impacts) if speed <= slack and abs(side) != Contact.STUCK]
+    still = [k for k, (_, speed, side) in enumerate(impacts) if speed <= slack and not are_releases(side)]
     if not still:
         raise check.ArgumentError("special", "must touch a wall: a GR at which none is", start.spot.value)
     alone = ([one for k, one in enumerate(impacts) if k == touch or k not in still] for touch in still)

@@ -62,23 +62,27 @@ class Ending(NamedTuple):
 
 
 def hop(frame, side, phasor, speed):
-    """The `Hop` from a wall that a mass leaves with a speed, numbers; phasor: the drive's cosine and sine."""
+    """The `Hop` from a wall that a mass leaves with a speed, a number, or without one where it is drawn away; phasor:
+    the drive's cosine and sine."""
     where, pace, *more = way(frame, side, *phasor, ORDER)
     path = flow_of(frame).jet(frame, where, pace - side * speed, *phasor, ORDER)
     rates = [side * (wall - mass) for wall, mass in zip(more, path[2:], strict=False)]
     push, change = (side * each for each in pressed(frame, side, phasor))
     terms = (speed, *(rate / math.factorial(k) for k, rate in enumerate(rates, 2)))  # of y / s
     inside = terms[1] * terms[1] - 4.0 * terms[2] * speed
-    lands = (inside > 0) & (terms[1] < 0)
+    lifts = (speed == 0) & (push < 0)
+    lands = jnp.where(lifts, terms[2] < 0, (inside > 0) & (terms[1] < 0))
     root = jnp.sqrt(jnp.where(lands, inside, 1.0)) - jnp.where(lands, terms[1], -1.0)
-    time = jnp.where(lands, 2.0 * speed / root, 0.0)
+    lift = -terms[1] / jnp.where(lifts & lands, terms[2], 1.0)
+    time = jnp.where(lands, jnp.where(lifts, lift, 2.0 * speed / root), 0.0)
     for _ in range(ROUNDS):
         height, slope = _horner(terms, time)
         time = time - jnp.where(lands, height / jnp.where(slope == 0, 1.0, slope), 0.0)
     _, slope = _horner(terms, time)
     good = lands & (time >= 0) & (slope <= 0) & (time <= frame.reach)
     landing = jnp.where(good, -time * slope, jnp.inf)  # y' = (y / s) + s (y / s)', and y is 0
-    return Hop(jnp.where(speed == 0, 0.0, time), jnp.where(speed == 0, 0.0, landing), push, change, rates[1], terms)
+    stays = (speed == 0) & ~lifts
+    return Hop(jnp.where(stays, 0.0, time), jnp.where(stays, 0.0, landing), push, change, rates[1], terms)
 
 
 def _horner(terms, time):
@@ -104,7 +108,8 @@ def ending(frame, side, release, tau, speed, since):
         found = hop(frame, side, phasor, speed)
         span, sure = _series(frame, again, speed, found)
         ends = sure & (span <= SMALL * -late) & (late < 0) & (found.press > 0)
-        lands = (found.press > 0) & jnp.isfinite(found.landing) & (late + found.time < 0)
+        pressed = (found.press > 0) | (speed == 0)
+        lands = pressed & jnp.isfinite(found.landing) & (late + found.time < 0)
         begun = since - (late - tau)
         on = (begun >= 0) & (begun < jnp.where(ends, 0.0, found.time)) & (lands | ends)
         y, slope = _horner(found.terms, jnp.where(on, begun, 0.0))

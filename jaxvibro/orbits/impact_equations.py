@@ -32,7 +32,8 @@ class Cycle(NamedTuple):
     -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None is 1. closing: what a
     change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1. still:
     (rows,), 1 at touches, impacts without speed, of a soft wall, which do nothing; None: there are none. releases:
-    (rows,), 1 where a row is no impact but the end of a rest on its wall, without speed; None: there are none. passed:
+    (rows,), 1 where a row is no impact but the end of a rest on its wall, without speed, 2 where R is 0 and the mass is
+    drawn off that wall once more before the rest; None: there are none. passed:
     (rows,), a time of the stay within a soft wall before which the mass leaves for no return to it; None: 0."""
 
     times: Float[Array, "*lanes rows"]

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from continuation.arrays import Array
 from continuation.persistent_jit import SOON, persistent_jit
@@ -21,6 +21,7 @@ from ..compiled.compiler_hints import one_kernel
 from ..flight import flow
 from ..flight.coefficients import framed
 from ..flight.soft_contact import bounce
+from ..scene.codes import Contact
 from . import chatter
 from .meeting_wall import pressed
 
@@ -28,12 +29,14 @@ TURN = 0.2  # of `Frame.reach`: between two looks at the press
 ROUNDS = 5  # of Newton's steps to where the press is least
 ROOM = 0.5  # of `chatter.LONGEST`: so long a first hop may be where its row is chosen
 MORE = 64  # hops that are flown to find such a row
+LEAST = 0.1  # of `chatter.LONGEST`: where a shorter flight of a mass without speed is a row, it is none
 
 
 class Tails(NamedTuple):
     """Of each row that a release follows, inf of others. rest: how long the mass rests, negative: it does not; hold:
     the least press on the way to the release, inf: it only falls; plain: positive while the hops from this row on are
-    all short, and pressed. height, pace: (rows, times), over the wall and away from it, at times asked for."""
+    all short, and pressed; of a row that the mass is drawn off from without speed, while it is not back too soon.
+    height, pace: (rows, times), over the wall and away from it, at times asked for."""
 
     rest: Float[Array, "*rows"]
     hold: Float[Array, "*rows"]
@@ -44,13 +47,14 @@ class Tails(NamedTuple):
 
 class Tail(NamedTuple):
     """What a series of hops begins with. side: of the wall; cosine, sine: of the drive at the release; tau: before it;
-    speed: of leaving the wall."""
+    speed: of leaving the wall; lifts: where R is 0, whether the mass is drawn away at once, to come back and rest."""
 
     side: Float[Array, "*rows"]
     cosine: Float[Array, "*rows"]
     sine: Float[Array, "*rows"]
     tau: Float[Array, "*rows"]
     speed: Float[Array, "*rows"]
+    lifts: Bool[Array, "*rows"]
 
 
 def tails_of(frame, cycle, found):
@@ -62,8 +66,9 @@ def tails_of(frame, cycle, found):
     tau = cycle.times - (cycle.times[found.follows] + again)
     cosine, sine = (found.sign * each[found.follows] for each in (found.met.cosine, found.met.sine))
     speed = found.met.bounce * cycle.speeds
-    blank = Tail(jnp.ones_like(tau) * cycle.sides[0], cosine, sine, jnp.full_like(tau, -1.0), jnp.zeros_like(tau))
-    there = Tail(cycle.sides, cosine, sine, tau, speed)
+    none = jnp.zeros_like(tau)
+    blank = Tail(none + cycle.sides[0], cosine, sine, none - 1.0, none, none > 0)
+    there = Tail(cycle.sides, cosine, sine, tau, speed, cycle.releases[found.follows] > 1)
     return jax.tree.map(lambda new, old: jnp.where(ends, new, old), there, blank), ends
 
 
@@ -75,7 +80,10 @@ def tails(frame, cycle, found, times):
     since = since - span * jnp.floor(since / span)
     look = jax.vmap(partial(_looked, frame))(every, since)
     blank = Tails(*(jnp.full_like(each, jnp.inf) for each in look[:3]), *(jnp.zeros_like(each) for each in look[3:]))
-    return jax.tree.map(lambda new, old: jnp.where(ends.reshape(-1, *(1,) * (new.ndim - 1)), new, old), look, blank)
+    look = jax.tree.map(lambda new, old: jnp.where(ends.reshape(-1, *(1,) * (new.ndim - 1)), new, old), look, blank)
+    back = ~ends & (found.met.bounce == 0) & (cycle.sides[found.follows] * found.sign == cycle.sides)
+    back = back & (cycle.sides != 0) & (cycle.releases == 0)
+    return look._replace(plain=jnp.where(back, found.time / (LEAST * chatter.LONGEST * frame.reach) - 1.0, look.plain))
 
 
 def _looked(frame, tail, since):
@@ -84,7 +92,8 @@ def _looked(frame, tail, since):
     found = chatter.ending(frame, tail.side, release, tail.tau, tail.speed, since)
     push, change, _ = _press(frame, tail, tail.tau)
     first = 1.0 - found.first / (chatter.LONGEST * frame.reach)
-    plain = jnp.minimum(first, push / (abs(push) + jnp.maximum(change, 0.0) * found.first))
+    held = push / (abs(push) + jnp.maximum(change, 0.0) * found.first)
+    plain = jnp.where(bounce(frame, tail.side) > 0, jnp.minimum(first, held), first)
     return Tails(found.rest, least_press(frame, tail), plain, found.height, found.pace)
 
 
@@ -95,7 +104,8 @@ def _press(frame, tail, tau):
 
 
 def least_press(frame, tail):
-    """The least press between two falls of it; inf: it only falls."""
+    """The least press between two falls of it, inf: it only falls; also that of `beginning`, its sign turned where the
+    mass `lifts`."""
     cells = jnp.ceil(abs(tail.tau) / (TURN * frame.reach)).astype(int) + 2
     span = abs(tail.tau) / cells
 
@@ -113,15 +123,21 @@ def least_press(frame, tail):
         lowest = lax.fori_loop(0, ROUNDS, nearer, late - 0.5 * span)
         return after, jnp.where(turns, jnp.minimum(least, _press(frame, tail, lowest)[0]), least)
 
-    start = _press(frame, tail, tail.tau)[1], jnp.full_like(tail.tau, jnp.inf)
-    return lax.fori_loop(0, cells, look, start)[1]
+    begun = beginning(frame, tail)
+    least = jnp.where(tail.lifts & jnp.isfinite(begun), -begun, begun)
+    return lax.fori_loop(0, cells, look, (_press(frame, tail, tail.tau)[1], least))[1]
 
 
-def excess(frame, cycle, found):
-    """How much `too_fast` each row is, (rows,): zero where its hops just end in rest, -inf of rows that no release
-    follows."""
+def beginning(frame, tail):
+    """The press at the impact where R is 0 and it rises: below zero the mass is drawn off its wall; inf elsewhere."""
+    push, change, _ = _press(frame, tail, tail.tau)
+    return jnp.where((bounce(frame, tail.side) == 0) & (change > 0), push, jnp.inf)
+
+
+def of_each(measure, frame, cycle, found):
+    """A measure of a `Tail`, as `too_fast`, of each row, (rows,); inf of rows that no release follows."""
     every, ends = tails_of(frame, cycle, found)
-    return jnp.where(ends, jax.vmap(partial(too_fast, frame))(every), -jnp.inf)
+    return jnp.where(ends, jax.vmap(partial(measure, frame))(every), jnp.inf)
 
 
 def too_fast(frame, tail):
@@ -135,7 +151,9 @@ def too_fast(frame, tail):
 
 def _examine(scene, side, phase, tau, speed):
     frame = framed(scene)
-    tail = Tail(side, jnp.cos(phase), jnp.sin(phase), tau, bounce(frame, side) * speed)
+    tail = Tail(side, jnp.cos(phase), jnp.sin(phase), tau, bounce(frame, side) * speed, speed < 0)
+    lifts = (bounce(frame, side) == 0) & (_press(frame, tail, tau)[0] < 0)
+    tail = tail._replace(lifts=lifts)
     look = _looked(frame, tail, jnp.zeros(0, tau.dtype))
 
     def fly(k, carry):
@@ -152,18 +170,19 @@ def _examine(scene, side, phase, tau, speed):
 
     blank = jnp.zeros(MORE, tau.dtype)
     _, _, times, speeds = lax.fori_loop(0, MORE, fly, (tau, tail.speed, blank, blank))
-    return look.rest, look.hold, look.plain, times, speeds
+    return look.rest, look.hold, look.plain, times, speeds, lifts
 
 
 @persistent_jit(compiler_options=SOON)
 def _examined(scene, side, phase, tau, speed):
-    """(rest, hold, plain; times before the release and speeds of the impacts that follow) of an impact at tau with a
-    speed; phase: the drive's at the release."""
+    """(rest, hold, plain; times before the release and speeds of the impacts that follow; whether it lifts) of an
+    impact at tau with a speed; phase: the drive's at the release."""
     return one_kernel(_examine, scene, side, phase, tau, speed)
 
 
 def rows_of(scene, phase, times, speeds, sides, spans, periods, slack=0.0):
-    """(times, speeds, sides) of an orbit that rests, in order of travel, sides +-2 at releases.
+    """(times, speeds, sides) of an orbit that rests, in order of travel, with the sides of `Contact.STUCK` at releases,
+    and one more where the mass lifts before its rest.
 
     phase: the section's; times, speeds, sides: of its impacts since then; spans: of its rests, as `rests.Rests` has
     them. An impact is a row up to the first from which on all hops on its wall are short and pressed. slack: of speeds
@@ -184,27 +203,27 @@ def rows_of(scene, phase, times, speeds, sides, spans, periods, slack=0.0):
             if every[place][2] != side or (k and place in begun):
                 break
             chain.insert(0, place)
-        taken, more = _cut(scene, phase + rate * end, end, length, [every[k] for k in chain], slack)
+        taken, more, lifts = _cut(scene, phase + rate * end, end, length, [every[k] for k in chain], slack)
         gone |= set(chain[taken:])
-        rows += [*more, (end, 0.0, 2 * int(side))]
+        rows += [*more, (end, 0.0, (Contact.STUCK + lifts) * int(side))]
     rows += [each for k, each in enumerate(every) if k not in gone]
     rows = sorted((time % length, speed, side) for time, speed, side in rows)
     return tuple(np.array(column, float) for column in zip(*rows, strict=True))
 
 
 def _cut(scene, phase, end, length, chain, slack):
-    """(how many of a chain of impacts are rows, impacts that are rows besides)."""
+    """(how many of a chain of impacts are rows, impacts that are rows besides, whether the last of them lifts)."""
     numbers = partial(np.asarray, dtype=scene.dtype)
     for k, (time, speed, side) in enumerate(chain):
         tau = (time - end) % -length
         given = (numbers(each) for each in (side, phase, tau, speed * (1.0 - slack)))
-        rest, hold, plain, later, paces = _examined(scene, *given)
+        rest, hold, plain, later, paces, lifts = _examined(scene, *given)
         if rest > 0 and hold > -slack and plain > 1.0 - ROOM:
-            return k + 1, []
+            return k + 1, [], bool(lifts)
     more = []
     for time, speed in zip(later, paces, strict=True):
         more.append((end + float(time), float(speed), side))
         given = (numbers(each) for each in (side, phase, time, speed))
         if _examined(scene, *given)[2] > 1.0 - ROOM:
-            return len(chain), more
-    return len(chain), []
+            return len(chain), more, False
+    return len(chain), [], False

@@ -20,6 +20,7 @@ from ..flight import response
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
+from ..scene.codes import Contact
 from ..scene.scene import Scene
 
 NONE = 1e-10  # of the drive's amplitudes, per t: as small a speed is none
@@ -51,8 +52,13 @@ def are_impacts(cycle):
 
 
 def codes(cycle):
-    """The sides of a cycle's rows, +-2 of releases, as `grazing.padded` takes them: (rows,)."""
+    """The sides of a cycle's rows, +-2 or +-3 of releases, as `grazing.padded` takes them: (rows,)."""
     return cycle.sides if cycle.releases is None else cycle.sides * (1.0 + cycle.releases)
+
+
+def are_releases(codes):
+    """Which of some rows with these `codes` are releases."""
+    return abs(np.asarray(codes)) >= Contact.STUCK
 
 
 def there(along, z):

@@ -15,9 +15,8 @@ from continuation import event_search, locate
 from continuation.arclength import Control, Point
 from continuation.points import start_point
 
-from ..scene.codes import Contact
 from .diagnostics import Diagnostics, diagnose
-from .equations import OrbitEquations, codes, problem
+from .equations import OrbitEquations, are_releases, codes, problem
 from .same_orbit import turns
 from .touches import admissible, bearing, scales, span, stays, touches, wall_sides
 
@@ -147,13 +146,13 @@ def left_out(along, z, every, kept):
 
 def padded(along, impacts):
     """A cycle with these impacts, (time, speed, side) each, in rows of a power of two; none without impacts. A side is
-    +-2 where it is no impact but a release."""
+    +-2 where it is no impact but a release, +-3 where the mass lifts before that rest (`Cycle.releases`)."""
     rows = 0 if not impacts else max(2, 1 << (len(impacts) - 1).bit_length())
     columns = np.zeros((3, rows))
     for k, one in enumerate(impacts):
         columns[:, k] = one
     times, speeds, sides = columns
-    released = np.where(abs(sides) == Contact.STUCK, 1.0, 0.0)
+    released = np.where(are_releases(sides), abs(sides) - 1.0, 0.0)
     marks = released if released.any() else None
     return along.cycle._replace(times=times, speeds=speeds, sides=np.sign(sides), releases=marks)
 

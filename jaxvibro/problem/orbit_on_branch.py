@@ -20,7 +20,7 @@ from ..scene.parameters import marked
 from ..scene.scene import SIDES
 from ..scene.state import Impacts, State
 from .diagnostics import diagnose
-from .equations import OrbitEquations, problem
+from .equations import OrbitEquations, are_releases, problem
 from .grazing import free_start, padded
 
 SAME = 1e-6  # of the largest speed: two impacts as near are one
@@ -28,8 +28,8 @@ SAME = 1e-6  # of the largest speed: two impacts as near are one
 
 class OrbitPoint(NamedTuple):
     """An orbit in plain numbers. value: of the branch's parameter; times, since phase 0, speeds, sides: of the impacts,
-    and of releases at the end of a rest, whose side is +-2; periods; x, v: at phase 0; residual: the largest error left
-    in its equations."""
+    and of releases at the end of a rest, whose side is +-2, or +-3 where the mass lifts before that; periods; x, v: at
+    phase 0; residual: the largest error left in its equations."""
 
     value: float
     times: Float[np.ndarray, " impacts"]
@@ -42,14 +42,23 @@ class OrbitPoint(NamedTuple):
 
 
 def itinerary(spot, frequency):
-    """The walls that a `OrbitPoint`'s orbit hits, a word a period, but for the last hops before a rest."""
-    hit = abs(spot.sides) == 1
-    return words.around(spot.times[hit], spot.sides[hit], spot.periods, 2.0 * np.pi / frequency)
+    """The walls that a `OrbitPoint`'s orbit hits, a word a period, but for the endless hops before a rest."""
+    times, sides = hits(spot)
+    return words.around(times, sides, spot.periods, 2.0 * np.pi / frequency)
+
+
+def hits(spot):
+    """(times, sides) of a `OrbitPoint`'s impacts; where the mass lifts before a rest it comes back at once."""
+    hit = ~are_releases(spot.sides)
+    again = np.roll(abs(spot.sides) > Contact.STUCK, -1)
+    order = np.argsort(np.concatenate([spot.times[hit], spot.times[again]]), kind="stable")
+    both = (np.concatenate([each[hit], each[again]])[order] for each in (spot.times, spot.sides))
+    return tuple(both)
 
 
 def rests_of(scene, spot):
     """The `Rests` of a `OrbitPoint`'s orbit, without what is between them."""
-    ends = spot.sides[abs(spot.sides) == Contact.STUCK]
+    ends = spot.sides[are_releases(spot.sides)]
     letters = {words.LETTERS[int(np.sign(side))] for side in ends if float(scene.bounce(SIDES[int(side > 0)])) > 0}
     return NO_RESTS._replace(rests=bool(len(ends)), count=len(ends), endless="".join(sorted(letters)))
 
@@ -87,7 +96,7 @@ def _turns_back(scene, spot):
 
 def described_orbit(scene, spot):
     """The `Orbit` of a `OrbitPoint` of a scene."""
-    if (abs(spot.sides) == Contact.STUCK).any():
+    if are_releases(spot.sides).any():
         return _resting_orbit(scene, spot)
     if len(spot.times):
         return by_section(scene, spot.times, spot.speeds, spot.sides, spot.periods, spot.residual)

@@ -18,24 +18,37 @@ from .equations import cycle_at, there
 from .touches import zero_near
 
 
-def _exceeds(z, along):
+def _each(z, along, measure):
     built, given = framed(there(along, z)), cycle_at(along, z)
-    return releases.excess(built, given, impact_equations.flights(built, given))
+    return releases.of_each(measure, built, given, impact_equations.flights(built, given))
 
 
-@persistent_jit(compiler_options=SOON)
-def _excess(z, along):
-    return one_kernel(_exceeds, z, along)
+@persistent_jit(static_argnums=0, compiler_options=SOON)
+def _measured(measure, z, along):
+    return one_kernel(_each, z, along, measure=measure)
 
 
 def excesses(along, z):
-    """By how much the speed in each row is too large for a rest, (rows,); see `releases.excess`."""
-    return np.asarray(_excess(z, along))
+    """By how much the speed in each row is too large for a rest, (rows,), inf of rows that no release follows; see
+    `releases.too_fast`."""
+    return np.asarray(_measured(releases.too_fast, z, along))
 
 
 def presses(along, z):
     """The least press between two falls of it on the way from each row to a release, (rows,), inf elsewhere."""
     return np.asarray(diagnose(along, z[None]).hold)[0]
+
+
+def lifted(along, z, length):
+    """The equations with the mass drawn off its wall before a rest where it just is not, or the other way round; None
+    where the press is not about to begin at an impact."""
+    rows = np.flatnonzero(abs(np.asarray(_measured(releases.beginning, z, along))) < TOUCH * length)
+    if not len(rows):
+        return None
+    marks = np.array(along.cycle.releases)
+    ends = (rows + 1) % np.count_nonzero(along.cycle.sides)
+    marks[ends] = 3.0 - marks[ends]
+    return along._replace(cycle=along.cycle._replace(releases=marks))
 
 
 def located(along, z, row, measure):
