@@ -109,14 +109,13 @@ class BranchWatch(OrbitWatch):
             return self.grazing(points, unrest, residual, ((), ways, True))
         more = soft_grazing.exits(along, z, self.length)
         kind = "CH" if len(more[1]) < 2 and is_pressed(along, z, more[0]) else "GR"
-        return self.grazing(points, kind, residual, more)
+        ends = kind == "CH" and along.cycle.releases is None
+        return self.grazing(points, kind, residual, more)._replace(end=End.REST if ends else End.GRAZE)
 
     def grazing(self, points, kind, residual, more):
         """The `Met` at the last of the points; more: (touches, exits, whether these are all)."""
         met, ways, sure = more
-        mark = Mark(0, kind, residual, GrazingPoint(tuple(met), tuple(ways), sure))
-        ends = kind == "CH" and self.equations.cycle.releases is None
-        return Met(points, mark, End.REST if ends else End.GRAZE)
+        return Met(points, Mark(0, kind, residual, GrazingPoint(tuple(met), tuple(ways), sure)), End.GRAZE)
 
     def events(self, task, points, view, known, end):
         """Where the contact at the end has no speed each test is zero: it is given the sign that the multipliers come

@@ -128,6 +128,16 @@ def least_press(frame, tail):
     return lax.fori_loop(0, cells, look, (_press(frame, tail, tail.tau)[1], least))[1]
 
 
+def draws(frame, cycle, found):
+    """How hard the mass is drawn off the wall of each row where R is 0 and no release follows, (rows,), inf of others:
+    below zero it is pressed on it, and would rest."""
+    push, _ = pressed(frame, cycle.sides, (found.met.cosine, found.met.sine))
+    leaves = (cycle.sides != 0) & (found.met.bounce == 0)
+    if cycle.releases is not None:
+        leaves = leaves & (cycle.releases == 0) & (cycle.releases[found.follows] == 0)
+    return jnp.where(leaves, -cycle.sides * push, jnp.inf)
+
+
 def beginning(frame, tail):
     """The press at the impact where R is 0 and it rises: below zero the mass is drawn off its wall; inf elsewhere."""
     push, change, _ = _press(frame, tail, tail.tau)

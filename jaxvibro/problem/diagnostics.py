@@ -26,7 +26,8 @@ class Diagnostics(NamedTuple):
     """clear, late: (points, flights, walls), the least distance at a turning point towards the wall, and its time since
     the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods), at the
     section's phase; fold, flip: (points,), determinants, zero where a branch folds and where the period doubles. rest,
-    hold, plain: (points, rows), as `releases.Tails` has them, of orbits that rest; (points, 0) of others."""
+    hold, plain: (points, rows), as `releases.Tails` has them, of orbits that rest, hold also as `releases.draws`; rest,
+    plain: (points, 0) of others."""
 
     clear: Float[Array, "*points flights walls"]
     late: Float[Array, "*points flights walls"]
@@ -100,7 +101,9 @@ def hitting(along, z, periods):
     x, v = impact_equations.at(built, given, found, built.period * jnp.arange(periods))
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
     measures = cyclic_system.determinants(cyclic_system.of(impact_equations.equations(built, given, found)[1]))
-    return Diagnostics(*clear, *impact_equations.invariants(built, found, given.sides), x, v, *measures, *_no_rests(z))
+    own = impact_equations.invariants(built, found, given.sides)
+    rest, _, plain = _no_rests(z)
+    return Diagnostics(*clear, *own, x, v, *measures, rest, releases.draws(built, given, found), plain)
 
 
 def resting(along, z, periods):
@@ -118,7 +121,8 @@ def resting(along, z, periods):
     ring = cyclic_system.of(impact_equations.equations(built, given, found)[1])
     fold, none = cyclic_system.determinants(ring)[0], jnp.zeros_like(z[0])
     state = _stayed(built, given, found, look, times)
-    return Diagnostics(clear, late, none, none, *state, fold, 1.0 + none, look.rest, look.hold, look.plain)
+    hold = jnp.minimum(look.hold, releases.draws(built, given, found))
+    return Diagnostics(clear, late, none, none, *state, fold, 1.0 + none, look.rest, hold, look.plain)
 
 
 def _stayed(built, given, found, look, times):
@@ -128,7 +132,9 @@ def _stayed(built, given, found, look, times):
     since = times[:, None] - given.times
     since = jnp.where(given.sides != 0, since - span * jnp.floor(since / span), jnp.inf)
     row = jnp.argmin(since, axis=1)
-    held, side = jnp.isfinite(look.rest)[row], given.sides[row]
+    tail, ends = releases.tails_of(built, given, found)
+    late = jnp.take_along_axis(since, row[:, None], 1)[:, 0]
+    held, side = ends[row] & (late < -tail.tau[row]), given.sides[row]
     angle = given.phase + built.frequency * times
     where, pace, _ = way(built, side, jnp.cos(angle), jnp.sin(angle))
     height, rise = (each[row, jnp.arange(len(times))] for each in (look.height, look.pace))

@@ -35,13 +35,16 @@ def excesses(along, z):
 
 
 def presses(along, z):
-    """The least press between two falls of it on the way from each row to a release, (rows,), inf elsewhere."""
+    """The least press between two falls of it on the way from each row to a release, or how hard the mass is drawn off
+    the wall that it leaves without speed, (rows,), inf elsewhere."""
     return np.asarray(diagnose(along, z[None]).hold)[0]
 
 
 def lifted(along, z, length):
     """The equations with the mass drawn off its wall before a rest where it just is not, or the other way round; None
     where the press is not about to begin at an impact."""
+    if along.cycle.releases is None:
+        return None
     rows = np.flatnonzero(abs(np.asarray(_measured(releases.beginning, z, along))) < TOUCH * length)
     if not len(rows):
         return None
@@ -58,9 +61,11 @@ def located(along, z, row, measure):
 
 def kind_at(along, z, length):
     """ "CH" or "RL" where a rest of the orbit just is one, or its wall just holds; "" elsewhere."""
-    if along.cycle.releases is None:
-        return ""
-    slack = TOUCH * length
-    if (abs(excesses(along, z)) < slack).any():
+    slack, marks = TOUCH * length, along.cycle.releases
+    rows = np.flatnonzero(abs(presses(along, z)) < slack)
+    if marks is None:
+        return "CH" if len(rows) else ""
+    follows = marks[(rows + 1) % np.count_nonzero(along.cycle.sides)]
+    if (follows == 0).any() or (abs(excesses(along, z)) < slack).any():
         return "CH"
-    return "RL" if (abs(presses(along, z)) < slack).any() else ""
+    return "RL" if len(rows) else ""
