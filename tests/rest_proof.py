@@ -1,8 +1,11 @@
-"""Motions that rest against 50 digits: `python -m tests.rest_proof chatter N`, `... orbits N`, `... complete N`.
+"""Motions that rest against 50 digits: `python -m tests.rest_proof chatter N`, `... orbits N`, `... complete N`,
+`... plastic N`.
 
 chatter: hops on a wall, still or moving: whether and when they end in rest, and the simulator's state a drive period
 after they began, where that is soon after the release. orbits: what random scenes settle on and rests, each impact and
-release. complete: branches through the point at which a chatter just completes: its place, by halving.
+release. complete: branches through the point at which a chatter just completes: its place, by halving. plastic:
+branches with R = 0 on a wall or two: why they end, whether their orbits are the motion's, and where the press is zero
+at an impact.
 """
 
 import sys
@@ -189,6 +192,73 @@ def complete(count, seed=3):
     print(f"{done} CH: {worst:.2g}; ends {ends}")
 
 
+def plastic(count, seed=4):
+    """Prints why so many branches with R = 0 end, how far their stable orbits are from the motion's, and how far CH and
+    RL from where an impact of 50 digits meets no press."""
+    rng, ends, apart, named, places, done = np.random.default_rng(seed), {}, 0.0, 0, [0.0], 0
+    while done < count:
+        scene = scene_of(rng)
+        takes = {f"{side}.restitution": 0.0 for side, wall in scene.walls.items() if wall and rng.random() < 0.7}
+        scene = scene.replace(frequency=rng.uniform(0.25, 1.6), **takes)
+        try:
+            orbit = jv.find_orbit(scene, jv.State(float(scene.right.position) - 0.1, 0.0))
+        except (jv.OrbitError, jv.ArgumentError):
+            continue
+        if not takes or orbit.periods > 2 or not int(orbit.impacts.count):
+            continue
+        done += 1
+        value = float(scene.amplitude)
+        branch = jv.follow(orbit, "amplitude", (0.4 * value, 1.8 * value))
+        for one in branch.ends:
+            ends[one.name] = ends.get(one.name, 0) + 1
+        kinks = np.isin(branch.values, [each.value for each in branch.special])
+        for k in np.flatnonzero(branch.stable & ~kinks)[::7]:
+            one = branch.orbit(k)
+            end, _ = strobe(one.scene, one.state, one.periods)
+            apart = max(apart, abs(float(end.x - one.state.x)), abs(float(end.v - one.state.v)))
+            found = jv.find_orbit(one.scene, one.state)
+            if found.label != one.label:
+                named += 1
+                print("named otherwise:", one.label, found.label, one.scene)
+        near = [met(point) for point in branch.special if point.kind in ("CH", "RL")]
+        places += [abs(one - point.value) for one, point in near if one is not None]
+        print(done, orbit.label, branch, f"{apart:.2g} {named} {max(places):.2g}", flush=True)
+    print(f"ends {ends}; orbits {apart:.2g} from the motion's, {named} named otherwise")
+    print(f"{len(places) - 1} places {max(places):.2g}")
+
+
+def met(point):
+    """(the amplitude near a CH or RL at which an impact without speed after it meets no press, None: there is none; the
+    point)."""
+    spot, base = point.spot, exact(plain(point.scene))
+    count, length = len(spot.times), float(span(base, spot.periods))
+    hits = [k for k in range(count) if abs(spot.sides[k]) == 1]
+    takes = [k for k in hits if not point.scene.bounce(("left", "right")[int(spot.sides[k] > 0)])]
+    with workdps(DIGITS):
+        pushes = [(abs(float(rests.press_alone(base, int(spot.sides[k]), mpf(spot.times[k])))), k) for k in takes]
+        if not pushes or min(pushes)[0] > 1e-9:
+            return None, point
+        row = min(pushes)[1]
+        frees = [k for k in range(count) if abs(spot.sides[k]) >= 2] or [row]
+        begin = min(frees, key=lambda k: (spot.times[row] - spot.times[k]) % length or length)
+        late = (spot.times[row] - spot.times[begin]) % length or length
+
+        def press(value):
+            given = with_value(base, "amplitude", value)
+            side = int(np.sign(spot.sides[begin]))
+            now, speed = rests.release(given, side, mpf(spot.times[begin])), mpf(0)
+            end = now + late
+            while True:
+                hit = rests.next_hit(given, side, now, speed)
+                side, now, speed = hit.side, hit.time, rests.restitution(given, hit.side) * hit.speed
+                if now > end - 1e-6:
+                    return rests.press_alone(given, side, now)
+
+        one, two = mpf(point.value) - mpf(10) ** -9, mpf(point.value) + mpf(10) ** -9
+        low, high = press(one), press(two)
+        return float(one - low * (two - one) / (high - low)), point
+
+
 def halved(point):
     """The amplitude at which hops just end in rest, by halving."""
     spot = point.spot
@@ -229,4 +299,6 @@ def _ends(base, spot, begin, value):
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    {"chatter": chatter, "orbits": orbits, "complete": complete}[sys.argv[1]](*(int(each) for each in sys.argv[2:]))
+    {"chatter": chatter, "orbits": orbits, "complete": complete, "plastic": plastic}[sys.argv[1]](
+        *(int(each) for each in sys.argv[2:])
+    )

@@ -7,7 +7,7 @@ from mpmath import mpf, workdps
 from scipy.optimize import brentq
 
 import jaxvibro as jv
-from jaxvibro.flight.coefficients import frame
+from jaxvibro.flight.coefficients import frame, framed
 from jaxvibro.orbits import chatter, releases
 from jaxvibro.problem.orbit_start import point_of
 from tests.branch_proof import plain
@@ -66,12 +66,32 @@ def test_hops_end_in_rest_when_those_of_50_digits_do(bounce, speed):
         before = speed / bounce if bounce else 1.0
         hits, began = rests.until_rest(given, 1, now, given.right.restitution * mpf(before), end)
         numbers = (np.float64(each) for each in (1.0, given.omega * end, now - end, before))
-        rest, hold, _, times, speeds = (np.asarray(each) for each in releases._examined(scene, *numbers))
+        rest, hold, _, times, speeds, _ = (np.asarray(each) for each in releases._examined(scene, *numbers))
         assert hold == np.inf
         assert float(rest) == pytest.approx(float(end - began), abs=1e-12) if began else rest < 0
         for hit, time, pace in zip(hits[:20], times, speeds, strict=False):
             assert float(hit.time - end) == pytest.approx(time, abs=1e-13)
             assert float(hit.speed) == pytest.approx(pace, abs=1e-13)
+
+
+@pytest.mark.parametrize("early", [1e-6, 1e-3, 0.04])
+def test_a_mass_drawn_off_its_wall_without_speed_comes_back_to_rest(early):
+    scene = jv.make_scene(2.0, 0.9, 0.07, 0.0, (None, jv.Wall(0.5, motion=jv.Motion(0.2, 0.4, 2))))
+    given = exact(plain(scene))
+    with workdps(50):
+        begin, end = (rests.release(given, 1, mpf(near)) for near in (-1.2, 1.2))
+        tau = mpf(float(begin - early - end))
+        hits, began = rests.until_rest(given, 1, end + tau, mpf(0), end)
+        numbers = (np.float64(each) for each in (1.0, given.omega * end, tau, 1.0))
+        rest, hold, plainly, times, speeds, lifts = (np.asarray(each) for each in releases._examined(scene, *numbers))
+        assert lifts
+        assert float(hold) == pytest.approx(-float(rests.press_alone(given, 1, end + tau)), rel=1e-7)
+        assert float(plainly) == pytest.approx(
+            1 - float(began - end - tau) / (0.4 * float(framed(scene).reach)), rel=1e-9
+        )
+        assert float(rest) == pytest.approx(float(end - began), abs=1e-12)
+        assert float(times[0] - tau) == pytest.approx(float(hits[0].time - end - tau), rel=1e-8)
+        assert float(speeds[0]) == pytest.approx(float(hits[0].speed), rel=1e-8)
 
 
 @pytest.mark.parametrize(("speed", "is_plain"), [(0.1, True), (0.412, False)])

@@ -8,8 +8,9 @@ import pytest
 from scipy.optimize import fsolve
 
 import jaxvibro as jv
+from jaxvibro.problem.end import End
 from jaxvibro.scene.codes import Contact
-from tests.rest_proof import halved
+from tests.rest_proof import halved, met
 
 MU = 1.9895999  # by which grazings come nearer to the CH a hop, at R 0.5
 ONE_WALL = {"frequency": 0.5, "damping": 0.05, "restitution": 0.5, "walls": (None, 0.5)}
@@ -190,3 +191,43 @@ def test_explore_finds_what_rests():
     assert diagram.complete
     assert [one.label for one in diagram.points("CH")] == ["P1-0-inf"]
     assert len(diagram) == 1
+
+
+PLASTIC = {"frequency": 0.451214832, "damping": 0.160099801, "restitution": 0.0, "walls": (None, 0.709703876)}
+
+
+@pytest.mark.slow
+def test_a_branch_with_r_0_goes_on_where_the_press_begins_at_an_impact():
+    """Between two RL the mass is drawn off its wall once more before it rests: whichever orbit one starts from."""
+    branches = [followed(amplitude, (1.22, 3.0), **PLASTIC) for amplitude in (2.5, 2.0989, 1.95, 1.23)]
+    for branch in branches:
+        assert branch.ends == (End.BOUND, End.BOUND)
+        assert [part.label for part in branch.segments] == ["P101", "P102", "P101"]
+        assert [point.kind for point in branch.special] == ["EP", "RL", "RL", "EP"]
+        assert {one.label for point in branch.points("RL") for one in point.meets} <= {"P101", "P102"}
+        values = [point.value for point in branch.points("RL")]
+        assert values == pytest.approx([point.value for point in branches[0].points("RL")], abs=1e-12)
+    for point in branches[0].points("RL"):
+        assert met(point)[0] == pytest.approx(point.value, abs=1e-13)
+    for value in (1.25, 1.35, 1.6, 2.0, 2.2, 2.8):
+        orbit = branch.orbit(int(np.argmin(abs(branch.values - value))))
+        (end, _), found = jv.strobe(orbit.scene, orbit.state), jv.find_orbit(orbit.scene, orbit.state)
+        assert found.label == orbit.label
+        assert max(abs(end.x - orbit.state.x), abs(end.v - orbit.state.v)) < 1e-13
+
+
+@pytest.mark.slow
+def test_a_branch_with_r_0_goes_on_where_a_rest_comes_to_no_length():
+    """From orbits that rest to such that do not, and back: the impact is at the release there."""
+    walls = (-0.554009691, jv.Wall(1.230039735, motion=jv.Motion(0.215097563, 1.033105633)))
+    numbers = {"frequency": 0.677596525, "damping": 0.267945675, "restitution": 0.0, "walls": walls}
+    for amplitude in (1.7, 1.1):
+        branch = followed(amplitude, (0.9, 1.9), **numbers)
+        (point,) = branch.points("CH")
+        assert branch.ends == (End.BOUND, End.BOUND)
+        assert [part.label for part in branch.segments] == ["P111", "P111"]
+        assert met(point)[0] == pytest.approx(point.value, abs=1e-13)
+        for value in (1.21, 1.23):
+            place = int(np.argmin(abs(branch.values - value)))
+            rests = np.count_nonzero(abs(branch.data["side"].values[place]) == Contact.STUCK)
+            assert rests == (1 if branch.values[place] < point.value else 2)

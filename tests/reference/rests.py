@@ -96,10 +96,12 @@ def next_hit(scene, side, t, speed, until=inf):
     """The `Hit` after a wall was left with a speed, None where there may be none until a time."""
     begin, (here, change) = departure(scene, side, t, speed), press(scene, side, t)
     guess = 2 * speed / here if here > 0 else GRID
+    if speed == 0 and here < 0 < change:  # drawn off, to be pressed soon
+        guess = -3 * here / change
     if speed > 0 and guess < SHORT and guess * fabs(change) < here / 5:
         t = landing(scene, side, begin, t + guess * (1 - 2 * speed * change / (3 * here**2)))
         return Hit(t, -height(scene, side, begin, t)[1], side)
-    return first(scene, begin, side, min(guess / 8, GRID) if speed > 0 else GRID, mpf(5) / 4, until)
+    return first(scene, begin, side, min(guess / 8, GRID) if guess > 0 else GRID, mpf(5) / 4, until)
 
 
 def until_rest(scene, side, t, speed, end, most=4000):
