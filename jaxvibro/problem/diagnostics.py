@@ -26,8 +26,7 @@ class Diagnostics(NamedTuple):
     """clear, late: (points, flights, walls), the least distance at a turning point towards the wall, and its time since
     the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods), at the
     section's phase; fold, flip: (points,), determinants, zero where a branch folds and where the period doubles. rest,
-    hold, plain: (points, rows), as `releases.Tails` has them, of orbits that rest, hold also as `releases.draws`; rest,
-    plain: (points, 0) of others."""
+    hold, plain: (points, rows), as `releases.Tails` has them, inf where nothing rests; hold also as `releases.draws`."""
 
     clear: Float[Array, "*points flights walls"]
     late: Float[Array, "*points flights walls"]
@@ -102,8 +101,8 @@ def hitting(along, z, periods):
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
     measures = cyclic_system.determinants(cyclic_system.of(impact_equations.equations(built, given, found)[1]))
     own = impact_equations.invariants(built, found, given.sides)
-    rest, _, plain = _no_rests(z)
-    return Diagnostics(*clear, *own, x, v, *measures, rest, releases.draws(built, given, found), plain)
+    none = jnp.full_like(given.times, jnp.inf)
+    return Diagnostics(*clear, *own, x, v, *measures, none, releases.draws(built, given, found), none)
 
 
 def resting(along, z, periods):
@@ -149,11 +148,8 @@ def _free(along, z, periods):
     x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
     clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
     measures = [jnp.ones_like(z[0])] * 2
-    return Diagnostics(*clear, (p00 + p11)[0], response.determinant(matrix)[0], x, v, *measures, *_no_rests(z))
-
-
-def _no_rests(z):
-    return [jnp.zeros(0, z.dtype)] * 3
+    none = jnp.zeros(0, z.dtype)
+    return Diagnostics(*clear, (p00 + p11)[0], response.determinant(matrix)[0], x, v, *measures, none, none, none)
 
 
 def flight(along, z):
