@@ -107,9 +107,9 @@ def ending(frame, side, release, tau, speed, since):
         phasor = flow.rotated(*release, frame.frequency * late)
         found = hop(frame, side, phasor, speed)
         span, sure = _series(frame, again, speed, found)
-        ends = sure & (span <= SMALL * -late) & (late < 0) & (found.press > 0)
-        pressed = (found.press > 0) | (speed == 0)
-        lands = pressed & jnp.isfinite(found.landing) & (late + found.time < 0)
+        held = (found.press > 0) | ((speed == 0) & (late + found.time == late))
+        ends = sure & (span <= SMALL * -late) & (late < 0) & held
+        lands = (held | (speed == 0)) & jnp.isfinite(found.landing) & (late + found.time < 0)
         begun = since - (late - tau)
         on = (begun >= 0) & (begun < jnp.where(ends, 0.0, found.time)) & (lands | ends)
         y, slope = _horner(found.terms, jnp.where(on, begun, 0.0))

@@ -152,11 +152,13 @@ def of_each(measure, frame, cycle, found):
 
 def too_fast(frame, tail):
     """By how much the speed is too large for the hops to end in rest, after those that are far from the release; where
-    R is 0 how long after it the impact is."""
+    R is 0 how long after it the impact is, or that to which the mass comes back that is drawn off."""
     release = tail.cosine, tail.sine
+    phasor = flow.rotated(*release, frame.frequency * tail.tau)
+    back = tail.tau + chatter.hop(frame, tail.side, phasor, jnp.zeros_like(tail.tau)).time
     tau, speed = chatter.late(frame, tail.side, release, tail.tau, tail.speed)
     over = speed - chatter.critical(frame, tail.side, release, tau)
-    return jnp.where(bounce(frame, tail.side) > 0, over, tail.tau)
+    return jnp.where(bounce(frame, tail.side) > 0, over, back)
 
 
 def _examine(scene, side, phase, tau, speed):

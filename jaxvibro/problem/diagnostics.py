@@ -26,7 +26,7 @@ class Diagnostics(NamedTuple):
     """clear, late: (points, flights, walls), the least distance at a turning point towards the wall, and its time since
     the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods), at the
     section's phase; fold, flip: (points,), determinants, zero where a branch folds and where the period doubles. rest,
-    hold, plain: (points, rows), as `releases.Tails` has them, inf where nothing rests; hold also as `releases.draws`."""
+    hold, plain: (points, rows), as `releases.Tails` has them, inf where nothing rests; hold as `releases.draws` too."""
 
     clear: Float[Array, "*points flights walls"]
     late: Float[Array, "*points flights walls"]
