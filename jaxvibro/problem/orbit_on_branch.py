@@ -52,8 +52,7 @@ def hits(spot):
     hit = ~are_releases(spot.sides)
     again = np.roll(abs(spot.sides) > Contact.STUCK, -1)
     order = np.argsort(np.concatenate([spot.times[hit], spot.times[again]]), kind="stable")
-    both = (np.concatenate([each[hit], each[again]])[order] for each in (spot.times, spot.sides))
-    return tuple(both)
+    return tuple(np.concatenate([each[hit], each[again]])[order] for each in (spot.times, spot.sides))
 
 
 def rests_of(scene, spot):
