@@ -22,26 +22,33 @@ TOUCHES = (Touch(0, -1, 0.3, False), Touch(1, 1, 0.0, True))  # the branch has t
 AHEAD = np.array([0.6, 0.8])
 
 
-def way(first, second, tangent=AHEAD):
+def orbits(sides=(1.0, -1.0)):
+    """Equations of orbits with impacts on these sides."""
+    return SimpleNamespace(cycle=SimpleNamespace(sides=np.array(sides), releases=None))
+
+
+def way(first, second, tangent=AHEAD, along=None):
     """An exit that has some of the touches as impacts."""
     none = np.zeros(())
     point = Point(np.zeros(2), np.asarray(tangent), none, none, none, np.True_, np.True_)
-    return GrazingExit(None, point, np.zeros(2), None, (first, second))
+    return GrazingExit(along or orbits(), point, np.zeros(2), None, (first, second))
 
 
 @pytest.mark.parametrize("sure", [True, False])
 def test_a_branch_goes_on_as_it_came_or_else_with_the_touches_exchanged(sure):
     back, forward, exchanged, both = way(False, True, -AHEAD), way(False, True), way(True, False), way(True, True)
+    other = way(False, True, -AHEAD, orbits((1.0, 1.0)))  # none to be compared with by its tangent
     for exits, expected in (
         ([back, exchanged, forward], forward),
         ([both, back, exchanged], exchanged),
         ([back, both], both),
+        ([other], other),
         ([back], None),
     ):
         rows = np.stack([AHEAD, AHEAD])
         points = Point(rows, rows, *[np.zeros(2)] * 5)
         mark = Mark(1, "GR", 0.0, GrazingPoint(TOUCHES, tuple(exits), sure))
-        one, chosen = _onwards(Stretch(None, points, None, (mark,), End.GRAZE, -1, 0.0), np.ones(2))
+        one, chosen = _onwards(orbits(), Stretch(None, points, None, (mark,), End.GRAZE, -1, 0.0), np.ones(2))
         assert chosen is expected
         assert one.marks[-1].more.aside == tuple(each is not expected and each is not back for each in exits)
         assert one.end is (End.GRAZE if expected or sure else End.STEP)
@@ -61,8 +68,8 @@ def test_a_touch_on_which_the_mass_is_pressed_is_chatter_unless_a_branch_goes_th
     monkeypatch.setattr(segment, "to_touch", lambda *_: (points, 1e-14))
     monkeypatch.setattr(segment.soft_grazing, "exits", lambda *_: (TOUCHES, [way(True, True)] * count, True))
     monkeypatch.setattr(segment, "is_pressed", lambda *_: pressed)
-    along = SimpleNamespace(cycle=SimpleNamespace(releases=None))
-    met = BranchWatch(along, 1.0, {}).touch(None, points, None, 2)
+    monkeypatch.setattr(segment.resting, "kind_at", lambda *_: "")
+    met = BranchWatch(orbits(), 1.0, {}).touch(None, points, None, 2)
     expected = ("CH", End.REST) if pressed and count < 2 else ("GR", End.GRAZE)
     assert (met.mark.kind, met.end) == expected
 
