@@ -293,6 +293,7 @@ def test_points_at_the_walls():
     assert is_same_set(part, sets[0]) and is_same_set(sets[0], part)
 
 
+@pytest.mark.slow
 def test_states_run_one_by_one_are_those_of_a_block_but_for_a_rounding():
     rng = np.random.default_rng(4)
     start = jv.State(rng.uniform(-1, 1, 9), rng.uniform(-3, 3, 9), np.full(9, 0.4), np.zeros(9))

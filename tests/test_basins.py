@@ -102,6 +102,7 @@ def test_what_has_no_trap_is_not_certain():
     assert trapping_region.trap(elastic, point, orbit.state.phase, 3.0) is None
 
 
+@pytest.mark.slow
 def test_no_state_of_a_trap_leaves_it():
     scene, attractors = known("figure 5")
     rng = np.random.default_rng(0)
@@ -149,6 +150,7 @@ def test_what_cannot_be_is_refused(key, given):
     assert caught.value.key == key
 
 
+@pytest.mark.slow
 def test_progress_counts_starts():
     scene, attractors = known("figure 5")
     counts = []

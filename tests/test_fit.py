@@ -43,6 +43,7 @@ def noisy(seed=0, without=(), more=(), flawless=False):
     return jv.ImpactRecord(times[order], sides[order], SIGMA, flawed=not flawless)
 
 
+@pytest.mark.slow
 def test_a_motion_leaves_nothing_open_and_derivatives_are_those_of_differences():
     times, sides, speeds = motion()
     nodes = Nodes(sides.astype(float), 0 * times, times, speeds)

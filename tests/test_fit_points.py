@@ -48,6 +48,7 @@ def test_several_numbers_may_be_one(scene, points, values):
     assert [float(wall.restitution) for wall in fit.scene.walls.values()] == pytest.approx([0.74, 0.74], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_more_values_than_numbers_and_a_combination_that_they_do_not_say(scene, points, values):
     one = jv.fit(scene, jv.PointRecord(points, [values[0], values[1] + 0.05], 1e-3), {"damping": 0.02})
     assert one.status == jv.FitStatus.MISFIT and one.dof == 1 and one.chi2 > 100.0

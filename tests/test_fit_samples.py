@@ -47,7 +47,8 @@ def free_numbers(names, begun):
     return Free(names, np.full(len(names), 0.1), begun, -ends, ends, 0.0 * np.eye(len(names)))
 
 
-@pytest.mark.parametrize("velocities", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.slow
+@pytest.mark.parametrize("velocities", [False, True])
 def test_derivatives_are_those_of_differences(velocities):
     """Of what shots leave open and of residuals, by every node and number, the phase too; a wall moves."""
     walls = (jv.Wall(-1.0, 0.8, motion=jv.Motion(0.1, 0.3)), jv.Wall(1.0, 0.7))
@@ -112,6 +113,7 @@ def test_numbers_that_made_a_chaotic_record_are_found(often, periods, velocities
     assert 0.7 < found.chi2 / found.dof < 1.4
 
 
+@pytest.mark.slow
 def test_a_phase_that_is_not_known_is_found():
     data = noisy(16, 8)
     late = jv.SampleRecord(data.times - 1.1, data.x, SIGMA, phase=None)
@@ -134,6 +136,7 @@ def test_a_wall_that_was_not_struck_is_not_in_the_record():
     assert abs(away(found, far))[[0, 2]].max() < 4.0
 
 
+@pytest.mark.slow
 def test_a_section_that_has_settled_holds_one_point():
     one = jv.make_scene(1.0, 1.2, 0.1, 0.8, (jv.Wall(-0.6, 0.8), jv.Wall(0.6, 0.8)))
     settled, _ = jv.strobe(one, jv.State(0.1, 1.0), periods=400)

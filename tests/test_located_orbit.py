@@ -81,6 +81,7 @@ def test_a_peak_moves_as_that_of_orbits_found_again(wall, names):
         assert float(slope.parameter(name)) == pytest.approx((up - down) / (2.0 * step), abs=1e-7), name
 
 
+@pytest.mark.slow
 def test_lanes_under_jit_and_what_is_not_there(scene, orbit):
     speeds = jv.located(orbit, "speeds")
     amplitudes = jnp.array([0.6, 1.0, 2.0, 3.0])

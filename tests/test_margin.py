@@ -37,6 +37,7 @@ def least(value, start):
     return np.sqrt(found.fun), found.x
 
 
+@pytest.mark.slow
 def test_the_nearest_fold_is_that_of_the_closed_form(near):
     (point,) = (one for one in near.points if one.kind == "SN")
     distance, change = least(fold, np.array([4.0, 5.0]))
@@ -67,6 +68,7 @@ def test_a_bound_holds_the_nearest_point(orbit):
     assert float(low.scene.amplitude) == pytest.approx(fold(2.2, GAMMA), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_a_motion_without_impacts_ends_where_it_touches_a_wall():
     scene = jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.5, 1.0))
     orbit = jv.find_orbit(scene, jv.State(-0.58, 0.05))

@@ -161,6 +161,7 @@ def moving():
     return jv.follow(jv.find_orbit(scene, jv.State(0.7, 1.8)), "frequency", (1.6, 3.2))
 
 
+@pytest.mark.slow
 def test_root_and_slope_by_certified_flights(moving):
     (point,) = moving.points("GR")
     form, places = point.normal_form, touched(point)

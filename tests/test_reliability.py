@@ -74,6 +74,7 @@ def test_contacts_and_misses_are_what_ball_arithmetic_says(name):
                 assert room > 0 and room >= -part.measure[lane] * (1 - 1e-9)
 
 
+@pytest.mark.slow
 def test_ours_decides_every_case_in_small():
     for case in (
         cases.CASES[0],

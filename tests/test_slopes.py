@@ -37,6 +37,7 @@ def test_a_caller_s_vmap_and_jit_change_nothing(scene):
     assert np.allclose(slopes, [jax.jacfwd(end_of(scene))(each) for each in z], rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_batch_given_as_arrays_sums_over_a_shared_number(scene):
     x, v = jnp.array([0.9, 0.1, -0.5]), jnp.array([-1.1, 2.0, 0.3])
 
@@ -119,6 +120,7 @@ def test_a_release_forgets_the_start_and_keeps_the_scene():
     assert np.allclose(curves, difference(slope, at[0], 1e-5), rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_no_end_no_derivative_and_a_status(scene):
     def ends(x):
         end, impacts = jv.strobe(scene, jv.State(x, -1.1), slots=32)

@@ -54,6 +54,7 @@ def norm(scene):
     return np.linalg.norm(np.asarray(jv.monodromy(scene, STARTS)).reshape(COUNT, -1), axis=1)
 
 
+@pytest.mark.slow
 def test_a_loop_is_flown_by_dopri8_as_the_exact_flow_of_its_spring_has_it():
     end, impacts = jv.strobe(scene(looped), STARTS)
     true, told = jv.strobe(linear(), STARTS)
