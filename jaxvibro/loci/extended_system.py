@@ -31,7 +31,7 @@ from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations
 from ..orbits.impact_equations import Cycle
-from ..problem import grazing
+from ..problem import grazing, touches
 from ..problem.equations import OrbitEquations, are_impacts, cycle_at, impacts, problem, there, varied
 from ..scene.scene import Scene
 
@@ -52,6 +52,11 @@ class Grazing(NamedTuple):
     def hits(self) -> Int[np.ndarray, " impacts"]:
         """The rows of impacts whose speeds are to be positive."""
         return np.flatnonzero(are_impacts(self.cycle) & (self.pick == 0))
+
+
+@touches.rests.register
+def _(curve: Grazing, look):
+    return look.rest, np.where(curve.pick > 0, np.inf, look.hold)  # at the touch the wall may begin to press: a DG
 
 
 class Singular(NamedTuple):
