@@ -300,6 +300,7 @@ def test_an_orbit_without_impacts_and_what_it_becomes_when_it_grazes():
         assert abs(end[0] - x) < 1e-12 and abs(end[1] - v) < 1e-12
 
 
+@pytest.mark.slow
 def test_the_determinant_of_a_multiplier_pair_says_how_much_was_lost():
     orbit = jv.find_orbit(own("duffing"), jv.State(0.9, -1.1))
     lost = R ** (2 * orbit.impacts.count) * np.exp(-2 * DAMPING * 2 * np.pi / OMEGA)

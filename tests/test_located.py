@@ -43,6 +43,7 @@ def test_gradients_between_unlike_walls_one_of_which_moves(uneven):
     assert max(errors.values()) < 1e-12, errors
 
 
+@pytest.mark.slow
 def test_the_fold_in_closed_form(branch):
     """A(SN) of P111, its gradient and its Hessian by frequency and damping, against differences of the closed form."""
     value = jv.located(branch.points("SN")[0])

@@ -189,6 +189,7 @@ def test_a_locus_from_its_other_end_in_other_steps(loci):
                 assert error(locus, place, 20, near=(first, int(np.argmin(gap)))) < 1e-11
 
 
+@pytest.mark.slow
 def test_steps_and_order_do_not_matter(loci, points):
     for name in ("SB of P111", "GR of P112"):
         for names, steps in ((PAIR, (0.02, 0.02, 1e-9)), (PAIR[::-1], (0.5, 0.5)), (PAIR[::-1], (0.02, 0.3, 1e-13))):
@@ -370,7 +371,7 @@ SCENES = {
 }
 
 
-LENGTHS = dict.fromkeys(("restitution per wall", "two, one moving"), pytest.mark.long)
+LENGTHS = dict.fromkeys(("restitution per wall", "two, one moving", "a moving wall"), pytest.mark.long)
 
 
 @pytest.mark.parametrize("name", [pytest.param(name, marks=LENGTHS.get(name, pytest.mark.slow)) for name in SCENES])

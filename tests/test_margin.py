@@ -158,6 +158,7 @@ def test_a_fold_is_moved_by_the_least_change(fold_point):
     assert abs(normal[0] * change[1] - normal[1] * change[0]) < 1e-8 * np.linalg.norm(normal)
 
 
+@pytest.mark.slow
 def test_a_bound_takes_part_and_what_cannot_be_is_told(fold_point):
     free = {"damping": 0.05, "frequency": 0.1}
     placed = jv.place(fold_point, "amplitude", 0.6, free, {"damping": (0.0, 0.06)})

@@ -198,7 +198,7 @@ def test_what_is_no_orbit_says_why(scene):
         jv.find_orbit(scene.replace(amplitude=np.ones(3)), jv.State(0.0, 0.0))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_multipliers_of_random_scenes_in_high_precision():
     """Moving walls, R a wall, any damping; the references' orbit is polished in 640 bits."""
     rng, met = np.random.default_rng(11), 0

@@ -275,10 +275,11 @@ def reversal(kind, rows):
     close(keep, bound, (again.x, state.x), (-again.v, state.v))
 
 
-FAST = [(scaling, "moving"), (mirror, "moving"), (shift, "moving"), (order, "moving"), (areas, "moving")]
-FAST += [(reversal, "moving"), (semigroup, "one"), (derivative, "one")]
+FAST = [(mirror, "moving"), (shift, "moving"), (order, "moving"), (areas, "moving"), (reversal, "moving")]
+FAST += [(derivative, "one")]
 SLOW = [(each, "soft") for each in (scaling, shift, areas, reversal, semigroup)]
-SLOW += [(chunks, "moving"), (derivative, "moving"), (sampled, "one"), (mirror, "two")]
+SLOW += [(scaling, "moving"), (semigroup, "one"), (chunks, "moving"), (derivative, "moving")]
+SLOW += [(sampled, "one"), (mirror, "two")]
 LONG = (shift, "soft"), (chunks, "moving")
 
 

@@ -28,6 +28,7 @@ def points():
     return {kind: point_of(begun(kind), kind) for kind in ("PD", "SB")}
 
 
+@pytest.mark.slow
 def test_slopes_are_differences_of_points_found_again(points):
     point, step = points["PD"], 1e-5
     table = jv.sensitivity(point)

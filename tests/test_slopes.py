@@ -31,6 +31,7 @@ def test_forward_and_reverse_agree_with_the_product(scene):
     assert np.allclose(jax.jacrev(end_of(scene))(z), product, rtol=0, atol=1e-13)
 
 
+@pytest.mark.slow
 def test_a_caller_s_vmap_and_jit_change_nothing(scene):
     z = jnp.array([[0.9, -1.1], [0.1, 2.0], [-0.5, 0.3]])
     slopes = jax.jit(jax.vmap(jax.jacrev(end_of(scene))))(z)
@@ -47,7 +48,7 @@ def test_a_batch_given_as_arrays_sums_over_a_shared_number(scene):
     assert np.isclose(jax.grad(total)(2.0), difference(total, 2.0), rtol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_second_and_third_derivatives(scene):
     z, along = jnp.array([0.9, -1.1]), jnp.array([0.6, 0.8])
     second = jax.hessian(end_of(scene))(z)

@@ -70,7 +70,7 @@ def test_a_short_stay_has_its_own_digits():
     assert float(jax.jit(duration)(*given)[0]) == pytest.approx(np.pi / 1e5, rel=1e-15, abs=0.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_periods_are_one_after_the_other():
     scene, start = soft(1e4, 5.0, amplitude=3.0), jv.State(np.linspace(-1.02, 1.02, 32), 0.5)
     once, first = jv.strobe(scene, start, slots=32)

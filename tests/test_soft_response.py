@@ -45,6 +45,7 @@ def exact_fold(k2, amplitude, gamma, gamma2, near=None):
         return float(compliant.fold((amplitude, gamma, gamma2, k2), *map(mp.mpf, near or NEAR[k2])))
 
 
+@pytest.mark.slow
 def test_the_largest_x_without_impacts_is_the_closed_form(free):
     w = free.values
     assert jv.peaks(free) == pytest.approx(A / np.hypot(1 - w**2, 2 * GAMMA * w), rel=1e-13)

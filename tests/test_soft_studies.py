@@ -68,7 +68,7 @@ def test_exponents_of_an_orbit_between_a_soft_wall_and_a_rigid_one():
     assert abs(found.exponent[0].sum() - total) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sections_of_soft_walls_and_the_maps_between_their_points():
     """At a soft wall a point is an entry: the map leads from each to the next, through the stay."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, MIXED)

@@ -260,7 +260,7 @@ def test_a_picture_of_both_exponents():
     assert not doubtful.patches
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_against_another_method():
     values = np.array([5.0, 5.95, 8.0, 9.5])
     found = jv.spectrum(scene(), "amplitude", values, START, error=3e-3)

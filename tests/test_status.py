@@ -45,7 +45,7 @@ def test_a_lane_that_is_given_up_has_no_state(kind, periods):
     assert (status < Status.CAP).sum() > 200
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
     scene, start, status = capped((FIXED, MOVING), 256, 1)
     free = jv.State(start.x, start.v, start.phase, np.zeros(256))

@@ -60,7 +60,7 @@ def test_a_mass_that_rests_is_not_chaotic():
     assert [one.kind for one in found] == ["unresolved"] and "rests on a wall" in found[0].note
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_orbit_that_stretches_rounding_is_one():
     """Each start comes back to within 2e-9 after 21 periods, not nearer."""
     (one,) = jv.find_attractors(drawn("two", 152), starts=24, seed=152)
