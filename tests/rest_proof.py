@@ -181,12 +181,12 @@ def complete(count, seed=3):
     for scene, orbit in resting(rng):
         value = float(scene.amplitude)
         branch = jv.follow(orbit, "amplitude", (0.6 * value, 1.6 * value))
-        for one in branch.reasons:
-            ends[one.split(" at ")[0]] = ends.get(one.split(" at ")[0], 0) + 1
+        for one in branch.ends:
+            ends[one.name] = ends.get(one.name, 0) + 1
         for point in branch.points("CH"):
             worst = max(worst, abs(point.value - halved(point)))
             done += 1
-        print(done, orbit.label, branch, f"{worst:.2g}", flush=True)
+        print(done, orbit.label, branch, f"{worst:.2g}", ends, flush=True)
         if done >= count:
             break
     print(f"{done} CH: {worst:.2g}; ends {ends}")
