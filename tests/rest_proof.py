@@ -19,8 +19,7 @@ import jaxvibro as jv
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.maps.strobe import strobe
 from jaxvibro.orbits import releases
-from jaxvibro.problem.equations import codes
-from jaxvibro.scene.codes import Contact
+from jaxvibro.problem.equations import are_releases, codes
 from tests.branch_proof import plain, scene_of
 from tests.reference import rests
 from tests.reference.special import exact, place, span, with_value
@@ -154,7 +153,7 @@ def errors(scene, orbit):
     sides = codes(along.cycle)[:count]
     spot = SimpleNamespace(times=z[:count], speeds=z[rows : rows + count], sides=sides)
     given, length = exact(plain(scene)), 2.0 * np.pi / float(scene.frequency) * orbit.periods
-    frees = np.flatnonzero(abs(spot.sides) == Contact.STUCK)
+    frees = np.flatnonzero(are_releases(spot.sides))
     worst, count = np.zeros(2), 0
     for begin in frees:
         with workdps(DIGITS):
@@ -165,7 +164,7 @@ def errors(scene, orbit):
             k = begin
             for hit in hits:
                 k = (k + 1) % len(spot.times)
-                if abs(spot.sides[k]) == Contact.STUCK:
+                if are_releases(spot.sides[k]):
                     assert own == np.sign(spot.sides[k])
                     break
                 late = float((hit.time - mpf(spot.times[k])) % mpf(length))
@@ -239,7 +238,7 @@ def met(point):
         if not pushes or min(pushes)[0] > 1e-9:
             return None, point
         row = min(pushes)[1]
-        frees = [k for k in range(count) if abs(spot.sides[k]) >= 2] or [row]
+        frees = [k for k in range(count) if are_releases(spot.sides[k])] or [row]
         begin = min(frees, key=lambda k: (spot.times[row] - spot.times[k]) % length or length)
         late = (spot.times[row] - spot.times[begin]) % length or length
 
@@ -262,7 +261,7 @@ def met(point):
 def halved(point):
     """The amplitude at which hops just end in rest, by halving."""
     spot = point.spot
-    frees = np.flatnonzero(abs(spot.sides) == Contact.STUCK)
+    frees = np.flatnonzero(are_releases(spot.sides))
     base = exact(plain(point.scene))
     found = []
     for begin in frees:
@@ -286,7 +285,7 @@ def _ends(base, spot, begin, value):
     given = with_value(base, "amplitude", value)
     side, count = int(np.sign(spot.sides[begin])), len(spot.times)
     now = rests.release(given, side, mpf(spot.times[begin]))
-    after = next((begin + k) % count for k in range(1, count + 1) if abs(spot.sides[(begin + k) % count]) == 2)
+    after = next((begin + k) % count for k in range(1, count + 1) if are_releases(spot.sides[(begin + k) % count]))
     own, late = int(np.sign(spot.sides[after])), spot.times[after]
     late += 0 if late > spot.times[begin] else float(span(given, spot.periods))
     end = rests.release(given, own, mpf(late))

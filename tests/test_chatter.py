@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 import jaxvibro as jv
 from jaxvibro.flight.coefficients import frame, framed
 from jaxvibro.orbits import chatter, releases
+from jaxvibro.problem.equations import are_releases
 from jaxvibro.problem.orbit_start import point_of
 from tests.branch_proof import plain
 from tests.reference import rests
@@ -127,5 +128,6 @@ def test_an_orbit_that_rests_is_told_from_release_to_release(scene, label):
     assert (orbit.label, orbit.rests) == (label, True)
     *worst, count, several = errors(scene, orbit)
     assert max(worst) < 1e-12
-    assert count >= 2 * several
-    assert np.sum(abs(point_of(orbit, 1.5).sides) == 2) == several
+    frees = are_releases(point_of(orbit, 1.5).sides)
+    assert several == frees.sum() >= 1
+    assert count == (~frees).sum() >= several

@@ -163,9 +163,10 @@ def too_fast(frame, tail):
 
 def _examine(scene, side, phase, tau, speed):
     frame = framed(scene)
-    tail = Tail(side, jnp.cos(phase), jnp.sin(phase), tau, bounce(frame, side) * speed, speed < 0)
-    lifts = (bounce(frame, side) == 0) & (_press(frame, tail, tau)[0] < 0)
-    tail = tail._replace(lifts=lifts)
+    release = jnp.cos(phase), jnp.sin(phase)
+    push = side * pressed(frame, side, flow.rotated(*release, frame.frequency * tau))[0]
+    lifts = (bounce(frame, side) == 0) & (push < 0)
+    tail = Tail(side, *release, tau, bounce(frame, side) * speed, lifts)
     look = _looked(frame, tail, jnp.zeros(0, tau.dtype))
 
     def fly(k, carry):
