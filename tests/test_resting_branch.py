@@ -197,7 +197,7 @@ PLASTIC = {"frequency": 0.451214832, "damping": 0.160099801, "restitution": 0.0,
 
 
 @pytest.mark.slow
-def test_a_branch_with_r_0_goes_on_where_the_press_begins_at_an_impact():
+def test_a_branch_with_r_0_goes_on_where_the_press_begins_at_an_impact(tmp_path):
     """Between two RL the mass is drawn off its wall once more before it rests: whichever orbit one starts from."""
     branches = [followed(amplitude, (1.22, 3.0), **PLASTIC) for amplitude in (2.5, 2.0989, 1.95, 1.23)]
     for branch in branches:
@@ -207,6 +207,8 @@ def test_a_branch_with_r_0_goes_on_where_the_press_begins_at_an_impact():
         assert {one.label for point in branch.points("RL") for one in point.meets} <= {"P101", "P102"}
         values = [point.value for point in branch.points("RL")]
         assert values == pytest.approx([point.value for point in branches[0].points("RL")], abs=1e-12)
+    branch.save(tmp_path / "branch.nc")
+    assert jv.load_branch(tmp_path / "branch.nc").table() == branch.table()
     for point in branches[0].points("RL"):
         assert met(point)[0] == pytest.approx(point.value, abs=1e-13)
     for value in (1.25, 1.35, 1.6, 2.0, 2.2, 2.8):

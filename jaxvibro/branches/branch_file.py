@@ -21,6 +21,7 @@ COLUMNS = {
     "multiplier": ("multiplier_real", "multiplier_imag"),
 }
 FINITE = ("x", "v", "residual", "value_slope")
+CODES = {1, 2, 3}  # of an impact, and of releases, times the wall's sign
 Itinerary = tuple[str, ...]
 Join = tuple[float, list[float], list[float], list[float], int, float, float, float]  # a `OrbitPoint`
 Form = tuple[float, int, float, list[float], list[tuple[int, float, float, float]], str, str]  # a `NormalForm`
@@ -93,7 +94,7 @@ def _check_columns(data, name):
     _fits("sizes", data.sizes["point"] > 0 and data.sizes["period"] > 0 and data.sizes["multiplier"] == 2)
     sides = data["side"].values
     hit = sides != 0
-    _fits("side", np.isin(sides, (-2, -1, 0, 1, 2)).all())
+    _fits("side", np.isin(abs(sides), (0, *CODES)).all())
     for key in (name, *FINITE):
         _fits(key, np.isfinite(data[key].values).all())
     for key in ("time", "speed"):
@@ -103,5 +104,5 @@ def _check_columns(data, name):
 
 def _spot(join):
     value, times, speeds, sides, periods, *rest = join
-    _fits("joins", len(times) == len(speeds) == len(sides) and set(sides) <= {-2, -1, 1, 2} and periods > 0)
+    _fits("joins", len(times) == len(speeds) == len(sides) and set(map(abs, sides)) <= CODES and periods > 0)
     return OrbitPoint(value, *(np.array(each, float) for each in (times, speeds, sides)), periods, *rest)
