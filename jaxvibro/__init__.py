@@ -16,6 +16,8 @@ _HOMES = {
     "SceneError": "scene.check",
     "ArgumentError": "scene.check",
     "scene_from_physical": "scene.physical",
+    "Scales": "scene.scales",
+    "to_physical": "output.units",
     "soften": "scene.soft_walls",
     "effective_restitution": "scene.soft_walls",
     "contact_damping": "scene.soft_walls",

@@ -67,6 +67,7 @@ from .orbits.solve import OrbitSolutions as OrbitSolutions
 from .orbits.solve import solve_orbits as solve_orbits
 from .orbits.twist import twist as twist
 from .output.checksums import load_data as load_data
+from .output.units import to_physical as to_physical
 from .reproduction.run import paper as paper
 from .scene.check import ArgumentError as ArgumentError
 from .scene.check import SceneError as SceneError
@@ -74,6 +75,7 @@ from .scene.codes import SolutionStatus as SolutionStatus
 from .scene.force import Force as Force
 from .scene.physical import scene_from_physical as scene_from_physical
 from .scene.push import Push as Push
+from .scene.scales import Scales as Scales
 from .scene.scene import Scene as Scene
 from .scene.scene import make_scene as make_scene
 from .scene.soft_walls import contact_damping as contact_damping

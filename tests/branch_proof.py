@@ -13,11 +13,11 @@ import numpy as np
 import jaxvibro as jv
 from continuation.arclength import Control
 from continuation.event_search import pinned
-from jaxvibro.branches.branch import row_of, spot_of
 from jaxvibro.branches.follow import place_orbit
 from jaxvibro.problem import touches as touching
 from jaxvibro.problem.equations import problem
 from jaxvibro.problem.orbit_on_branch import described_orbit
+from jaxvibro.problem.orbit_rows import row_of, spot_of
 from jaxvibro.problem.touches import scales
 from jaxvibro.scene.scale import scene_length
 from tests.reference import special as reference

@@ -5,10 +5,10 @@ import pytest
 
 import jaxvibro as jv
 from continuation import locate
-from jaxvibro.branches.branch import row_of, spot_of
 from jaxvibro.branches.follow import place_orbit
 from jaxvibro.branches.mirror import mirrored
 from jaxvibro.problem.equations import problem
+from jaxvibro.problem.orbit_rows import row_of, spot_of
 from jaxvibro.scene.symmetry import stays_symmetric
 
 

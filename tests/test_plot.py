@@ -12,9 +12,11 @@ from matplotlib.figure import Figure
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.attractors.find import Attractor
-from jaxvibro.branches.branch import Branch, Segment, row_of, special_of
+from jaxvibro.branches.branch import Branch, Segment, special_of
 from jaxvibro.plot import path, style
+from jaxvibro.plot.smooth import BETWEEN, smooth
 from jaxvibro.problem.end import End
+from jaxvibro.problem.orbit_rows import row_of
 
 SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.3, 0.5, 2))))
 
@@ -182,8 +184,9 @@ def test_stable_parts_of_a_branch_are_solid_and_thick_and_unstable_ones_dashed_a
     ax = Figure().subplots()
     assert plot.branch(one, "speed", ax) is ax
     solid, dashed = kept(ax, "branch")
-    np.testing.assert_array_equal(solid.get_xydata(), np.stack([one.values, one.data["least_speed"]], -1)[:4])
-    np.testing.assert_array_equal(dashed.get_xydata(), np.stack([one.values, one.data["least_speed"]], -1)[3:])
+    points = np.stack([one.values, one.data["least_speed"]], -1)  # of all its impacts
+    np.testing.assert_allclose(solid.get_xydata()[::BETWEEN], points[:4], rtol=1e-14)
+    np.testing.assert_allclose(dashed.get_xydata()[::BETWEEN], points[3:], rtol=1e-14)
     assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
     assert solid.get_linewidth() > 2 * dashed.get_linewidth() and solid.get_color() == dashed.get_color()
     assert "A = F" in ax.get_xlabel() and "omega_0" in ax.get_ylabel() and "/" in ax.get_ylabel()
@@ -193,16 +196,40 @@ def test_stable_parts_of_a_branch_are_solid_and_thick_and_unstable_ones_dashed_a
 
 def test_a_line_breaks_where_an_impact_crosses_phase_0_and_where_an_itinerary_changes_with_a_jump():
     """At phase 0 the mass is on the wall at 1; before the crossing the state is the one ahead of the impact."""
-    x, v = (numbers(kept(plot.branch(branch(), variable, Figure().subplots()), "branch")[1]) for variable in "xv")
+    x, v = (branch().curves(variable).pieces[1] for variable in "xv")
     across = [2.5, 3.0, *3 * [3.2], 3.5, 4.0, 4.0, 4.0, 4.5, 4.5, 5.0]
-    np.testing.assert_allclose(x[0], across)
-    np.testing.assert_allclose(x[1], [0.3, 0.4, 1.0, np.nan, 1.0, 0.5, 0.6, 0.6, np.nan, 1.7, 1.7, 1.8])
+    np.testing.assert_allclose(x.values, across)
+    np.testing.assert_allclose(x.columns[:, 0], [0.3, 0.4, 1.0, np.nan, 1.0, 0.5, 0.6, 0.6, np.nan, 1.7, 1.7, 1.8])
     fast, slow = 2.44, -0.7 * 2.44
-    np.testing.assert_allclose(v[1], [-0.3, -0.4, fast, np.nan, slow, -0.5, -0.6, -0.6, np.nan, -1.7, -1.7, -1.8])
+    np.testing.assert_allclose(
+        v.columns[:, 0], [-0.3, -0.4, fast, np.nan, slow, -0.5, -0.6, -0.6, np.nan, -1.7, -1.7, -1.8]
+    )
     ax = plot.branch(branch(change=9), "x", Figure().subplots())
     assert np.isnan(numbers(kept(ax, "branch")[1])[1]).sum() == 1
     first, second = kept(plot.branch(branch(periods=2, change=9), "v", Figure().subplots()), "branch")[2:]
     assert np.isnan(numbers(first)[1]).sum() == 1 and not np.isnan(numbers(second)[1]).any()
+
+
+def test_a_line_is_bent_between_its_points_and_swings_beyond_none():
+    way = np.linspace(0.0, 3.0, 12)
+    across, up = np.cos(way), np.sin(way)
+    fine = np.array(smooth(across, up))
+    np.testing.assert_allclose(fine[:, ::BETWEEN], [across, up], atol=1e-15)
+    assert abs(np.hypot(*fine) - 1.0).max() < 0.2 * (1.0 - np.cos(0.5 * way[1]))  # a chord's error
+    sharp = np.array(smooth(np.array([0.0, 1.0, 1.2, 1.2, 1.2]), np.array([0.3, 0.4, 1.0, np.nan, 1.0])))
+    assert np.nanmax(sharp[0]) == 1.2 and np.isnan(sharp[1]).sum() == 1
+    many = np.linspace(0.0, 1.0, 1000)
+    assert smooth(many, many)[0] is many
+
+
+def test_curves_are_arrays_ready_to_plot():
+    one = branch(change=9).curves("clearance")
+    assert [piece.stable for piece in one.pieces] == [True, False]
+    assert list(one.points) == ["SN", "PD", "fast"]
+    np.testing.assert_allclose(one.points["PD"].values, [4.0])
+    np.testing.assert_allclose(one.points["PD"].columns, [[0.3]])
+    with pytest.raises(jv.ArgumentError, match="variable: must be one of x, v, clearance, speed, least_speed, peak"):
+        branch().curves("clearence")
 
 
 def test_special_points_have_a_marker_a_kind_and_branches_share_a_legend():

@@ -7,7 +7,7 @@ import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
 from ..maps.initial_conditions import box
-from ..output.units import LENGTH, SPEED
+from ..output.units import LENGTH, SPEED, scales_in
 from ..scene import check
 from ..scene.scene import Scene
 from .assign import OUTSIDE, assign_labels, homes
@@ -101,6 +101,7 @@ def _dataset(scene, x, v, phase, attractors, homes, label, periods):
         },
         attrs={
             **scene.numbers,
+            **scales_in(scene),
             "phase": phase,
             "basin_entropy": entropy,
             "boundary_basin_entropy": at_boundary,

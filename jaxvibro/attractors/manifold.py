@@ -9,7 +9,7 @@ from ..maps.inverse import require_reversible
 from ..maps.monodromy import monodromy
 from ..maps.phase_shift import shift_phase
 from ..orbits.orbit import Orbit
-from ..output.units import LENGTH, SPEED
+from ..output.units import LENGTH, SPEED, scales_in
 from ..scene import check
 from ..scene.scene import free_between
 from ..scene.state import State
@@ -187,5 +187,5 @@ def _dataset(scene, strands, attrs):
             "began": ("piece_end", np.concatenate([one["began"] for one in strands])),
             "ended": ("piece_end", np.concatenate([one["ended"] for one in strands])),
         },
-        attrs=scene.numbers | attrs,
+        attrs=scene.numbers | scales_in(scene) | attrs,
     )

@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike, Float, Real
 
 from ..compiled.compiler_hints import WIDTH
 from ..maps.rests import NO_RESTS, rests
+from ..output.units import scales_in, unit_of
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import State, check_start, real_state
@@ -169,11 +170,11 @@ def _dataset(scene, name, values, state, found, resting):
     """The named result of the `Rates` and the `Rests` of each value."""
     exponent, error, impacts, within, periods, status, count = (np.stack(part) for part in zip(*found, strict=True))
     coords = {
-        name: (name, values, {"long_name": name}),
+        name: (name, values, {"long_name": name, "units": unit_of(name)}),
         "order": ("order", [1, 2], {"long_name": "place among the exponents, the larger first"}),
         "wall": ("wall", ["left", "right"]),
     }
-    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene)}
+    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene), **scales_in(scene)}
     for key, value in (others(scene, name) | {"phase": state.phase}).items():
         if np.ndim(value):
             coords[key] = (name, value)

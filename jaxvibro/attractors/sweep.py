@@ -15,7 +15,7 @@ from continuation.persistent_jit import persistent_jit
 from ..compiled.compiler_hints import OPTIONS
 from ..flight.wall_positions import fit
 from ..maps.strobe import strobe
-from ..output.units import LENGTH, SPEED
+from ..output.units import LENGTH, SPEED, scales_in, unit_of
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.named_forces import named
@@ -161,10 +161,10 @@ def _dataset(scene, name, values, state, parts):
     step = name if values.ndim == 1 else "step"
     whole = values if values.ndim == 1 else np.stack([np.broadcast_to(value, status.shape[1:]) for value in values])
     coords = {
-        name: ([step, *lanes][: whole.ndim], whole, {"long_name": name}),
+        name: ([step, *lanes][: whole.ndim], whole, {"long_name": name, "units": unit_of(name)}),
         "period": ("period", np.arange(x.shape[-1]), {"long_name": "drive periods after those left out"}),
     }
-    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene)}
+    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene), **scales_in(scene)}
     for key, value in (others(scene, name) | {"phase": state.phase}).items():
         if np.ndim(value):
             coords[key] = (lanes, np.broadcast_to(value, status.shape[1:]))

@@ -8,12 +8,13 @@ import xarray as xr
 from continuation.stretch import backwards, glued
 
 from ..orbits.orbit import MARGIN, roots
-from ..output.units import LENGTH, SPEED, TIME
+from ..output.units import LENGTH, SPEED, TIME, scales_in, unit_of
 from ..problem.end import End
 from ..problem.equations import are_impacts, codes
 from ..problem.orbit_on_branch import OrbitPoint, is_own_image, itinerary, label_of
+from ..problem.orbit_rows import spot_of
 from ..scene.symmetry import is_symmetric
-from .branch import Branch, Segment, frequency_at, scene_at, special_of, spot_of
+from .branch import Branch, Segment, frequency_at, scene_at, special_of
 from .impossible import require_damped, require_possible
 
 START = End.START.reason()
@@ -95,7 +96,7 @@ def _told(scene, name, bounds, pieces):
     if scene.force is None:
         require_damped(name, whole[name], whole["multiplier_real"] + 1j * whole["multiplier_imag"])
     require_possible(special)
-    return xr.Dataset(data, attrs={"parameter": name}), tuple(segments), special
+    return xr.Dataset(data, attrs={"parameter": name, **scales_in(scene)}), tuple(segments), special
 
 
 def _columns(one, name, widest, place):
@@ -139,7 +140,7 @@ def _about(name):
         return ("point", *more), {"long_name": meaning, "units": units}
 
     return {
-        name: (("point",), {"long_name": "the parameter"}),
+        name: (("point",), {"long_name": "the parameter", "units": unit_of(name)}),
         "time": told("since phase 0", TIME, "impact"),
         "speed": told("abs(y- - v_b)", SPEED, "impact"),
         "side": told("-1 left, 1 right, 0 none; 2 times that: its wall lets the mass go", "1", "impact"),

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import msgspec
 import numpy as np
+import pandas as pd
 import xarray as xr
 from jaxtyping import Bool, Complex, Float
 
@@ -17,13 +18,18 @@ from .. import __version__
 from ..orbits.orbit import Orbit
 from ..output.atomic_write import whole
 from ..output.checksums import netcdf
-from ..output.table_text import columns, pair
-from ..problem.end import End
+from ..output.frames import frame, kinds_at, of_multipliers
+from ..output.labels import name_in
+from ..output.table_text import columns, headed, pair
+from ..output.units import LENGTH, POWER, SPEED, unit_in, unit_of
+from ..problem import loads, stability
+from ..problem.end import End, scaled
 from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary, label_of
-from ..problem.orbit_rows import OrbitRows, SpecialOrbit
-from ..scene.scene import Scene, changed
+from ..problem.orbit_rows import OrbitRows, SpecialOrbit, row_of, spot_of
+from ..scene.scene import Scene, changed, mapped
 from ..scene.scene_table import table_of
 from . import normal_form as forms
+from .curves import Curves, curves
 from .normal_form import NormalForm
 
 NUMBERS = ("first_step", "largest_step", "tolerance")  # of the settings
@@ -133,11 +139,6 @@ class Branch(OrbitRows[Special]):
         """Whether each point's orbit is stable, (points,)."""
         return self.data["stable"].values.astype(bool)
 
-    @property
-    def multipliers(self) -> Complex[np.ndarray, "points 2"]:
-        """Floquet's, (points, 2), complex, the larger first."""
-        return self.data["multiplier_real"].values + 1j * self.data["multiplier_imag"].values
-
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
         """(the scene at a point, its `OrbitPoint`)."""
         spot = spot_of(row_of(self.data, place), self.name)
@@ -173,23 +174,85 @@ class Branch(OrbitRows[Special]):
         }
         return netcdf(self.data.assign_attrs(attrs))
 
-    def table(self) -> str:
-        """The special points as a text, a line each, and why the branch ends."""
-        rows = [("kind", self.name, "orbit", "itinerary", "multipliers", "meets", "consequence", "normal form")]
+    def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
+        """The special points as a text, a line each, and why the branch ends.
+
+        units: "scene", or "physical" (Hz, N, mm, ...) of a scene that has scales; labels: what kinds are called,
+        "jaxvibro", "auto" (AUTO-07p) or "matcont". stability: of the orbits before and after the point.
+
+        Raises ArgumentError for other units and labels, and where the scene has no scales.
+        """
+        unit, size = unit_in(self.scene, unit_of(self.name), units)
+        head = headed(self.name, unit, units)
+        rows = [("kind", head, "orbit", "stability", "itinerary", "multipliers", "meets", "consequence", "normal form")]
+        found = stability.words(self.multipliers)
         for one in self.special:
             walls = " ".join(word or "." for word in one.itinerary)
-            own = (one.kind, f"{one.value:.12g}", one.label, walls, pair(one.multipliers), " ".join(labels(one)) or "-")
+            kind, value, steady = name_in(one.kind, labels), one.value * size, stability.words_around(found, one.place)
+            meets = " ".join(labels_of(one)) or "-"
+            own = (kind, f"{value:.12g}", one.label, steady, walls, pair(one.multipliers), meets)
             form = one.normal_form
             rows.append((*own, *((form.consequence, str(form)) if form else ("-", "-"))))
-        ends = [f"{end} point: {why}" for end, why in self.reason.items()]
+        ends = [f"{end} point: {why if size == 1.0 else scaled(why, size)}" for end, why in self.reason.items()]
         return "\n".join([columns(rows), *ends])
+
+    def to_frame(self, units: str = "scene") -> pd.DataFrame:
+        """A row a point, a pandas.DataFrame: kind of the special point there, if it is one, the parameter, the orbit's
+        label, its stability in words, x and v at phase 0, the least and largest speed before an impact, the least
+        clearance, the work rate of impacts at rigid walls (the energy that they take, over time), and the multipliers.
+
+        units: "scene", or "physical" (Hz, N, mm, m/s, W) of a scene that has scales, the columns' names then telling
+        them. Raises ArgumentError for other units, and where the scene has no scales.
+        """
+        data, scene = self.data, self.scene
+        sides, speeds = data["side"].values, data["speed"].values
+        names = [one.label for one in self.segments]
+        least = {key: np.where(np.isfinite(data[key]), data[key], np.nan) for key in ("least_speed", "least_clearance")}
+        return frame(
+            scene,
+            {
+                "kind": ("", kinds_at(self.special, len(self))),
+                self.name: (unit_of(self.name), self.values),
+                "label": ("", np.repeat(names, [one.last - one.first + 1 for one in self.segments])),
+                "stability": ("", stability.words(self.multipliers)),
+                "x": (LENGTH, data["x"].values[:, 0]),
+                "v": (SPEED, data["v"].values[:, 0]),
+                "least_speed": (SPEED, least["least_speed"]),
+                "largest_speed": (SPEED, loads.largest_speed(sides, speeds)),
+                "least_clearance": (LENGTH, least["least_clearance"]),
+                "work_rate": (POWER, loads.work_rate(sides, speeds, *self._rebounds_and_spans())),
+                **of_multipliers(self.multipliers),
+            },
+            units,
+        )
+
+    def curves(self, variable: str = "x") -> Curves:
+        """The `Curves` of one variable, ready to plot: stable and unstable pieces, and the special points.
+
+        variable: "x" or "v" at phase 0 of each drive period, a column each; "speed", the largest before an impact,
+        "least_speed", "clearance", the least, and "peak", the largest abs x, one column. A line breaks where an impact
+        crosses phase 0: the velocity jumps there, though the branch goes on.
+
+        Raises ArgumentError for other variables.
+        """
+        return curves(self, variable)
+
+    def _rebounds_and_spans(self):
+        """({side: R at each point, nan of a soft wall}, how long each orbit lasts)."""
+        scenes = changed(self.scene, {self.name: self.values})
+        rebounds = {
+            side: np.broadcast_to(np.nan if wall.soft else scenes.parameter(f"{side}.restitution"), len(self))
+            for side, wall in scenes.walls.items()
+        }
+        periods = np.isfinite(self.data["x"].values).sum(axis=1)
+        return rebounds, 2.0 * np.pi * periods / np.broadcast_to(scenes.frequency, len(self))
 
 
 def _plain(spot):
     return [each.tolist() if isinstance(each, np.ndarray) else each for each in spot]
 
 
-def labels(special):
+def labels_of(special):
     """The labels of the orbits that meet at a special point, each with the side of the parameter it is on."""
     found = []
     for one in special.joins:
@@ -207,22 +270,7 @@ def frequency_at(scene, name, value):
 def scene_at(scene, name, value):
     """The scene where a parameter has a value that a branch came to: checked when it was followed, and not again."""
     new = changed(scene, {name: value})
-    return jax.tree.map(
-        lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(np.asarray(leaf, scene.dtype)), new
-    )
-
-
-def row_of(data, place):
-    """The numbers of one point of a branch's data, {name: array}."""
-    return {name: each.values[place] for name, each in data.variables.items()}
-
-
-def spot_of(row, name):
-    """The `OrbitPoint` of a `row_of` a branch's data."""
-    hit = row["side"] != 0
-    columns = (row[key][hit].astype(float) for key in ("time", "speed", "side"))
-    plain = (float(row[key][0]) for key in ("x", "v"))
-    return OrbitPoint(float(row[name]), *columns, len(row["x"]), *plain, float(row["residual"]))
+    return mapped(lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(np.asarray(leaf, scene.dtype)), new)
 
 
 def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=(), saved=None):

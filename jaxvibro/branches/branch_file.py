@@ -7,11 +7,13 @@ import msgspec
 import numpy as np
 
 from ..output.checksums import dataset_of, opened
+from ..output.units import scales_in
 from ..problem.end import End, read
 from ..problem.orbit_on_branch import OrbitPoint
+from ..problem.orbit_rows import row_of
 from ..scene import check
 from ..scene.scene_table import SceneTable
-from .branch import NUMBERS, Branch, Segment, row_of, special_of
+from .branch import NUMBERS, Branch, Segment, special_of
 from .normal_form import of_plain
 
 AT_POINTS = ("stable", "least_speed", "least_clearance", "residual", "value_slope", "segment")
@@ -71,7 +73,7 @@ def _branch(data):
     settings |= {"monitors": {}, "stop": ()}
     known = _field(attrs, "ends", tuple[str, str]) if "ends" in attrs else None  # files of before have texts alone
     ends = tuple(map(read, reasons)) if known is None else tuple(End[each] for each in known)
-    data.attrs = {"parameter": name}
+    data.attrs = {"parameter": name, **scales_in(scene)}
     return Branch(name, bounds, scene, data, segments, tuple(special), reasons, settings, ends)
 
 

@@ -8,10 +8,14 @@ from os import PathLike
 from pathlib import Path
 
 import msgspec
+import pandas as pd
 
 from ..output.atomic_write import whole
 from ..output.checksums import MARKS, digest, is_format, opened, sealed
-from ..output.table_text import columns
+from ..output.labels import name_in
+from ..output.table_text import columns, headed
+from ..output.units import unit_in, unit_of
+from ..problem.end import scaled
 from ..scene.check import ArgumentError, host, short
 from ..scene.scene import Scene
 from ..scene.scene_table import SceneTable, table_of
@@ -57,19 +61,29 @@ class Diagram:
         """The special points of a kind."""
         return tuple(one for one in self.special if one.kind == kind)
 
-    def table(self) -> str:
-        """The branches, then the special points, as a text, a line each."""
+    def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
+        """The branches, then the special points, as a text, a line each. units, labels: as in `Branch.table`.
+
+        Raises ArgumentError for other units and labels, and where the scene has no scales.
+        """
+        unit, size = unit_in(self.scene, unit_of(self.name), units)
         rows: list[tuple[object, ...]] = [
             ("branch", "orbits", "from", "to", "points", "special", "starts as", "ends as")
         ]
         for place, one in enumerate(self.branches, 1):
-            first, last = (f"{one.values[k]:.9g}" for k in (0, -1))
-            kinds = " ".join(each.kind for each in one.special if each.kind != "EP")
+            why = one.reasons if size == 1.0 else [scaled(each, size) for each in one.reasons]
+            first, last = (f"{one.values[k] * size:.9g}" for k in (0, -1))
+            kinds = " ".join(name_in(each.kind, labels) for each in one.special if each.kind != "EP")
             orbits = " ".join(dict.fromkeys(part.label for part in one.segments))
-            rows.append((place, orbits, first, last, len(one), kinds or "-", *one.reasons))
-        points = [("kind", self.name, "orbit")]
-        points += [(one.kind, f"{one.value:.12g}", one.label) for one in self.special]
+            rows.append((place, orbits, first, last, len(one), kinds or "-", *why))
+        points = [("kind", headed(self.name, unit, units), "orbit")]
+        points += [(name_in(one.kind, labels), f"{one.value * size:.12g}", one.label) for one in self.special]
         return f"{columns(rows)}\n\n{columns(points)}\n\n{self.reason}"
+
+    def to_frame(self, units: str = "scene") -> pd.DataFrame:
+        """All branches' points, a pandas.DataFrame as `Branch.to_frame` gives it, before it the branch's number in the
+        table. Raises ArgumentError for other units, and where the scene has no scales."""
+        return frame_of(self.branches, units)
 
     def save(self, folder: str | PathLike[str], force: bool = False) -> None:
         """Write the diagram into a folder, a NetCDF file a branch and an index; `load_diagram` reads the same numbers.
@@ -97,6 +111,14 @@ class Diagram:
             file.write(sealed(json.dumps(MARKS | told, indent=1).encode()))
         for name in before - set(files):
             (folder / name).unlink(missing_ok=True)
+
+
+def frame_of(branches, units):
+    """The points of branches behind one another, a pandas.DataFrame, with their numbers from 1."""
+    frames = [one.to_frame(units) for one in branches]
+    for place, each in enumerate(frames, 1):
+        each.insert(0, "branch", place)
+    return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame({"branch": []})
 
 
 class Index(msgspec.Struct):

@@ -10,7 +10,8 @@ import numpy as np
 
 from ..problem.diagnostics import diagnose
 from ..problem.orbit_on_branch import itinerary, label_of, place_orbit
-from .branch import frequency_at, row_of, special_of, spot_of
+from ..problem.orbit_rows import row_of, spot_of
+from .branch import frequency_at, special_of
 
 
 def mirrored(branch):

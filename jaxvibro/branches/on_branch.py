@@ -7,8 +7,8 @@ from ..problem import same_orbit
 from ..problem.diagnostics import diagnose
 from ..problem.equations import number_there
 from ..problem.orbit_on_branch import impacts, place_orbit
+from ..problem.orbit_rows import row_of, spot_of
 from ..problem.orbit_start import bring_to
-from .branch import row_of, spot_of
 
 NEAR = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
 ON = 1e-5  # of the largest speed: an orbit with impacts as near is on the branch

@@ -14,13 +14,14 @@ from ..problem.end import End, Reason
 from ..problem.equations import problem
 from ..problem.grazing import padded
 from ..problem.orbit_on_branch import place_orbit
+from ..problem.orbit_rows import row_of, spot_of
 from ..problem.soft_grazing import exits
 from ..problem.touches import scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
 from .assemble import START, assemble, merge
-from .branch import Branch, Special, row_of, spot_of
+from .branch import Branch, Special
 from .follow import Monitors, asking, check_settings
 from .through_grazings import go_on
 

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from continuation.arrays import Array
 from continuation.implicit import JUMPED, LOST, carried, in_turn, smooth
 
-from ..branches.peaks import of_cycle, of_flight
+from ..branches.largest_position import of_cycle, of_flight
 from ..compiled.compiler_hints import one_kernel
 from ..flight.coefficients import framed
 from ..orbits import solve

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..branches.branch import labels
+from ..branches.branch import labels_of
 from ..maps.itinerary import LETTERS, label, mirrored, same
 from ..problem.touches import TOUCH
 from ..scene.check import ArgumentError, sequence
@@ -55,7 +55,7 @@ def _labels(special):
     that of one touch alone."""
     if special.kind != "GR":
         return {special.label}
-    found = {special.label, *(each.rstrip("<>") for each in labels(special))}
+    found = {special.label, *(each.rstrip("<>") for each in labels_of(special))}
     alone = {label(("",) * (special.spot.periods - 1) + (letter,)) for letter in LETTERS.values()}
     return found | (set() if (special.spot.speeds > TOUCH).any() else alone)
 

@@ -5,23 +5,26 @@ from dataclasses import dataclass, field
 
 import jax.numpy as jnp
 import numpy as np
+import pandas as pd
 import xarray as xr
 from jaxtyping import Complex, Float
 
 from continuation.stretch import backwards, glued
 
-from ..branches.branch import Special, row_of
+from ..branches.branch import Special
 from ..orbits.orbit import roots
-from ..output.table_text import columns
-from ..output.units import LENGTH, SPEED, TIME
+from ..output.frames import frame, kinds_at, of_multipliers
+from ..output.labels import name_in
+from ..output.table_text import columns, headed
+from ..output.units import LENGTH, SPEED, TIME, scales_in, unit_in, unit_of
 from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, itinerary
-from ..problem.orbit_rows import OrbitRows, SpecialOrbit
+from ..problem.orbit_rows import OrbitRows, SpecialOrbit, row_of
 from ..scene import check
 from ..scene.scene import Scene, changed
 from .corner import outsets, track_on
 from .first_point import KINDS, RESTS, impacts_of, start_of
-from .track import reason
+from .track import reason, scaled_reason
 
 MEANINGS = {
     "CP": "cusp",
@@ -98,14 +101,42 @@ class Locus(OrbitRows[Codim2]):
         spot, values = _spot_of(self.data, place, self.names)
         return self.scene.replace(**values), spot
 
-    def table(self) -> str:
-        """The special points as a text, a line each, and why the locus ends."""
-        rows: list[tuple[str, ...]] = [("kind", *self.names, "orbit", "itinerary")]
+    def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
+        """The special points as a text, a line each, and why the locus ends. units, labels: as in `Branch.table`.
+
+        Raises ArgumentError for other units and labels, and where the scene has no scales.
+        """
+        known = [unit_in(self.scene, unit_of(name), units) for name in self.names]
+        heads = [headed(name, unit, units) for name, (unit, _) in zip(self.names, known, strict=True)]
+        rows: list[tuple[str, ...]] = [("kind", *heads, "orbit", "itinerary")]
         for one in self.special:
             walls = " ".join(word or "." for word in one.itinerary)
-            rows.append((one.kind, *(f"{value:.12g}" for value in one.values.values()), one.label, walls))
-        ends = [f"{end} point: {why}" for end, why in self.reason.items()]
+            values = [f"{value * size:.12g}" for value, (_, size) in zip(one.values.values(), known, strict=True)]
+            rows.append((name_in(one.kind, labels), *values, one.label, walls))
+        sizes = {name: size for name, (_, size) in zip(self.names, known, strict=True)}
+        ends = [f"{end} point: {scaled_reason(why, sizes)}" for end, why in self.reason.items()]
         return "\n".join([columns(rows), *ends])
+
+    def to_frame(self, units: str = "scene") -> pd.DataFrame:
+        """A row a point, a pandas.DataFrame: kind of the point of codimension two there, if it is one, the two
+        parameters, the orbit's label, the least speed before an impact and the least clearance, and the multipliers.
+
+        units: as in `Branch.to_frame`. Raises ArgumentError for other units, and where the scene has no scales.
+        """
+        data = self.data
+        least = {key: np.where(np.isfinite(data[key]), data[key], np.nan) for key in ("least_speed", "least_clearance")}
+        return frame(
+            self.scene,
+            {
+                "kind": ("", kinds_at(self.special, len(self))),
+                **{name: (unit_of(name), data[name].values) for name in self.names},
+                "label": ("", np.repeat(self.label, len(self))),
+                "least_speed": (SPEED, least["least_speed"]),
+                "least_clearance": (LENGTH, least["least_clearance"]),
+                **of_multipliers(self.multipliers),
+            },
+            units,
+        )
 
 
 @check.host("use strobe or monodromy")
@@ -160,7 +191,7 @@ def locus_of(special, on, back, left="the start"):
         if part is not parts[-1] and part.args.cycle.releases is None:  # a corner
             found.setdefault(last, ("GG", float(part.points.residual[-1])))
         first = last
-    data = xr.concat(data, "point", combine_attrs="override")
+    data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_in(special.scene))
     for place in (0, first):
         found.setdefault(place, ("EP", float(data["residual"].values[place])))
     points = tuple(_codim2(special, asked, data, place, *found[place]) for place in sorted(found))
@@ -185,7 +216,9 @@ def _data(names, one, wide):
         "least_clearance": (look.clear.min(axis=(1, 2), initial=np.inf), "at turning points, inf: none", LENGTH),
         "residual": (one.points.residual, "largest error left in the equations", LENGTH),
     }
-    columns = {name: ("point", z[:, 2 * rows + k], {"long_name": "a parameter"}) for k, name in enumerate(names)}
+    columns = {
+        name: ("point", z[:, 2 * rows + k], _attrs("a parameter", unit_of(name))) for k, name in enumerate(names)
+    }
     columns |= {key: (("point", "impact"), each[0], _attrs(*each[1:])) for key, each in per_impact.items()}
     sides = np.broadcast_to(sides.astype(np.int8), times.shape)
     columns["side"] = (("point", "impact"), sides, _attrs("-1 left, 1 right", "1"))

@@ -1,5 +1,6 @@
 """A locus in one direction: steps along it up to where its bounds, its walls or its start end it."""
 
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -105,6 +106,13 @@ def together(ways):
 def reason(way, one):
     """Why a `LocusWay` ended, of which the `Stretch` is known."""
     return REASONS.get(one.end, REASONS[End.STEP]).format(name=way.asked.names[one.which], value=one.value)
+
+
+def scaled_reason(text, sizes):
+    """Such a text, the value of the parameter that it names told in a unit in which it is so many times as large."""
+    told = re.fullmatch(r"(?:the domain of )?(\S+) (?:reached its bound|ends at) (\S+)", text)
+    size = sizes.get(told[1], 1.0) if told else 1.0
+    return text if size == 1.0 else f"{text[: told.start(2)]}{float(told[2]) * size:.12g}"
 
 
 def _left(task, points):

@@ -5,7 +5,7 @@ import xarray as xr
 from jaxtyping import ArrayLike, Real
 
 from ..flight.wall_positions import SIGNS, places
-from ..output.units import ANGLE, LENGTH, SPEED
+from ..output.units import ANGLE, LENGTH, SPEED, scales_in
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import SIDES, Scene
@@ -72,4 +72,4 @@ def _dataset(scene, phase, parts):
             after = pace - float(scene.bounce(name)) * sign * speed[hit]
         columns[f"{name}_phase"] = f"{name}_impact", np.mod(angle, 2.0 * np.pi), {"units": ANGLE}
         columns[f"{name}_velocity"] = f"{name}_impact", after, {"units": SPEED}
-    return xr.Dataset(columns, attrs=scene.numbers | {"phase": phase})
+    return xr.Dataset(columns, attrs=scene.numbers | {"phase": phase} | scales_in(scene))

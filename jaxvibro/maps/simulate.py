@@ -15,7 +15,7 @@ from ..flight import integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter
 from ..flight.flight_state import absolute
-from ..output.units import ANGLE, LENGTH, SPEED, TIME
+from ..output.units import ANGLE, LENGTH, SPEED, TIME, scales_in
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import Scene
@@ -93,7 +93,7 @@ def _dataset(scene, x, v, angle, impacts):
             "position": ("impact", place, {"long_name": "displacement at the impact", **length}),
         },
         coords={"time": ("time", time, {"units": TIME}), "phase": ("time", angle, {"units": ANGLE}), **at},
-        attrs=scene.numbers,
+        attrs=scene.numbers | scales_in(scene),
     )
 
 

@@ -8,6 +8,11 @@ def columns(rows):
     return "\n".join("  ".join(map(str.ljust, row, widths)).rstrip() for row in texts)
 
 
+def headed(name, unit, units):
+    """A column's name, with its unit where that is a physical one."""
+    return f"{name} ({unit})" if units == "physical" and unit not in ("", "1") else name
+
+
 def pair(multipliers, digits=6):
     """Two real numbers, or two complex ones as one text."""
     first, second = multipliers

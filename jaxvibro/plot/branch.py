@@ -1,6 +1,5 @@
 """Branches of periodic orbits against their parameter, and the special points on them."""
 
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -9,8 +8,9 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.typing import ColorType
 
 from ..branches.branch import MEANINGS, Branch
-from .lines import columns_of, lines
-from .style import COLOURS, COORDINATES, WALL, are_of, axes, is_of, label, plain
+from ..output.labels import name_in
+from .smooth import smooth
+from .style import COLOURS, WALL, are_of, axes, is_of, legend, of_parameter, of_variable, plain, scales_of
 
 ORDER = tuple(COLOURS[k] for k in (2, 7, 5, 3, 0, 6, 1))  # yellow is too pale for a line
 WIDTHS = {True: 2.0, False: 0.9}  # of a stable and of an unstable part, points
@@ -32,60 +32,60 @@ FILLED = COLOURS[4]  # of special points: attractors are white or black
 OTHERS = "XP*pdh<>"  # of monitors
 LINES = 3  # on one tick
 TICKS = "x-small"  # their size
-LABELS = {
-    **COORDINATES,
-    "clearance": r"least clearance$\,/\,d$",
-    "speed": r"least impact speed$\,/\,(d\,\omega_0)$",
-    "peak": r"largest position $\max|x| = \max|X|\,/\,d$",
-}
 
 
-def branch(one: Branch, variable: str = "x", ax: Axes | None = None, colour: ColorType | None = None) -> Axes:
+def branch(
+    one: Branch,
+    variable: str = "x",
+    ax: Axes | None = None,
+    colour: ColorType | None = None,
+    units: str = "scene",
+    labels: str = "jaxvibro",
+) -> Axes:
     """Draw one variable of a `Branch` against its parameter: the Axes.
 
-    variable: "x" or "v" at phase 0 of each drive period; "clearance" or "speed", the least of an orbit; "peak", its
-    largest abs x. colour: of its lines; None takes the next of the house's, or that of a branch with the same labels
-    in these Axes.
+    variable: "x" or "v" at phase 0 of each drive period; of an orbit "speed", its largest before an impact,
+    "least_speed", "clearance", its least, or "peak", its largest abs x. colour: of its lines; None takes the next of
+    the house's, or that of a branch with the same labels in these Axes. units: "scene", or "physical" of a scene that
+    has scales; labels: what special points are called, as in `Branch.table`.
 
     Stable parts are solid and thick, unstable ones dashed and thin. A line breaks where an impact crosses phase 0: the
     velocity jumps there, though the branch goes on. Each kind of special point has a marker of its own, the ends none.
+    Between points lines are bent as their neighbours say. New Axes get a legend.
 
-    Raises ArgumentError for what is no `Branch`.
+    Raises ArgumentError for what is no `Branch`, and for other variables, units and labels.
     """
     is_of("branch", Branch, one)
+    scales, found, alone = scales_of(one.scene, units), one.curves(variable), ax is None
+    across, up = of_parameter(scales, one.name), of_variable(scales, variable)
     ax, text = axes(ax), name(one)
     known = {str(line.get_label()).lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"}
     colour = colour or known.get(text, ORDER[len(known) % len(ORDER)])
-    values, columns, stable = lines(one, variable)
-    for first, last in _runs(stable):
+    for piece in found.pieces:
         look: dict[str, Any] = {
             "color": colour,
-            "linewidth": WIDTHS[stable[first]],
-            "linestyle": STYLES[stable[first]],
+            "linewidth": WIDTHS[piece.stable],
+            "linestyle": STYLES[piece.stable],
             "zorder": 3,
         }
-        for up in columns[first : last + 1].T:
+        for column in piece.columns.T:
             told = text if text not in known else "_" + text
-            ax.plot(values[first : last + 1], up, label=told, gid="branch", solid_capstyle="butt", **look)
+            line = smooth(piece.values * across.size, column * up.size)
+            ax.plot(*line, label=told, gid="branch", solid_capstyle="butt", **look)
             known[text] = colour
     _stability(ax)
-    _points(ax, one, variable)
+    _points(ax, found.points, across.size, up.size, labels)
     if variable in ("x", "peak"):
-        _walls(ax, one)
-    ax.set(xlabel=label(one.name), ylabel=LABELS[variable])
+        _walls(ax, one, up.size)
+    ax.set(xlabel=across.label, ylabel=up.label)
     ax.margins(x=0.01)
+    legend(ax, alone)
     return ax
 
 
 def name(one):
     """The labels of a branch's stretches, each once, in their order: "P100, P111"."""
     return ", ".join(dict.fromkeys(part.label for part in one.segments))
-
-
-def _runs(flags):
-    """(first, one past the last) of each run of equal flags."""
-    edges = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
-    return [(first, last) for first, last in pairwise(edges) if last > first]
 
 
 def _stability(ax):
@@ -96,14 +96,12 @@ def _stability(ax):
             ax.plot([], [], label=text, gid="stability", **look)
 
 
-def _points(ax, one, variable):
-    columns = columns_of(one, variable)
+def _points(ax, points, wide, high, labels):
     known = [line.get_label() for line in ax.lines if line.get_gid() == "special"]
-    for kind in dict.fromkeys(each.kind for each in one.special if each.kind != "EP"):
-        here = one.points(kind)
-        up = columns[[each.place for each in here]]
-        across = np.broadcast_to(np.array([each.value for each in here])[:, None], up.shape)
-        text = plain(f"{kind}: {MEANINGS[kind]}" if kind in MEANINGS else kind)
+    for kind, marks in points.items():
+        up = high * marks.columns
+        across = np.broadcast_to(wide * marks.values[:, None], up.shape)
+        text = plain(f"{name_in(kind, labels)}: {MEANINGS[kind]}" if kind in MEANINGS else kind)
         told = text if text not in known else "_" + text
         look = {"marker": _marker(kind), "markersize": 5.5, "markerfacecolor": FILLED, "markeredgecolor": "black"}
         ax.plot(across.ravel(), up.ravel(), label=told, gid="special", linestyle="none", zorder=7, **look)
@@ -114,7 +112,7 @@ def _marker(kind):
     return MARKERS.get(kind) or OTHERS[sum(map(ord, kind)) % len(OTHERS)]
 
 
-def _walls(ax, one):
+def _walls(ax, one, size):
     """Lines where the walls stand, each once: not those that move or that the parameter moves, nor those far off."""
     low, high = ax.get_ylim()
     near = (high - low) / 4
@@ -122,15 +120,18 @@ def _walls(ax, one):
     for side, wall in one.scene.walls.items():
         if wall.motion is not None or one.name == f"{side}.position":
             continue
-        place = float(wall.position)
+        place = size * float(wall.position)
         if place not in known and low - near <= place <= high + near:
             ax.axhline(place, color=WALL, linewidth=0.8, zorder=0)
 
 
-def mark_points(branches: tuple[Branch, ...] | list[Branch], ax: Axes) -> Axes:
+def mark_points(
+    branches: tuple[Branch, ...] | list[Branch], ax: Axes, units: str = "scene", labels: str = "jaxvibro"
+) -> Axes:
     """Tell kind and value of the special points of branches along the top of Axes in which they are drawn: the Axes.
 
     Points of one value are told once, and those that lie too close to be told apart on one tick: the first of them.
+    units, labels: as in `branch`.
 
     Raises ArgumentError for what is no tuple or list of `Branch`es.
     """
@@ -138,14 +139,18 @@ def mark_points(branches: tuple[Branch, ...] | list[Branch], ax: Axes) -> Axes:
     low, high = ax.get_xlim()
     close = _line(ax) * (high - low)
     digits = max(0, 3 - int(np.floor(np.log10(high - low))))  # about a thousandth of the range
-    found = {(each.kind, f"{each.value:.{digits}f}"): each.value for one in branches for each in one.special}
+    sizes = [of_parameter(scales_of(one.scene, units), one.name).size for one in branches]
+    special = [
+        (each.kind, size * each.value) for one, size in zip(branches, sizes, strict=True) for each in one.special
+    ]
+    found = {(kind, f"{value:.{digits}f}"): value for kind, value in special}
     ticks: list[tuple[float, list[str]]] = []  # value, lines
     for (kind, text), value in sorted(found.items(), key=lambda item: item[1]):
         if kind == "EP" or not low <= value <= high:
             continue
         if not ticks or value - ticks[-1][0] >= close * min(LINES, len(ticks[-1][1])):
             ticks.append((value, []))
-        ticks[-1][1].append(f"{plain(kind)} {text}")
+        ticks[-1][1].append(f"{plain(name_in(kind, labels))} {text}")
     top = ax.secondary_xaxis("top")
     top.set_xticks([value for value, _ in ticks], [_lines(each) for _, each in ticks], rotation=90, fontsize=TICKS)
     for told, (_, each) in zip(top.get_xticklabels(), ticks, strict=True):

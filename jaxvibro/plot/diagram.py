@@ -9,34 +9,40 @@ from matplotlib.markers import TICKLEFT, TICKRIGHT
 
 from ..attractors.find import Attractor
 from ..attractors.shares import share_text
-from .style import COLOURS, COORDINATES, WALL, are_of, axes, is_from, label, paler, plain
+from .style import COLOURS, WALL, are_of, axes, is_from, legend, of_parameter, of_variable, paler, plain, scales_of
 
 SIZE = 1.2  # points, of the first leg's dots; later ones are smaller, so that where legs agree both are seen
 FAINT = 0.7  # of that size
 MARKERS = "osD^vP*X"
 
 
-def diagram(swept: xr.Dataset, variable: str = "x", ax: Axes | None = None, faint: bool = False) -> Axes:
+def diagram(
+    swept: xr.Dataset, variable: str = "x", ax: Axes | None = None, faint: bool = False, units: str = "scene"
+) -> Axes:
     """Draw one variable, "x" or "v", of a Dataset of `sweep`: the Axes.
 
     A dimension besides the values' and `period` (lane, or leg with its names) makes a leg of each of its entries, with
     a colour and a size of dot of its own. Fixed walls are lines where x is drawn, unless they are far from all dots.
-    faint: smaller and paler dots, to be drawn over.
+    faint: smaller and paler dots, beside branches. units: "scene", or "physical" of a scene that has scales. New Axes
+    get a legend.
 
-    Raises ArgumentError for what is no such Dataset.
+    Raises ArgumentError for what is no such Dataset, and for other units.
     """
     is_from("diagram", "sweep", ("swept", "x", "v"), swept)
+    alone, scales = ax is None, scales_of(swept, units)
     ax, name = axes(ax), swept.attrs["swept"]
+    wide, high = of_parameter(scales, name), of_variable(scales, variable)
     step, *lanes = (dim for dim in swept[variable].dims if dim != "period")
     legs = [swept] if not lanes else [swept.isel({lanes[0]: k}) for k in range(swept.sizes[lanes[0]])]
     for k, leg in enumerate(legs):
-        across = np.broadcast_to(leg[name].values[:, None], leg[variable].shape)
-        up = leg[variable].transpose(step, "period").values
+        across = np.broadcast_to(wide.size * leg[name].values[:, None], leg[variable].shape)
+        up = high.size * leg[variable].transpose(step, "period").values
         _dots(ax, across, up, k, _named(leg, lanes) + f"from {across[0, 0]:g} to {across[-1, 0]:g}", faint)
     if variable == "x":
-        _walls(ax, swept.attrs)
-    ax.set(xlabel=label(name), ylabel=COORDINATES[variable])
+        _walls(ax, swept.attrs, high.size)
+    ax.set(xlabel=wide.label, ylabel=high.label)
     ax.margins(x=0.01)
+    legend(ax, alone)
     return ax
 
 
@@ -44,14 +50,14 @@ def _named(leg, lanes):
     return plain(f"{leg[lanes[0]].values}: ") if lanes and lanes[0] in leg.coords else ""
 
 
-def _walls(ax, attrs):
+def _walls(ax, attrs, size):
     low, high = ax.get_ylim()
     near = (high - low) / 4
     for side in ("left", "right"):
         place = attrs.get(f"{side}.position")
         stands = place is not None and f"{side}.motion.amplitude" not in attrs
-        if stands and low - near <= place <= high + near:
-            ax.axhline(place, color=WALL, linewidth=0.8, zorder=0)
+        if stands and low - near <= size * place <= high + near:
+            ax.axhline(size * place, color=WALL, linewidth=0.8, zorder=0)
 
 
 def _dots(ax, across, up, place, text, faint):

@@ -8,8 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
 from ..loci.locus import MEANINGS, Locus
+from ..output.labels import name_in
 from ..scene.check import ArgumentError
-from .style import COLOURS, axes, is_of, label, plain
+from .smooth import smooth
+from .style import COLOURS, axes, is_of, legend, of_parameter, plain, scales_of
 
 # Of each kind: a colour, and a style that tells it without colour.
 LOOKS = {
@@ -29,17 +31,26 @@ HATCHES = ("///", "\\\\\\", "...", "xxx", "")
 LOCUS, REGION = "locus of", "region of"  # with the parameters, the group id of what is drawn
 
 
-def locus(one: Locus, ax: Axes | None = None, colour: ColorType | None = None) -> Axes:
+def locus(
+    one: Locus,
+    ax: Axes | None = None,
+    colour: ColorType | None = None,
+    units: str = "scene",
+    labels: str = "jaxvibro",
+) -> Axes:
     """Draw a `Locus` in the plane of its two parameters, the first across, the second up: the Axes.
 
     colour: of its line; None takes that of its kind. Each kind has a colour and a style of line; of two loci of a kind
     in the same Axes the second is thinner, and further ones thinner still. Each kind of codimension-two point has a
-    marker, ends have none.
+    marker, ends have none. units: "scene", or "physical" of a scene that has scales; labels: what points are called, as
+    in `Branch.table`. New Axes get a legend.
 
-    Raises ArgumentError where the Axes hold loci of other parameters, or of these the other way round.
+    Raises ArgumentError where the Axes hold loci of other parameters, or of these the other way round, and for other
+    units and labels.
     """
     is_of("locus", Locus, one)
-    ax = _plane(axes(ax), one.names)
+    alone = ax is None
+    ax, sizes = _plane(axes(ax), one, units)
     told, (own, style) = name(one), LOOKS[one.kind]
     lines = _with_gid(ax.lines, LOCUS)
     alike = [line for line in lines if line.get_label().lstrip("_") == told]
@@ -49,8 +60,10 @@ def locus(one: Locus, ax: Axes | None = None, colour: ColorType | None = None) -
     if alike:
         look = {"linestyle": style, "color": colour or alike[0].get_color(), "linewidth": alike[0].get_linewidth()}
     hidden = any(line.get_color() == look["color"] for line in alike)
-    ax.plot(*one.values.T, label=f"_{told}" if hidden else told, gid=_gid(LOCUS, one.names), zorder=3, **look)
-    _points(ax, one)
+    line = smooth(*(one.values * sizes).T)
+    ax.plot(*line, label=f"_{told}" if hidden else told, gid=_gid(LOCUS, one.names), zorder=3, **look)
+    _points(ax, one, sizes, labels)
+    legend(ax, alone)
     return ax
 
 
@@ -59,23 +72,30 @@ def name(one):
     return f"{one.kind} of {one.label}"
 
 
-def _points(ax, one):
+def _points(ax, one, sizes, labels):
     known = [line.get_label() for line in ax.lines if line.get_gid() == "codimension two"]
     for kind in dict.fromkeys(each.kind for each in one.special if each.kind != "EP"):
-        across, up = np.array([list(each.values.values()) for each in one.points(kind)]).T
-        text = f"{kind}: {MEANINGS.get(kind, f'end of a locus of {kind}')}"
+        across, up = (np.array([list(each.values.values()) for each in one.points(kind)]) * sizes).T
+        text = f"{name_in(kind, labels)}: {MEANINGS.get(kind, f'end of a locus of {kind}')}"
         told = f"_{text}" if text in known else text
         look = {"marker": MARKERS[kind], "markersize": SIZES.get(kind, 6.0), "zorder": 7 - 0.1 * SIZES.get(kind, 6.0)}
         look |= {"markerfacecolor": FILLED, "markeredgecolor": "black", "linestyle": "none"}
         ax.plot(across, up, label=told, gid="codimension two", **look)
 
 
-def region(first: Locus, second: Locus, text: str, ax: Axes | None = None, colour: ColorType | None = None) -> Axes:
+def region(
+    first: Locus,
+    second: Locus,
+    text: str,
+    ax: Axes | None = None,
+    colour: ColorType | None = None,
+    units: str = "scene",
+) -> Axes:
     """Shade the region between two `Locus` over the same two parameters, and write a text into it: the Axes.
 
     A point is in the region if, on the line through it on which the second parameter is constant, its neighbours are
     the one locus on one side and the other locus on the other. colour: of the shade; None takes grey, with another
-    hatching for each region in these Axes, told by the text in the legend too.
+    hatching for each region in these Axes, told by the text in the legend too. units: as in `locus`.
 
     Raises ArgumentError where the two are not over the same parameters in the same order, where no such line meets
     both, and as `locus` does.
@@ -83,8 +103,8 @@ def region(first: Locus, second: Locus, text: str, ax: Axes | None = None, colou
     is_of("region", Locus, first, second)
     if first.names != second.names:
         raise ArgumentError("second", f"must be a locus in {' and '.join(first.names)}, as the first", second.names)
-    ax = _plane(axes(ax), first.names)
-    outlines = _outlines(first.values, second.values)
+    ax, sizes = _plane(axes(ax), first, units)
+    outlines = _outlines(first.values * sizes, second.values * sizes)
     if not outlines:
         raise ArgumentError("second", f"must share values of {first.names[1]} with the first", repr(second))
     earlier = len({patch.get_label() for patch in _with_gid(ax.patches, REGION)} - {"_"})
@@ -147,15 +167,18 @@ def _widest(outlines):
     return where
 
 
-def _plane(ax, names):
-    """The Axes, their labels those of the two parameters. Raises ArgumentError where they hold others."""
+def _plane(ax, one, units):
+    """(the Axes, their labels those of the two parameters; what these are multiplied by). Raises ArgumentError where
+    they hold others."""
+    names, scales = one.names, scales_of(one.scene, units)
     held = {each.get_gid() for each in (*_with_gid(ax.lines, LOCUS), *_with_gid(ax.patches, REGION))}
     there = {gid.removeprefix(LOCUS).removeprefix(REGION).strip() for gid in held}
     if there - {", ".join(names)}:
         rule = f"must be in the plane of what these Axes hold already ({', '.join(sorted(there))}, in this order)"
         raise ArgumentError("one.names", rule, tuple(names))
-    ax.set(xlabel=label(names[0]), ylabel=label(names[1]))
-    return ax
+    across, up = (of_parameter(scales, name) for name in names)
+    ax.set(xlabel=across.label, ylabel=up.label)
+    return ax, np.array([across.size, up.size])
 
 
 def _gid(what, names):

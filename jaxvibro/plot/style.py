@@ -1,11 +1,15 @@
 """Colours, names and units that all pictures share."""
 
+from typing import NamedTuple
+
 import matplotlib.pyplot as plt
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
+from ..output.units import LENGTH, SPEED, require_system, scales_from, told, unit_of
 from ..scene.check import ArgumentError
+from ..scene.scales import require_scales
 
 # Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
@@ -24,12 +28,65 @@ _PARAMETERS = {
     "motion.amplitude": r"amplitude of motion $B\,/\,d$",
     "motion.phase": r"phase of motion (rad)",
 }
+_PHYSICAL = {
+    "amplitude": "drive amplitude $F$ (N)",
+    "frequency": r"drive frequency $\Omega\,/\,2\pi$ (Hz)",
+    "damping": "damping $C$ (N s/m)",
+    "restitution": "restitution $R$",
+    "stiffness": "stiffness $K_2$ (N/m)",
+    "contact damping": "damping in contact $C_2$ (N s/m)",
+    "hardness": r"hardness of the walls $\log_{10}(K_2\,/\,K)$",
+    "position": "mean position $X_b$ (mm)",
+    "motion.amplitude": "amplitude of motion $B$ (mm)",
+    "motion.phase": "phase of motion (rad)",
+}
 _OF_TERM = {"amplitude": "amplitude", "phase": "phase (rad)"}
 COORDINATES = {"x": r"position $x = X\,/\,d$", "v": r"velocity $v = \dot X\,/\,(d\,\omega_0)$"}
+_PHYSICAL_COORDINATES = {"x": "position $X$ (mm)", "v": r"velocity $\dot X$ (m/s)"}
+VARIABLES = {
+    **COORDINATES,
+    "clearance": r"least clearance$\,/\,d$",
+    "speed": r"largest impact speed$\,/\,(d\,\omega_0)$",
+    "least_speed": r"least impact speed$\,/\,(d\,\omega_0)$",
+    "peak": r"largest position $\max|x| = \max|X|\,/\,d$",
+}
+_PHYSICAL_VARIABLES = {
+    **_PHYSICAL_COORDINATES,
+    "clearance": "least clearance (mm)",
+    "speed": "largest impact speed (m/s)",
+    "least_speed": "least impact speed (m/s)",
+    "peak": r"largest position $\max|X|$ (mm)",
+}
+UNITS = {"x": LENGTH, "v": SPEED, "clearance": LENGTH, "speed": SPEED, "least_speed": SPEED, "peak": LENGTH}
 TIME = r"time in drive periods, $\omega t\,/\,2\pi$"
 
 
-def label(name):
+class Axis(NamedTuple):
+    """What an axis shows. label: its text; size: what the scene's numbers are multiplied by."""
+
+    label: str
+    size: float
+
+
+def of_parameter(scales, name):
+    """The `Axis` of a scene's parameter, in the scene's units, or with `Scales` in physical ones."""
+    return Axis(label(name, _PARAMETERS if scales is None else _PHYSICAL), told(unit_of(name), scales)[1])
+
+
+def of_variable(scales, name):
+    """The `Axis` of a variable of a motion or orbit, likewise."""
+    return Axis((VARIABLES if scales is None else _PHYSICAL_VARIABLES)[name], told(UNITS[name], scales)[1])
+
+
+def scales_of(one, units):
+    """None for the units "scene"; for "physical" the `Scales` of a scene, or those in a Dataset's attributes."""
+    require_system(units)
+    if units == "scene":
+        return None
+    return scales_from(one) if isinstance(one, xr.Dataset) else require_scales(one)
+
+
+def label(name, parameters=_PARAMETERS):
     """The axis label of a scene's parameter, symbol and unit included."""
     side, _, rest = name.partition(".")
     if side == "force":
@@ -38,7 +95,7 @@ def label(name):
         place, _, own = rest.partition(".")
         return f"{_OF_TERM[own]} of the drive's term {place}"
     rest = "contact damping" if rest == "damping" else rest
-    return f"{side} wall: {_PARAMETERS[rest]}" if rest else _PARAMETERS[name]
+    return f"{side} wall: {parameters[rest]}" if rest else parameters[name]
 
 
 def plain(text):
@@ -54,6 +111,12 @@ def paler(colour):
 def axes(ax: Axes | None) -> Axes:
     """The Axes given, or those of a new figure."""
     return plt.subplots(layout="constrained")[1] if ax is None else ax
+
+
+def legend(ax, alone):
+    """A legend in Axes that were made for one picture, or have one; whoever gives Axes makes his own."""
+    if alone or ax.get_legend() is not None:
+        ax.legend(frameon=False, fontsize="small")
 
 
 def is_of(picture, kind, *values):

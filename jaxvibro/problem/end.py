@@ -46,8 +46,22 @@ def ended(one):
 
 def read(text):
     """The `End` of a text: saved branches had no more. Raises ValueError where it is none."""
+    return _parsed(text)[0]
+
+
+def scaled(text, size):
+    """The text of a `Reason`, its value told in another unit, in which it is so many times as large."""
+    _, match = _parsed(text)
+    if not match.groups():
+        return text
+    return f"{text[: match.start(1)]}{float(match[1]) * size:.12g}{text[match.end(1) :]}"
+
+
+def _parsed(text):
+    """(the `End` of a text, the match, whose first group is the value where the text has one)."""
     for one in End:
-        pattern = re.sub(r"\\{value[^}]*\\}", r"\\S+", re.escape(one.value)).replace(r"\{kind\}", ".+")
-        if re.fullmatch(pattern, text):
-            return one
+        pattern = re.sub(r"\\{value[^}]*\\}", r"(\\S+)", re.escape(one.value)).replace(r"\{kind\}", ".+")
+        match = re.fullmatch(pattern, text)
+        if match:
+            return one, match
     raise ValueError(f"why a branch ends is not told by {text!r}")

@@ -4,7 +4,9 @@ from collections.abc import Callable
 from functools import cached_property
 from typing import Generic, TypeVar
 
+import numpy as np
 import xarray as xr
+from jaxtyping import Complex
 
 from ..orbits.orbit import Orbit
 from ..scene.check import ArgumentError
@@ -55,6 +57,11 @@ class OrbitRows(Generic[Found]):
         """The special points of a kind, a tuple."""
         return tuple(one for one in self.special if one.kind == kind)
 
+    @property
+    def multipliers(self) -> Complex[np.ndarray, "points 2"]:
+        """Floquet's, (points, 2), complex, the larger first."""
+        return self.data["multiplier_real"].values + 1j * self.data["multiplier_imag"].values
+
     def orbit(self, place: int) -> Orbit:
         """The `Orbit` at one of the points, by its place.
 
@@ -64,3 +71,16 @@ class OrbitRows(Generic[Found]):
         if not -count <= place < count:
             raise ArgumentError("place", f"must be a point of the {self.NOUN}, from 0 to {count - 1}", place)
         return described_orbit(*self.located(place))
+
+
+def row_of(data, place):
+    """The numbers of one point of a branch's, or locus', data, {name: array}."""
+    return {name: each.values[place] for name, each in data.variables.items()}
+
+
+def spot_of(row, name):
+    """The `OrbitPoint` of a `row_of` a branch's data."""
+    hit = row["side"] != 0
+    columns = (row[key][hit].astype(float) for key in ("time", "speed", "side"))
+    plain = (float(row[key][0]) for key in ("x", "v"))
+    return OrbitPoint(float(row[name]), *columns, len(row["x"]), *plain, float(row["residual"]))

@@ -3,12 +3,14 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
+import jax
 import numpy as np
 from jax import numpy as jnp
 from jaxtyping import ArrayLike, Real
 from numpy.typing import DTypeLike
 
-from . import check
+from . import check, questions
+from .scales import Scales
 from .scene import SIDES, Scene, Walls, make_scene, terms_of
 from .scene_rules import obey
 from .wall import Motion, Wall
@@ -17,50 +19,98 @@ from .wall import Motion, Wall
 @check.of_scene
 def scene_from_physical(
     mass: Real[ArrayLike, "..."],
-    damping: Real[ArrayLike, "..."],
-    stiffness: Real[ArrayLike, "..."],
-    force: Real[ArrayLike, "..."],
-    frequency: Real[ArrayLike, "..."],
-    restitution: Real[ArrayLike, "..."],
-    walls: Walls,
+    damping: Real[ArrayLike, "..."] | None = None,
+    stiffness: Real[ArrayLike, "..."] | None = None,
+    force: Real[ArrayLike, "..."] | None = None,
+    frequency: Real[ArrayLike, "..."] | None = None,
+    restitution: Real[ArrayLike, "..."] | None = None,
+    walls: Walls | None = None,
     length: Real[ArrayLike, "..."] | None = None,
     dtype: DTypeLike | None = None,
     drive: Sequence[Motion | tuple[Real[ArrayLike, "..."], int, Real[ArrayLike, "..."]]] = (),
+    *,
+    damping_ratio: Real[ArrayLike, "..."] | None = None,
+    frequency_hz: Real[ArrayLike, "..."] | None = None,
+    gap: Real[ArrayLike, "..."] | tuple[Real[ArrayLike, "..."] | None, Real[ArrayLike, "..."] | None] | None = None,
 ) -> Scene:
-    """The nondimensional scene of a mass on a spring, in any consistent set of units.
+    """The nondimensional scene of a mass on a spring, from SI quantities, which it remembers as its `Scales`.
 
-    mass M > 0, damping C >= 0, stiffness K > 0, force F, frequency Omega > 0 in radians per unit of time, restitution
-    R: numbers or arrays that broadcast. walls: (left, right) as in `make_scene`, in the units of M, C, K and F: a
-    soft wall's stiffness is the force it adds over how far the mass is beyond it, its damping takes the place of C.
+    mass M > 0 (kg), stiffness K > 0 (N/m), force F (N), restitution R: numbers or arrays that broadcast. One each of:
+    damping C >= 0 (N s/m) or damping_ratio C / (2 sqrt(K M)); frequency Omega > 0 (rad/s) or frequency_hz Omega / (2
+    pi); walls, (left, right) as in `make_scene`, or gap, how far from the rest position they stand on both sides: a
+    number, or (left, right), None where there is no wall. A soft wall's stiffness is the force it adds over how far
+    the mass is beyond it, its damping takes the place of C.
 
-    drive: as in `make_scene`, its amplitudes in the unit of F.
+    drive: as in `make_scene`, its amplitudes in N.
 
-    length d is what the scene measures lengths in; None takes the right wall's position, which must then be above 0:
-    the scene's right wall stands at 1. With w0 = sqrt(K / M) the scene has amplitude F / (K d), frequency Omega / w0,
-    damping C / (2 M w0); its time is w0 T, its x is X / d, its velocity (dX/dT) / (w0 d). The damping follows from the
-    equation of motion; our copy of the paper reads C / (M w0), which does not fit it.
+    length d (m) is what the scene measures lengths in; None takes the right wall's position, which must then be above
+    0: the scene's right wall stands at 1. With w0 = sqrt(K / M) the scene has amplitude F / (K d), frequency
+    Omega / w0, damping C / (2 M w0); its time is w0 T, its x is X / d, its velocity (dX/dT) / (w0 d). The damping
+    follows from the equation of motion; our copy of the paper reads C / (M w0), which does not fit it. Any other
+    consistent units do as well, but physical ones are then told by wrong names; batches of M, K or d leave no scales.
 
-    Raises SceneError for a quantity that breaks its rule; the scene itself is then checked as in `make_scene`.
+    Raises SceneError for a quantity that breaks its rule; the scene itself is then checked as in `make_scene`. Warns
+    where a frequency looks like Hz, or positions like mm.
     """
     kind = check.float_type(dtype)
-    walls = check.pair(walls)
-    given = {"mass": mass, "damping": damping, "stiffness": stiffness, "force": force, "frequency": frequency}
-    given["length"] = _length(walls) if length is None else length
+    walls = check.pair(_one_of("walls", walls, "gap", _around(gap)))
+    given = {"mass": mass, "stiffness": stiffness, "force": force, "restitution": restitution}
+    for key, value in given.items():
+        _require(key, value)
+    given |= {
+        "damping": _one_of("damping", damping, "damping_ratio", damping_ratio),
+        "frequency": _one_of("frequency", frequency, "frequency_hz", frequency_hz),
+        "length": _length(walls) if length is None else length,
+    }
     of = {key: check.quantity(key, value, kind) for key, value in given.items()}
     check.shapes_agree(of.items())
     for key, value in of.items():
         obey(key, value)
     xp = jnp if check.is_traced(*of.values()) else np
     natural = xp.sqrt(of["stiffness"] / of["mass"])
-    return make_scene(
+    scene = make_scene(
         amplitude=of["force"] / (of["stiffness"] * of["length"]),
-        frequency=of["frequency"] / natural,
-        damping=of["damping"] / (2 * of["mass"] * natural),
+        frequency=(of["frequency"] if frequency_hz is None else 2.0 * np.pi * of["frequency"]) / natural,
+        damping=of["damping"] / (2 * of["mass"] * natural) if damping_ratio is None else of["damping"],
         restitution=restitution,
         walls=tuple(_scaled(side, wall, of, natural, kind) for side, wall in zip(SIDES, walls, strict=True)),
         dtype=kind,
         drive=[_weighed(f"drive.{k}", of, kind, *term) for k, term in enumerate(terms_of(drive))],
     )
+    if not check.is_traced(*jax.tree.leaves(scene)) and not scene.shape:
+        questions.ask(scene, frequency_hz is None)
+    return replace(scene, scales=_scales(of))
+
+
+def _require(key, value):
+    if value is None:
+        raise check.SceneError(key, "must be given", None)
+
+
+def _one_of(key, value, other, instead):
+    """The one of two ways to give a quantity that is given."""
+    if (value is None) == (instead is None):
+        raise check.SceneError(key, f"must be given, or {other}, and not both", value)
+    return instead if value is None else value
+
+
+def _around(gap):
+    """(left, right), the walls' positions that a gap means; None without."""
+    if gap is None:
+        return None
+    left, right = gap if isinstance(gap, tuple | list) and len(gap) == 2 else (gap, gap)
+    for one in (left, right):
+        if isinstance(one, Wall | list | tuple) or (one is not None and not check.is_traced(one) and np.ndim(one) > 0):
+            raise check.SceneError("gap", "must be a number, or (left, right), each a number or None", gap)
+    return None if left is None else -check.quantity("gap", left, np.float64), right
+
+
+def _scales(of):
+    """The `Scales` of single numbers that are known, else None."""
+    found = {key: of[key] for key in ("mass", "stiffness", "length")}
+    if check.is_traced(*found.values()) or any(np.ndim(each) for each in found.values()):
+        return None
+    return Scales(**{key: float(each) for key, each in found.items()})
 
 
 def _length(walls):

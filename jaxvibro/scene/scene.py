@@ -1,7 +1,7 @@
 """The scene: an oscillator, its drive and its walls, a frozen pytree of nondimensional numbers (paper, section 1)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import reduce
 from typing import Any
 
@@ -19,6 +19,7 @@ from .force import Force
 from .force_rules import check_force, check_force_values, flow_of
 from .push import Push
 from .push_rules import check_push
+from .scales import Scales
 from .scene_rules import check_scene
 from .wall import Motion, Wall
 
@@ -26,7 +27,6 @@ SIDES = ("left", "right")
 MOST_TERMS = 32  # of the drive, beside its first: each is compiled for
 
 
-@jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
 class Scene:
     """x'' + 2 damping x' + x = amplitude cos(frequency t) between the walls, y+ - v = -restitution (y- - v) at a rigid
@@ -34,8 +34,9 @@ class Scene:
 
     Every real number is an array; together they broadcast to the batch of scenes. A wall that is None is not there.
     drive: further terms beside amplitude cos(frequency t), `Motion`s. force: a `Force`; damping is then None. harder:
-    by how many decades the soft walls are stiffer than they say, at the same R_eff; None but along a branch. Make one
-    with `make_scene`, which checks it.
+    by how many decades the soft walls are stiffer than they say, at the same R_eff; None but along a branch. scales:
+    the `Scales` of one that `scene_from_physical` made, None of others; what JAX's transformations give back has none.
+    Make one with `make_scene`, which checks it.
     """
 
     amplitude: Real[Array, "..."]
@@ -47,6 +48,7 @@ class Scene:
     harder: Real[Array, "..."] | None = None
     force: Force | None = None
     drive: tuple[Motion, ...] = ()
+    scales: Scales | None = None
 
     @property
     def dtype(self) -> np.dtype:
@@ -144,6 +146,9 @@ class Scene:
         return _checked(vars(changed(self, changes)), self.dtype)
 
 
+_LEAVES = [one.name for one in fields(Scene) if one.name != "scales"]
+jax.tree_util.register_dataclass(Scene, _LEAVES, [], ("scales",))  # so no scales make another program
+
 Walls = Sequence[Wall | Real[ArrayLike, "..."] | None] | Real[Array, " walls"]  # left and right
 
 
@@ -222,7 +227,12 @@ def _put(node, path, value):
 
 
 def _checked(given, dtype):
-    return jax.tree.map(jnp.asarray, _sound(_numbers(given, check.float_type(dtype))))
+    return mapped(jnp.asarray, _sound(_numbers(given, check.float_type(dtype))))
+
+
+def mapped(function, scene):
+    """The scene with a function of each of its numbers, its scales as they were."""
+    return replace(jax.tree.map(function, scene), scales=scene.scales)
 
 
 def known(scene, dtype):
@@ -277,7 +287,8 @@ def _numbers(given, dtype):
     if force is not None:
         plain["force"] = check_force(force, number, dtype)
     plain["drive"] = tuple(wave(f"drive.{k}", 0, *term) for k, term in enumerate(terms_of(given["drive"])))
-    return Scene(**plain, left=standing("left", given["left"]), right=standing("right", given["right"]))
+    sides = {side: standing(side, given[side]) for side in SIDES}
+    return Scene(**plain, **sides, scales=given.get("scales"))
 
 
 def terms_of(drive):

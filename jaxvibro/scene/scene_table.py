@@ -1,5 +1,7 @@
 """[scene]: the table that describes a scene, in a scene file and in all that is saved."""
 
+from dataclasses import replace
+
 from msgspec import Struct, field
 
 from . import check
@@ -7,6 +9,7 @@ from .force import TOLERANCE, Force
 from .force_rules import solver_name
 from .named_forces import NAMED, name_of
 from .push import NAMED_PUSHES, Push, name_of_push
+from .scales import Scales
 from .scene import make_scene
 from .wall import Motion, Wall
 
@@ -66,8 +69,17 @@ class ForceTable(Table, frozen=True):
         return Force(self.name, self.numbers, self.tolerance, self.solver)
 
 
+class ScalesTable(Table, frozen=True):
+    """[scene.scales]: `Scales`, mass in kg, stiffness in N/m, length in m."""
+
+    mass: float
+    stiffness: float
+    length: float
+
+
 class SceneTable(Table, frozen=True, kw_only=True):
-    """[scene]: the arguments of `make_scene`; a wall without a table is not there."""
+    """[scene]: the arguments of `make_scene`; a wall without a table is not there. scales: what its numbers are
+    measured in, where that is to be told."""
 
     amplitude: float
     frequency: float
@@ -77,13 +89,22 @@ class SceneTable(Table, frozen=True, kw_only=True):
     right: WallTable | None = None
     force: ForceTable | None = None
     drive: list[MotionTable] = field(default_factory=list)
+    scales: ScalesTable | None = None
 
     def make(self, dtype=None):
         """The scene described, made by `make_scene`: ArgumentError where it breaks a rule."""
         walls = tuple(table and table.wall() for table in (self.left, self.right))
         force = self.force and self.force.force()
         drive = [each.motion() for each in self.drive]
-        return make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype, force, drive)
+        scene = make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype, force, drive)
+        return replace(scene, scales=self.scales and _scales(self.scales))
+
+
+def _scales(table):
+    try:
+        return Scales(table.mass, table.stiffness, table.length)
+    except check.ArgumentError as error:
+        raise check.SceneError(f"scales.{error.key}", error.rule, error.value) from None
 
 
 def table_of(scene):
@@ -104,7 +125,9 @@ def table_of(scene):
 
     plain = {key: float(scene.parameter(key)) for key in PLAIN if key in scene.names}
     sides = {"left": table(scene.left), "right": table(scene.right)}
-    return SceneTable(**plain, **sides, force=_force_table(scene.force), drive=[wave(term) for term in scene.drive])
+    scales = scene.scales and ScalesTable(**scene.scales.numbers)
+    drive = [wave(term) for term in scene.drive]
+    return SceneTable(**plain, **sides, force=_force_table(scene.force), drive=drive, scales=scales)
 
 
 def _push_table(law):

@@ -6,7 +6,7 @@ import msgspec
 
 from .. import __version__
 from ..attractors.shares import share_text
-from ..branches.branch import MEANINGS, labels
+from ..branches.branch import MEANINGS, labels_of
 from ..design.records import ImpactRecord
 from ..loci.locus import MEANINGS as ON_LOCI
 from ..maps.initial_conditions import box, box_text
@@ -253,7 +253,7 @@ def _locus(one):
 
 
 def _point(one):
-    return {"value": one.value, **_place(one), "meets": labels(one)}
+    return {"value": one.value, **_place(one), "meets": labels_of(one)}
 
 
 def _place(one):

@@ -5,7 +5,7 @@ import numpy as np
 import xarray as xr
 
 from .. import __version__
-from ..branches.branch import labels
+from ..branches.branch import labels_of
 from ..maps.initial_conditions import box
 from ..output.units import ANGLE, LENGTH, ONE, SPEED
 
@@ -147,7 +147,7 @@ def _special(branches):
             "special_point": column("its place along branch_point", [firsts[k] + one.place for k, one in found]),
             "special_label": column("P n p q: periods, impacts left, right", [one.label for _, one in found]),
             "special_itinerary": column("walls hit, a word a period", [" ".join(one.itinerary) for _, one in found]),
-            "special_meets": column("orbits that meet there", [" ".join(labels(one)) for _, one in found]),
+            "special_meets": column("orbits that meet there", [" ".join(labels_of(one)) for _, one in found]),
             "special_multiplier_real": (larger[0], roots.real, larger[1]),
             "special_multiplier_imag": (larger[0], roots.imag, larger[1]),
             "special_residual": column("largest error left in its equations", [one.residual for _, one in found]),

@@ -25,6 +25,7 @@ _KINDS = {
     "scene.left.motion": scene_table.MotionTable,
     "scene.right.motion": scene_table.MotionTable,
     "scene.drive": scene_table.MotionTable,
+    "scene.scales": scene_table.ScalesTable,
     "scene.left.law": scene_table.PushTable,
     "scene.right.law": scene_table.PushTable,
     "sweep": schema.SweepTable,

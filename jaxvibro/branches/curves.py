@@ -1,21 +1,77 @@
 """A branch as the lines of a picture: which parts are stable, and where a line breaks though the branch goes on."""
 
-import numpy as np
+from itertools import pairwise
+from typing import NamedTuple
 
-from ..branches.peaks import peaks
-from .path import SIGNS, position, velocity
+import numpy as np
+from jaxtyping import Float
+
+from ..flight.wall_positions import places
+from ..problem.loads import largest_speed
+from ..scene import check
+from ..scene.scene import SIDES
+from .largest_position import largest_of
+
+VARIABLES = ("x", "v", "clearance", "speed", "least_speed", "peak")
 
 MARGIN = 1e-6  # of a multiplier beyond 1, at a special point
 JUMP = 1e-6  # of the largest value, from one itinerary to the next
 
 
-def lines(branch, variable):
+class Piece(NamedTuple):
+    """A piece of a branch whose orbits are all stable, or none. values: of the parameter, (rows,); columns: of a
+    variable, (rows, columns); in a row of nan the line breaks."""
+
+    values: Float[np.ndarray, " rows"]
+    columns: Float[np.ndarray, "rows columns"]
+    stable: bool
+
+
+class Marks(NamedTuple):
+    """The special points of one kind. values: of the parameter, (count,); columns: of a variable, (count, columns)."""
+
+    values: Float[np.ndarray, " count"]
+    columns: Float[np.ndarray, "count columns"]
+
+
+class Curves(NamedTuple):
+    """A branch as arrays ready to plot. pieces: `Piece`s in order, each beginning where the one before ends; points:
+    {kind: `Marks`} of the special points, without the ends."""
+
+    pieces: tuple[Piece, ...]
+    points: dict[str, Marks]
+
+
+def curves(branch, variable):
+    """The `Curves` of one variable of a branch. Raises ArgumentError for other variables."""
+    if not isinstance(variable, str) or variable not in VARIABLES:
+        raise check.ArgumentError("variable", f"must be one of {', '.join(VARIABLES)}", variable)
+    columns = _columns_of(branch, variable)
+    values, rows, stable = _lines(branch, variable, columns)
+    pieces = tuple(
+        Piece(values[first : last + 1], rows[first : last + 1], bool(stable[first])) for first, last in _runs(stable)
+    )
+    kinds = dict.fromkeys(one.kind for one in branch.special if one.kind != "EP")
+    found = {kind: branch.points(kind) for kind in kinds}
+    points = {
+        kind: Marks(np.array([one.value for one in some]), columns[[one.place for one in some]])
+        for kind, some in found.items()
+    }
+    return Curves(pieces, points)
+
+
+def _runs(flags):
+    """(first, one past the last) of each run of equal flags."""
+    edges = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
+    return [(first, last) for first, last in pairwise(edges) if last > first]
+
+
+def _lines(branch, variable, columns):
     """(values, columns, stable) of one variable of a branch: shapes (rows,), (rows, columns) and (rows - 1,).
 
     columns: a drive period each for "x" and "v", one for the others; stable: from a row to the next. A row
     is a point of the branch; where a line breaks three more stand between two points: its end, nan, its new beginning.
     """
-    columns = columns_of(branch, variable)
     inside = abs(branch.multipliers).max(axis=1) < 1.0 + MARGIN
     stable = inside[:-1] & inside[1:]
     breaks = _changes(branch, columns)
@@ -31,13 +87,16 @@ def lines(branch, variable):
     )
 
 
-def columns_of(branch, variable):
+def _columns_of(branch, variable):
     """One variable at each point, shape (points, columns); nan where there is none."""
+    data = branch.data
     if variable in ("x", "v"):
-        return branch.data[variable].values
+        return data[variable].values
     if variable == "peak":
-        return peaks(branch)[:, None]
-    found = branch.data[f"least_{variable}"].values[:, None]
+        return largest_of(branch)[:, None]
+    if variable == "speed":
+        return largest_speed(data["side"].values, data["speed"].values)[:, None]
+    found = data["least_speed" if variable == "least_speed" else "least_clearance"].values[:, None]
     return np.where(np.isfinite(found), found, np.nan)
 
 
@@ -88,11 +147,11 @@ def _crossing(branch, variable, columns, place, hit, share, is_later):
     value, row = between(branch.values), between(columns)
     scene = branch.scene.replace(**{branch.name: value})
     side, speed = int(branch.data["side"].values[place, hit]), between(branch.data["speed"].values[:, hit])
-    wall, rebound = getattr(scene, SIGNS[side]), float(scene.bounce(SIGNS[side]))
-    pace = 0.0 if wall.motion is None else velocity(wall, float(scene.frequency), 0.0)
-    ends = (pace - rebound * side * speed, pace + side * speed)
+    name = SIDES[int(side > 0)]
+    where, pace = (float(each) for each in places(scene, 0.0)[int(side > 0)])
+    ends = (pace - float(scene.bounce(name)) * side * speed, pace + side * speed)
     if variable == "x":
-        ends = 2 * (position(wall, 0.0),)
+        ends = 2 * (where,)
     period = branch.data.sizes["period"]
     late = between(branch.data["time"].values[:, hit]) * float(scene.frequency) / (2.0 * np.pi)
     rows = np.stack([row, row, row])

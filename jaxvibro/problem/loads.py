@@ -1,0 +1,44 @@
+"""What impacts do to walls: how fast the mass comes, and the energy that it leaves there.
+
+An impact at a rigid wall takes (1 - R^2) u^2 / 2 of the energy in the wall's frame, u the speed before it relative to
+the wall. Where the mass then comes to rest the impacts that are not told take all that is left, (R u)^2 / 2. Energies
+are in the unit K length^2, work rates in K length^2 w0.
+"""
+
+import numpy as np
+
+from ..scene.codes import Contact
+
+SIGNS = {"left": -1, "right": 1}
+
+
+def largest_speed(sides, speeds):
+    """The largest speed before an impact, relative to its wall, (points,): nan where there is none. sides, speeds:
+    (points, impacts), as a branch's data have them."""
+    found = np.where(abs(sides) == Contact.LANDED, speeds, np.nan).max(axis=1, initial=-np.inf, where=_hits(sides))
+    return np.where(np.isfinite(found), found, np.nan)
+
+
+def work_rate(sides, speeds, restitutions, span):
+    """The energy that impacts leave at the walls, over time, (points,): nan where one of them is soft, as what that
+    takes depends on the drive. restitutions: {side: (points,)}, nan of a soft wall; span: of the orbit, (points,)."""
+    rebound = np.zeros(sides.shape)
+    for side, sign in SIGNS.items():
+        if side in restitutions:
+            rebound = np.where(np.sign(sides) == sign, restitutions[side][:, None], rebound)
+    lost = np.where(_last(sides), 0.5, 0.5 * (1.0 - rebound**2)) * speeds**2
+    return np.where(_hits(sides), lost, 0.0).sum(axis=1) / span
+
+
+def _hits(sides):
+    return abs(sides) == Contact.LANDED
+
+
+def _last(sides):
+    """Which impacts are the last that are told before the mass rests."""
+    found = np.zeros(sides.shape, bool)
+    for row in np.unique(sides, axis=0):
+        hit = np.flatnonzero(row)
+        ends = hit[abs(np.roll(row[hit], -1)) >= Contact.STUCK]
+        found[np.ix_((sides == row).all(axis=1), ends)] = True
+    return found & _hits(sides)

@@ -1,0 +1,28 @@
+"""What a user may have meant: numbers that are right as they stand, and yet look as if they were in other units."""
+
+import warnings
+
+import numpy as np
+
+NEAR = (0.4, 2.5)  # of the natural frequency: what is so near once it is taken for Hz looks like Hz
+FAR = 20.0  # times what the mass reaches: a wall as far away looks like one in mm
+MILLI = 1e-3
+
+
+def ask(scene, in_radians):
+    """Warn, once, where the frequency given in radians per second looks like Hz, or the walls' positions like mm, of a
+    single scene."""
+    frequency = float(scene.frequency)
+    found = []
+    looks_like_hz = in_radians and NEAR[0] <= 2.0 * np.pi * frequency <= NEAR[1]
+    if looks_like_hz:
+        told = f"the drive is at {frequency:.3g} of the natural frequency, and would be at"
+        found.append(f"is the frequency in Hz ({told} {2.0 * np.pi * frequency:.3g})? frequency_hz= takes it so")
+    meant = 2.0 * np.pi * frequency if looks_like_hz else frequency
+    far = [abs(float(wall.position)) for wall in scene.walls.values() if wall.motion is None]
+    reached = float(scene.amplitude) / abs(1.0 - meant**2 + 2j * float(scene.damping) * meant) if meant != 1 else np.inf
+    if len(far) == len(scene.walls) and far and reached > 0 and min(far) > FAR * reached >= FAR * MILLI * min(far):
+        times = f"{min(far) / reached:.3g} times as far as the drive moves the mass"
+        found.append(f"are the walls' positions in mm (they are {times})? they are taken in m")
+    if found:
+        warnings.warn("; ".join(found), UserWarning, stacklevel=4)

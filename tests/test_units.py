@@ -1,0 +1,228 @@
+"""Scenes that know their units: what goes in in SI comes back in N, Hz, mm, m/s, W, and as SciPy has it."""
+
+import warnings
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from scipy.integrate import solve_ivp
+
+import jaxvibro as jv
+from jaxvibro import plot
+from jaxvibro.output.units import to_physical
+from jaxvibro.problem import loads, stability
+from jaxvibro.problem.end import End, read, scaled
+from jaxvibro.scene.scales import Scales
+
+RIG = {"mass": 0.5, "damping_ratio": 0.05, "stiffness": 3e4, "force": 30.0, "frequency_hz": 82.0, "restitution": 0.7}
+
+
+def rig(**changes):
+    return jv.scene_from_physical(**{**RIG, "gap": 0.5e-3, **changes})
+
+
+@pytest.fixture(scope="module")
+def followed():
+    scene = rig(frequency_hz=2.1 * np.sqrt(3e4 / 0.5) / (2 * np.pi))
+    plain = jv.make_scene(float(scene.amplitude), float(scene.frequency), 0.05, 0.7, (-1.0, 1.0))
+    orbits = [jv.find_orbit(one, jv.State(0.9, -1.1)) for one in (scene, plain)]
+    return [jv.follow(one, "amplitude", bounds=(0.0, 6.0)) for one in orbits]
+
+
+def test_the_three_ways_to_say_a_quantity_are_one():
+    scene, natural = rig(), np.sqrt(3e4 / 0.5)
+    again = jv.scene_from_physical(
+        mass=0.5,
+        damping=2 * 0.05 * np.sqrt(3e4 * 0.5),
+        stiffness=3e4,
+        force=30.0,
+        frequency=2 * np.pi * 82.0,
+        restitution=0.7,
+        walls=(-0.5e-3, 0.5e-3),
+    )
+    for name in scene.names:
+        assert float(scene.parameter(name)) == pytest.approx(float(again.parameter(name)), rel=1e-15)
+    assert float(scene.frequency) == pytest.approx(2 * np.pi * 82.0 / natural, rel=1e-15)
+    assert rig(gap=(None, 1e-3)).left is None and float(rig(gap=(2e-3, 1e-3)).left.position) == -2.0
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"walls": (-1.0, 1.0)}, "walls: must be given, or gap, and not both"),
+        ({"gap": None}, "walls: must be given, or gap, and not both"),
+        ({"damping": 1.0}, "damping: must be given, or damping_ratio, and not both; got 1.0"),
+        ({"frequency_hz": None}, "frequency: must be given, or frequency_hz, and not both"),
+        ({"gap": (1.0, 2.0, 3.0)}, "gap: must be a number, or"),
+        ({"gap": (jv.Wall(1.0), None)}, "gap: must be a number, or"),
+        ({"gap": "1 mm"}, "gap: must be a real number"),
+        ({"mass": None}, "mass: must be given"),
+        ({"gap": -1e-3}, "length: must be greater than 0"),
+    ],
+)
+def test_what_is_said_twice_or_not_at_all_is_refused(changes, told):
+    with pytest.raises(jv.SceneError, match=told):
+        rig(**changes)
+
+
+def test_one_warning_asks_about_hz_and_mm():
+    with pytest.warns(UserWarning, match=r"frequency in Hz.*0\.163.*1\.03.*positions in mm.*50\.1") as told:
+        rig(frequency_hz=None, frequency=40.0, gap=0.5, force=20.0, damping_ratio=0.02)
+    assert len(told) == 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        rig()
+        rig(frequency_hz=40.0 / (2 * np.pi))  # 40 rad/s is meant
+        rig(frequency_hz=None, frequency=60.0 * np.pi)
+        rig(frequency_hz=None, frequency=np.array([40.0, 50.0]))
+
+
+def test_scales_stay_with_a_scene_and_make_no_other_program():
+    scene = rig()
+    assert scene.scales == Scales(0.5, 3e4, 0.5e-3)
+    assert scene.replace(amplitude=3.0).scales == scene.scales
+    assert jax.tree.structure(scene) == jax.tree.structure(replace(scene, scales=None))
+    assert rig(mass=np.array([0.5, 0.6])).scales is None
+    assert jax.jit(lambda force: rig(force=force).amplitude)(30.0) == scene.amplitude
+
+
+def test_scales_are_written_and_read(tmp_path, followed):
+    jv.save_scene(rig(), tmp_path / "rig.toml")
+    assert jv.load_scene(tmp_path / "rig.toml").scales == Scales(0.5, 3e4, 0.5e-3)
+    followed[0].save(tmp_path / "branch.nc")
+    again = jv.load_branch(tmp_path / "branch.nc")
+    assert again.table(units="physical") == followed[0].table(units="physical")
+    assert again.orbit(0).scene.scales == again.special[0].scene.scales == Scales(0.5, 3e4, 0.5e-3)
+    (tmp_path / "rig.toml").write_text((tmp_path / "rig.toml").read_text().replace("mass = 0.5", "mass = -1.0"))
+    with pytest.raises(jv.SceneError, match=r"scales.mass: must be greater than 0; got -1.0"):
+        jv.load_scene(tmp_path / "rig.toml")
+
+
+def test_tables_in_physical_units_are_those_in_numbers_converted(followed):
+    one, other = followed
+    natural = np.sqrt(3e4 / 0.5)
+    sizes = {"amplitude (N)": 15.0, "x (mm)": 0.5, "v (m/s)": 0.5e-3 * natural, "least_clearance (mm)": 0.5}
+    sizes |= {"least_speed (m/s)": 0.5e-3 * natural, "largest_speed (m/s)": 0.5e-3 * natural}
+    sizes |= {"work_rate (W)": 3e4 * 0.5e-3**2 * natural}
+    plain, found = other.to_frame(), one.to_frame("physical")
+    assert len(plain.columns) == len(found.columns)
+    for name, expected in zip(found.columns, plain.columns, strict=True):
+        assert name.split(" ")[0] == expected
+        if found[name].dtype == float:
+            error = found[name] - sizes.get(name, 1.0) * plain[expected]
+            assert np.nanmax(abs(error)) <= 1e-14 * np.nanmax(abs(found[name])) or expected.startswith("multiplier")
+        else:
+            assert (found[name] == plain[expected]).all()
+    with pytest.raises(jv.ArgumentError, match="units: must have scales to be told in physical units"):
+        other.to_frame("physical")
+    with pytest.raises(jv.ArgumentError, match="units: must be one of scene, physical; got 'SI'"):
+        one.table(units="SI")
+
+
+def test_a_table_tells_stability_and_names_of_other_programs(followed):
+    lines = followed[0].table().splitlines()
+    assert [line.split()[0] for line in lines[1:6]] == ["EP", "GR", "SN", "SB", "EP"]
+    assert "stable to saddle" in lines[2] and "saddle to stable" in lines[3] and "stable to saddle" in lines[4]
+    physical = followed[0].table(units="physical", labels="auto").splitlines()
+    assert physical[0].startswith("kind  amplitude (N)") and physical[3].startswith("LP    7.62086845219")
+    assert physical[-1] == "last point: the parameter reached its bound 90"
+    assert " LPC" in "\n" + followed[0].table(labels="matcont").replace("\n", "\n ")
+    with pytest.raises(jv.ArgumentError, match="labels: must be one of jaxvibro, auto, matcont; got 'coco'"):
+        followed[0].table(labels="coco")
+
+
+def test_why_a_branch_ends_is_told_in_another_unit():
+    for end in End:
+        reason = end.reason(2.0, "SN").text
+        assert read(scaled(reason, 3.0)) is end
+        assert ("6" in scaled(reason, 3.0)) == ("2" in reason)
+
+
+def test_the_work_rate_is_what_drive_and_damper_leave(followed):
+    """Over a period the drive's work is what the damper and the impacts take."""
+    branch, frame = followed[1], followed[1].to_frame()
+    hit = np.flatnonzero(frame["label"] == "P111")
+    for place in hit[:: len(hit) // 4]:
+        orbit = branch.orbit(int(place))
+        scene, trace = orbit.scene, jv.simulate(orbit.scene, orbit.state, 1, 20_000)
+        t, v, phase = (trace[name].values for name in ("time", "v", "phase"))
+        power = float(scene.amplitude) * np.cos(phase) * v - 2 * float(scene.damping) * v**2
+        assert frame["work_rate"][place] == pytest.approx(np.trapezoid(power, t) / t[-1], rel=2e-3, abs=2e-4)
+        u = np.asarray(orbit.impacts.speed)
+        assert frame["work_rate"][place] == pytest.approx(0.5 * (1 - 0.7**2) * np.sum(u**2) / t[-1], rel=1e-12)
+        assert frame["largest_speed"][place] == pytest.approx(u.max(), rel=1e-12)
+    assert (frame["work_rate"][frame["label"] == "P100"] == 0).all()
+
+
+def test_what_comes_to_rest_leaves_all_its_energy():
+    sides, speeds = np.array([[2, 1, -1, 0], [1, 2, -1, 0]]), np.array([[0.0, 2.0, 3.0, np.nan]] * 2)
+    found = loads.work_rate(sides, speeds, {"left": np.array([0.5] * 2), "right": np.array([0.5] * 2)}, np.ones(2))
+    np.testing.assert_allclose(found, [0.5 * 0.75 * 4 + 0.5 * 9, 0.5 * 0.75 * 9], atol=1e-15)
+    soft = loads.work_rate(sides[:, 1:], speeds[:, 1:], {"left": np.array([np.nan, 0.5])}, np.ones(2))
+    assert np.isnan(soft).tolist() == [True, False]
+
+
+def test_stability_in_words():
+    pairs = np.array([[0.5, 0.2], [1.5, 0.1], [-1.5, 0.1], [-2.0, 3.0], [1.0, 0.3], [np.inf, np.inf], [0.6 + 0.6j] * 2])
+    told = ["stable", "saddle", "flip saddle", "repelling", "neutral", "repelling", "stable"]
+    assert stability.words(pairs).tolist() == told
+
+
+def test_datasets_and_pictures_in_physical_units(followed):
+    branch = followed[0]
+    data, found = branch.data, to_physical(branch.data)
+    assert found["amplitude"].attrs["units"] == "N" and found["v"].attrs["units"] == "m/s"
+    np.testing.assert_allclose(found["amplitude"], 15.0 * data["amplitude"], rtol=1e-15)
+    np.testing.assert_allclose(found["time"], data["time"] / np.sqrt(3e4 / 0.5), rtol=1e-15)
+    with pytest.raises(jv.ArgumentError, match="data: must be a Dataset of a scene with scales"):
+        to_physical(followed[1].data)
+    ax = plot.branch(branch, "speed", Figure().subplots(), units="physical", labels="auto")
+    assert ax.get_xlabel() == "drive amplitude $F$ (N)" and ax.get_ylabel() == "largest impact speed (m/s)"
+    assert "LP: saddle-node" in ax.get_legend_handles_labels()[1]
+    assert max(line.get_xdata().max() for line in ax.lines if line.get_gid() == "branch") == pytest.approx(90.0)
+    swept = to_physical(jv.sweep(rig(), "frequency", [2.0, 2.1], jv.State(0.0, 0.0), settle=3, keep=2))
+    np.testing.assert_allclose(swept["frequency"], np.array([2.0, 2.1]) * np.sqrt(3e4 / 0.5) / (2 * np.pi))
+    assert swept["frequency"].attrs["units"] == "Hz" and swept["x"].attrs["units"] == "mm"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(5))
+def test_a_rig_in_si_is_as_scipy_has_it(seed):
+    """M X'' + C X' + K X = F cos(Omega T) between walls, in SI throughout, by events that end each flight."""
+    rng = np.random.default_rng(seed)
+    mass, stiffness, ratio = 10.0 ** rng.uniform(-2, 2), 10.0 ** rng.uniform(3, 6), rng.uniform(0.01, 1.2)
+    natural, gap = np.sqrt(stiffness / mass), 10.0 ** rng.uniform(-4, -2)
+    hertz, rebound = natural * rng.uniform(1.5, 3.0) / (2 * np.pi), rng.uniform(0.5, 0.9)
+    force = stiffness * gap * rng.uniform(2.0, 8.0)
+    walls = (-gap * rng.uniform(0.5, 2.0), gap)
+    scene = jv.scene_from_physical(
+        mass, None, stiffness, force, None, rebound, walls, damping_ratio=ratio, frequency_hz=hertz
+    )
+    damping, omega = 2 * ratio * np.sqrt(mass * stiffness), 2 * np.pi * hertz
+    X, V, T, end = 0.2 * gap, 0.3 * gap * natural, 0.0, 3.0 / hertz
+    met = [lambda t, y: y[0] - walls[0], lambda t, y: y[0] - walls[1]]
+    for way, event in zip((-1, 1), met, strict=True):
+        event.terminal, event.direction = True, way
+    speeds, times = [], []
+    while end > T:
+        run = solve_ivp(
+            lambda t, y: [y[1], (force * np.cos(omega * t) - damping * y[1] - stiffness * y[0]) / mass],
+            (T, end),
+            [X, V],
+            method="DOP853",
+            rtol=1e-11,
+            atol=[1e-12 * gap, 1e-12 * gap * natural],
+            events=met,
+        )
+        assert len(speeds) < 40  # no chatter: its hops would have no end here
+        T, (X, V) = run.t[-1], run.y[:, -1]
+        if run.status == 1:
+            speeds, times, V = [*speeds, abs(V)], [*times, T], -rebound * V
+    trace = to_physical(jv.simulate(scene, jv.State(0.2, 0.3), 3, 200))
+    np.testing.assert_allclose(trace["speed"], speeds, rtol=1e-8, atol=1e-9 * gap * natural)
+    np.testing.assert_allclose(trace["impact_time"], times, rtol=1e-9)
+    assert float(trace["x"][-1]) == pytest.approx(1e3 * X, abs=1e-8 * 1e3 * gap)
+    assert float(trace["v"][-1]) == pytest.approx(V, abs=1e-8 * gap * natural)
+    assert float(trace["time"][-1]) == pytest.approx(end, rel=1e-14)
