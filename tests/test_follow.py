@@ -85,6 +85,7 @@ def test_the_symmetric_branch(branch):
         "GR",
         "3.41646015636",
         "P111",
+        *("stable", "to", "saddle"),
         "RL",
         "inf,",
         "inf",

@@ -1,11 +1,14 @@
 """Scenes that know their units: what goes in in SI comes back in N, Hz, mm, m/s, W, and as SciPy has it."""
 
+import re
 import warnings
 from dataclasses import replace
 
 import jax
 import numpy as np
+import pandas as pd
 import pytest
+import xarray as xr
 from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
@@ -226,3 +229,34 @@ def test_a_rig_in_si_is_as_scipy_has_it(seed):
     assert float(trace["x"][-1]) == pytest.approx(1e3 * X, abs=1e-8 * 1e3 * gap)
     assert float(trace["v"][-1]) == pytest.approx(V, abs=1e-8 * gap * natural)
     assert float(trace["time"][-1]) == pytest.approx(end, rel=1e-14)
+
+
+@pytest.mark.slow
+def test_a_run_writes_tables_for_spreadsheets(tmp_path):
+    jv.save_scene(rig(frequency_hz=81.88), tmp_path / "rig.toml")
+    asked = """
+[sweep]
+parameter = "amplitude"
+count = 3
+settle = 5
+keep = 2
+legs = [{name = "up", from = 0.5, to = 1.0, start = {x = 0.0, v = 0.0}}]
+
+[branch]
+parameter = "amplitude"
+bounds = [0.5, 4.0]
+at = {amplitude = 1.0}
+"""
+    with (tmp_path / "rig.toml").open("a") as file:
+        file.write(asked)
+    done = jv.run(tmp_path / "rig.toml", tmp_path / "out", csv=True, units="physical")
+    swept, branches = (pd.read_csv(tmp_path / "out" / f"rig.{what}.csv") for what in ("sweep", "branches"))
+    assert list(swept.columns) == ["leg", "amplitude (N)", "period", "x (mm)", "v (m/s)", "status"]
+    np.testing.assert_allclose(swept["amplitude (N)"], np.repeat([7.5, 11.25, 15.0], 2), rtol=1e-14)
+    with xr.open_dataset(tmp_path / "out" / "rig.nc") as data:
+        np.testing.assert_allclose(swept["x (mm)"], 0.5 * data["x"].values.ravel(), rtol=1e-14)
+    assert branches["amplitude (N)"].max() == 60.0 and {"stable", "saddle"} <= set(branches["stability"])
+    assert re.search(r"^SN +7\.6\d+ +P111 ", done.table, re.M) and re.search(r"^amplitude +30 +N$", done.table, re.M)
+    assert done.summary["files"]["sweep table"].endswith("rig.sweep.csv")
+    with pytest.raises(FileExistsError):
+        jv.run(tmp_path / "rig.toml", tmp_path / "out", csv=True)

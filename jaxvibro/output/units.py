@@ -77,9 +77,10 @@ def told(unit: str, scales: Scales | None) -> tuple[str, float]:
 
 
 def require_system(units):
-    """Refuse what is neither "scene" nor "physical"."""
+    """The units asked for, "scene" or "physical". Raises ArgumentError for others."""
     if not isinstance(units, str) or units not in SYSTEMS:
         raise check.ArgumentError("units", f"must be one of {', '.join(SYSTEMS)}", units)
+    return units
 
 
 def unit_in(scene: Scene, unit: str, units: str) -> tuple[str, float]:

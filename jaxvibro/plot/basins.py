@@ -10,9 +10,10 @@ from matplotlib.patches import Patch
 from ..attractors.assign import OUTSIDE, UNRESOLVED
 from .style import COORDINATES, WALL, axes, is_from, plain
 
-# Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too; chaos is white.
+# Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too.
 PALE = ("#FCEFB4", "#A9DCF5", "#F2AE72", "#72AD91", "#A9719A", "#4C79AD", "#94502F", "#3F5750")
-CHAOS, UNKNOWN = "#FFFFFF", "#303030"
+CHAOS, UNKNOWN = ("#FFFFFF", "#C9C9C9", "#E6E6E6"), "#303030"
+DOTS = ("#000000", "#B03A00", "#00517F")  # of chaotic attractors
 # Of mirror images the second has the turned shape, of a motion that is its own image the shape has no direction.
 PAIRS = (("<", ">"), ("^", "v"), ("$\\subset$", "$\\supset$"), ("P", "X"))
 SINGLE = ("o", "s", "D", "p", "h", "8")
@@ -22,8 +23,8 @@ def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True) -> 
     """Draw a Dataset of `jaxvibro.basins`, velocity against position: the Axes.
 
     Each attractor has a colour, the lightest the first, and a shape for its points; of two mirror images the shapes
-    mirror each other. Chaos is white, its points are dots. Starts on no attractor are nearly black, those beyond a wall
-    grey. legend: below the picture, with the shares of the starts.
+    mirror each other. Chaos is white or a grey, its points are dots, black or of a dark colour. Starts on no attractor
+    are nearly black, those beyond a wall grey. legend: below the picture, with the shares of the starts.
 
     Raises ArgumentError for what is no such Dataset.
     """
@@ -37,7 +38,7 @@ def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True) -> 
     drawn.set_rasterized(True)
     for place, shape in enumerate(shapes):
         points = [dataset[name].values[place] for name in ("point_x", "point_v")]
-        ax.plot(*points, **_mark(shape, colours[place]), gid="attractor", zorder=3)
+        ax.plot(*points, **_mark(shape, colours[place]), gid="attractor", zorder=3 if shape == "." else 3.5)
     ax.set(xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
     ax.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])
     if legend:
@@ -55,9 +56,9 @@ def _edges(values):
 def _looks(dataset):
     """(colours, shapes) of the attractors, a shape "." where chaotic."""
     colours, shapes = [], [None] * dataset.sizes["attractor"]
-    pairs, single, pale = iter(PAIRS * 8), iter(SINGLE * 8), iter(PALE * 8)
+    pairs, single, pale, chaos = iter(PAIRS * 8), iter(SINGLE * 8), iter(PALE * 8), iter(CHAOS * 8)
     for place, (kind, twin) in enumerate(zip(dataset["kind"].values, dataset["mirror_of"].values, strict=True)):
-        colours.append(CHAOS if kind == "chaotic" else next(pale))
+        colours.append(next(chaos if kind == "chaotic" else pale))
         if kind != "periodic":
             shapes[place] = "."
         elif shapes[place] is None and twin > place:
@@ -69,7 +70,8 @@ def _looks(dataset):
 
 def _mark(shape, colour):
     if shape == ".":
-        return {"linestyle": "none", "marker": ".", "markersize": 1.5, "color": "black"}
+        dots = dict(zip(CHAOS, DOTS, strict=True)).get(colour, DOTS[0])
+        return {"linestyle": "none", "marker": ".", "markersize": 1.5, "color": dots}
     return {"linestyle": "none", "marker": shape, "markersize": 9, "color": colour, "markeredgecolor": "black"}
 
 
@@ -81,7 +83,7 @@ def _entries(dataset, colours, shapes):
             continue
         told = f"{plain(str(dataset['name'].values[place]))}: {100 * float(dataset['fraction'][place]):.1f} %"
         if shape == ".":
-            found.append(Patch(facecolor=colours[place], edgecolor="black", label=told))
+            found.append(Patch(facecolor=colours[place], edgecolor=_mark(shape, colours[place])["color"], label=told))
         else:
             found.append(Line2D([], [], label=told, **_mark(shape, colours[place])))
     label = dataset["label"].values

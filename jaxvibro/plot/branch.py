@@ -56,7 +56,7 @@ def branch(
     Raises ArgumentError for what is no `Branch`, and for other variables, units and labels.
     """
     is_of("branch", Branch, one)
-    scales, found, alone = scales_of(one.scene, units), one.curves(variable), ax is None
+    scales, found, alone = scales_of(one, units), one.curves(variable), ax is None
     across, up = of_parameter(scales, one.name), of_variable(scales, variable)
     ax, text = axes(ax), name(one)
     known = {str(line.get_label()).lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"}
@@ -139,7 +139,7 @@ def mark_points(
     low, high = ax.get_xlim()
     close = _line(ax) * (high - low)
     digits = max(0, 3 - int(np.floor(np.log10(high - low))))  # about a thousandth of the range
-    sizes = [of_parameter(scales_of(one.scene, units), one.name).size for one in branches]
+    sizes = [of_parameter(scales_of(one, units), one.name).size for one in branches]
     special = [
         (each.kind, size * each.value) for one, size in zip(branches, sizes, strict=True) for each in one.special
     ]

@@ -11,8 +11,9 @@ from ..attractors.find import Attractor
 from ..attractors.shares import share_text
 from .style import COLOURS, WALL, are_of, axes, is_from, legend, of_parameter, of_variable, paler, plain, scales_of
 
-SIZE = 1.2  # points, of the first leg's dots; later ones are smaller, so that where legs agree both are seen
-FAINT = 0.7  # of that size
+SIZE = 2.2  # points, of the first leg's dots
+SMALLER = 0.42  # of the size of the leg before: where legs agree a ring of it is seen, in print too
+FAINT = 0.6  # of that size
 MARKERS = "osD^vP*X"
 
 
@@ -23,8 +24,8 @@ def diagram(
 
     A dimension besides the values' and `period` (lane, or leg with its names) makes a leg of each of its entries, with
     a colour and a size of dot of its own. Fixed walls are lines where x is drawn, unless they are far from all dots.
-    faint: smaller and paler dots, beside branches. units: "scene", or "physical" of a scene that has scales. New Axes
-    get a legend.
+    faint: smaller and paler dots, below branches; without it they lie above. units: "scene", or "physical" of a scene
+    that has scales. New Axes get a legend.
 
     Raises ArgumentError for what is no such Dataset, and for other units.
     """
@@ -61,9 +62,9 @@ def _walls(ax, attrs, size):
 
 
 def _dots(ax, across, up, place, text, faint):
-    size, colour = SIZE / (1 + place), COLOURS[place % len(COLOURS)]
+    size, colour = SIZE * SMALLER ** min(place, 2), COLOURS[place % len(COLOURS)]
     style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": paler(colour) if faint else colour}
-    size *= FAINT if faint else 1.0
+    size, style["zorder"] = (FAINT * size, 2.0) if faint else (size, 4.0)
     ax.plot(across.ravel(), up.ravel(), markersize=size, rasterized=True, label="_" + text, **style)
     ax.plot([], [], markersize=7 / (1 + 0.4 * place), label=text, **style)
 

@@ -170,7 +170,7 @@ def _widest(outlines):
 def _plane(ax, one, units):
     """(the Axes, their labels those of the two parameters; what these are multiplied by). Raises ArgumentError where
     they hold others."""
-    names, scales = one.names, scales_of(one.scene, units)
+    names, scales = one.names, scales_of(one, units)
     held = {each.get_gid() for each in (*_with_gid(ax.lines, LOCUS), *_with_gid(ax.patches, REGION))}
     there = {gid.removeprefix(LOCUS).removeprefix(REGION).strip() for gid in held}
     if there - {", ".join(names)}:

@@ -7,8 +7,10 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
-from .style import COLOURS, COORDINATES, axes, is_from, plain
+from .style import COLOURS, COORDINATES, WALL, axes, is_from, legend, plain
 
+# Why a curve ends; it goes on beyond a grazing, and an impact at the section's phase.
+ENDS = {"attractor": "o", "length": "s", "points": "D", "resolution": "^", "fast": "v"}
 LOOKS = {"stable": (COLOURS[2], "-"), "unstable": (COLOURS[7], (0, (5, 2)))}
 
 
@@ -16,12 +18,13 @@ def manifold(dataset: xr.Dataset, ax: Axes | None = None, colour: ColorType | No
     """Draw a Dataset of `jaxvibro.manifold`, velocity against position: the Axes.
 
     A stable manifold is a black line, an unstable one a broken line in orange-red; colour: another one. saddle: mark
-    the saddle's points with crosses.
+    the saddle's points with crosses. Where the curve ends for good it is marked, and the legend
+    says why. Walls that stand still are grey lines. New Axes get a legend.
 
     Raises ArgumentError for what is no such Dataset.
     """
     is_from("manifold", "manifold", ("kind", "piece", "x", "v"), dataset)
-    ax = axes(ax)
+    alone, ax = ax is None, axes(ax)
     own, style = LOOKS[dataset.attrs["kind"]]
     breaks = np.flatnonzero(np.diff(dataset["piece"].values)) + 1
     x, v = (np.insert(dataset[name].values, breaks, np.nan) for name in ("x", "v"))
@@ -38,5 +41,32 @@ def manifold(dataset: xr.Dataset, ax: Axes | None = None, colour: ColorType | No
             "markeredgecolor": "black",
         }
         ax.plot(dataset["x"].values[first], dataset["v"].values[first], gid="saddle", zorder=4, **dots)
+    _ends(ax, dataset, look["color"])
+    _walls(ax, dataset.attrs)
     ax.set(xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
+    legend(ax, alone)
     return ax
+
+
+def _ends(ax, dataset, colour):
+    """Marks where pieces begin and end, a kind for each reason."""
+    piece = dataset["piece"].values
+    known = {line.get_label() for line in ax.lines if line.get_gid() == "end"}
+    first, last = np.searchsorted(piece, np.unique(piece)), np.searchsorted(piece, np.unique(piece), "right") - 1
+    places = np.append(first, last)
+    reasons = np.append(*(dataset[name].values.astype(str) for name in ("began", "ended")))
+    for reason, marker in ENDS.items():
+        here, told = places[reasons == reason], f"end: {reason}"
+        if not len(here):
+            continue
+        look = {"marker": marker, "markersize": 4.5, "markerfacecolor": "white"}
+        look |= {"linestyle": "none", "markeredgecolor": colour, "label": f"_{told}" if told in known else told}
+        ax.plot(dataset["x"].values[here], dataset["v"].values[here], gid="end", zorder=3.5, **look)
+
+
+def _walls(ax, attrs):
+    known = [line.get_xdata()[0] for line in ax.lines if line.get_gid() == "wall"]
+    for side in ("left", "right"):
+        place = attrs.get(f"{side}.position")
+        if place is not None and f"{side}.motion.amplitude" not in attrs and place not in known:
+            ax.axvline(place, color=WALL, linewidth=0.8, zorder=1, gid="wall")

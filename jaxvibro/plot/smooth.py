@@ -29,7 +29,7 @@ def smooth(across, up):
 def _bent(line, chords):
     """The points of a line without corners, (2, points), with more between, up to the last."""
     steps = np.hypot(*chords)
-    if not (steps > 0).all():
+    if len(steps) < 2 or not (steps > 0).all():
         return line[:, :-1]
     share, way = np.arange(BETWEEN) / BETWEEN, np.append(0.0, np.cumsum(steps))
     return CubicSpline(way, line, axis=1)((way[:-1, None] + share * steps[:, None]).ravel())

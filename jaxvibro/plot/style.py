@@ -79,11 +79,10 @@ def of_variable(scales, name):
 
 
 def scales_of(one, units):
-    """None for the units "scene"; for "physical" the `Scales` of a scene, or those in a Dataset's attributes."""
-    require_system(units)
-    if units == "scene":
+    """None for the units "scene"; for "physical" the `Scales` of a record's scene, or of a Dataset."""
+    if require_system(units) == "scene":
         return None
-    return scales_from(one) if isinstance(one, xr.Dataset) else require_scales(one)
+    return scales_from(one) if isinstance(one, xr.Dataset) else require_scales(one.scene)
 
 
 def label(name, parameters=_PARAMETERS):

@@ -93,7 +93,7 @@ def _wider(found, narrow, wide):
 def _picture(found):
     figure, places = sheet(2, 2, 2.3)
     for ax, one, name in zip(places.flat, found, NAMES, strict=True):
-        plot.diagram(one.swept, "x", ax, faint=True)
+        plot.diagram(one.swept, "x", ax)
         for branch in one.drawn:
             plot.branch(branch, "x", ax, "black")
         ax.set_title(f"({name}) $\\omega$ = {float(one.scene.frequency):g}", loc="left")

@@ -77,6 +77,9 @@ def _parser():
     run.add_argument("--out", metavar="DIR", default="out", help="folder to write into; default: out")
     run.add_argument("--force", action="store_true", help="overwrite what is there")
     run.add_argument("--json", action="store_true", help="print a summary for machines, and only that, on stdout")
+    run.add_argument("--csv", action="store_true", help="write tables for spreadsheets too, a row a point")
+    told = "of tables: those of the scene, or N, Hz, mm, m/s, W where it has [scene.scales]; default: scene"
+    run.add_argument("--units", choices=("scene", "physical"), default="scene", help=told)
     run.set_defaults(does=_run)
 
     paper = commands.add_parser("paper", help="recompute the paper", description=_PAPER, allow_abbrev=False)
@@ -102,13 +105,14 @@ def _init(given):
 
 def _run(given):
     jax_settings.prepare()
-    done = _loaded("run")(given.scene, given.out, given.changes, given.force, progress=True)
+    asked = {"csv": given.csv, "units": given.units}
+    done = _loaded("run")(given.scene, given.out, given.changes, given.force, progress=True, **asked)
     if given.json:
         print(json.dumps(done.summary, indent=2, allow_nan=False))
         return
     print(done.table)
     for kind, path in done.summary["files"].items():
-        print(f"{kind:8}{path}")
+        print(f"{kind:17}{path}" if len(kind) > 7 else f"{kind:8}{path}")
 
 
 def _paper(given):

@@ -11,16 +11,19 @@ from ..design.records import ImpactRecord
 from ..loci.locus import MEANINGS as ON_LOCI
 from ..maps.initial_conditions import box, box_text
 from ..output.table_text import columns, pair
+from ..output.units import unit_in, unit_of
 from .compute import KEEP, SETTLE
 from .sweep_periods import longest, stretches
 
 RESTS = "inf: the mass comes to rest by infinitely many hops, of which impacts has those before they are sure to end"
 
 
-def table(found, name):
-    """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci."""
-    scene = found.scene
-    parts = [f"jaxvibro {__version__}, {name}\n", columns(list(scene.numbers.items()))]
+def table(found, name, units="scene"):
+    """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci. units: of the
+    scene, the branches and the loci."""
+    parts = [f"jaxvibro {__version__}, {name}\n", columns(_numbers(found.scene, units))]
+    if units != "scene":
+        parts.append("the scene, its branches and loci in physical units, all else in the scene's own")
     if found.swept is not None:
         parts += ["", *_sweep(found)]
     if found.attractors is not None:
@@ -28,14 +31,22 @@ def table(found, name):
     if found.orbits is not None:
         parts += ["", *_orbits(found)]
     if found.branches is not None:
-        parts += ["", *_branches(found)]
+        parts += ["", *_branches(found, units)]
     if found.loci is not None:
-        parts += ["", *_loci(found)]
+        parts += ["", *_loci(found, units)]
     if found.margin is not None:
         parts += ["", *_margin(found)]
     if found.fit is not None:
         parts += ["", *_fit(found)]
     return "\n".join(parts) + "\n"
+
+
+def _numbers(scene, units):
+    """The scene's parameters, in physical units with these."""
+    if units == "scene":
+        return list(scene.numbers.items())
+    known = {name: unit_in(scene, unit_of(name), units) for name in scene.names}
+    return [(name, value * known[name][1], known[name][0]) for name, value in scene.numbers.items()]
 
 
 def _sweep(found):
@@ -114,7 +125,7 @@ def _orbits(found):
         yield RESTS
 
 
-def _branches(found):
+def _branches(found, units):
     asked, (low, high) = found.file.followed, found.file.followed.bounds
     if found.diagram is None:
         start = f"from x = {asked.start.x:g}, v = {asked.start.v:g} at {_at(asked)}, max_period {asked.max_period}"
@@ -124,20 +135,20 @@ def _branches(found):
     if found.diagram is not None:
         yield found.diagram.reason
     for place, one in enumerate(found.branches, 1):
-        first, last = one.values[[0, -1]]
+        first, last = one.values[[0, -1]] * unit_in(one.scene, unit_of(one.name), units)[1]
         yield f"\n{place}: {one.segments[0].label} from {first:.12g} to {last:.12g}, {len(one)} points"
-        yield one.table()
+        yield one.table(units)
     yield f"\n{_meanings(MEANINGS)}"
     yield "multipliers: Floquet's, the larger first; meets: orbits that meet there, on which side of the value"
 
 
-def _loci(found):
+def _loci(found, units):
     bounds = found.file.locus.bounds
     where = " and ".join(f"{name} from {low:g} to {high:g}" for name, (low, high) in bounds.items())
     yield f"loci of special points in {where}: {len(found.loci)}"
     for place, one in enumerate(found.loci, 1):
         yield f"\n{place}: {one.kind} of {one.label}, {len(one)} points"
-        yield one.table()
+        yield one.table(units)
     for one, why in found.refused:
         yield f"\nnot followed: {one.kind} of {one.label} at {one.name} = {one.value:.12g}: {why}"
     yield f"\n{_meanings(ON_LOCI)}; SN, PD, SB on a GR: such a locus ends there"

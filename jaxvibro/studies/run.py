@@ -11,10 +11,13 @@ from typing import Any
 
 from ..output.atomic_write import refuse_folder, whole
 from ..output.checksums import netcdf
+from ..output.units import require_system
 from ..scene.check import SceneError, host
+from ..scene.scales import require_scales
 from ..scene.scene_table import SceneTable
 from . import report, scene_file
 from .compute import study
+from .csv_tables import asked_for, csv_tables
 from .figures import loci, margin, picture
 from .record_file import record
 from .results_dataset import dataset
@@ -40,13 +43,17 @@ def run(
     changes: Iterable[str] = (),
     force: bool = False,
     progress: bool = False,
+    csv: bool = False,
+    units: str = "scene",
 ) -> Done:
     """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus] or [margin] a
     picture of that too: `Done`.
 
     path: of the scene file; its name without ending names the results. out: the folder, made where it is missing.
     changes: other values for this run, each "key=value" as in the file ("sweep.count=201"); "scene." may be left out.
-    force: overwrite results that are there. progress: show bars on stderr.
+    force: overwrite results that are there. progress: show bars on stderr. csv: write a table each of the sweep, the
+    attractors, the branches and the loci too, a row a point. units: of these and of the tables of branches and loci,
+    "scene", or "physical" (N, Hz, mm, ...) where the scene has [scene.scales].
 
     Raises SceneError for what the file or the changes may not say, FileExistsError where a result is there already,
     and OSError where a file cannot be read or the folder not be written to, all before any work; and SceneError
@@ -62,13 +69,19 @@ def run(
     endings = dict(ENDINGS)
     for name, more in MORE.items():
         endings |= more if getattr(file, name) is not None else {}
+    if csv:
+        endings |= {f"{what} table": f".{what}.csv" for what in asked_for(file)}
     files = {kind: out / (path.stem + ending) for kind, ending in endings.items()}
+    if require_system(units) == "physical":
+        require_scales(file.scene)
     _refuse(path, out, files.values(), force)
     heard = None if file.fit is None else record(path.parent, file.fit)
     found = study(file, heard, progress)
-    table = report.table(found, path.name)
+    table = report.table(found, path.name, units)
     contents = {"picture": picture(found), "data": netcdf(dataset(found)), "table": table.encode()}
     contents |= {kind: draw(found) for kind, draw in (("loci", loci), ("margin", margin)) if kind in files}
+    contents |= {f"{what} table": text for what, text in csv_tables(found, units).items()} if csv else {}
+    files = {kind: files[kind] for kind in contents}
     _write({files[kind]: content for kind, content in contents.items()}, force)
     summary = report.summary(found, {kind: str(one) for kind, one in files.items()})
     return Done(summary | {"seconds": round(time.perf_counter() - began, 3)}, table)
