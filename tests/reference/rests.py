@@ -122,7 +122,7 @@ def until_rest(scene, side, t, speed, end, most=4000):
     raise ArithmeticError("no end of hops")
 
 
-def from_release(scene, side, t, end=inf, most=400):
+def from_release(scene, side, t, end=inf, most=4000):
     """(all `Hit`s after a wall let the mass go, when it next comes to rest, None: not before `end`, on which side)."""
     hits, now, own, speed = [], t, side, mpf(0)
     for _ in range(most):
