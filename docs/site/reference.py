@@ -1,0 +1,171 @@
+"""The reference: a page for each room of the package, made of the docstrings of all public names.
+
+A public name, method or property without a docstring stops the build, a field that no docstring names does not.
+"""
+
+import ast
+import enum
+import inspect
+import re
+import textwrap
+
+import continuation
+import jaxvibro as jv
+
+PAGES = {
+    "scene": "Scenes: oscillator, drive, walls, forces",
+    "output": "Files",
+    "maps": "Maps and trajectories",
+    "orbits": "Periodic orbits",
+    "attractors": "Attractors, sweeps, exponents, basins, manifolds",
+    "branches": "Branches and diagrams",
+    "loci": "Loci",
+    "design": "Design and fits",
+    "plot": "Pictures: `jv.plot`",
+    "studies": "Scene files and runs",
+    "reproduction": "The paper, recomputed",
+    "continuation": "The package `continuation`",
+}
+
+
+class Untold(Exception):
+    """A public name has no docstring."""
+
+
+def members():
+    """The public names of each page: {page: [(dotted name, object)]}."""
+    found = {page: [] for page in PAGES}
+    for name, home in jv._HOMES.items():
+        found[home.split(".")[0]].append((f"jaxvibro.{name}", getattr(jv, name)))
+    found["plot"] = [(f"jaxvibro.plot.{name}", getattr(jv.plot, name)) for name in jv.plot.__all__]
+    found["continuation"] = [(f"continuation.{name}", getattr(continuation, name)) for name in continuation.__all__]
+    return found
+
+
+PUBLIC = {dotted for each in members().values() for dotted, _ in each}
+
+
+def pages():
+    """The text of each page of the reference, and of the page that lists them: {file name: Markdown}."""
+    made = {f"{page}.md": _page(PAGES[page], each) for page, each in members().items()}
+    names = "\n".join(page.removesuffix(".md") for page in made)
+    made["index.md"] = (
+        "# Reference\n\nEvery public name with its docstring, by the rooms of the package; in one list:\n"
+        f"[public names](../docs/api.md).\n\n```{{toctree}}\n:maxdepth: 2\n\n{names}\n```\n"
+    )
+    return made
+
+
+def _page(title, each):
+    module = each[0][0].split(".")[0]
+    parts = [f"# {title}\n", f"```{{py:currentmodule}} {module}\n```\n"]
+    for dotted, value in each:
+        parts += [f"## `{dotted.split('.')[-1]}`\n", _entry(dotted.removeprefix(f"{module}."), value)]
+    return "\n".join(parts)
+
+
+def _entry(name, value):
+    """A name within its module as a directive of Sphinx."""
+    node = _source(value)
+    if isinstance(node, ast.ClassDef):
+        kind = "exception" if issubclass(value, Exception) else "class"
+        return _directive(f"py:{kind}", name, [_fields(node, value), _told(name, value), *_methods(name, value)], 5)
+    arguments = [arg.arg for arg in [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]]
+    return _directive("py:function", name + _signature(node), [prose(_doc(name, value), arguments)], 4)
+
+
+def _source(value):
+    """The definition as it is written: annotations read better than what they stand for."""
+    return ast.parse(textwrap.dedent(inspect.getsource(inspect.unwrap(value)))).body[0]
+
+
+def _signature(node, bound=False):
+    args = node.args
+    if bound:
+        args.args = args.args[1:]
+    back = f" -> {ast.unparse(node.returns)}" if node.returns else ""
+    return f"({ast.unparse(args)}){back}"
+
+
+def _doc(dotted, value):
+    text = inspect.cleandoc(vars(value).get("__doc__") or "") if isinstance(value, type) else inspect.getdoc(value)
+    if not text:
+        raise Untold(f"{dotted} has no docstring")
+    return text
+
+
+def _told(dotted, value):
+    return prose(_doc(dotted, value), list(_annotated(value)))
+
+
+def _annotated(value):
+    """The public fields of a class."""
+    return [name for name in getattr(value, "__annotations__", {}) if not name.startswith("_")]
+
+
+def _fields(node, value):
+    """The fields of a record, as they are written."""
+    if issubclass(value, enum.Enum):
+        return ""
+    lines = [ast.unparse(one) for one in node.body if isinstance(one, ast.AnnAssign) and one.target.id[0] != "_"]
+    return "```python\n" + "\n".join(lines) + "\n```" if lines else ""
+
+
+def _methods(dotted, value):
+    """Public methods, properties and members of a class, each with its docstring."""
+    if issubclass(value, enum.Enum):
+        return []
+    for name, each in vars(value).items():
+        if name.startswith("_") or name in _annotated(value):
+            continue
+        method = each.__func__ if isinstance(each, classmethod | staticmethod) else each
+        if isinstance(method, property) or hasattr(method, "func"):
+            getter = method.fget if isinstance(method, property) else method.func
+            yield _directive("py:property", f"{dotted}.{name}", [prose(_doc(f"{dotted}.{name}", getter), [])], 4)
+        elif inspect.isfunction(method):
+            node = _source(method)
+            names = [arg.arg for arg in [*node.args.args, *node.args.kwonlyargs]]
+            text = prose(_doc(f"{dotted}.{name}", method), names)
+            bound = not isinstance(each, staticmethod)
+            yield _directive("py:method", f"{dotted}.{name}{_signature(node, bound)}", [text], 4)
+
+
+def _directive(kind, head, parts, ticks):
+    fence = "`" * ticks
+    body = "\n\n".join(part for part in parts if part)
+    return f"{fence}{{{kind}}} {head}\n\n{body}\n{fence}\n"
+
+
+def prose(text, names):
+    """A docstring as Markdown: names of arguments or fields begin a line of a list, public names lead to theirs."""
+    return "\n\n".join(_paragraph(part, names) for part in re.split(r"\n\s*\n", text))
+
+
+def _paragraph(part, names):
+    if part.startswith("    "):
+        return "```text\n" + textwrap.dedent(part) + "\n```"
+    text = " ".join(part.split())
+    if not names:
+        return _marked(text)
+    one = "|".join(sorted(map(re.escape, names), key=len, reverse=True))
+    pieces = re.split(rf"(?:(?<=^)|(?<=[;.] )|(?<=: ))((?:{one})(?:, (?:{one}))*): ", text)
+    lines = [_marked(pieces[0])] if pieces[0].strip() else []
+    for name, told in zip(pieces[1::2], pieces[2::2], strict=True):
+        lines.append(f"- **{_marked(name)}**: {_marked(told.strip().rstrip(';'))}")
+    return "\n\n".join(lines[:1]) + "\n" * bool(lines[1:]) + "\n".join(lines[1:])
+
+
+def _marked(text):
+    """Text in which nothing but backticks is a mark."""
+    parts = re.split(r"(`[^`]+`)", text)
+    return "".join(_linked(part) if part.startswith("`") else _plain(part) for part in parts)
+
+
+def _plain(text):
+    return re.sub(r"([\\*_\[\]<>$#|{}~])", r"\\\1", re.sub(r"^([-+])", r"\\\1", text))
+
+
+def _linked(code):
+    name = code.strip("`").removeprefix("jv.").removeprefix("jaxvibro.")
+    dotted = f"jaxvibro.{name}"
+    return f"{{py:obj}}`{code.strip('`')} <{dotted}>`" if dotted in PUBLIC else code
