@@ -3,6 +3,7 @@
 import contextlib
 import io
 import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -14,10 +15,13 @@ import pytest
 import continuation
 import jaxvibro as jv
 from docs.site import notebooks, pages, reference
+from jaxvibro.studies import command
 
 ROOT = Path(__file__).parents[1]
 TEXTS = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
+
+LONGEST = [f"docs/{name}.md" for name in ("branches", "design", "fit", "force", "soft")]
 
 
 def blocks(name):
@@ -41,8 +45,14 @@ def _same(told, printed):
     return len(one) == len(other) and all(close) and re.sub(numbers, "", told) == re.sub(numbers, "", printed)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in TEXTS if "```python" in (ROOT / name).read_text()])
+MARKED = [
+    pytest.param(name, marks=pytest.mark.long if name in LONGEST else pytest.mark.slow)
+    for name in TEXTS
+    if any(language == "python" for language, _, _ in blocks(name))
+]
+
+
+@pytest.mark.parametrize("name", MARKED)
 def test_the_blocks_of_a_page_run_in_order_and_print_what_is_told(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     names, printed = {}, ""
@@ -65,6 +75,21 @@ def test_the_first_lines_of_the_readme_run():
     )
     plt.close("all")
     assert names["impacts"].status == 0 and names["orbit"].label == "P111"
+
+
+def test_commands_in_the_pages_are_such():
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    shell = [text for name in TEXTS for language, text, _ in blocks(name) if language == "sh"]
+    lines = "\n".join(shell).splitlines()
+    words = [shlex.split(line, comments=True) for line in lines]
+    for called in words:
+        if called[:1] == ["make"]:
+            assert set(called[1:]) <= targets
+        elif called and called[0].endswith("jaxvibro"):
+            command._parser().parse_args(called[1:])
+        else:
+            assert called[:1] in ([], ["export"]), called
+    assert len(words) > 10
 
 
 def test_every_public_name_is_in_the_reference():
@@ -122,9 +147,9 @@ def test_links_lead_somewhere(page):
 @pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path):
     pages.write(tmp_path / "pages")
-    command = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet"]
-    command += ["-c", str(ROOT / "docs" / "site"), str(tmp_path / "pages"), str(tmp_path / "html")]
-    ended = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    build = [sys.executable, "-m", "sphinx", "--fail-on-warning", "--keep-going", "--quiet"]
+    build += ["-c", str(ROOT / "docs" / "site"), str(tmp_path / "pages"), str(tmp_path / "html")]
+    ended = subprocess.run(build, capture_output=True, text=True, timeout=300)
     assert (ended.returncode, ended.stderr) == (0, "")
     told = "".join(path.read_text() for path in (tmp_path / "html").rglob("*.html"))
     assert not re.search(r"(?:src|<link[^>]*href)=\"https?:", told)  # what a page itself needs lies beside it
