@@ -15,7 +15,11 @@ myst_enable_extensions = ["dollarmath"]
 myst_fence_as_directive = ["math"]
 myst_heading_anchors = 3
 
+highlight_language = "text"
+
 html_theme = "furo"
+html_static_path = ["style.css"]
+html_css_files = ["style.css"]
 html_title = f"jaxvibro {release}"
 html_math_renderer = "mathml"
 html_copy_source = False

@@ -44,12 +44,12 @@ def linked(text):
 
 def _linked(text):
     text = re.sub(r"(\]\([^)]*\d\d_\w+)\.py\)", r"\1.md)", text)
-    text = re.sub(r"(?<!\[)`jv\.([\w.]+)(\([^`]*\))?`(?!\])", _role, text)
-    return re.sub(r"^\| `(\w+)` \|", lambda row: f"| {_role(row)} |", text, flags=re.MULTILINE)
+    text = re.sub(r"\[[\w/]+\.(?:md|py)\](?=\([^)]*\.md)", "[]", text)  # a file's name: the page's title in its place
+    return re.sub(r"(?<![\[`])`(?:jv\.)?([\w.]+)(\([^`]*\))?`(?![\]`])", _role, text)
 
 
 def _role(match):
-    dotted, code = f"jaxvibro.{match.group(1)}", match.group(0).strip("|` ")
+    dotted, code = f"jaxvibro.{match.group(1)}", match.group(0).strip("`")
     return f"{{py:obj}}`{code} <{dotted}>`" if dotted in reference.PUBLIC and "<" not in code else f"`{code}`"
 
 
