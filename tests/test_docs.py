@@ -103,7 +103,7 @@ def test_a_name_without_a_docstring_stops_the_reference():
         pass
 
     with pytest.raises(reference.Untold, match="nothing"):
-        reference._entry("nothing", nothing)
+        reference._entry("jaxvibro", "nothing", nothing)
 
 
 def test_arguments_become_a_list_and_public_names_lead_to_theirs():
@@ -114,6 +114,18 @@ def test_arguments_become_a_list_and_public_names_lead_to_theirs():
         "A {py:obj}`Scene <jaxvibro.Scene>` of x\\_b.\n\n"
         "- **scene**: a {py:obj}`Scene <jaxvibro.Scene>`\n- **left, right**: walls. It ends."
     )
+
+
+def test_a_record_of_continuation_is_not_ours_of_the_same_name():
+    page = reference.pages()["continuation.md"]
+    assert "<continuation.Branch>" in page and "<jaxvibro.Branch>" not in page
+
+
+@pytest.mark.parametrize(
+    "printed, alike", [("SN 1.500000001e-3, P111", True), ("SN 1.5001e-3, P111", False), ("SN", False)]
+)
+def test_what_is_printed_is_compared_by_numbers_and_words(printed, alike):
+    assert same("SN  1.5e-3, P111", printed) is alike
 
 
 def test_links_to_notebooks_lead_to_their_pages_and_code_is_left_alone():

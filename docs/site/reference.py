@@ -60,18 +60,20 @@ def _page(title, each):
     module = each[0][0].split(".")[0]
     parts = [f"# {title}\n", f"```{{py:currentmodule}} {module}\n```\n"]
     for dotted, value in each:
-        parts += [f"## `{dotted.split('.')[-1]}`\n", _entry(dotted.removeprefix(f"{module}."), value)]
+        parts += [f"## `{dotted.split('.')[-1]}`\n", _entry(module, dotted.removeprefix(f"{module}."), value)]
     return "\n".join(parts)
 
 
-def _entry(name, value):
+def _entry(module, name, value):
     """A name within its module as a directive of Sphinx."""
     node = _source(value)
     if isinstance(node, ast.ClassDef):
         kind = "exception" if issubclass(value, Exception) else "class"
-        return _directive(f"py:{kind}", name, [_fields(node, value), _told(name, value), *_methods(name, value)], 5)
+        told = prose(_doc(name, value), list(_annotated(value)), module)
+        parts = [_fields(node, value), told, *_methods(module, name, value)]
+        return _directive(f"py:{kind}", name, parts, 5)
     arguments = [arg.arg for arg in [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]]
-    return _directive("py:function", name + _signature(node), [prose(_doc(name, value), arguments)], 4)
+    return _directive("py:function", name + _signature(node), [prose(_doc(name, value), arguments, module)], 4)
 
 
 def _source(value):
@@ -94,10 +96,6 @@ def _doc(dotted, value):
     return text
 
 
-def _told(dotted, value):
-    return prose(_doc(dotted, value), list(_annotated(value)))
-
-
 def _annotated(value):
     """The public fields of a class."""
     return [name for name in getattr(value, "__annotations__", {}) if not name.startswith("_")]
@@ -111,7 +109,7 @@ def _fields(node, value):
     return "```python\n" + "\n".join(lines) + "\n```" if lines else ""
 
 
-def _methods(dotted, value):
+def _methods(module, dotted, value):
     """Public methods, properties and members of a class, each with its docstring."""
     if issubclass(value, enum.Enum):
         return []
@@ -121,11 +119,13 @@ def _methods(dotted, value):
         method = each.__func__ if isinstance(each, classmethod | staticmethod) else each
         if isinstance(method, property) or hasattr(method, "func"):
             getter = method.fget if isinstance(method, property) else method.func
-            yield _directive("py:property", f"{dotted}.{name}", [prose(_doc(f"{dotted}.{name}", getter), [])], 4)
+            yield _directive(
+                "py:property", f"{dotted}.{name}", [prose(_doc(f"{dotted}.{name}", getter), [], module)], 4
+            )
         elif inspect.isfunction(method):
             node = _source(method)
             names = [arg.arg for arg in [*node.args.args, *node.args.kwonlyargs]]
-            text = prose(_doc(f"{dotted}.{name}", method), names)
+            text = prose(_doc(f"{dotted}.{name}", method), names, module)
             bound = not isinstance(each, staticmethod)
             yield _directive("py:method", f"{dotted}.{name}{_signature(node, bound)}", [text], 4)
 
@@ -136,36 +136,37 @@ def _directive(kind, head, parts, ticks):
     return f"{fence}{{{kind}}} {head}\n\n{body}\n{fence}\n"
 
 
-def prose(text, names):
+def prose(text, names, module="jaxvibro"):
     """A docstring as Markdown: names of arguments or fields begin a line of a list, public names lead to theirs."""
-    return "\n\n".join(_paragraph(part, names) for part in re.split(r"\n\s*\n", text))
+    return "\n\n".join(_paragraph(part, names, module) for part in re.split(r"\n\s*\n", text))
 
 
-def _paragraph(part, names):
+def _paragraph(part, names, module):
     if part.startswith("    "):
         return "```text\n" + textwrap.dedent(part) + "\n```"
     text = " ".join(part.split())
     if not names:
-        return _marked(text)
+        return _marked(text, module)
     one = "|".join(sorted(map(re.escape, names), key=len, reverse=True))
     pieces = re.split(rf"(?:(?<=^)|(?<=[;.] )|(?<=: ))((?:{one})(?:, (?:{one}))*): ", text)
-    lines = [_marked(pieces[0])] if pieces[0].strip() else []
+    lines = [_marked(pieces[0], module)] if pieces[0].strip() else []
     for name, told in zip(pieces[1::2], pieces[2::2], strict=True):
-        lines.append(f"- **{_marked(name)}**: {_marked(told.strip().rstrip(';'))}")
+        lines.append(f"- **{_marked(name, module)}**: {_marked(told.strip().rstrip(';'), module)}")
     return "\n\n".join(lines[:1]) + "\n" * bool(lines[1:]) + "\n".join(lines[1:])
 
 
-def _marked(text):
+def _marked(text, module):
     """Text in which nothing but backticks is a mark."""
     parts = re.split(r"(`[^`]+`)", text)
-    return "".join(_linked(part) if part.startswith("`") else _plain(part) for part in parts)
+    return "".join(_linked(part, module) if part.startswith("`") else _plain(part) for part in parts)
 
 
 def _plain(text):
-    return re.sub(r"([\\*_\[\]<>$#|{}~])", r"\\\1", re.sub(r"^([-+])", r"\\\1", text))
+    text = re.sub(r"([\\*_\[\]<>$#|{}~])", r"\\\1", re.sub(r"^([-+])", r"\\\1", text))
+    return re.sub(r"docs/(\w+)\.md", r"[](../docs/\1.md)", text)
 
 
-def _linked(code):
+def _linked(code, module):
     name = code.strip("`").removeprefix("jv.").removeprefix("jaxvibro.")
-    dotted = f"jaxvibro.{name}"
-    return f"{{py:obj}}`{code.strip('`')} <{dotted}>`" if dotted in PUBLIC else code
+    found = [f"{home}.{name}" for home in dict.fromkeys((module, "jaxvibro")) if f"{home}.{name}" in PUBLIC]
+    return f"{{py:obj}}`{code.strip('`')} <{found[0]}>`" if found else code
