@@ -17,6 +17,8 @@ myst_heading_anchors = 3
 
 highlight_language = "text"
 
+smartquotes = False  # x'' is a second derivative
+
 html_theme = "furo"
 html_static_path = ["style.css"]
 html_css_files = ["style.css"]
