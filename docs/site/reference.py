@@ -70,7 +70,7 @@ def _entry(module, name, value):
     if isinstance(node, ast.ClassDef):
         kind = "exception" if issubclass(value, Exception) else "class"
         told = prose(_doc(name, value), list(_annotated(value)), module)
-        parts = [_fields(node, value), told, *_methods(module, name, value)]
+        parts = [_fields(value), told, *_methods(module, name, value)]
         return _directive(f"py:{kind}", name, parts, 5)
     arguments = [arg.arg for arg in [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]]
     return _directive("py:function", name + _signature(node), [prose(_doc(name, value), arguments, module)], 4)
@@ -96,38 +96,41 @@ def _doc(dotted, value):
     return text
 
 
+def _family(value):
+    """A class and those that it inherits from, of ours alone, the most general first."""
+    return [one for one in reversed(value.__mro__) if one.__module__.split(".")[0] in ("jaxvibro", "continuation")]
+
+
 def _annotated(value):
     """The public fields of a class."""
-    return [name for name in getattr(value, "__annotations__", {}) if not name.startswith("_")]
+    names = [name for one in _family(value) for name in inspect.get_annotations(one)]
+    return [name for name in names if not name.startswith("_")]
 
 
-def _fields(node, value):
+def _fields(value):
     """The fields of a record, as they are written."""
     if issubclass(value, enum.Enum):
         return ""
-    lines = [ast.unparse(one) for one in node.body if isinstance(one, ast.AnnAssign) and one.target.id[0] != "_"]
-    return "```python\n" + "\n".join(lines) + "\n```" if lines else ""
+    nodes = [one for each in _family(value) for one in _source(each).body if isinstance(one, ast.AnnAssign)]
+    lines = {one.target.id: ast.unparse(one) for one in nodes if one.target.id[0] != "_"}
+    return "```python\n" + "\n".join(lines.values()) + "\n```" if lines else ""
 
 
 def _methods(module, dotted, value):
-    """Public methods, properties and members of a class, each with its docstring."""
+    """Public methods and properties of a class, each with its docstring."""
     if issubclass(value, enum.Enum):
-        return []
-    for name, each in vars(value).items():
-        if name.startswith("_") or name in _annotated(value):
-            continue
-        method = each.__func__ if isinstance(each, classmethod | staticmethod) else each
-        if isinstance(method, property) or hasattr(method, "func"):
-            getter = method.fget if isinstance(method, property) else method.func
-            yield _directive(
-                "py:property", f"{dotted}.{name}", [prose(_doc(f"{dotted}.{name}", getter), [], module)], 4
-            )
-        elif inspect.isfunction(method):
+        return
+    members = {name: each for one in _family(value) for name, each in vars(one).items() if name[0] != "_"}
+    for name, each in members.items():
+        head, method = f"{dotted}.{name}", getattr(each, "__func__", each)  # a class method's is within
+        getter = getattr(method, "fget", getattr(method, "func", None))  # a property's, a cached one's
+        if name not in _annotated(value) and getter is not None:
+            yield _directive("py:property", head, [prose(_doc(head, getter), [], module)], 4)
+        elif name not in _annotated(value) and inspect.isfunction(method):
             node = _source(method)
             names = [arg.arg for arg in [*node.args.args, *node.args.kwonlyargs]]
-            text = prose(_doc(f"{dotted}.{name}", method), names, module)
-            bound = not isinstance(each, staticmethod)
-            yield _directive("py:method", f"{dotted}.{name}{_signature(node, bound)}", [text], 4)
+            text = prose(_doc(head, method), names, module)
+            yield _directive("py:method", head + _signature(node, not isinstance(each, staticmethod)), [text], 4)
 
 
 def _directive(kind, head, parts, ticks):
