@@ -98,7 +98,7 @@ def test_every_public_name_is_in_the_reference():
     text = "\n".join(reference.pages().values())
     heads = set(re.findall(r"^`+\{py:\w+\} ([\w.]+)", text, re.MULTILINE))
     public = {*jv._HOMES, *(f"plot.{name}" for name in jv.plot.__all__), *continuation.__all__}
-    assert public <= heads and {"Branch.table", "Branch.points", "Scene.dissipative", "Fit.table"} <= heads
+    assert public <= heads and {"Branch.table", "Branch.points", "Scene.dissipative", "Special.normal_form"} <= heads
 
 
 def test_a_name_without_a_docstring_stops_the_reference():

@@ -50,7 +50,7 @@ def _linked(text):
 
 def _role(match):
     dotted, code = f"jaxvibro.{match.group(1)}", match.group(0).strip("`")
-    return f"{{py:obj}}`{code} <{dotted}>`" if dotted in reference.PUBLIC and "<" not in code else f"`{code}`"
+    return f"{{py:obj}}`{code} <{dotted}>`" if dotted in reference.TOLD and "<" not in code else f"`{code}`"
 
 
 def _put(path, text):

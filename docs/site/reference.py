@@ -8,6 +8,7 @@ import enum
 import inspect
 import re
 import textwrap
+from importlib import import_module
 
 import continuation
 import jaxvibro as jv
@@ -27,6 +28,19 @@ PAGES = {
     "continuation": "The package `continuation`",
 }
 
+# What calls give back and nobody needs to name, by its home.
+RECORDS = {
+    "scene": ("scene.codes.Status", "scene.codes.Contact"),
+    "attractors": ("attractors.find.Attractor",),
+    "branches": (
+        *("branches.branch.Special", "branches.branch.Segment", "branches.normal_form.NormalForm"),
+        *("branches.user_monitors.MonitoredPoint", "problem.end.End"),
+    ),
+    "loci": ("loci.locus.Codim2",),
+    "studies": ("studies.run.Done", "studies.warm.Warmed"),
+    "reproduction": ("reproduction.run.Report", "reproduction.claim.Claim"),
+}
+
 
 class Untold(Exception):
     """A public name has no docstring."""
@@ -42,12 +56,23 @@ def members():
     return found
 
 
+def records():
+    """The records of each page: {page: [(name, where it lives, object)]}."""
+    parts = {page: [home.rpartition(".")[::2] for home in homes] for page, homes in RECORDS.items()}
+    return {
+        page: [(name, home, getattr(import_module(f"jaxvibro.{home}"), name)) for home, name in each]
+        for page, each in parts.items()
+    }
+
+
 PUBLIC = {dotted for each in members().values() for dotted, _ in each}
+TOLD = PUBLIC | {f"jaxvibro.{name}" for each in records().values() for name, _, _ in each}
 
 
 def pages():
     """The text of each page of the reference, and of the page that lists them: {file name: Markdown}."""
-    made = {f"{page}.md": _page(PAGES[page], each) for page, each in members().items()}
+    more = records()
+    made = {f"{page}.md": _page(PAGES[page], each, more.get(page, ())) for page, each in members().items()}
     names = "\n".join(page.removesuffix(".md") for page in made)
     made["index.md"] = (
         "# Reference\n\nEvery public name with its docstring, by the rooms of the package; in one list:\n"
@@ -56,11 +81,14 @@ def pages():
     return made
 
 
-def _page(title, each):
+def _page(title, each, more):
     module = each[0][0].split(".")[0]
     parts = [f"# {title}\n", f"```{{py:currentmodule}} {module}\n```\n"]
     for dotted, value in each:
         parts += [f"## `{dotted.split('.')[-1]}`\n", _entry(module, dotted.removeprefix(f"{module}."), value)]
+    for name, home, value in more:
+        told = f"Calls give it back; it is no public name, but lives in `jaxvibro.{home}`.\n"
+        parts += [f"## `{name}`\n", told, _entry(module, name, value)]
     return "\n".join(parts)
 
 
@@ -108,11 +136,13 @@ def _annotated(value):
 
 
 def _fields(value):
-    """The fields of a record, as they are written."""
+    """The fields of a record, as they are written, its own before those that it inherits."""
     if issubclass(value, enum.Enum):
         return ""
-    nodes = [one for each in _family(value) for one in _source(each).body if isinstance(one, ast.AnnAssign)]
-    lines = {one.target.id: ast.unparse(one) for one in nodes if one.target.id[0] != "_"}
+    lines = {}
+    for one in [one for each in reversed(_family(value)) for one in _source(each).body]:
+        if isinstance(one, ast.AnnAssign) and one.target.id[0] != "_":
+            lines.setdefault(one.target.id, ast.unparse(one))
     return "```python\n" + "\n".join(lines.values()) + "\n```" if lines else ""
 
 
@@ -171,5 +201,5 @@ def _plain(text):
 
 def _linked(code, module):
     name = code.strip("`").removeprefix("jv.").removeprefix("jaxvibro.")
-    found = [f"{home}.{name}" for home in dict.fromkeys((module, "jaxvibro")) if f"{home}.{name}" in PUBLIC]
+    found = [f"{home}.{name}" for home in dict.fromkeys((module, "jaxvibro")) if f"{home}.{name}" in TOLD]
     return f"{{py:obj}}`{code.strip('`')} <{found[0]}>`" if found else code
