@@ -31,7 +31,7 @@ THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
 
-.PHONY: help run paper test test-slow test-long mutate bench reliability notebooks format lock clean
+.PHONY: help run paper test test-slow test-long mutate bench reliability notebooks docs format lock clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -64,9 +64,16 @@ bench: $(VENV)/.dev ## what answers cost, ours and others', into docs/benchmarks
 reliability: $(VENV)/.dev ## where methods fail, ours and others', into docs/reliability.md
 	$(BIN)/python -m reliability.run $(if $(PART),--part "$(PART)")
 
-notebooks: $(VENV)/.dev ## run the notebooks as scripts, then write them as .ipynb
-	for script in notebooks/*.py; do MPLBACKEND=Agg $(BIN)/python "$$script" || exit 1; done
+notebooks: $(VENV)/.dev ## run the notebooks, keep what they print and draw for the site, write them as .ipynb
+	for script in notebooks/*.py; do $(BIN)/python -m docs.site.notebooks "$$script" || exit 1; done
 	$(BIN)/jupytext --quiet --to ipynb notebooks/*.py
+
+docs: $(VENV)/.dev ## build the site into out/docs/html, without a network
+	rm -rf out/docs
+	$(BIN)/python -m docs.site.pages out/docs/pages
+	$(BIN)/python -m sphinx --fail-on-warning --keep-going --quiet -c docs/site -d out/docs/doctrees \
+		out/docs/pages out/docs/html
+	@echo "the site: out/docs/html/index.html"
 
 format: $(VENV)/.dev ## put the source into its standard form
 	$(BIN)/ruff check --fix .
@@ -74,7 +81,7 @@ format: $(VENV)/.dev ## put the source into its standard form
 
 lock: $(UV) ## resolve the dependencies anew, hashes for every platform
 	$(COMPILE) --upgrade pyproject.toml --group build --output-file requirements.lock
-	$(COMPILE) --upgrade pyproject.toml --group build --group dev --constraints requirements.lock \
+	$(COMPILE) --upgrade pyproject.toml --group build --group dev --group docs --constraints requirements.lock \
 		--output-file requirements-dev.lock
 	echo "uv==$$($(UV) --version | cut -d' ' -f2)" | $(COMPILE) - --output-file requirements-uv.lock
 

@@ -9,7 +9,6 @@ import sys
 import tomllib
 from pathlib import Path
 
-import matplotlib.pyplot as plt
 import msgspec
 import numpy as np
 import pytest
@@ -265,44 +264,3 @@ def test_a_cache_that_cannot_be_made_is_done_without(tmp_path, monkeypatch):
     assert jax_settings.folder().stat().st_mode & 0o777 == 0o700
     monkeypatch.setenv("HOME", str(tmp_path / "nobody"))
     assert jax_settings.folder() is None and not (tmp_path / "nobody").exists()
-
-
-def test_the_readme_s_lines_run_as_printed():
-    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(), re.DOTALL)
-    names = {}
-    exec(compile(block, "README.md", "exec"), names)
-    plt.close("all")
-    assert names["impacts"].status == 0 and abs(names["state"].x) <= 1.0
-
-
-@pytest.mark.slow
-def test_the_lines_on_loci_print_what_is_told(capsys):
-    block, told, *_ = re.findall(r"```(?:python)?\n(.*?)```", (ROOT / "docs" / "loci.md").read_text(), re.DOTALL)
-    exec(compile(block, "loci.md", "exec"), {})
-    assert [line.split() for line in capsys.readouterr().out.splitlines()] == [
-        line.split() for line in told.splitlines()
-    ]
-
-
-@pytest.mark.slow
-def test_the_lines_on_motions_run_as_printed():
-    (block,) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "motions.md").read_text(), re.DOTALL)
-    names = {}
-    exec(compile(block, "motions.md", "exec"), names)
-    plt.close("all")
-    assert (names["basins"]["label"] >= 0).all() and names["saddle"].multipliers[0].real > 1
-
-
-@pytest.mark.parametrize(
-    "page",
-    [
-        "README.md",
-        *(f"docs/{name}.md" for name in ("scene", "branches", "loci", "motions", "paper")),
-        "CONTRIBUTING.md",
-    ],
-)
-def test_links_lead_somewhere(page):
-    path = ROOT / page
-    links = re.findall(r"\]\((?!https?:)([^)]+)\)", path.read_text())
-    assert [link for link in links if not (path.parent / link).exists()] == []
-    assert (ROOT / "docs" / "fig4.png").stat().st_size < 300_000

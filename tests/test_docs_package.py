@@ -1,0 +1,64 @@
+"""What is around the package: the workflow, the hooks of a commit, and a wheel that runs outside of the checkout."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+import sysconfig
+import tomllib
+import venv
+from pathlib import Path
+
+import pytest
+import yaml
+
+import jaxvibro as jv
+
+ROOT = Path(__file__).parents[1]
+
+
+def test_the_workflow_tries_each_python_that_is_promised():
+    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text())["jobs"]
+    told = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
+    promised = [one.rpartition(" ")[2] for one in told if re.search(r":: 3\.\d+$", one)]
+    assert jobs["test"]["strategy"]["matrix"]["python"] == promised
+    runs = [step["run"] for job in jobs.values() for step in job["steps"] if "run" in step]
+    assert runs == ["make run", "make test", "make docs"]
+
+
+def test_the_hooks_are_the_lines_of_make_test():
+    (own,) = yaml.safe_load((ROOT / ".pre-commit-config.yaml").read_text())["repos"]
+    makefile = (ROOT / "Makefile").read_text().replace("$(BIN)", ".venv/bin")
+    recipe = re.search(r"^test: .*\n((?:\t.*\n)+)", makefile, re.MULTILINE)[1].splitlines()
+    *checks, last = [hook["entry"] for hook in own["hooks"]]
+    assert own["repo"] == "local" and {hook["language"] for hook in own["hooks"]} == {"system"}
+    assert checks == [line.strip() for line in recipe[:-1]] and last == "make test"
+
+
+@pytest.mark.slow
+def test_a_wheel_runs_outside_of_the_checkout(tmp_path):
+    def called(*command):
+        quiet = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+        ended = subprocess.run(command, cwd=tmp_path, env=quiet, capture_output=True, text=True, timeout=300)
+        assert ended.returncode == 0, ended.stdout + ended.stderr
+        return ended.stdout
+
+    build = [sys.executable, "-m", "hatchling", "build", "--target", "wheel", "--directory", str(tmp_path / "dist")]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = (tmp_path / "dist").glob("*.whl")
+    venv.create(tmp_path / "venv", with_pip=True)
+    own = tmp_path / "venv" / "bin"
+    called(own / "python", "-m", "pip", "install", "--quiet", "--no-index", "--no-deps", wheel)
+    (packages,) = (tmp_path / "venv" / "lib").glob("python3*/site-packages")
+    (packages / "locked.pth").write_text(sysconfig.get_paths()["purelib"])  # what it needs, but not this checkout
+
+    where = called(
+        own / "python", "-c", "import jaxvibro, continuation; print(jaxvibro.__file__, continuation.__file__)"
+    )
+    assert where.count(str(packages)) == 2
+    assert called(own / "jaxvibro", "--version").strip() == jv.__version__
+    called(own / "jaxvibro", "init", "my.toml")
+    (tmp_path / "tiny.toml").write_text("[scene]\namplitude = 1.0\nfrequency = 2.1\ndamping = 0.1\nrestitution = 0.7\n")
+    done = json.loads(called(own / "jaxvibro", "run", "tiny.toml", "--json"))
+    assert done["files"] and all((tmp_path / path).exists() for path in done["files"].values())
