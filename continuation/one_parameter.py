@@ -9,8 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from . import branch_switching as crossing
-from . import driver, event_search, locate
+from . import driver, event_search, leaving
 from .arclength import Control
 from .branch import Branch, Special
 from .driver import End, Task, Watch
@@ -18,14 +17,13 @@ from .errors import ContinuationError
 from .event_search import Event
 from .newton import ADVICE, newton
 from .points import between, start_point
-from .problem import EQUILIBRIA, FIXED_POINTS, Given, System, problem_of, residual_at, slopes_at
+from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, problem_of, residual_at, slopes_at
 from .roots import sign_change
 from .stretch import backwards, glued
 
 DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
 ZERO = 1e-9  # of an eigenvalue's distance from an event: as small is nearly none
-LEAVING = ("BP", "PD")  # special points that other branches leave
 Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # of (u, p, args)
 
 
@@ -89,6 +87,8 @@ def trace(
     bounds = _checked(system, u, at, {along: bounds}, direction, stop)
     given = Given({name: float(value) for name, value in at.items() if name != along}, args)
     z = np.append(u, float(at[along]))
+    if system.kind == ORBITS:
+        given = given._replace(phase=leaving.phase_of(system, u, at, args))
     z[:-1] = _solved(system, (along,), z, given)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)
     ahead = event_search.tangent(task.problem, z, task.control.scale, given)
@@ -104,28 +104,27 @@ def switch(
     tolerance: float = 1e-10,
     monitors: Monitors | None = None,
     stop: Sequence[str] = (),
+    orbits: System | None = None,
 ) -> tuple[Branch, ...]:
     """The branches that leave a special point besides that on which it was found: a tuple of `Branch`, each from the
-    point on. special: of kind BP, the two halves of the branch that crosses there; PD, that of twice as many times.
-    bounds: {name: (low, high)}, or None for those of the point's branch; the rest as in `trace`.
+    point on. special: of kind BP, the two halves of the branch that crosses there; PD, that of twice as many times; HB,
+    that of the periodic orbits, from a first one on that is a first_step large. bounds: {name: (low, high)}, or None
+    for those of the point's branch; orbits: at HB the `shooting.periodic_orbits` of the same field; the rest as in
+    `trace`.
 
-    Raises ContinuationError for points of other kinds.
+    Raises ContinuationError for points of other kinds, and at HB without orbits.
     """
-    if not isinstance(special, Special) or special.kind not in LEAVING or len(special.names) != 1:
-        raise ContinuationError("special", f"must be a special point of a branch, {' or '.join(LEAVING)}", special)
+    if not isinstance(special, Special) or special.kind not in leaving.KINDS or len(special.names) != 1:
+        raise ContinuationError("special", f"must be a special point of a branch, {', '.join(leaving.KINDS)}", special)
+    if special.kind == "HB" and (not isinstance(orbits, System) or orbits.kind != ORBITS):
+        raise ContinuationError("orbits", "must be the `periodic_orbits` of the field that has the Hopf point", orbits)
     bounds = bounds or special.bounds
-    given = Given({name: value for name, value in special.p.items() if name not in special.names}, special.args)
-    system, z, scale = special.system, special.z, np.ones(len(special.z))
-    if special.kind == "PD":
-        (test,) = (one for one in problem_of(system, special.names).tests if one.label == "PD")
-        null = locate.null(locate.matrices(problem_of(system, special.names), test, z, given)[0])
-        system, tangents = system._replace(times=2 * system.times), [np.append(null, 0.0)]
-    else:
-        found = crossing.directions(problem_of(system, special.names), z, scale, given)
-        tangent = crossing.other(found, special.tangent, scale)
-        tangents = [tangent, -tangent]
+    system, z, given, tangents = leaving.ways(special, orbits)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)._replace(starts=())
-    runs = [driver.run(task, start_point(z, tangent)) for tangent in tangents]
+    starts = [start_point(z, tangent) for tangent in tangents]
+    if special.kind == "HB":
+        starts = [leaving.first_orbit(task, one) for one in starts]
+    runs = [driver.run(task, one) for one in starts]
     return tuple(branch_of(system, None, bounds, given, None, one) for one in runs)
 
 
@@ -241,9 +240,8 @@ def _signs(system, names, zs, given):
 
 
 def _eigenvalues(system, names, z, given):
-    """Of the derivative by u at points, (points, n), the largest first."""
-    slopes = np.asarray(jax.jit(jax.vmap(partial(slopes_at, system, names), (0, None)))(z, given))
-    found = np.linalg.eigvals(slopes[:, :, : -len(names)]).astype(complex)
-    found += 1.0 if system.kind == FIXED_POINTS else 0.0
-    size = abs(found) if system.kind == FIXED_POINTS else found.real
+    """Of the `linearised` at points, (points, count), the largest first."""
+    matrices = np.asarray(jax.jit(jax.vmap(partial(linearised, system, names), (0, None)))(z, given))
+    found = np.linalg.eigvals(matrices).astype(complex)
+    size = found.real if system.kind == EQUILIBRIA else abs(found)
     return np.take_along_axis(found, np.argsort(-size, axis=1, kind="stable"), axis=1)
