@@ -1,35 +1,21 @@
 """Periodic orbits of u' = f(u, p) by multiple shooting: the algebra, whatever flies along the field.
 
 Unknowns are points x_1 ... x_m, evenly spread in time, and the period T. Each is to fly in T / m to the next, the last
-to the first; and the sum of d_i (x_i - r_i) is to be zero, r_i the points of a reference orbit and d_i the field there:
-of all that a shift of the phase gives, the orbit nearest to it.
+to the first. Any shift of the phase gives as good an orbit: a last equation, whose value is always zero and whose
+gradient is the field at the points, keeps Newton's changes and tangents across it (a Poincare section through each
+iterate). No reference orbit is needed, which a branch would outgrow; where the matrix is singular its left null vector
+has no part in that equation, as the field is a null vector of all others.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Float
-
-from .arrays import Array
-
-
-class Phase(NamedTuple):
-    """What fixes the phase. points: of the reference orbit; ways: the field there, over its length at all of them."""
-
-    points: Float[Array, "count size"]
-    ways: Float[Array, "count size"]
 
 
 def points_of(u, count):
     """(points, (count, n); the period)."""
     return u[:-1].reshape(count, -1), u[-1]
-
-
-def phase_at(field, points, p, args) -> Phase:
-    """The `Phase` of which an orbit itself is the reference."""
-    ways = jax.vmap(lambda x: field(x, p, args))(points)
-    return Phase(points, ways / jnp.linalg.norm(ways))
 
 
 def equations(system, names, z, given) -> tuple[Any, Any]:
@@ -45,14 +31,15 @@ def equations(system, names, z, given) -> tuple[Any, Any]:
     many = jnp.concatenate([points, jnp.tile(z[size - 1 :], (count, 1))], axis=1)
     slopes, ends = jax.vmap(jax.jacfwd(end, has_aux=True))(many)
     n, gaps = points.shape[1], ends - jnp.roll(points, -1, axis=0)
-    phase = jnp.sum((points - given.phase.points) * given.phase.ways)
+    p = {**given.others, **{name: z[size + k] for k, name in enumerate(names)}}
+    ways = jax.vmap(lambda x: jnp.asarray(system.function(x, p, given.args)))(points).reshape(-1)
     whole = jnp.zeros((size, len(z)), z.dtype)
     for k in range(count):
         rows, after = slice(n * k, n * (k + 1)), n * ((k + 1) % count)
         whole = whole.at[rows, rows].set(slopes[k, :, :n]).at[rows, size - 1 :].set(slopes[k, :, n:])
         whole = whole.at[rows, after : after + n].add(-jnp.eye(n))
-    whole = whole.at[-1, : size - 1].set(given.phase.ways.reshape(-1))
-    return jnp.append(gaps.reshape(-1), phase), whole
+    whole = whole.at[-1, : size - 1].set(ways / jnp.linalg.norm(ways))
+    return jnp.append(gaps.reshape(-1), 0.0), whole
 
 
 def flipped(system, slopes):
@@ -74,7 +61,8 @@ def multiplied(system, slopes, way):
     for k in range(count):
         own = slopes[n * k : n * (k + 1), n * k : n * (k + 1)]
         monodromy = (own + jnp.eye(n) if count == 1 else own) @ monodromy
-    unit = way / jnp.linalg.norm(way)
+    length = jnp.linalg.norm(way)
+    unit = way / jnp.where(length > 0, length, 1.0)  # none at a Hopf point
     normal = unit.at[0].add(jnp.where(unit[0] < 0, -1.0, 1.0))
     across = (jnp.eye(n) - 2.0 * jnp.outer(normal, normal) / (normal @ normal))[:, 1:]  # Householder's reflection
     return across.T @ monodromy @ across

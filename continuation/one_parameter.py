@@ -9,13 +9,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from . import driver, event_search, leaving
+from . import driver, event_search, hopf, leaving
 from .arclength import Control
 from .branch import Branch, Special
 from .driver import End, Task, Watch
 from .errors import ContinuationError
 from .event_search import Event
 from .newton import ADVICE, newton
+from .persistent_jit import persistent_jit
 from .points import between, start_point
 from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, problem_of, residual_at, slopes_at
 from .roots import sign_change
@@ -23,6 +24,7 @@ from .stretch import backwards, glued
 
 DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
+ROWS = 64  # of points, whose eigenvalues are asked for in one call
 ZERO = 1e-9  # of an eigenvalue's distance from an event: as small is nearly none
 Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # of (u, p, args)
 
@@ -32,6 +34,9 @@ class Monitored(Watch):
 
     def __init__(self, system, names, monitors):
         self.system, self.names, self.monitors = system, names, monitors
+
+    def before(self, task, points):
+        return hopf.ahead(self.system, self.names, task, points) if self.system.kind == ORBITS else None
 
     def events(self, task, points, view, known, end):
         signs = _signs(self.system, self.names, points.z, task.args)
@@ -87,8 +92,6 @@ def trace(
     bounds = _checked(system, u, at, {along: bounds}, direction, stop)
     given = Given({name: float(value) for name, value in at.items() if name != along}, args)
     z = np.append(u, float(at[along]))
-    if system.kind == ORBITS:
-        given = given._replace(phase=leaving.phase_of(system, u, at, args))
     z[:-1] = _solved(system, (along,), z, given)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)
     ahead = event_search.tangent(task.problem, z, task.control.scale, given)
@@ -123,7 +126,7 @@ def switch(
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)._replace(starts=())
     starts = [start_point(z, tangent) for tangent in tangents]
     if special.kind == "HB":
-        starts = [leaving.first_orbit(task, one) for one in starts]
+        starts = [hopf.first_orbit(task, one) for one in starts]
     runs = [driver.run(task, one) for one in starts]
     return tuple(branch_of(system, None, bounds, given, None, one) for one in runs)
 
@@ -173,6 +176,9 @@ def _checked(system, u, at, bounds, direction, stop):
         raise ContinuationError("system", "must be one of `equilibria` or `fixed_points`", system)
     if u.ndim != 1 or not np.isfinite(u).all():
         raise ContinuationError("u", "must be a row of finite numbers", u)
+    count = system.segments * system.times
+    if system.kind == ORBITS and (len(u) <= count or (len(u) - 1) % count or u[-1] <= 0):
+        raise ContinuationError("u", f"must be {count} points, one after another, and the period", u)
     if direction not in DIRECTIONS:
         raise ContinuationError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     if isinstance(stop, str):
@@ -239,9 +245,15 @@ def _signs(system, names, zs, given):
     return {"PD": np.prod(flipped / np.maximum(abs(flipped), ZERO), axis=1).real, "NS": pair}
 
 
+@persistent_jit(static_argnums=(0, 1), numpy_first=True)
+def _linearised(system, names, zs, given):
+    return jax.vmap(lambda z: linearised(system, names, z, given))(zs)
+
+
 def _eigenvalues(system, names, z, given):
     """Of the `linearised` at points, (points, count), the largest first."""
-    matrices = np.asarray(jax.jit(jax.vmap(partial(linearised, system, names), (0, None)))(z, given))
-    found = np.linalg.eigvals(matrices).astype(complex)
+    rows = -(-len(z) // ROWS) * ROWS
+    padded = np.concatenate([z, np.repeat(z[-1:], rows - len(z), axis=0)])
+    found = np.linalg.eigvals(np.asarray(_linearised(system, names, padded, given))[: len(z)]).astype(complex)
     size = found.real if system.kind == EQUILIBRIA else abs(found)
     return np.take_along_axis(found, np.argsort(-size, axis=1, kind="stable"), axis=1)

@@ -11,7 +11,6 @@ from jaxtyping import ArrayLike, Float
 
 from . import cycles
 from .arclength import bordered
-from .cycles import Phase
 from .linear import Eliminated
 from .persistent_jit import SOON, persistent_jit
 
@@ -94,12 +93,10 @@ def fixed_points(move: Function, times: int = 1) -> System:
 
 
 class Given(NamedTuple):
-    """Numbers of a `System` that stay along a branch. others: {name: number}, the other parameters; args; phase: what
-    fixes that of ORBITS."""
+    """Numbers of a `System` that stay along a branch. others: {name: number}, the other parameters; args."""
 
     others: dict[str, float]
     args: Any
-    phase: Phase | None = None
 
 
 @lru_cache

@@ -79,22 +79,22 @@ def settled(
     period: float,
     at: Mapping[str, float],
     args: Any = None,
-    wait: float = 0.0,
+    rounds: int = 0,
 ) -> Float[np.ndarray, " unknowns"]:
     """The u of `periodic_orbits` to begin a `trace` with: (segments n + 1,), from a run of its field.
 
-    start: (n,), where it begins; period: about that of the orbit; at: {name: number}, the parameters; wait: how long it
-    runs before. Raises ContinuationError for what is no system of periodic orbits.
+    start: (n,), where it begins; period: about that of the orbit; at: {name: number}, the parameters; rounds: how
+    many periods it runs before. Raises ContinuationError for what is no system of periodic orbits.
     """
     if not isinstance(system, System) or system.fly is None:
         raise ContinuationError("system", "must be one of `periodic_orbits`", system)
     p = {name: float(value) for name, value in at.items()}
     count = system.segments * system.times
     fly = jax.jit(partial(_flown, system.fly))
-    points = [fly(np.asarray(start, float), wait, p, args) if wait else np.asarray(start, float)]
-    for _ in range(count - 1):
-        points.append(fly(points[-1], period / count, p, args))
-    return np.append(np.concatenate(points), period)
+    points = [np.asarray(start, float)]
+    for _ in range(count * (rounds + 1) - 1):
+        points.append(np.asarray(fly(points[-1], period / count, p, args)))
+    return np.append(np.concatenate(points[-count:]), period)
 
 
 def _flown(fly, x, time, p, args):

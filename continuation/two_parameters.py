@@ -18,7 +18,7 @@ from .branch import Branch, Special
 from .errors import ContinuationError
 from .on_curve import MEETING, OnCurve
 from .one_parameter import both_ways, branch_of, checked_bounds, task_of
-from .problem import Given, Problem, Test, residual_at, singular_matrix
+from .problem import Given, Problem, Test, equations_at, singular_matrix
 
 KINDS = ("SN", "PD", "HB", "NS")
 
@@ -64,12 +64,13 @@ def curve(
 def special_problem(system, kind, names):
     """The `Problem` of special points of a kind along two parameters: z = (u, values of the names)."""
 
-    def values(z, given):
-        matrix = singular_matrix(system, kind, names, z, given)
-        return jnp.append(residual_at(system, names, z, given), jnp.linalg.det(matrix))
+    def singular(z, given):
+        return jnp.linalg.det(singular_matrix(system, kind, names, z, given))
 
     def function(z, given):
-        return values(z, given), jax.jacfwd(values)(z, given)
+        value, slopes = equations_at(system, names, z, given)
+        more = jax.jacfwd(singular)(z, given)
+        return jnp.append(value, singular(z, given)), jnp.concatenate([slopes, more[None]])
 
     met = MEETING[system.kind].get(kind, {})
     tests = tuple(Test(label, partial(singular_matrix, system, of, names)) for label, of in met.items())
