@@ -1,7 +1,6 @@
 """`trace`: a branch of solutions along one parameter; `switch`: the branches that leave a special point of it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import jax
@@ -9,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from . import driver, event_search, hopf, leaving
+from . import driver, event_search, held, hopf, leaving
 from .arclength import Control
 from .branch import Branch, Special
 from .driver import End, Task, Watch
@@ -18,7 +17,7 @@ from .event_search import Event
 from .newton import ADVICE, newton
 from .persistent_jit import persistent_jit
 from .points import between, start_point
-from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, problem_of, residual_at, slopes_at
+from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, problem_of
 from .roots import sign_change
 from .stretch import backwards, glued
 
@@ -41,6 +40,8 @@ class Monitored(Watch):
     def events(self, task, points, view, known, end):
         signs = _signs(self.system, self.names, points.z, task.args)
         found = event_search.events(task.problem, points, signs, task.control, task.args, known)
+        if held.FOLD in signs:
+            found = [one._replace(kind="SN") if one.kind == held.FOLD else one for one in found if one.kind != "SN"]
         for kind in self.monitors:
             values = np.array([self.value(kind, z, task.args) for z in points.z])
             for after in np.flatnonzero(values[:-1] * values[1:] < 0):
@@ -68,8 +69,8 @@ def trace(
     system: System,
     u: Real[ArrayLike, "..."] | Sequence[float],
     at: Mapping[str, float],
-    along: str,
-    bounds: Sequence[float],
+    along: str | Sequence[str],
+    bounds: Sequence[float] | Mapping[str, Sequence[float]],
     args: Any = None,
     direction: str = "both",
     first_step: float = 0.05,
@@ -77,23 +78,37 @@ def trace(
     tolerance: float = 1e-10,
     monitors: Monitors | None = None,
     stop: Sequence[str] = (),
+    hold: Mapping[Any, float] | None = None,
 ) -> Branch:
     """The branch of solutions of a system through one near u, along one parameter: a `Branch`.
 
-    system: of `equilibria` or `fixed_points`; u: (n,), near a solution; at: {name: number}, the parameters there;
-    along: the name of that which is to change; bounds: (low, high) of it; args: for the system's function. direction:
-    "forward" begins towards greater values, "backward" towards smaller, "both" does both. first_step, largest_step,
-    tolerance: lengths of (u, parameter). monitors: {name: function of (u, p, args)}, whose changes of sign are special
-    points; stop: kinds of special points that end the branch.
+    system: of `equilibria`, `fixed_points` or `shooting.periodic_orbits`; u: (n,), near a solution; at: {name: number},
+    the parameters there; along: the name of that which is to change; bounds: (low, high) of it; args: for the system's
+    function. direction: "forward" begins towards greater values, "backward" towards smaller, "both" does both.
+    first_step, largest_step, tolerance: lengths of (u, parameter). monitors: {name: function of (u, p, args)}, whose
+    changes of sign are special points; stop: kinds of special points that end the branch.
+
+    hold: {function of (u, p, args), or the name of a monitor: its value all along}; each needs one parameter more:
+    along is then a tuple of names, bounds {name: (low, high)}, direction and the start's value are of the last name,
+    the start's others are found. A turning point of that one is no fold then: an SN is where dF/du is singular.
 
     Raises ContinuationError for arguments that cannot be, and where Newton's method comes to no solution from u.
     """
     u = np.atleast_1d(np.asarray(u, float))
-    bounds = _checked(system, u, at, {along: bounds}, direction, stop)
-    given = Given({name: float(value) for name, value in at.items() if name != along}, args)
-    z = np.append(u, float(at[along]))
-    z[:-1] = _solved(system, (along,), z, given)
+    names = (along,) if isinstance(along, str) else tuple(along)
+    kept = held.named(hold, monitors, names)
+    box = bounds if isinstance(bounds, Mapping) else dict.fromkeys(names, bounds)
+    if set(box) != set(names):
+        raise ContinuationError("bounds", f"must be given for {', '.join(names)}", bounds)
+    bounds = _checked(system, u, at, {name: box[name] for name in names}, direction, stop)
+    others = {name: float(value) for name, value in at.items() if name not in names}
+    given = held.Held(others, args, tuple(kept.values())) if kept else Given(others, args)
+    z = np.append(u, [float(at[name]) for name in names])
+    problem = held.held_problem(system, tuple(kept), names) if kept else problem_of(system, names)
+    z = _solved(problem, z, given)
+    checked_bounds(dict(zip(names, z[len(u) :].tolist(), strict=True)), bounds)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)
+    task = task._replace(problem=problem)
     ahead = event_search.tangent(task.problem, z, task.control.scale, given)
     back, on = both_ways(task, z, ahead, direction)
     return branch_of(system, None, bounds, given, back, on)
@@ -201,17 +216,21 @@ def checked_bounds(at, bounds):
     return found
 
 
-def _solved(system, names, z, given):
-    """u by Newton's method at fixed parameters."""
+@persistent_jit(static_argnums=0, numpy_first=True)
+def _solution(problem, z, given):
+    def function(unknowns):
+        value, slopes = problem.function(jnp.concatenate([unknowns, z[-1:]]), given)
+        return value, slopes[:, :-1]
 
-    def function(u):
-        there = jnp.concatenate([u, z[len(u) :]])
-        return residual_at(system, names, there, given), slopes_at(system, names, there, given)[:, : len(u)]
+    return newton(function, z[:-1])
 
-    found = jax.jit(partial(newton, function))(jnp.asarray(z[: -len(names)]))
+
+def _solved(problem, z, given):
+    """z with all but its last number by Newton's method."""
+    found = _solution(problem, z, given)
     if found.status:
-        raise ContinuationError("u", f"must be near a solution: {ADVICE[int(found.status)]}", z[: -len(names)])
-    return np.asarray(found.unknowns)
+        raise ContinuationError("u", f"must be near a solution: {ADVICE[int(found.status)]}", z[:-1])
+    return np.append(found.unknowns, z[-1])
 
 
 def task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors=None, stop=()):
@@ -239,10 +258,13 @@ def _signs(system, names, zs, given):
     steady = system.kind == EQUILIBRIA
     beyond = np.sum(found.real > 0 if steady else abs(found) > 1, axis=1)
     pair = np.cumprod(np.append(1.0, np.where(abs(np.diff(beyond)) >= 2, -1.0, 1.0)))
-    if steady:
-        return {"HB": pair}
-    flipped = found + 1.0
-    return {"PD": np.prod(flipped / np.maximum(abs(flipped), ZERO), axis=1).real, "NS": pair}
+    signs = {held.FOLD: _product(found if steady else found - 1.0)} if isinstance(given, held.Held) else {}
+    return signs | ({"HB": pair} if steady else {"PD": _product(found + 1.0), "NS": pair})
+
+
+def _product(values):
+    """The sign of the product of each row, and how near to zero one of it is."""
+    return np.prod(values / np.maximum(abs(values), ZERO), axis=1).real
 
 
 @persistent_jit(static_argnums=(0, 1), numpy_first=True)

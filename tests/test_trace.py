@@ -375,3 +375,39 @@ def test_what_cannot_be_is_refused(change, key):
     with pytest.raises(co.ContinuationError) as told:
         co.trace(**given)
     assert told.value.key == key and "\n" not in str(told.value)
+
+
+def test_a_function_is_held_along_two_parameters():
+    """On the cusp's surface h + r u = u^3, which folds at h = -2 u^3, r = 3 u^2."""
+    at, bounds = {"h": -1.5, "r": 2.5}, {"h": (-2.9, 5.0), "r": (-2.0, 4.0)}
+    found = co.trace(CUSP, [1.0], at, ("h", "r"), bounds, hold={lambda u, p, args: u[0] * (p["h"] + 3.0): 1.5})
+    u, h, r = found.u[:, 0], found.p["h"], found.p["r"]
+    assert len(found) > 20 and found.names == ("h", "r")
+    assert close(u * (h + 3.0), 1.5, 1e-10) and close(h + r * u - u**3, 0, 1e-10)
+    folds = np.sort(np.roots([2.0, 0.0, 0.0, -3.0, 1.5]))[-2:]
+    assert kinds(found) == ["SN", "SN"]
+    assert close(sorted(one.u[0] for one in found.points("SN")), np.sort(folds.real), 1e-12)
+    size = {"size": lambda u, p, args: u[0]}
+    found = co.trace(CUSP, [1.0], at, ("r", "h"), bounds, hold={"size": 0.9}, monitors=size)
+    assert close(found.u, 0.9, 1e-12) and close(found.p["h"] + 0.9 * found.p["r"], 0.9**3, 1e-12)
+    assert close(found.points("SN")[0].z, [0.9, 2.43, -1.458], 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"along": "h"}, "along"),
+        ({"hold": {"size": 1.0}}, "hold"),
+        ({"hold": {abs: "1"}}, "hold"),
+        ({"bounds": {}}, "bounds"),
+    ],
+)
+def test_what_cannot_be_held_is_refused(change, key):
+    given = {
+        "along": ("h", "r"),
+        "bounds": {"h": (-3.0, 3.0), "r": (-3.0, 3.0)},
+        "hold": {lambda u, p, args: u[0]: 1.0},
+    }
+    with pytest.raises(co.ContinuationError) as told:
+        co.trace(CUSP, [1.0], {"h": 0.0, "r": 1.0}, **(given | change))
+    assert told.value.key == key
