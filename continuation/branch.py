@@ -11,10 +11,12 @@ from .problem import EQUILIBRIA, System
 MEANINGS = {
     "SN": "fold",
     "BP": "branch point",
+    "SB": "symmetry breaking",
     "HB": "Hopf point",
     "PD": "period doubling",
     "NS": "Neimark-Sacker point",
     "CP": "cusp",
+    "DSB": "degenerate symmetry breaking",
     "GPD": "generalized period doubling",
     "BT": "Bogdanov-Takens point",
     "ZH": "zero-Hopf point",
@@ -35,10 +37,10 @@ MEANINGS = {
 
 @dataclass(frozen=True, eq=False)
 class Special:
-    """A special point. kind: SN, BP, HB, PD, NS (see `MEANINGS`), a monitor's name, or EP, an end. u: (n,); p: {name:
-    number}, all parameters; names: those along which it was found; eigenvalues: (n,), of the function's derivative by
-    u, of a map the multipliers, of a periodic orbit those but for its field's own, the largest first; residual: the
-    largest error left in its equations; place: among the branch's points; tangent: of the branch there, (n + names,).
+    """A special point. kind: SN, BP, SB, HB, PD, NS (see `MEANINGS`), a monitor's name, or EP, an end. u: (n,); p:
+    {name: number}, all parameters; names: those along which it was found; eigenvalues: (n,), of the derivative by u, of
+    a map the multipliers, of a periodic orbit those but for its field's own, the largest first; residual: the largest
+    error left in its equations; place: among the branch's points; tangent: of the branch there, (n + names,).
     """
 
     kind: str

@@ -6,7 +6,7 @@ from . import branch_switching as crossing
 from . import hopf, locate
 from .problem import ORBITS, Given, matrix_at, problem_of
 
-KINDS = ("BP", "PD", "HB")  # special points that other branches leave
+KINDS = ("BP", "SB", "PD", "HB")  # special points that other branches leave
 
 
 def ways(special, orbits):
@@ -16,6 +16,8 @@ def ways(special, orbits):
     if special.kind == "HB":
         z, tangent = hopf.born(special, orbits, given)
         return orbits, z, given, [tangent]
+    if special.kind in ("SB", "PD"):
+        system = system._replace(within=False)
     if special.kind == "PD":
         null = locate.null(matrix_at(system, "PD", names, z, given))
         return doubled(system, z, given, null)

@@ -43,18 +43,22 @@ def border(matrix):
 
 
 def bent(system, kind, names, z, given, reference):
-    """p B(q, q) at SN, p (C(q, q, q) - 3 B(q, A^-1 B(q, q))) / (6 p q) at PD, A the derivative of F; (p, q) by the
-    bordered systems with a reference (b, c), so that it is a smooth function of z."""
+    """p B(q, q) at SN, p (C(q, q, q) - 3 B(q, A^-1 B(q, q))) / (6 p q) at PD and SB, A the derivative of F, at SB on
+    what the symmetry keeps; (p, q) by the bordered systems with a reference (b, c), so that it is a smooth function of
+    z."""
     matrix = matrix_at(system, kind, names, z, given)
     b, c = reference
     whole = np.block([[matrix, b[:, None]], [c[None], np.zeros((1, 1))]])
     unit = np.append(np.zeros(len(c)), 1.0)
     q, p = np.linalg.solve(whole, unit)[:-1], np.linalg.solve(whole.T, unit)[:-1]
-    (second,) = derivatives(system, names, z, given, np.array([[q, q]]))
+    plain, kept = system._replace(within=False), 2.0 * np.eye(len(q)) - matrix  # -A at PD, where the matrix is A + 2
+    (second,) = derivatives(plain, names, z, given, np.array([[q, q]]))
     if kind == "SN":
         return float(p @ second)
-    h = np.linalg.solve(2.0 * np.eye(len(q)) - matrix, second)  # A = matrix - 2
-    (mixed,), (third,) = (derivatives(system, names, z, given, np.array([each])) for each in ([q, h], [q, q, q]))
+    if kind == "SB":
+        kept = -matrix_at(system._replace(within=True), "SN", names, z, given)
+    h = np.linalg.solve(kept, second)
+    (mixed,), (third,) = (derivatives(plain, names, z, given, np.array([each])) for each in ([q, h], [q, q, q]))
     return float(p @ (third + 3.0 * mixed) / (6.0 * (p @ q)))
 
 

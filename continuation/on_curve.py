@@ -90,11 +90,10 @@ class OnCurve(Watch):
 
         if self.kind == "SN":
             return {"CP": bend}
-        found = (
-            {} if flown else {{"PD": "GPD", "HB": "GH", "NS": "CH"}[self.kind]: bend if self.kind == "PD" else first}
-        )
-        angles = ANGLES if self.kind == "NS" else {}
-        return found | {label: partial(turned, more=more) for label, more in angles.items()}
+        label = {"PD": "GPD", "SB": "DSB", "HB": "GH", "NS": "CH"}[self.kind]
+        found = {label: bend if self.kind in ("PD", "SB") else first}
+        angles = {label: partial(turned, more=more) for label, more in ANGLES.items()} if self.kind == "NS" else {}
+        return angles if flown else found | angles
 
     def located(self, label, value, task, points, after):
         """Newton's method on the curve's equations and a number: the `Event`, None where it leads to none."""

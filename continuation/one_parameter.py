@@ -17,13 +17,14 @@ from .event_search import Event
 from .newton import ADVICE, newton
 from .persistent_jit import persistent_jit
 from .points import between, start_point
-from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, problem_of
+from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, matrix_at, problem_of
 from .roots import sign_change
 from .stretch import backwards, glued
 
 DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
 ROWS = 64  # of points, whose eigenvalues are asked for in one call
+NEAR = 1e-9  # of u and its image: as near are they one
 ZERO = 1e-9  # of an eigenvalue's distance from an event: as small is nearly none
 Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # of (u, p, args)
 
@@ -95,6 +96,7 @@ def trace(
     Raises ContinuationError for arguments that cannot be, and where Newton's method comes to no solution from u.
     """
     u = np.atleast_1d(np.asarray(u, float))
+    system = symmetric(system, u, at, args)
     names = (along,) if isinstance(along, str) else tuple(along)
     kept = held.named(hold, monitors, names)
     box = bounds if isinstance(bounds, Mapping) else dict.fromkeys(names, bounds)
@@ -125,10 +127,10 @@ def switch(
     orbits: System | None = None,
 ) -> tuple[Branch, ...]:
     """The branches that leave a special point besides that on which it was found: a tuple of `Branch`, each from the
-    point on. special: of kind BP, the two halves of the branch that crosses there; PD, that of twice as many times; HB,
-    that of the periodic orbits, from a first one on that is a first_step large. bounds: {name: (low, high)}, or None
-    for those of the point's branch; orbits: at HB the `shooting.periodic_orbits` of the same field; the rest as in
-    `trace`.
+    point on. special: of kind BP or SB, the two halves of the branch that crosses there; PD, that of twice as many
+    times; HB, that of the periodic orbits, from a first one on that is a first_step large. bounds: {name: (low,
+    high)}, or None for those of the point's branch; orbits: at HB the `shooting.periodic_orbits` of the same field; the
+    rest as in `trace`.
 
     Raises ContinuationError for points of other kinds, and at HB without orbits.
     """
@@ -161,7 +163,7 @@ def branch_of(system, kind, bounds, given, back, on):
     whole = on if back is None else backwards(back) if on is None else glued([backwards(back), on])
     z, size = whole.points.z, whole.points.z.shape[1] - len(names)
     eigenvalues = _eigenvalues(system, names, z, given)
-    marks = {one.place: (one.kind, one.residual) for one in whole.marks}
+    marks = {one.place: (_name(system, z[one.place, :size], one.kind), one.residual) for one in whole.marks}
     for place in (0, len(z) - 1):
         marks.setdefault(place, ("EP", float(whole.points.residual[place])))
     special = tuple(
@@ -183,6 +185,25 @@ def branch_of(system, kind, bounds, given, back, on):
     columns = dict(zip(names, z[:, size:].T, strict=True))
     reasons = tuple("the start" if one is None else _reason(one, names) for one in (back, on))
     return Branch(system, kind, names, z[:, :size], columns, eigenvalues, whole.points.residual, special, reasons)
+
+
+def _name(system, u, kind):
+    """The kind of a special point: a branch that comes to one of symmetric solutions meets it in its SB."""
+    alike = kind == "BP" and system.symmetry is not None and not system.within
+    return "SB" if alike and np.allclose(system.symmetry(u), u, rtol=0, atol=NEAR) else kind
+
+
+def symmetric(system, u, at, args):
+    """The system, to keep to solutions that are their own images where u is one. Raises ContinuationError."""
+    if not isinstance(system, System) or system.symmetry is None:
+        return system
+    p = {name: float(value) for name, value in at.items()}
+    some = u + np.random.default_rng(0).normal(size=len(u))
+    twice = np.asarray(system.symmetry(system.symmetry(some)))
+    one, two = system.function(system.symmetry(some), p, args), system.symmetry(system.function(some, p, args))
+    if not np.allclose(twice, some, rtol=0, atol=1e-9) or not np.allclose(one, two, rtol=1e-9, atol=1e-9):
+        raise ContinuationError("symmetry", "must be its own inverse, and keep the function", system.symmetry)
+    return system._replace(within=bool(np.allclose(system.symmetry(u), u, rtol=0, atol=NEAR)))
 
 
 def _checked(system, u, at, bounds, direction, stop):
@@ -259,7 +280,14 @@ def _signs(system, names, zs, given):
     beyond = np.sum(found.real > 0 if steady else abs(found) > 1, axis=1)
     pair = np.cumprod(np.append(1.0, np.where(abs(np.diff(beyond)) >= 2, -1.0, 1.0)))
     signs = {held.FOLD: _product(found if steady else found - 1.0)} if isinstance(given, held.Held) else {}
+    if system.within:
+        signs["SB"] = _broken(system, names, zs, given)
     return signs | ({"HB": pair} if steady else {"PD": _product(found + 1.0), "NS": pair})
+
+
+def _broken(system, names, zs, given):
+    """At each point a number whose sign is that of the determinant of SB's matrix."""
+    return np.array([np.linalg.slogdet(matrix_at(system, "SB", names, z, given))[0] for z in zs])
 
 
 def _product(values):

@@ -64,32 +64,37 @@ class System(NamedTuple):
     """Equations with parameters by name. function: of (u, p, args) -> (n,), u of shape (n,), p {name: number}; kind:
     EQUILIBRIA, where the function is to be zero, FIXED_POINTS, where it gives u back after so many times, or ORBITS,
     where u' = function is to be periodic. fly, segments: of ORBITS, (u, time, p, args) -> u that much later, and of
-    how many flights a period is."""
+    how many flights a period is. symmetry: S, linear, with S S u = u and function(S u) = S function(u), or None;
+    within: whether only solutions with S u = u are looked for."""
 
     function: Function
     kind: str
     times: int = 1
     fly: Callable[..., Any] | None = None
     segments: int = 1
+    symmetry: Callable[[Any], Any] | None = None
+    within: bool = False
 
 
 EQUILIBRIA, FIXED_POINTS, ORBITS = "equilibria", "fixed points", "periodic orbits"
 
 
-def equilibria(function: Function) -> System:
+def equilibria(function: Function, symmetry: Callable[[Any], Any] | None = None) -> System:
     """The `System` of function(u, p, args) = 0: of the equilibria of u' = function. Besides folds (SN) and branch
     points (BP), Hopf points (HB) are watched.
 
     u: (n,) unknowns; p: {name: number}, the parameters; args: a pytree, whatever the function needs besides, or None.
+    symmetry: a linear function S of u, its own inverse, with function(S u) = S function(u). A branch that begins with
+    S u = u keeps to that, and where one leaves it with another is a symmetry breaking (SB).
     """
-    return System(function, EQUILIBRIA)
+    return System(function, EQUILIBRIA, symmetry=symmetry)
 
 
-def fixed_points(move: Function, times: int = 1) -> System:
+def fixed_points(move: Function, times: int = 1, symmetry: Callable[[Any], Any] | None = None) -> System:
     """The `System` of the fixed points of a map, move(u, p, args) = u, or of the map taken so many times. Besides folds
     (SN) and branch points (BP), period doublings (PD) and Neimark-Sacker points (NS) are watched. Arguments as in
     `equilibria`."""
-    return System(move, FIXED_POINTS, times)
+    return System(move, FIXED_POINTS, times, symmetry=symmetry)
 
 
 class Given(NamedTuple):
@@ -109,6 +114,7 @@ def problem_of(system, names):
     function = partial(equations_at, system, names)
     pair = test("NS", partial(is_pair, system, names))
     tests = (test("HB", partial(is_oscillation, system, names)),) if system.kind == EQUILIBRIA else (test("PD"), pair)
+    tests += (test("SB"),) if system.within else ()
     return Problem(function, bordered, function, tests, at_once=system.kind == ORBITS)
 
 
@@ -131,11 +137,19 @@ def residual_at(system, names, z, given):
         return cycles.equations(system, names, z, given)[0]
     start, p = split(names, z, given)
     if system.kind == EQUILIBRIA:
-        return system.function(start, p, given.args)
-    u = start
-    for _ in range(system.times):
-        u = system.function(u, p, given.args)
-    return u - start
+        value = system.function(start, p, given.args)
+    else:
+        u = start
+        for _ in range(system.times):
+            u = system.function(u, p, given.args)
+        value = u - start
+    return halves(system, value)[0] + halves(system, start)[1] if system.within else value
+
+
+def halves(system, u):
+    """(the part of u that the symmetry keeps, that which it reverses)."""
+    image = system.symmetry(u)
+    return 0.5 * (u + image), 0.5 * (u - image)
 
 
 def slopes_at(system, names, z, given):
@@ -146,7 +160,7 @@ def slopes_at(system, names, z, given):
 def linearised(system, names, z, given):
     """The matrix whose eigenvalues say of what kind a solution is: of equilibria the derivative by u, of a map too, of
     periodic orbits the monodromy's, but for the direction of the field."""
-    slopes = slopes_at(system, names, z, given)
+    slopes = slopes_at(system._replace(within=False), names, z, given)
     if system.kind == ORBITS:
         u, p = split(names, z, given)
         first = cycles.points_of(u, system.segments * system.times)[0][0]
@@ -156,10 +170,16 @@ def linearised(system, names, z, given):
 
 
 def singular_matrix(system, kind, names, z, given):
-    """The matrix that is singular at a special point of a kind, SN, PD, HB or NS."""
+    """The matrix that is singular at a special point of a kind, SN, PD, HB, NS or SB. The symmetry splits dF/du in two
+    blocks, of what it keeps and what it reverses: the second alone is singular at SB (Werner and Spence, SIAM J. Numer.
+    Anal. 21, 388, 1984)."""
     if kind in ("HB", "NS"):
         return (sums if kind == "HB" else products)(linearised(system, names, z, given))
-    slopes = slopes_at(system, names, z, given)[:, : -len(names)]
+    if kind == "SB":
+        slopes = slopes_at(system._replace(within=False), names, z, given)[:, : -len(names)]
+        even, odd = jax.vmap(partial(halves, system), 1, 1)(jnp.eye(len(slopes)))
+        return odd @ slopes @ odd + even
+    slopes = slopes_at(system._replace(within=system.within and kind != "PD"), names, z, given)[:, : -len(names)]
     if kind == "SN":
         return slopes
     return cycles.flipped(system, slopes) if system.kind == ORBITS else slopes + 2.0 * jnp.eye(len(slopes))

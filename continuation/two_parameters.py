@@ -1,7 +1,8 @@
 """`curve`: a special point's curve in two parameters, with the points of codimension two on it.
 
 To F(u, p) = 0 the determinant of the matrix that is singular at the point is added: dF/du at SN, that of the second
-iterate's at PD, a bialternate product at HB and NS. Its gradient is not zero where the matrix has one null vector.
+iterate's at PD, a bialternate product at HB and NS, the block of dF/du that the symmetry reverses at SB. Its gradient
+is not zero where the matrix has one null vector.
 """
 
 from collections.abc import Mapping, Sequence
@@ -20,7 +21,7 @@ from .on_curve import MEETING, OnCurve
 from .one_parameter import both_ways, branch_of, checked_bounds, task_of
 from .problem import Given, Problem, Test, equations_at, singular_matrix
 
-KINDS = ("SN", "PD", "HB", "NS")
+KINDS = ("SN", "PD", "HB", "NS", "SB")
 
 
 def curve(
@@ -34,11 +35,12 @@ def curve(
 ) -> Branch:
     """The curve of a special point in two parameters: a `Branch` of its kind.
 
-    special: a `Special` of kind SN, PD, HB or NS; names: two parameters of its system; bounds: {name: (low, high)}.
+    special: a `Special` of kind SN, PD, HB, NS or SB; names: two parameters of its system; bounds: {name: (low, high)}.
     The rest as in `trace`. Located are, of equilibria, cusps (CP), Bogdanov-Takens (BT), zero-Hopf (ZH), double Hopf
     (HH) and generalized Hopf points (GH); of maps and orbits cusps, generalized period doublings (GPD), Chenciner
     points (CH), fold-flips (FF), the resonances R1 to R4, NS with a fold (FN), a period doubling (PN) or another NS
-    (NN); GPD and CH of maps alone. A curve of HB or NS ends where the eigenvalues become real.
+    (NN); GPD and CH of maps alone; of SB the degenerate ones (DSB). A curve of HB or NS ends where the eigenvalues
+    become real.
 
     Raises ContinuationError for points of other kinds and arguments that cannot be.
     """
@@ -52,12 +54,13 @@ def curve(
     bounds = checked_bounds(special.p, {name: bounds[name] for name in pair})
     given = Given({name: value for name, value in special.p.items() if name not in pair}, special.args)
     z = np.append(special.u, [special.p[name] for name in pair])
-    watch = OnCurve(special.system, special.kind, pair)
-    task = task_of(special.system, z, bounds, given, first_step, largest_step, tolerance, stop=stop)
-    task = task._replace(problem=special_problem(special.system, special.kind, pair), watch=watch)
+    system = special.system._replace(within=special.kind == "SB" or special.system.within)
+    watch = OnCurve(system, special.kind, pair)
+    task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, stop=stop)
+    task = task._replace(problem=special_problem(system, special.kind, pair), watch=watch)
     ahead = event_search.tangent(task.problem, z, task.control.scale, given)
     back, on = both_ways(task, z, ahead)
-    return branch_of(special.system, special.kind, bounds, given, back, on)
+    return branch_of(system, special.kind, bounds, given, back, on)
 
 
 @lru_cache
@@ -80,8 +83,8 @@ def special_problem(system, kind, names):
 def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarray, " names"]:
     """How the value of a special point's parameter changes with other parameters of its system: (names,).
 
-    special: a `Special` of a branch, SN, PD, HB or NS; names: of parameters but its own. With z = (u, p) the curve's
-    equations G(z, q) = 0 are regular in z: dz/dq = -G_z^-1 G_q.
+    special: a `Special` of a branch, SN, PD, HB, NS or SB; names: of parameters but its own. With z = (u, p) the
+    curve's equations G(z, q) = 0 are regular in z: dz/dq = -G_z^-1 G_q.
 
     Raises ContinuationError for points of other kinds and names that cannot be.
     """
@@ -93,6 +96,7 @@ def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarra
     every = (*special.names, *others)
     given = Given({name: value for name, value in special.p.items() if name not in every}, special.args)
     z = np.append(special.u, [special.p[name] for name in every])
-    slopes = locate.slopes_of(special_problem(special.system, special.kind, every), z, given)
+    system = special.system._replace(within=special.kind == "SB" or special.system.within)
+    slopes = locate.slopes_of(special_problem(system, special.kind, every), z, given)
     size = len(z) - len(others)
     return -np.linalg.solve(slopes[:, :size], slopes[:, size:])[-1]
