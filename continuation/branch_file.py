@@ -23,10 +23,21 @@ def save(branch: Branch, path: str | PathLike[str]) -> None:
     It is written beside its place and renamed into it. Raises OSError where it cannot be written.
     """
     told = [{key: getattr(one, key) for key in FIELDS} for one in branch.special]
-    plain: dict[str, Any] = {"form": FORM, "kind": branch.kind, "names": branch.names, "reasons": branch.reasons, "special": told}
+    plain: dict[str, Any] = {
+        "form": FORM,
+        "kind": branch.kind,
+        "names": branch.names,
+        "reasons": branch.reasons,
+        "special": told,
+    }
     plain |= {"system": [branch.system.kind, branch.system.times, branch.system.segments, branch.system.within]}
     tangents = np.array([one.tangent for one in branch.special])
-    arrays: dict[str, Any] = {"u": branch.u, "eigenvalues": branch.eigenvalues, "residual": branch.residual, "tangents": tangents}
+    arrays: dict[str, Any] = {
+        "u": branch.u,
+        "eigenvalues": branch.eigenvalues,
+        "residual": branch.residual,
+        "tangents": tangents,
+    }
     arrays |= {f"p.{name}": each for name, each in branch.p.items()}
     handle, part = tempfile.mkstemp(dir=os.path.dirname(os.path.abspath(path)), suffix=".npz")
     try:

@@ -44,6 +44,7 @@ _HOMES = {
     "switch": "loci.switch",
     "extend": "branches.switch",
     "Branch": "branches.branch",
+    "HeldBranch": "branches.hold",
     "load_branch": "branches.branch_file",
     "scenario": "branches.scenario",
     "Scenario": "branches.scenario",

@@ -1,5 +1,5 @@
-"""A mass between no wall and one: k, c, A, w, d, e = 1, .1, 1, 1, 1, .8, the impact oscillator that COCO's demos follow,
-one of whose pictures shows a solution through the wall."""
+"""One mass and one wall, k, c, A, w, d, e = 1, .1, 1, 1, 1, .8: the impact oscillator that COCO's demos follow, one of
+whose pictures shows a solution through the wall."""
 
 import numpy as np
 import pytest
