@@ -6,33 +6,48 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Complex, Float
 
-from .problem import FIXED_POINTS, System
+from .problem import EQUILIBRIA, System
 
 MEANINGS = {
     "SN": "fold",
     "BP": "branch point",
+    "SB": "symmetry breaking",
     "HB": "Hopf point",
     "PD": "period doubling",
     "NS": "Neimark-Sacker point",
     "CP": "cusp",
+    "DSB": "degenerate symmetry breaking",
     "GPD": "generalized period doubling",
     "BT": "Bogdanov-Takens point",
+    "ZH": "zero-Hopf point",
+    "HH": "double Hopf point",
+    "GH": "generalized Hopf point",
+    "CH": "Chenciner point",
+    "FF": "fold-flip",
+    "R1": "1:1 resonance",
+    "R2": "1:2 resonance",
+    "R3": "1:3 resonance",
+    "R4": "1:4 resonance",
+    "FN": "fold and Neimark-Sacker point",
+    "PN": "period doubling and Neimark-Sacker point",
+    "NN": "double Neimark-Sacker point",
     "EP": "end",
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Special:
-    """A special point. kind: SN, BP, HB, PD, NS (see `MEANINGS`), a monitor's name, or EP, an end. u: (n,); p: {name:
-    number}, all parameters; names: those along which it was found; eigenvalues: (n,), of the function's derivative by u
-    (for a map the multipliers), the largest first; residual: the largest error left in its equations; place: among the
-    branch's points; tangent: of the branch there, (n + names,)."""
+    """A special point. kind: SN, BP, SB, HB, PD, NS (see `MEANINGS`), a monitor's name, or EP, an end. u: (n,); p:
+    {name: number}, all parameters; names: those along which it was found; eigenvalues: (n,), of the derivative by u, of
+    a map the multipliers, of a periodic orbit those but for its field's own, the largest first; residual: the largest
+    error left in its equations; place: among the branch's points; tangent: of the branch there, (n + names,).
+    """
 
     kind: str
     u: Float[np.ndarray, " unknowns"]
     p: dict[str, float]
     names: tuple[str, ...]
-    eigenvalues: Complex[np.ndarray, " unknowns"]
+    eigenvalues: Complex[np.ndarray, " values"]
     residual: float
     place: int
     system: System = field(repr=False)
@@ -50,7 +65,7 @@ class Special:
 class Branch:
     """Solutions in a row. names: of the parameters along it, one of a branch, two of a curve of special points; kind:
     of these, None of a branch; u: (points, n); p: {name: (points,)} of the names; eigenvalues: (points, n), complex,
-    the largest first: of the derivative by u, of a map its multipliers; residual: (points,), the largest error left;
+    the largest first, as of `Special`; residual: (points,), the largest error left;
     special: the special points in order; reasons: why it ends, at its first and its last point."""
 
     system: System = field(repr=False)
@@ -58,7 +73,7 @@ class Branch:
     names: tuple[str, ...]
     u: Float[np.ndarray, "points unknowns"] = field(repr=False)
     p: dict[str, Float[np.ndarray, " points"]] = field(repr=False)
-    eigenvalues: Complex[np.ndarray, "points unknowns"] = field(repr=False)
+    eigenvalues: Complex[np.ndarray, "points values"] = field(repr=False)
     residual: Float[np.ndarray, " points"] = field(repr=False)
     special: tuple[Special, ...]
     reasons: tuple[str, str]
@@ -75,7 +90,7 @@ class Branch:
     def stable(self) -> Bool[np.ndarray, " points"]:
         """Whether each solution attracts, (points,): all real parts below 0, of a map all multipliers within 1."""
         found = self.eigenvalues
-        return np.all((abs(found) < 1.0) if self.system.kind == FIXED_POINTS else (found.real < 0.0), axis=1)
+        return np.all((found.real < 0.0) if self.system.kind == EQUILIBRIA else (abs(found) < 1.0), axis=1)
 
     @property
     def reason(self) -> dict[str, str]:

@@ -28,6 +28,7 @@ class End(Enum):
     BOUND = "{name} reached its bound {value:.12g}"
     DOMAIN = "the domain of {name} ends at {value:.12g}"
     CLOSED = "it closes: the branch came back to its start at {value:.12g}"
+    HOPF = "it ends in the Hopf point at {value:.12g}"
     STOPPED = "stopped at {kind}, {value:.12g}"
     STEP = "the step became too small at {value:.12g}: Newton's method does not converge there"
     POINTS = "it has too many points, the last at {value:.12g}"

@@ -1,7 +1,6 @@
 """`trace`: a branch of solutions along one parameter; `switch`: the branches that leave a special point of it."""
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 from typing import Any
 
 import jax
@@ -9,23 +8,24 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from . import branch_switching as crossing
-from . import driver, event_search, locate
+from . import driver, event_search, held, hopf, leaving
 from .arclength import Control
 from .branch import Branch, Special
 from .driver import End, Task, Watch
 from .errors import ContinuationError
 from .event_search import Event
 from .newton import ADVICE, newton
+from .persistent_jit import persistent_jit
 from .points import between, start_point
-from .problem import EQUILIBRIA, FIXED_POINTS, Given, System, problem_of, residual_at, slopes_at
+from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, matrix_at, problem_of
 from .roots import sign_change
 from .stretch import backwards, glued
 
 DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
+ROWS = 64  # of points, whose eigenvalues are asked for in one call
+NEAR = 1e-9  # of u and its image: as near are they one
 ZERO = 1e-9  # of an eigenvalue's distance from an event: as small is nearly none
-LEAVING = ("BP", "PD")  # special points that other branches leave
 Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # of (u, p, args)
 
 
@@ -35,9 +35,14 @@ class Monitored(Watch):
     def __init__(self, system, names, monitors):
         self.system, self.names, self.monitors = system, names, monitors
 
+    def before(self, task, points):
+        return hopf.ahead(self.system, self.names, task, points) if self.system.kind == ORBITS else None
+
     def events(self, task, points, view, known, end):
         signs = _signs(self.system, self.names, points.z, task.args)
         found = event_search.events(task.problem, points, signs, task.control, task.args, known)
+        if held.FOLD in signs:
+            found = [one._replace(kind="SN") if one.kind == held.FOLD else one for one in found if one.kind != "SN"]
         for kind in self.monitors:
             values = np.array([self.value(kind, z, task.args) for z in points.z])
             for after in np.flatnonzero(values[:-1] * values[1:] < 0):
@@ -65,8 +70,8 @@ def trace(
     system: System,
     u: Real[ArrayLike, "..."] | Sequence[float],
     at: Mapping[str, float],
-    along: str,
-    bounds: Sequence[float],
+    along: str | Sequence[str],
+    bounds: Sequence[float] | Mapping[str, Sequence[float]],
     args: Any = None,
     direction: str = "both",
     first_step: float = 0.05,
@@ -74,23 +79,38 @@ def trace(
     tolerance: float = 1e-10,
     monitors: Monitors | None = None,
     stop: Sequence[str] = (),
+    hold: Mapping[Any, float] | None = None,
 ) -> Branch:
     """The branch of solutions of a system through one near u, along one parameter: a `Branch`.
 
-    system: of `equilibria` or `fixed_points`; u: (n,), near a solution; at: {name: number}, the parameters there;
-    along: the name of that which is to change; bounds: (low, high) of it; args: for the system's function. direction:
-    "forward" begins towards greater values, "backward" towards smaller, "both" does both. first_step, largest_step,
-    tolerance: lengths of (u, parameter). monitors: {name: function of (u, p, args)}, whose changes of sign are special
-    points; stop: kinds of special points that end the branch.
+    system: of `equilibria`, `fixed_points` or `shooting.periodic_orbits`; u: (n,), near a solution; at: {name: number},
+    the parameters there; along: the name of that which is to change; bounds: (low, high) of it; args: for the system's
+    function. direction: "forward" begins towards greater values, "backward" towards smaller, "both" does both.
+    first_step, largest_step, tolerance: lengths of (u, parameter). monitors: {name: function of (u, p, args)}, whose
+    changes of sign are special points; stop: kinds of special points that end the branch.
+
+    hold: {function of (u, p, args), or the name of a monitor: its value all along}; each needs one parameter more:
+    along is then a tuple of names, bounds {name: (low, high)}, direction and the start's value are of the last name,
+    the start's others are found. A turning point of that one is no fold then: an SN is where dF/du is singular.
 
     Raises ContinuationError for arguments that cannot be, and where Newton's method comes to no solution from u.
     """
     u = np.atleast_1d(np.asarray(u, float))
-    bounds = _checked(system, u, at, {along: bounds}, direction, stop)
-    given = Given({name: float(value) for name, value in at.items() if name != along}, args)
-    z = np.append(u, float(at[along]))
-    z[:-1] = _solved(system, (along,), z, given)
+    system = symmetric(system, u, at, args)
+    names = (along,) if isinstance(along, str) else tuple(along)
+    kept = held.named(hold, monitors, names)
+    box = bounds if isinstance(bounds, Mapping) else dict.fromkeys(names, bounds)
+    if set(box) != set(names):
+        raise ContinuationError("bounds", f"must be given for {', '.join(names)}", bounds)
+    bounds = _checked(system, u, at, {name: box[name] for name in names}, direction, stop)
+    others = {name: float(value) for name, value in at.items() if name not in names}
+    given = held.Held(others, args, tuple(kept.values())) if kept else Given(others, args)
+    z = np.append(u, [float(at[name]) for name in names])
+    problem = held.held_problem(system, tuple(kept), names) if kept else problem_of(system, names)
+    z = _solved(problem, z, given)
+    checked_bounds(dict(zip(names, z[len(u) :].tolist(), strict=True)), bounds)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)
+    task = task._replace(problem=problem)
     ahead = event_search.tangent(task.problem, z, task.control.scale, given)
     back, on = both_ways(task, z, ahead, direction)
     return branch_of(system, None, bounds, given, back, on)
@@ -104,28 +124,27 @@ def switch(
     tolerance: float = 1e-10,
     monitors: Monitors | None = None,
     stop: Sequence[str] = (),
+    orbits: System | None = None,
 ) -> tuple[Branch, ...]:
     """The branches that leave a special point besides that on which it was found: a tuple of `Branch`, each from the
-    point on. special: of kind BP, the two halves of the branch that crosses there; PD, that of twice as many times.
-    bounds: {name: (low, high)}, or None for those of the point's branch; the rest as in `trace`.
+    point on. special: of kind BP or SB, the two halves of the branch that crosses there; PD, that of twice as many
+    times; HB, that of the periodic orbits, from a first one on that is a first_step large. bounds: {name: (low,
+    high)}, or None for those of the point's branch; orbits: at HB the `shooting.periodic_orbits` of the same field; the
+    rest as in `trace`.
 
-    Raises ContinuationError for points of other kinds.
+    Raises ContinuationError for points of other kinds, and at HB without orbits.
     """
-    if not isinstance(special, Special) or special.kind not in LEAVING or len(special.names) != 1:
-        raise ContinuationError("special", f"must be a special point of a branch, {' or '.join(LEAVING)}", special)
+    if not isinstance(special, Special) or special.kind not in leaving.KINDS or len(special.names) != 1:
+        raise ContinuationError("special", f"must be a special point of a branch, {', '.join(leaving.KINDS)}", special)
+    if special.kind == "HB" and (not isinstance(orbits, System) or orbits.kind != ORBITS):
+        raise ContinuationError("orbits", "must be the `periodic_orbits` of the field that has the Hopf point", orbits)
     bounds = bounds or special.bounds
-    given = Given({name: value for name, value in special.p.items() if name not in special.names}, special.args)
-    system, z, scale = special.system, special.z, np.ones(len(special.z))
-    if special.kind == "PD":
-        (test,) = (one for one in problem_of(system, special.names).tests if one.label == "PD")
-        null = locate.null(locate.matrices(problem_of(system, special.names), test, z, given)[0])
-        system, tangents = system._replace(times=2 * system.times), [np.append(null, 0.0)]
-    else:
-        found = crossing.directions(problem_of(system, special.names), z, scale, given)
-        tangent = crossing.other(found, special.tangent, scale)
-        tangents = [tangent, -tangent]
+    system, z, given, tangents = leaving.ways(special, orbits)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)._replace(starts=())
-    runs = [driver.run(task, start_point(z, tangent)) for tangent in tangents]
+    starts = [start_point(z, tangent) for tangent in tangents]
+    if special.kind == "HB":
+        starts = [hopf.first_orbit(task, one) for one in starts]
+    runs = [driver.run(task, one) for one in starts]
     return tuple(branch_of(system, None, bounds, given, None, one) for one in runs)
 
 
@@ -144,7 +163,7 @@ def branch_of(system, kind, bounds, given, back, on):
     whole = on if back is None else backwards(back) if on is None else glued([backwards(back), on])
     z, size = whole.points.z, whole.points.z.shape[1] - len(names)
     eigenvalues = _eigenvalues(system, names, z, given)
-    marks = {one.place: (one.kind, one.residual) for one in whole.marks}
+    marks = {one.place: (_name(system, z[one.place, :size], one.kind), one.residual) for one in whole.marks}
     for place in (0, len(z) - 1):
         marks.setdefault(place, ("EP", float(whole.points.residual[place])))
     special = tuple(
@@ -168,12 +187,34 @@ def branch_of(system, kind, bounds, given, back, on):
     return Branch(system, kind, names, z[:, :size], columns, eigenvalues, whole.points.residual, special, reasons)
 
 
+def _name(system, u, kind):
+    """The kind of a special point: a branch that comes to one of symmetric solutions meets it in its SB."""
+    alike = kind == "BP" and system.symmetry is not None and not system.within
+    return "SB" if alike and np.allclose(system.symmetry(u), u, rtol=0, atol=NEAR) else kind
+
+
+def symmetric(system, u, at, args):
+    """The system, to keep to solutions that are their own images where u is one. Raises ContinuationError."""
+    if not isinstance(system, System) or system.symmetry is None:
+        return system
+    p = {name: float(value) for name, value in at.items()}
+    some = u + np.random.default_rng(0).normal(size=len(u))
+    twice = np.asarray(system.symmetry(system.symmetry(some)))
+    one, two = system.function(system.symmetry(some), p, args), system.symmetry(system.function(some, p, args))
+    if not np.allclose(twice, some, rtol=0, atol=1e-9) or not np.allclose(one, two, rtol=1e-9, atol=1e-9):
+        raise ContinuationError("symmetry", "must be its own inverse, and keep the function", system.symmetry)
+    return system._replace(within=bool(np.allclose(system.symmetry(u), u, rtol=0, atol=NEAR)))
+
+
 def _checked(system, u, at, bounds, direction, stop):
     """The bounds as plain numbers, {name: (low, high)}, once nothing is wrong."""
     if not isinstance(system, System):
         raise ContinuationError("system", "must be one of `equilibria` or `fixed_points`", system)
     if u.ndim != 1 or not np.isfinite(u).all():
         raise ContinuationError("u", "must be a row of finite numbers", u)
+    count = system.segments * system.times
+    if system.kind == ORBITS and (len(u) <= count or (len(u) - 1) % count or u[-1] <= 0):
+        raise ContinuationError("u", f"must be {count} points, one after another, and the period", u)
     if direction not in DIRECTIONS:
         raise ContinuationError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     if isinstance(stop, str):
@@ -196,17 +237,21 @@ def checked_bounds(at, bounds):
     return found
 
 
-def _solved(system, names, z, given):
-    """u by Newton's method at fixed parameters."""
+@persistent_jit(static_argnums=0, numpy_first=True)
+def _solution(problem, z, given):
+    def function(unknowns):
+        value, slopes = problem.function(jnp.concatenate([unknowns, z[-1:]]), given)
+        return value, slopes[:, :-1]
 
-    def function(u):
-        there = jnp.concatenate([u, z[len(u) :]])
-        return residual_at(system, names, there, given), slopes_at(system, names, there, given)[:, : len(u)]
+    return newton(function, z[:-1])
 
-    found = jax.jit(partial(newton, function))(jnp.asarray(z[: -len(names)]))
+
+def _solved(problem, z, given):
+    """z with all but its last number by Newton's method."""
+    found = _solution(problem, z, given)
     if found.status:
-        raise ContinuationError("u", f"must be near a solution: {ADVICE[int(found.status)]}", z[: -len(names)])
-    return np.asarray(found.unknowns)
+        raise ContinuationError("u", f"must be near a solution: {ADVICE[int(found.status)]}", z[:-1])
+    return np.append(found.unknowns, z[-1])
 
 
 def task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors=None, stop=()):
@@ -234,16 +279,31 @@ def _signs(system, names, zs, given):
     steady = system.kind == EQUILIBRIA
     beyond = np.sum(found.real > 0 if steady else abs(found) > 1, axis=1)
     pair = np.cumprod(np.append(1.0, np.where(abs(np.diff(beyond)) >= 2, -1.0, 1.0)))
-    if steady:
-        return {"HB": pair}
-    flipped = found + 1.0
-    return {"PD": np.prod(flipped / np.maximum(abs(flipped), ZERO), axis=1).real, "NS": pair}
+    signs = {held.FOLD: _product(found if steady else found - 1.0)} if isinstance(given, held.Held) else {}
+    if system.within:
+        signs["SB"] = _broken(system, names, zs, given)
+    return signs | ({"HB": pair} if steady else {"PD": _product(found + 1.0), "NS": pair})
+
+
+def _broken(system, names, zs, given):
+    """At each point a number whose sign is that of the determinant of SB's matrix."""
+    return np.array([np.linalg.slogdet(matrix_at(system, "SB", names, z, given))[0] for z in zs])
+
+
+def _product(values):
+    """The sign of the product of each row, and how near to zero one of it is."""
+    return np.prod(values / np.maximum(abs(values), ZERO), axis=1).real
+
+
+@persistent_jit(static_argnums=(0, 1), numpy_first=True)
+def _linearised(system, names, zs, given):
+    return jax.vmap(lambda z: linearised(system, names, z, given))(zs)
 
 
 def _eigenvalues(system, names, z, given):
-    """Of the derivative by u at points, (points, n), the largest first."""
-    slopes = np.asarray(jax.jit(jax.vmap(partial(slopes_at, system, names), (0, None)))(z, given))
-    found = np.linalg.eigvals(slopes[:, :, : -len(names)]).astype(complex)
-    found += 1.0 if system.kind == FIXED_POINTS else 0.0
-    size = abs(found) if system.kind == FIXED_POINTS else found.real
+    """Of the `linearised` at points, (points, count), the largest first."""
+    rows = -(-len(z) // ROWS) * ROWS
+    padded = np.concatenate([z, np.repeat(z[-1:], rows - len(z), axis=0)])
+    found = np.linalg.eigvals(np.asarray(_linearised(system, names, padded, given))[: len(z)]).astype(complex)
+    size = found.real if system.kind == EQUILIBRIA else abs(found)
     return np.take_along_axis(found, np.argsort(-size, axis=1, kind="stable"), axis=1)

@@ -46,6 +46,7 @@ _HOMES = {
     "switch": "loci.switch",
     "extend": "branches.switch",
     "Branch": "branches.branch",
+    "HeldBranch": "branches.hold",
     "load_branch": "branches.branch_file",
     "scenario": "branches.scenario",
     "Scenario": "branches.scenario",

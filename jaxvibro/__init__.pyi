@@ -14,6 +14,7 @@ from .branches.diagram_family import diagrams as diagrams
 from .branches.explore import explore as explore
 from .branches.follow import follow as follow
 from .branches.follow import follow_all as follow_all
+from .branches.hold import HeldBranch as HeldBranch
 from .branches.isolas import find_isolas as find_isolas
 from .branches.peaks import peak as peak
 from .branches.peaks import peaks as peaks

@@ -79,6 +79,23 @@ def test_no_circles():
     assert not wait
 
 
+def test_continuation_alone_loads_no_solver():
+    """One file flies with diffrax, and no other of the package loads that file."""
+    files = [path for path in FILES if name(path).startswith("continuation.")]
+    flying = [path.stem for path in files if "diffrax" in {one.split(".")[0] for one in every_import(path)}]
+    assert flying == ["shooting"]
+    assert not [path for path in FILES if "continuation.shooting" in imported(path)]
+
+
+def every_import(path):
+    """What a file imports by its whole name."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield str(node.module)
+
+
 def test_editors_read_the_names_that_are_loaded_when_asked_for():
     stub = ast.parse((ROOT / "jaxvibro" / "__init__.pyi").read_text())
     homes = {

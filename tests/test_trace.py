@@ -284,8 +284,9 @@ def test_delayed_logistic():
     assert close(sorted(np.angle(found.points("NS")[0].eigenvalues)), [-np.pi / 3, np.pi / 3], 1e-12)
     curve = co.curve(found.points("NS")[0], ("r", "e"), {"r": (0.1, 9.0), "e": (-2.0, 2.0)})
     assert close(curve.u[:, 0] * curve.p["r"], 1, 1e-11)  # the product of the multipliers
-    assert kinds(curve) == ["R1"]
-    assert close(met(curve), [[1 / 3, 1 / 3, 3, -1 / 3]], 1e-11)
+    assert sorted(kinds(curve)) == ["R1", "R4"]  # their sum is r - 1
+    assert close(curve.points("R1")[0].z, [1 / 3, 1 / 3, 3, -1 / 3], 1e-11)
+    assert close(curve.points("R4")[0].z, [1, 1, 1, 1], 1e-11)
 
 
 def test_a_neimark_sacker_point_in_three_dimensions():
@@ -316,13 +317,25 @@ def test_hopf_points_and_their_curve():
     assert close(curve.p["b"], 1 + curve.p["a"] ** 2, 1e-11)
 
 
-def test_a_bogdanov_takens_point_of_lorenz_84():
+def test_bogdanov_takens_and_double_hopf_points_of_lorenz_84():
     found = co.trace(co.equilibria(lorenz84), [1.0, 0.0, 0.0, 0.0], {"F": 1.0, "T": 0.04}, "F", (0.5, 4.0))
     curve = co.curve(found.points("HB")[0], ("F", "T"), {"F": (0.0, 4.0), "T": (-0.5, 0.5)}, largest_step=0.05)
     (double,) = curve.points("BT")
     assert close(double.p["F"], 1.44671670111536, 1e-10)
     assert close(abs(double.p["T"]), 0.0209401696833226, 1e-10)
     assert "stopped at BT" in curve.reasons[0] + curve.reasons[1]
+    (both,) = curve.points("HH")
+    assert close([both.p["F"], abs(both.p["T"])], [2.53322110695982, 0.0262739429830842], 1e-12)
+    assert len(curve.points("GH")) == 1
+
+
+def test_henon_to_period_sixteen():
+    where, steps = {"a": -0.1, "b": 0.3}, {"direction": "forward", "largest_step": 0.05}
+    found = co.trace(HENON, np.zeros(2), where, "a", (-0.2, 1.06), stop=["PD"], **steps)
+    for value in (0.3675, 0.9125, 1.02585540507378, 1.05112566203517):
+        (doubling,) = found.points("PD")
+        assert close(doubling.p["a"], value, 1e-13)
+        (found,) = co.switch(doubling, stop=["PD"])
 
 
 @pytest.mark.slow
@@ -362,3 +375,39 @@ def test_what_cannot_be_is_refused(change, key):
     with pytest.raises(co.ContinuationError) as told:
         co.trace(**given)
     assert told.value.key == key and "\n" not in str(told.value)
+
+
+def test_a_function_is_held_along_two_parameters():
+    """On the cusp's surface h + r u = u^3, which folds at h = -2 u^3, r = 3 u^2."""
+    at, bounds = {"h": -1.5, "r": 2.5}, {"h": (-2.9, 5.0), "r": (-2.0, 4.0)}
+    found = co.trace(CUSP, [1.0], at, ("h", "r"), bounds, hold={lambda u, p, args: u[0] * (p["h"] + 3.0): 1.5})
+    u, h, r = found.u[:, 0], found.p["h"], found.p["r"]
+    assert len(found) > 20 and found.names == ("h", "r")
+    assert close(u * (h + 3.0), 1.5, 1e-10) and close(h + r * u - u**3, 0, 1e-10)
+    folds = np.sort(np.roots([2.0, 0.0, 0.0, -3.0, 1.5]))[-2:]
+    assert kinds(found) == ["SN", "SN"]
+    assert close(sorted(one.u[0] for one in found.points("SN")), np.sort(folds.real), 1e-12)
+    size = {"size": lambda u, p, args: u[0]}
+    found = co.trace(CUSP, [1.0], at, ("r", "h"), bounds, hold={"size": 0.9}, monitors=size)
+    assert close(found.u, 0.9, 1e-12) and close(found.p["h"] + 0.9 * found.p["r"], 0.9**3, 1e-12)
+    assert close(found.points("SN")[0].z, [0.9, 2.43, -1.458], 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"along": "h"}, "along"),
+        ({"hold": {"size": 1.0}}, "hold"),
+        ({"hold": {abs: "1"}}, "hold"),
+        ({"bounds": {}}, "bounds"),
+    ],
+)
+def test_what_cannot_be_held_is_refused(change, key):
+    given = {
+        "along": ("h", "r"),
+        "bounds": {"h": (-3.0, 3.0), "r": (-3.0, 3.0)},
+        "hold": {lambda u, p, args: u[0]: 1.0},
+    }
+    with pytest.raises(co.ContinuationError) as told:
+        co.trace(CUSP, [1.0], {"h": 0.0, "r": 1.0}, **(given | change))
+    assert told.value.key == key

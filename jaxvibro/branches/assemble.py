@@ -66,10 +66,10 @@ def _widened(data, widest):
 def _told(scene, name, bounds, pieces):
     """(the data, `Segment`s, `Special`s) of the pieces. Raises ImpossibleError."""
     widest = max(int(np.sum(one.args.cycle.sides != 0)) for one in pieces)
-    parts = [_columns(one, name, widest, k) for k, one in enumerate(pieces)]
+    parts = [columns_of(one, name, widest, k) for k, one in enumerate(pieces)]
     whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    about = _about(name)
-    data = {key: xr.Variable(about[key][0], each, about[key][1]) for key, each in whole.items()}
+    meant = about(name)
+    data = {key: xr.Variable(meant[key][0], each, meant[key][1]) for key, each in whole.items()}
 
     def row_at(place):
         return {key: each[place] for key, each in whole.items()}
@@ -99,7 +99,7 @@ def _told(scene, name, bounds, pieces):
     return xr.Dataset(data, attrs={"parameter": name, **scales_in(scene)}), tuple(segments), special
 
 
-def _columns(one, name, widest, place):
+def columns_of(one, name, widest, place):
     """What a branch's data have of a piece: {name: array}, a row a point."""
     z, turn, look = one.points.z, one.points.tangent, one.view
     count, rows, size = int(np.sum(one.args.cycle.sides != 0)), len(one.args.cycle.sides), len(one.points.z)
@@ -133,7 +133,7 @@ def _columns(one, name, widest, place):
     }
 
 
-def _about(name):
+def about(name):
     """The dimensions, what it is and the units of each column."""
 
     def told(meaning, units, *more):
@@ -143,7 +143,7 @@ def _about(name):
         name: (("point",), {"long_name": "the parameter", "units": unit_of(name)}),
         "time": told("since phase 0", TIME, "impact"),
         "speed": told("abs(y- - v_b)", SPEED, "impact"),
-        "side": told("-1 left, 1 right, 0 none; 2 times that: its wall lets the mass go", "1", "impact"),
+        "side": told("-1 left, 1 right, 0 none; 2 or 3 times that: its wall lets the mass go", "1", "impact"),
         "x": told("position at phase 0 of each period", LENGTH, "period"),
         "v": told("velocity at phase 0 of each period", SPEED, "period"),
         "multiplier_real": told("Floquet's, the larger first", "1", "multiplier"),

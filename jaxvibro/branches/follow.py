@@ -1,7 +1,7 @@
 """`follow`, `follow_all`: branches of periodic orbits along a parameter, through folds and grazings."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from typing import Any, overload
 
 import numpy as np
 
@@ -19,8 +19,10 @@ from ..problem.touches import scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
+from . import hold as holding
 from .assemble import assemble
 from .branch import Branch
+from .hold import HeldBranch
 from .segment import BranchSettings
 from .through_grazings import go_on
 from .user_monitors import MonitoredPoint
@@ -31,18 +33,43 @@ NO_ORBIT = 1e-6  # of the scene's length: a start with as large a residual is no
 Monitors = Mapping[str, Callable[[MonitoredPoint], Any]] | tuple[()]  # by their labels
 
 
-@check.host("use strobe or monodromy; located has derivatives of special points")
+@overload
 def follow(
     orbit: Orbit,
     name: str,
     bounds: tuple[float, float],
+    direction: str = ...,
+    first_step: float = ...,
+    largest_step: float = ...,
+    tolerance: float = ...,
+    monitors: Monitors = ...,
+    stop: str | Sequence[str] = ...,
+) -> Branch: ...
+@overload
+def follow(
+    orbit: Orbit,
+    name: Sequence[str],
+    bounds: Mapping[str, tuple[float, float]],
+    direction: str = ...,
+    first_step: float = ...,
+    largest_step: float = ...,
+    tolerance: float = ...,
+    *,
+    hold: Mapping[str, float],
+) -> HeldBranch: ...
+@check.host("use strobe or monodromy; located has derivatives of special points")
+def follow(
+    orbit: Orbit,
+    name: str | Sequence[str],
+    bounds: tuple[float, float] | Mapping[str, tuple[float, float]],
     direction: str = "both",
     first_step: float = 0.05,
     largest_step: float = 0.1,
     tolerance: float = 1e-10,
     monitors: Monitors = (),
     stop: str | Sequence[str] = (),
-) -> Branch:
+    hold: Mapping[str, float] | None = None,
+) -> Branch | HeldBranch:
     """The branch of periodic orbits through an orbit, along one parameter of its scene: a `Branch`.
 
     orbit: an `Orbit`, stable or not; name: of the parameter ("amplitude", "right.restitution", ...); bounds: (low,
@@ -53,6 +80,12 @@ def follow(
     where the function changes its sign; it takes a record with value, times, speeds, sides (an entry an impact, none
     at all on P100, 2 or -2 for a release), x, v (an entry a period), multipliers and clearance. stop: a label or labels
     that end the branch.
+
+    hold: {"peak": value} or {"least_speed": value}, the largest abs x or the slowest impact's speed: the orbits that
+    share it, along two parameters, in place of a branch: name is then a pair of names, bounds {name: (low, high)},
+    direction of the second. It begins with the orbit of that number nearest to the given one along the first parameter,
+    the second being the scene's; it gives a `HeldBranch`, whose data have the same columns, and no special points. It
+    ends at a grazing, and takes no monitors and stops.
 
     Unknowns are the impacts' times and speeds, and the parameter, by pseudo-arclength. Located are saddle-nodes (SN),
     symmetry breakings and other branch points (SB, BP), period doublings (PD) from the Jacobian of those equations, and
@@ -70,8 +103,28 @@ def follow(
     a branch is told by its `reason`.
     """
     given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
+    if hold is not None:
+        return _held(orbit, name, bounds, direction, given, hold)
     bounds, start = _begun("orbit", orbit, name, bounds)
     return through(orbit.scene, name, bounds, start, direction, given)
+
+
+def _held(orbit, names, bounds, direction, settings, hold):
+    """The `HeldBranch` of an orbit. Raises ArgumentError, OrbitError."""
+    if not isinstance(orbit, Orbit):
+        raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
+    if settings["monitors"] or settings["stop"]:
+        raise check.ArgumentError("monitors", "must be none, and no stops, where a number is held", "both")
+    names, bounds, held, value = holding.asked(orbit.scene, names, bounds, hold)
+    first, scene = polish_orbit(orbit, names[0]), orbit.scene
+    begun = holding.start(scene, names, held, value, *first)
+    if begun is None:
+        branch = through(scene, names[0], bounds[names[0]], first, "both", settings)
+        others = (holding.start(scene, names, held, value, *one) for one in holding.near(branch, held, value))
+        begun = next((one for one in others if one is not None), None)
+        if begun is None:
+            raise holding.nowhere(branch, held, value)
+    return holding.both(scene, names, bounds, held, value, begun, direction, settings)
 
 
 @check.host("use strobe or monodromy; located has derivatives of special points")
