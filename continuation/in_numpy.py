@@ -81,12 +81,13 @@ class Tried(NamedTuple):
         return jax.tree.unflatten(way.form, found)
 
     def traced(self, args: tuple[Any, ...]) -> Way | None:
-        """The `Way` for arguments like these; None where an equation has no rule."""
+        """The `Way` for arguments like these; None where an equation has no rule, or, in another version of jax, other
+        names of its parameters."""
         try:
             with uncollected():
                 traced = jax.jit(self.function, static_argnums=tuple(self.static)).trace(*args)
                 way = Way(program(traced.jaxpr), jax.tree.structure(traced.out_info))
-        except Unknown:
+        except (Unknown, KeyError):
             return None
         self.keep(args, way)
         return way

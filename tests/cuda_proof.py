@@ -19,7 +19,7 @@ WALLS = {
     "moving": (jv.Wall(-1.5, 0.6), jv.Wall(1.0, 0.8, motion=jv.Motion(0.1, 0.3, 2))),
     "soft": (jv.Wall(-1.5, stiffness=90.0, damping=1.0), jv.Wall(1.0, 0.8)),
 }
-ROUNDS = 5
+ROUNDS = 3
 
 
 def mapped(device, scene, state, slots):

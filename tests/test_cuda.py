@@ -1,4 +1,5 @@
-"""What is traced lowers for a graphics card. None of it has run on one: this finds what cannot be told to it at all."""
+"""What is traced lowers for a graphics card, without the hints that a processor gets: this finds what cannot be told to
+one at all. `python -m tests.cuda_proof` runs on one."""
 
 from functools import partial
 
@@ -13,6 +14,7 @@ from continuation import event_search, locate
 from continuation.arclength import Control, Place
 from jaxvibro.attractors import assign, local_manifold, sweep, tangent
 from jaxvibro.branches.follow import place_orbit
+from jaxvibro.compiled import compiler_hints
 from jaxvibro.loci import codim2
 from jaxvibro.loci.first_point import LocusStart, equations
 from jaxvibro.maps import long_run, rests, simulate
@@ -31,6 +33,14 @@ WALLS = {
 LANES = jv.State(*(np.linspace(-0.5, 0.5, 16) * k for k in (1.0, 2.0, 0.0, 0.0)))
 
 
+@pytest.fixture(autouse=True)
+def on_card(monkeypatch):
+    monkeypatch.setattr(compiler_hints, "on_processor", lambda: False)
+    jax.clear_caches()
+    yield
+    jax.clear_caches()
+
+
 def scene(walls):
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS[walls])
 
@@ -39,7 +49,9 @@ def lowered(function, *args):
     """The module of a function that `persistent_jit` or nothing keeps, for a card."""
     module = export.export(jax.jit(getattr(function, "__wrapped__", function)), platforms=["cuda"])(*args)
     assert module.platforms == ("cuda",)
-    return module.mlir_module()
+    text = module.mlir_module()
+    assert "inlineable" not in text and "xla_cpu" not in text
+    return text
 
 
 def strobes(state, walls):

@@ -191,6 +191,15 @@ def test_what_has_no_rule_is_compiled():
     assert Tried(lambda x: lax.reduce_precision(x, 5, 10), (), {})((ROW,)) is None
 
 
+def test_what_another_version_of_jax_tells_otherwise_is_compiled(monkeypatch):
+    def otherwise(closed):
+        raise KeyError("num_consts")
+
+    monkeypatch.setattr(in_numpy, "program", otherwise)
+    tried = Tried(lambda x: x + 1.0, (), {})
+    assert tried((np.float64(1.0),)) is None and list(tried.known.values()) == [None]
+
+
 def test_what_no_result_needs_is_not_written():
     def wasted(x):
         return lax.fori_loop(0, 3, lambda _, x: (x + 1.0, jnp.sin(x) * jnp.arange(100.0))[0], x)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jax.custom_batching import custom_vmap
 
-from .compiler_hints import NARROW, WIDTH
+from .compiler_hints import block_width, narrow_width
 
 LEAST = 16  # lanes of a block: fewer are compiled in another way, and differ by a rounding
 
@@ -24,9 +24,10 @@ def in_blocks(run, tree, blank, least=LEAST, rows=(), due=None, strip=1):
     if not shape:
         return run(tree, *rows)
     count = math.prod(shape)
-    width = min(WIDTH if due is None else NARROW, max(least, 1 << (count - 1).bit_length()))
-    if count > WIDTH:
-        blocks = -(-count // WIDTH)
+    whole = block_width()
+    width = min(whole if due is None else narrow_width(), max(least, 1 << (count - 1).bit_length()))
+    if count > whole:
+        blocks = -(-count // whole)
         width *= -(-blocks // -(-blocks // strip))  # as many in each strip, so that few are done twice
     total = max(count, width)
 

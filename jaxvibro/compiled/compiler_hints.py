@@ -15,6 +15,7 @@ from jax.extend import core
 
 WIDTH = 64  # lanes of a block: its arrays stay in the first-level cache, and few lanes wait for the slowest
 NARROW = 32  # the same of lanes that lean steps have given up: few, and slow ones among them
+ON_CARD = 1 << 20, 1 << 12  # both on a graphics card, which takes a step of many lanes in the time of one of few
 NOT_EMITTED = frozenset(  # operations that cannot stand within a loop that is one kernel
     name
     for names in (
@@ -88,6 +89,8 @@ def stage(function, *lanes, **static):
     loop as one kernel aborts on any other. The function is one of a module, traced once for lanes of a kind.
     """
     call, operands, _ = _trimmed(function, lanes, static)
+    if not on_processor():
+        return call(*operands)
     with set_xla_metadata(inlineable="false"):
         return jax.jit(call)(*operands)
 
@@ -101,7 +104,7 @@ def one_kernel(function, *lanes, **static):
     operation that is `NOT_EMITTED` is compiled as it is.
     """
     call, operands, jaxpr = _trimmed(function, lanes, static)
-    if not _is_emitted(jaxpr):
+    if not _is_emitted(jaxpr) or not on_processor():
         return jax.jit(call)(*operands)
     places = {}
     for place, operand in enumerate(operands):
@@ -119,6 +122,23 @@ def one_kernel(function, *lanes, **static):
     with set_xla_metadata(inlineable="false", xla_cpu_small_call="true"):
         results = jax.jit(plain)(*packs)
     return lax.optimization_barrier(results)[0]  # jax would leave out what is given back and not used
+
+
+def block_width():
+    """Lanes of a block, for what is traced now."""
+    return WIDTH if on_processor() else ON_CARD[0]
+
+
+def narrow_width():
+    """Lanes of a block of those that lean steps have given up."""
+    return NARROW if on_processor() else ON_CARD[1]
+
+
+def on_processor():
+    """Whether what is traced now is for a processor: elsewhere the hints are none, and a card's compiler is led into a
+    circle by them."""
+    device = jax.config.jax_default_device
+    return (jax.default_backend() if device is None else getattr(device, "platform", device)) == "cpu"
 
 
 def _trimmed(function, lanes, static):

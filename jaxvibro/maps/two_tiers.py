@@ -14,7 +14,7 @@ import numpy as np
 from jax import lax
 
 from ..compiled.blocks import in_blocks
-from ..compiled.compiler_hints import NARROW, choose, one_kernel
+from ..compiled.compiler_hints import choose, narrow_width, one_kernel
 from ..flight import impact_log, lean, lean_numbers, lean_tangent
 from ..flight.coefficients import frame
 from ..flight.entry import enter
@@ -175,7 +175,7 @@ def _full(given, asked, due, out):
     run = partial(_through, asked=asked)
     if not due.shape:
         return run(*given)
-    count, width = len(due), min(NARROW, len(due))
+    count, width = len(due), min(narrow_width(), len(due))
     places = jnp.append(jnp.nonzero(due, size=count, fill_value=count)[0], jnp.full(width, count))
 
     def block(k, out):
