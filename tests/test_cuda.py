@@ -59,7 +59,9 @@ def strobes(state, walls):
     return end.x, end.v, impacts.speed, impacts.least_clearance
 
 
-@pytest.mark.parametrize("walls", WALLS)
+@pytest.mark.parametrize(
+    "walls", [pytest.param(one, marks=pytest.mark.slow) if one == "soft" else one for one in WALLS]
+)
 def test_the_map_and_its_derivatives(walls):
     for function in (
         partial(strobes, walls=walls),

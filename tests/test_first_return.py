@@ -27,6 +27,7 @@ def motion(scene):
     return Nodes(sides[hit].astype(float), 0 * times[hit], times[hit], speeds[hit]), float(first.least_clearance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
 def test_impacts_are_those_of_the_strobe_forward_and_backward(scene):
     nodes, _ = motion(scene)

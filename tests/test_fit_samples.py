@@ -124,6 +124,7 @@ def test_a_phase_that_is_not_known_is_found():
     assert abs(found.values["damping"] - 0.05) < 4 * found.sigma["damping"]
 
 
+@pytest.mark.slow
 def test_a_wall_that_was_not_struck_is_not_in_the_record():
     far = CHAOTIC.replace(**{"left.position": -5.0, "right.restitution": 0.5, "amplitude": 0.6})
     free = {"damping": 0.01, "left.position": 0.1, "right.restitution": 0.1}

@@ -138,7 +138,8 @@ def test_numbers(cache, fails):
 
 def test_under_transformations(cache):
     """A module has no derivative and no lanes: the function itself is called."""
-    circle, given, z = problem_of(equilibria(_circle), ("p",)), Given({}, None), jnp.array([0.6, 0.8])
+    circle = problem_of(equilibria(lambda u, p, args: u * u + p["p"] ** 2 - 1.0), ("p",))
+    given, z = Given({}, None), jnp.array([0.6, 0.8])
     value, slopes = locate.evaluated(circle, z, given)
     zs = jnp.stack([z, 2.0 * z])
     np.testing.assert_allclose(jax.vmap(lambda z: locate.evaluated(circle, z, given)[1])(zs)[0], slopes, rtol=1e-15)
@@ -147,7 +148,3 @@ def test_under_transformations(cache):
     assert not list(
         (cache / persistent_jit.FOLDER).glob("*/*")
     )  # the function made here is known to this process alone
-
-
-def _circle(u, p, args):
-    return u * u + p["p"] ** 2 - 1.0

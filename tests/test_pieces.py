@@ -9,7 +9,7 @@ import pytest
 import jaxvibro as jv
 from continuation.arclength import Point
 from continuation.stretch import Mark, Stretch
-from jaxvibro.branches import neimark_sacker, peaks, segment
+from jaxvibro.branches import largest_position, neimark_sacker, segment
 from jaxvibro.branches.segment import BranchWatch, GrazingPoint
 from jaxvibro.branches.through_grazings import _is_met, _onwards
 from jaxvibro.orbits.orbit_comparison import meetings
@@ -125,4 +125,4 @@ def test_a_turning_point_within_a_cell_is_found_by_false_position():
         return time, late + bend * late * late
 
     low, high = jnp.zeros(300), jnp.ones(300)
-    assert abs(np.asarray(peaks._turn(at, low, high, at(low)[1], at(high)[1])) - place).max() < 1e-9
+    assert abs(np.asarray(largest_position._turn(at, low, high, at(low)[1], at(high)[1])) - place).max() < 1e-9

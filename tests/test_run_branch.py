@@ -63,7 +63,11 @@ def test_special_points_are_told_with_their_values(followed):
         np.testing.assert_allclose([one["from"], one["to"]], [BREAKING, 4.0], atol=1e-11)
         assert [each["kind"] for each in one["special"]] == ["EP", "EP"]
     lines = [" ".join(line.split()) for line in table.splitlines()]
-    for line in (f"SN {FOLD:.12g} P111 RL 1, 0.178013 -", "1: P100 from 0 to 4, ", "2: P111 from 3.543892"):
+    for line in (
+        f"SN {FOLD:.12g} P111 saddle to stable RL 1, 0.178013 -",
+        "1: P100 from 0 to 4, ",
+        "2: P111 from 3.543892",
+    ):
         assert any(each.startswith(line) for each in lines), line
     assert sum(line.startswith("GR 3.4164601563") for line in lines) == 1
     assert "last point: the parameter reached its bound 4" in lines

@@ -17,7 +17,7 @@ from jaxvibro.studies import scene_file
 from tests.scene_files import check_refusal, each_of
 
 FIG4 = Path(__file__).parents[1] / "scenes" / "fig4.toml"
-KEYS_OF_SCENE = "(amplitude, frequency, damping, restitution, left, right, force, drive)"
+KEYS_OF_SCENE = "(amplitude, frequency, damping, restitution, left, right, force, drive, scales)"
 
 
 def test_fig4_says_what_the_figure_shows():

@@ -44,6 +44,7 @@ def test_a_boundary_that_is_known_is_met(one_wall):
     assert float(value(one_wall)) == pytest.approx(grazing(one_wall), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_what_finds_nothing_says_how_far_it_looked(one_wall):
     near = {"amplitude": (1.49, 1.51), "frequency": (1.69, 1.71)}
     found = jv.search(one_wall, ["PD", "SB"], FREE, near, starts=8, max_period=1)

@@ -45,6 +45,7 @@ def test_slopes_are_differences_of_points_found_again(points):
         assert slope == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-6), name
 
 
+@pytest.mark.slow
 def test_slopes_are_the_gradient_of_the_located_point(points):
     by = jax.grad(jv.located(points["PD"]))(points["PD"].scene)
     table = jv.sensitivity(points["PD"], ["damping", "frequency"])

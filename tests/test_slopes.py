@@ -72,6 +72,7 @@ def test_times_and_speeds_of_impacts_have_derivatives(scene):
             assert np.allclose(slope, by_difference, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_mass_at_rest_goes_with_its_wall():
     # the spring presses it on the left wall, where it sticks at once: at the period's end x = x_b(T), v = v_b(T)
     def end(position, swing, phase):

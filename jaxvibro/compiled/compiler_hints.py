@@ -145,12 +145,12 @@ def _trimmed(function, lanes, static):
     """(the function of those operands alone that its results depend on, these operands, its jaxpr)."""
     flat, tree = jax.tree.flatten(lanes)
     kinds = tuple((jnp.shape(lane), jnp.result_type(lane)) for lane in flat)
-    call, kept, jaxpr = _traced(function, tuple(static.items()), tree, kinds, jax.config.jax_enable_x64)
+    call, kept, jaxpr = _traced(function, tuple(static.items()), tree, kinds, jax.config.jax_enable_x64, on_processor())
     return call, [lane for lane, keep in zip(flat, kept, strict=True) if keep], jaxpr
 
 
 @lru_cache(1024)
-def _traced(function, static, tree, kinds, double):
+def _traced(function, static, tree, kinds, double, on_processor):
     """(the function of the operands that matter, which those are, its jaxpr), for operands of such shapes and types."""
     blank = [jax.ShapeDtypeStruct(*kind) for kind in kinds]
     whole = jax.make_jaxpr(lambda *a: function(*tree.unflatten(a), **dict(static)), return_shape=True)
