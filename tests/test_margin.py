@@ -144,6 +144,7 @@ def fold_point(orbit):
     return jv.follow(orbit, "amplitude", (0.0, 3.0)).points("SN")[0]
 
 
+@pytest.mark.slow
 def test_a_fold_is_moved_by_the_least_change(fold_point):
     free = {"damping": 0.05, "frequency": 0.1}
     placed = jv.place(fold_point, "amplitude", 0.6, free)

@@ -51,6 +51,7 @@ def test_what_finds_nothing_says_how_far_it_looked(one_wall):
     assert found.points == () and found.table().startswith("nothing found\n8 random scenes, ")
 
 
+@pytest.mark.slow
 def test_aims_are_differences_of_orbits_found_again():
     scene = jv.make_scene(2.3, 2.15, 0.07, 0.75, (-1.1, jv.Wall(0.9, 0.6)))
     orbit, names, step = jv.find_orbit(scene, jv.State(0.8, -1.2)), ("amplitude", "right.position"), 1e-5
