@@ -22,14 +22,8 @@ from jaxvibro.orbits import by_impacts
 from jaxvibro.problem import diagnostics, touches
 from jaxvibro.problem.equations import problem
 from jaxvibro.problem.orbit_on_branch import OrbitPoint
+from tests.cuda_proof import WALLS
 
-WALLS = {
-    "none": (None, None),
-    "one": (None, 1.0),
-    "two": (-1.0, 1.0),
-    "moving": (jv.Wall(-1.5, 0.6), jv.Wall(1.0, 0.8, motion=jv.Motion(0.1, 0.3, 2))),
-    "soft": (jv.Wall(-1.5, stiffness=90.0, damping=1.0), jv.Wall(1.0, 0.8)),
-}
 LANES = jv.State(*(np.linspace(-0.5, 0.5, 16) * k for k in (1.0, 2.0, 0.0, 0.0)))
 
 

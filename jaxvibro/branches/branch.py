@@ -18,7 +18,7 @@ from .. import __version__
 from ..orbits.orbit import Orbit
 from ..output.atomic_write import whole
 from ..output.checksums import netcdf
-from ..output.frames import frame, kinds_at, of_multipliers
+from ..output.frames import frame, kinds_at, of_least, of_multipliers
 from ..output.labels import name_in
 from ..output.table_text import columns, headed, pair
 from ..output.units import LENGTH, POWER, SPEED, unit_in, unit_of
@@ -207,7 +207,7 @@ class Branch(OrbitRows[Special]):
         data, scene = self.data, self.scene
         sides, speeds = data["side"].values, data["speed"].values
         names = [one.label for one in self.segments]
-        least = {key: np.where(np.isfinite(data[key]), data[key], np.nan) for key in ("least_speed", "least_clearance")}
+        least = of_least(data)
         return frame(
             scene,
             {
@@ -217,9 +217,9 @@ class Branch(OrbitRows[Special]):
                 "stability": ("", stability.words(self.multipliers)),
                 "x": (LENGTH, data["x"].values[:, 0]),
                 "v": (SPEED, data["v"].values[:, 0]),
-                "least_speed": (SPEED, least["least_speed"]),
+                "least_speed": least["least_speed"],
                 "largest_speed": (SPEED, loads.largest_speed(sides, speeds)),
-                "least_clearance": (LENGTH, least["least_clearance"]),
+                "least_clearance": least["least_clearance"],
                 "work_rate": (POWER, loads.work_rate(sides, speeds, *self._rebounds_and_spans())),
                 **of_multipliers(self.multipliers),
             },

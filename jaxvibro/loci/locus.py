@@ -13,7 +13,7 @@ from continuation.stretch import backwards, glued
 
 from ..branches.branch import Special
 from ..orbits.orbit import roots
-from ..output.frames import frame, kinds_at, of_multipliers
+from ..output.frames import frame, kinds_at, of_least, of_multipliers
 from ..output.labels import name_in
 from ..output.table_text import columns, headed
 from ..output.units import LENGTH, SPEED, TIME, scales_in, unit_in, unit_of
@@ -123,16 +123,13 @@ class Locus(OrbitRows[Codim2]):
 
         units: as in `Branch.to_frame`. Raises ArgumentError for other units, and where the scene has no scales.
         """
-        data = self.data
-        least = {key: np.where(np.isfinite(data[key]), data[key], np.nan) for key in ("least_speed", "least_clearance")}
         return frame(
             self.scene,
             {
                 "kind": ("", kinds_at(self.special, len(self))),
-                **{name: (unit_of(name), data[name].values) for name in self.names},
+                **{name: (unit_of(name), self.data[name].values) for name in self.names},
                 "label": ("", np.repeat(self.label, len(self))),
-                "least_speed": (SPEED, least["least_speed"]),
-                "least_clearance": (LENGTH, least["least_clearance"]),
+                **of_least(self.data),
                 **of_multipliers(self.multipliers),
             },
             units,

@@ -5,7 +5,7 @@ import pandas as pd
 
 from ..scene.scales import require_scales
 from .table_text import headed
-from .units import require_system, told
+from .units import LENGTH, SPEED, require_system, told
 
 
 def frame(scene, columns, units):
@@ -24,6 +24,12 @@ def frame(scene, columns, units):
 def of_multipliers(pairs):
     """The columns of Floquet's multipliers, (points, 2), complex."""
     return {f"multiplier{k + 1}_{part}": ("1", getattr(pairs[:, k], part)) for k in (0, 1) for part in ("real", "imag")}
+
+
+def of_least(data):
+    """The columns of the least speed before an impact and the least clearance, nan where there is none."""
+    units = {"least_speed": SPEED, "least_clearance": LENGTH}
+    return {key: (unit, np.where(np.isfinite(data[key]), data[key], np.nan)) for key, unit in units.items()}
 
 
 def kinds_at(special, count):
