@@ -5,6 +5,7 @@ are jitted functions of their own and would each become a loop of their own belo
 `choose` and lax alone.
 """
 
+import math
 from functools import lru_cache
 
 import jax
@@ -24,6 +25,7 @@ NOT_EMITTED = frozenset(  # operations that cannot stand within a loop that is o
     )
     for name in names.split()
 )
+LIBRARY_SUM, LIBRARY_SIDE = 4096, 8  # terms, rows from which on XLA calls a library for a sum, for a product
 OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
@@ -170,9 +172,26 @@ def _traced(function, static, tree, kinds, double, on_processor):
 def _is_emitted(jaxpr):
     """Whether loops of this can be one kernel."""
     return all(
-        eqn.primitive.name not in NOT_EMITTED and all(map(_is_emitted, core.jaxprs_in_params(eqn.params)))
+        eqn.primitive.name not in NOT_EMITTED
+        and not _is_left_to_library(eqn)
+        and all(map(_is_emitted, core.jaxprs_in_params(eqn.params)))
         for eqn in jaxpr.eqns
     )
+
+
+def _is_left_to_library(eqn):
+    """Whether XLA calls a library for this operation, which a kernel cannot do."""
+    if eqn.primitive.name in ("reduce_max", "reduce_min", "reduce_sum"):
+        return eqn.invars[0].aval.size >= LIBRARY_SUM
+    if eqn.primitive.name != "dot_general":
+        return False
+    left, right = (each.aval for each in eqn.invars)
+    (summed, _), (alike, _) = eqn.params["dimension_numbers"]
+    terms, each = (math.prod(left.shape[axis] for axis in axes) for axes in (summed, alike))
+    rows, columns = (matrix.size // max(terms * each, 1) for matrix in (left, right))
+    if min(rows, columns) > 1 and max(rows, columns, terms) >= LIBRARY_SIDE:
+        return True
+    return each * rows * terms * columns >= LIBRARY_SUM
 
 
 def _operands(jaxpr):

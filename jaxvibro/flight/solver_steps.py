@@ -90,9 +90,15 @@ class Lane(NamedTuple):
 def _lanes(function, frame, *given):
     """function(lane, *given), of one state, for each lane."""
     own, tree = jax.tree.flatten(Lane(frame.law, frame.frequency, frame.force, frame.terms))
-    count = len(own)
-    single = jnp.vectorize(lambda *every: function(tree.unflatten(every[:count]), *every[count:]))
-    return single(*own, *given)
+    count, form = len(own), []
+
+    def single(*every):
+        leaves, found = jax.tree.flatten(function(tree.unflatten(every[:count]), *every[count:]))
+        form[:] = [found]
+        return tuple(leaves)  # all that vectorize takes of lanes with axes of one
+
+    leaves = jnp.vectorize(single)(*own, *given)
+    return form[0].unflatten(leaves)
 
 
 def _acceleration(lane, cosine, sine, late, x, v):
