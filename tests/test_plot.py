@@ -176,7 +176,8 @@ def branch(label="P111", periods=1, change=7):
 
 
 def kept(ax, kind):
-    return [line for line in ax.lines if line.get_gid() == kind]
+    """What is drawn of a kind, without what stands in a legend alone."""
+    return [line for line in ax.lines if line.get_gid() == kind and len(line.get_xdata())]
 
 
 def test_stable_parts_of_a_branch_are_solid_and_thick_and_unstable_ones_dashed_and_thin():

@@ -12,6 +12,7 @@ from ..orbits.find import find_orbit
 from ..orbits.orbit import Orbit, OrbitError
 from ..scene import check
 from ..scene.codes import Status
+from ..scene.scales import Scales
 from ..scene.scene import Scene
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
@@ -36,7 +37,8 @@ class Attractor:
     exponent: the largest Lyapunov exponent per drive period; -inf where it is too low to be measured, nan where
     unknown. mirror_of: the place in the tuple of its mirror image, its own where it is symmetric; None where none was
     found or the scene has no mirror symmetry. note: what was seen. rests: whether the mass of a periodic one rests on a
-    wall for a while; the itinerary has the hops of complete chatter up to where they are certain to end.
+    wall for a while; the itinerary has the hops of complete chatter up to where they are certain to end. scales: the
+    scene's.
     """
 
     label: str
@@ -54,6 +56,7 @@ class Attractor:
     note: str
     orbit: Orbit | None = None
     rests: bool = False
+    scales: Scales | None = None
 
 
 @check.host("use strobe")
@@ -94,6 +97,7 @@ def _paired(scene, seen, starts):
             **_share(len(one.lanes), starts),
             mirror_of=free_and_mirrored.image_place(one, seen) if symmetric else None,
             orbit=_orbit(scene, one.numbers),
+            scales=scene.scales,
         )
         for one in seen
     )

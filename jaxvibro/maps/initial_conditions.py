@@ -4,6 +4,7 @@ import jax
 import numpy as np
 
 from ..flight.wall_positions import places
+from ..output.units import LENGTH, SPEED, unit_in
 from ..scene.state import State
 
 LEAST_DIVISOR = 1e-3  # of A, sqrt(D): at resonance without damping there is no steady motion
@@ -56,7 +57,10 @@ def random_starts(scene, count, seed):
     return State(np.clip(x, left, right).astype(scene.dtype), v.astype(scene.dtype), zero, zero)
 
 
-def box_text(scene):
+def box_text(scene, units="scene"):
     """The box of starts of a single scene for reading."""
     left, right, fast = (float(edge) for edge in box(scene))
-    return f"x from {left:.4g} to {right:.4g}, v from {-fast:.4g} to {fast:.4g}"
+    (long, length), (pace, speed) = (unit_in(scene, unit, units) for unit in (LENGTH, SPEED))
+    after = "{} {}" if units == "physical" else "{}"
+    x = f"x from {length * left:.4g} to " + after.format(f"{length * right:.4g}", long)
+    return f"{x}, v from {-speed * fast:.4g} to " + after.format(f"{speed * fast:.4g}", pace)

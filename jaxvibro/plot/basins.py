@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from ..attractors.assign import OUTSIDE, UNRESOLVED
-from .style import COORDINATES, WALL, axes, is_from, plain
+from .style import WALL, axes, is_from, of_plane, plain, scales_of
 
 # Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too.
 PALE = ("#FCEFB4", "#A9DCF5", "#F2AE72", "#72AD91", "#A9719A", "#4C79AD", "#94502F", "#3F5750")
@@ -19,27 +19,29 @@ PAIRS = (("<", ">"), ("^", "v"), ("$\\subset$", "$\\supset$"), ("P", "X"))
 SINGLE = ("o", "s", "D", "p", "h", "8")
 
 
-def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True) -> Axes:
+def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True, units: str = "scene") -> Axes:
     """Draw a Dataset of `jaxvibro.basins`, velocity against position: the Axes.
 
     Each attractor has a colour, the lightest the first, and a shape for its points; of two mirror images the shapes
     mirror each other. Chaos is white or a grey, its points are dots, black or of a dark colour. Starts on no attractor
-    are nearly black, those beyond a wall grey. legend: below the picture, with the shares of the starts.
+    are nearly black, those beyond a wall grey. legend: below the picture, with the shares of the starts. units:
+    "scene", or "physical" of a scene that has scales.
 
-    Raises ArgumentError for what is no such Dataset.
+    Raises ArgumentError for what is no such Dataset, and for other units.
     """
     is_from("basins", "basins", ("label", "fraction", "x", "v"), dataset)
+    across, up = of_plane(scales_of(dataset, units))
     ax = axes(ax)
     colours, shapes = _looks(dataset)
     listed = [WALL, UNKNOWN, *colours]
     norm = BoundaryNorm(np.arange(OUTSIDE - 0.5, len(colours)), len(listed))
-    edges = [_edges(dataset[name].values) for name in ("x", "v")]
+    edges = [_edges(axis.size * dataset[name].values) for axis, name in ((across, "x"), (up, "v"))]
     drawn = ax.pcolorfast(*edges, dataset["label"].values, cmap=ListedColormap(listed), norm=norm, zorder=0)
     drawn.set_rasterized(True)
     for place, shape in enumerate(shapes):
-        points = [dataset[name].values[place] for name in ("point_x", "point_v")]
+        points = across.size * dataset["point_x"].values[place], up.size * dataset["point_v"].values[place]
         ax.plot(*points, **_mark(shape, colours[place]), gid="attractor", zorder=3 if shape == "." else 3.5)
-    ax.set(xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
+    ax.set(xlabel=across.label, ylabel=up.label)
     ax.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])
     if legend:
         handles = _entries(dataset, colours, shapes)

@@ -69,10 +69,10 @@ def branch(
             "zorder": 3,
         }
         for column in piece.columns.T:
-            told = text if text not in known else "_" + text
             line = smooth(piece.values * across.size, column * up.size)
-            ax.plot(*line, label=told, gid="branch", solid_capstyle="butt", **look)
-            known[text] = colour
+            ax.plot(*line, label="_" + text, gid="branch", solid_capstyle="butt", **look)
+    if text not in known:
+        ax.plot([], [], label=text, gid="branch", color=colour, linewidth=WIDTHS[True])
     _stability(ax)
     _points(ax, found.points, across.size, up.size, labels)
     if variable in ("x", "peak"):

@@ -11,9 +11,10 @@ from ..attractors.find import Attractor
 from ..attractors.shares import share_text
 from .style import COLOURS, WALL, are_of, axes, is_from, legend, of_parameter, of_variable, paler, plain, scales_of
 
-SIZE = 2.2  # points, of the first leg's dots
-SMALLER = 0.42  # of the size of the leg before: where legs agree a ring of it is seen, in print too
-FAINT = 0.6  # of that size
+SIZES = 2.2, 3.6  # points, of the first leg's dots: between these what there is room for
+ROOM = 0.7  # of the way from one value to the next
+SMALLER = 0.5  # of the size of the leg before: where legs agree a ring of it is seen, in print too
+FAINT = 0.7  # of that size
 MARKERS = "osD^vP*X"
 
 
@@ -35,10 +36,11 @@ def diagram(
     wide, high = of_parameter(scales, name), of_variable(scales, variable)
     step, *lanes = (dim for dim in swept[variable].dims if dim != "period")
     legs = [swept] if not lanes else [swept.isel({lanes[0]: k}) for k in range(swept.sizes[lanes[0]])]
+    first = float(np.clip(ROOM * _points(ax) / len(swept[step]), *SIZES))
     for k, leg in enumerate(legs):
         across = np.broadcast_to(wide.size * leg[name].values[:, None], leg[variable].shape)
         up = high.size * leg[variable].transpose(step, "period").values
-        _dots(ax, across, up, k, _named(leg, lanes) + f"from {across[0, 0]:g} to {across[-1, 0]:g}", faint)
+        _dots(ax, across, up, k, first, _named(leg, lanes) + f"from {across[0, 0]:g} to {across[-1, 0]:g}", faint)
     if variable == "x":
         _walls(ax, swept.attrs, high.size)
     ax.set(xlabel=wide.label, ylabel=high.label)
@@ -61,8 +63,13 @@ def _walls(ax, attrs, size):
             ax.axhline(size * place, color=WALL, linewidth=0.8, zorder=0)
 
 
-def _dots(ax, across, up, place, text, faint):
-    size, colour = SIZE * SMALLER ** min(place, 2), COLOURS[place % len(COLOURS)]
+def _points(ax):
+    """The width of Axes, points."""
+    return 72.0 * ax.figure.get_figwidth() * ax.get_position().width
+
+
+def _dots(ax, across, up, place, first, text, faint):
+    size, colour = first * SMALLER ** min(place, 2), COLOURS[place % len(COLOURS)]
     style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": paler(colour) if faint else colour}
     size, style["zorder"] = (FAINT * size, 2.0) if faint else (size, 4.0)
     ax.plot(across.ravel(), up.ravel(), markersize=size, rasterized=True, label="_" + text, **style)
@@ -74,13 +81,15 @@ def mark(
     value: float,
     variable: str = "x",
     ax: Axes | None = None,
+    units: str = "scene",
 ) -> Axes:
     """Draw attractors into a diagram, at the value of the swept parameter that they belong to: the Axes.
 
+    value: in the units of the Axes; variable: "x" or "v". units: "scene", or "physical" of a scene that has scales.
     Mirror images of each other have one shape, the first of them open and the second filled; a chaotic one is a row of
     ticks, to the left or, its image, to the right. The legend tells their shares of the starts, with bounds at 95 %.
 
-    Raises ArgumentError for what is no tuple or list of `Attractor`s.
+    Raises ArgumentError for what is no tuple or list of `Attractor`s, and for other units.
     """
     are_of("mark", Attractor, attractors)
     ax = axes(ax)
@@ -92,7 +101,7 @@ def mark(
         twin = place if one.mirror_of is None else one.mirror_of
         first = min(place, twin)
         shape = shapes.setdefault(first, MARKERS[len(shapes) % len(MARKERS)])
-        up = one.points[:, "xv".index(variable)]
+        up = of_variable(scales_of(one, units), variable).size * one.points[:, "xv".index(variable)]
         if one.kind == "chaotic":
             look: dict[str, Any] = {
                 "marker": TICKLEFT if place == first else TICKRIGHT,

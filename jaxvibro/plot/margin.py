@@ -7,43 +7,49 @@ from matplotlib.patches import Ellipse
 from ..branches.branch import MEANINGS
 from ..design.margin import REACHED, Margin
 from .locus import LOOKS, MARKERS
-from .style import COLOURS, axes, is_of, label, plain
+from .style import COLOURS, axes, is_of, of_parameter, plain, scales_of
 
 SHAPES = "osD^vP*X"  # of the free numbers
 STYLES = {True: "-", False: ":"}  # of a way: whether the point is the first that it meets
 
 
-def margin(near: Margin, ax: Axes | None = None) -> Axes:
+def margin(near: Margin, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw what `margin` found: the Axes.
 
     Of two free numbers their plane, the first across: the orbit, the way to each point (dotted where another boundary
     comes before), and the ellipse within which none was found. Of any other count of numbers the change of each that
-    leads to each point, in its units, the nearest point first.
+    leads to each point, in its units, the nearest point first. units: of the plane, "scene", or "physical" of a scene
+    that has scales.
 
-    Raises ArgumentError where it is given anything else.
+    Raises ArgumentError where it is given anything else, and for other units.
     """
     is_of("margin", Margin, near)
-    ax = axes(ax)
-    return _plane(near, ax) if len(near.free) == 2 else _changes(near, ax)
+    scales, ax = scales_of(near.orbit, units), axes(ax)
+    return _plane(near, ax, scales) if len(near.free) == 2 else _changes(near, ax)
 
 
-def _plane(near, ax):
-    names, scene = tuple(near.free), near.orbit.scene
-    here = [float(scene.parameter(name)) for name in names]
+def _plane(near, ax, scales):
+    both = {name: of_parameter(scales, name) for name in near.free}
+    here = _place(near.orbit.scene, both)
     ax.plot(*here, "o", color="black", label=near.orbit.label, zorder=6)
     if near.points:
-        sizes = (2.0 * near.distance * unit for unit in near.free.values())
+        sizes = (2.0 * near.distance * near.free[name] * axis.size for name, axis in both.items())
         told = f"nearest: {near.distance:.3g} units"
         ax.add_patch(Ellipse(here, *sizes, fill=False, edgecolor="0.4", linestyle=(0, (4, 3)), label=told, zorder=2))
     for one in near.points:
-        there, (colour, _) = [float(one.scene.parameter(name)) for name in names], LOOKS[one.kind]
+        there, (colour, _) = _place(one.scene, both), LOOKS[one.kind]
         ax.plot(*zip(here, there, strict=True), color=colour, linestyle=STYLES[one.status == REACHED], linewidth=1.2)
         look = {"marker": MARKERS[one.kind], "markersize": 8.0, "markeredgecolor": "black", "linestyle": "none"}
         ax.plot(*there, color=colour, label=_told(one), zorder=5, **look)
-    ax.set(xlabel=label(names[0]), ylabel=label(names[1]))
+    ax.set(**dict(zip(("xlabel", "ylabel"), (axis.label for axis in both.values()), strict=True)))
     ax.margins(0.12)
     ax.legend(fontsize="small")
     return ax
+
+
+def _place(scene, both):
+    """Where a scene is in the plane of two parameters, with an `Axis` each."""
+    return [axis.size * float(scene.parameter(name)) for name, axis in both.items()]
 
 
 def _changes(near, ax):

@@ -8,22 +8,22 @@ from matplotlib.axes import Axes
 from ..maps.simulate import simulate
 from ..orbits.orbit import Orbit
 from .portrait import portrait
-from .style import COLOURS, WALL, are_of, axes, is_of
+from .style import COLOURS, WALL, are_of, axes, is_of, of_variable, scales_of
 
 SAMPLES = 400  # of a drive period
 COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a diagram
 
 
-def orbit(one: Orbit, ax: Axes | None = None) -> Axes:
+def orbit(one: Orbit, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw an `Orbit` of `find_orbit` or `find_orbits` in the phase plane, as `portrait` does: the Axes.
 
     The title says whether it is stable, and the larger multiplier. An orbit that repels is followed from its state for
-    its own number of periods, in which an error of 1e-16 grows by the multiplier.
+    its own number of periods, in which an error of 1e-16 grows by the multiplier. units: as there.
 
-    Raises ArgumentError as `simulate` does.
+    Raises ArgumentError as `simulate` and `portrait` do.
     """
     is_of("orbit", Orbit, one)
-    ax = portrait(simulate(one.scene, one.state, one.periods, SAMPLES), one.scene, axes(ax), one.stable)
+    ax = portrait(simulate(one.scene, one.state, one.periods, SAMPLES), one.scene, ax, one.stable, units)
     ax.set_title(title(one), fontsize="medium")
     return ax
 
@@ -47,13 +47,15 @@ def mark_orbits(
     value: float,
     variable: str = "x",
     ax: Axes | None = None,
+    units: str = "scene",
 ) -> Axes:
     """Draw each `Orbit` into a diagram, at the value of the swept parameter that they belong to: the Axes.
 
+    value: in the units of the Axes; variable: "x" or "v". units: "scene", or "physical" of a scene that has scales.
     Shown is the state at phase 0 of each drive period. Stable orbits are filled, unstable ones open; mirror images of
     each other have one shape.
 
-    Raises ArgumentError for what is no tuple or list of `Orbit`s.
+    Raises ArgumentError for what is no tuple or list of `Orbit`s, and for other units.
     """
     are_of("mark_orbits", Orbit, orbits)
     ax = axes(ax)
@@ -64,7 +66,7 @@ def mark_orbits(
         first = min(place, twin)
         new = first not in shapes
         shape = shapes.setdefault(first, MARKERS[len(shapes) % len(MARKERS)])
-        up = _section(one)["xv".index(variable)]
+        up = of_variable(scales_of(one, units), variable).size * _section(one)["xv".index(variable)]
         look = {"marker": shape, "markerfacecolor": COLOUR if one.stable else "white", "zorder": 6}
         image = " and mirror image" if twin != place else ""
         text = f"{one.label}{image}, {_stability(one)}" if new else None

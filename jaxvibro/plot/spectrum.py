@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from .style import COLOURS, WALL, axes, is_from, label
+from .style import COLOURS, WALL, axes, is_from, of_parameter, scales_of
 
 SURE = 3.0  # standard errors by which the first exponent must exceed 0, for a value to be shaded as chaotic
 BAND = 2.0  # standard errors to either side
@@ -15,21 +15,23 @@ NAMES = ("first exponent", "second exponent")
 STYLES = (("-", 1.3, COLOURS[0]), ("--", 1.0, COLOURS[7]))  # told apart in grey by dashes and width
 
 
-def spectrum(found: xr.Dataset, ax: Axes | None = None) -> Axes:
+def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw a Dataset of `jaxvibro.spectrum`: the Axes.
 
     Both exponents per drive period against the parameter, solid and dashed, with bands of two standard errors, which
     are seen where the errors are; a line at zero; grey behind the values where the first exponent is positive beyond
     doubt. An exponent of -inf is a tick at the lower edge; where there is none, the line has a gap; a value that stands
-    alone is a dot. Open circles are the growth between rests of a mass that comes to rest.
+    alone is a dot. Open circles are the growth between rests of a mass that comes to rest. units: of the parameter,
+    "scene", or "physical" of a scene that has scales.
 
-    Raises ArgumentError for what is no such Dataset.
+    Raises ArgumentError for what is no such Dataset, and for other units.
     """
     is_from("spectrum", "spectrum", ("swept", "exponent", "error"), found)
-    ax, name = axes(ax), found.attrs["swept"]
+    name = found.attrs["swept"]
+    wide, ax = of_parameter(scales_of(found, units), name), axes(ax)
     order = np.argsort(found[name].values, kind="stable")
     found = found.isel({name: order})
-    across, exponent, error = found[name].values, found["exponent"].values, found["error"].values
+    across, exponent, error = wide.size * found[name].values, found["exponent"].values, found["error"].values
     ax.axhline(0.0, color=WALL, linewidth=0.8, zorder=0)
     for first, last in _ranges(across, exponent[:, 0] > SURE * error[:, 0]):
         ax.axvspan(first, last, color=SHADE, linewidth=0, zorder=-1, label="_chaotic")
@@ -53,7 +55,7 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None) -> Axes:
             "color": COLOURS[5],
         }
         ax.plot(across, found["between"].values, label="growth between rests", **look)
-    ax.set(xlabel=label(name), ylabel="Lyapunov exponents per drive period")
+    ax.set(xlabel=wide.label, ylabel="Lyapunov exponents per drive period")
     ax.margins(x=0.01)
     return ax
 

@@ -3,11 +3,12 @@
 from typing import NamedTuple
 
 import matplotlib.pyplot as plt
+import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
-from ..output.units import LENGTH, SPEED, require_system, scales_from, told, unit_of
+from ..output.units import LENGTH, ONE, SPEED, TIME, require_system, scales_from, told, unit_of
 from ..scene.check import ArgumentError
 from ..scene.scales import require_scales
 
@@ -16,6 +17,7 @@ COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#5
 WALL = "0.55"
 
 SYMBOLS = {"amplitude": "$A$", "frequency": r"$\omega$", "damping": r"$\gamma$", "restitution": "$R$"}
+_PHYSICAL_SYMBOLS = {"amplitude": "$F$", "frequency": r"$\Omega/2\pi$", "damping": "$C$", "restitution": "$R$"}
 _PARAMETERS = {
     "amplitude": r"drive amplitude $A = F\,/\,(M\omega_0^2 d)$",
     "frequency": r"drive frequency $\omega = \Omega\,/\,\omega_0$",
@@ -58,7 +60,19 @@ _PHYSICAL_VARIABLES = {
     "peak": r"largest position $\max|X|$ (mm)",
 }
 UNITS = {"x": LENGTH, "v": SPEED, "clearance": LENGTH, "speed": SPEED, "least_speed": SPEED, "peak": LENGTH}
-TIME = r"time in drive periods, $\omega t\,/\,2\pi$"
+TIME_IN_PERIODS = r"time in drive periods, $\omega t\,/\,2\pi$"
+
+
+def value_text(scales, name, value):
+    """A scene's parameter as "A = 4.65", or with `Scales` as "F = 12 N"; its name where it has no symbol."""
+    symbol = (SYMBOLS if scales is None else _PHYSICAL_SYMBOLS).get(name, plain(name))
+    return f"{symbol} = {amount_text(scales, unit_of(name), value)}"
+
+
+def amount_text(scales, unit, value):
+    """A number of a scene as "4.65", or with `Scales` as "12 N"."""
+    unit, size = told(unit, scales)
+    return f"{size * value:g}" + ("" if scales is None or unit in ("", ONE) else f" {unit}")
 
 
 class Axis(NamedTuple):
@@ -78,11 +92,24 @@ def of_variable(scales, name):
     return Axis((VARIABLES if scales is None else _PHYSICAL_VARIABLES)[name], told(UNITS[name], scales)[1])
 
 
+def of_time(scales, frequency):
+    """The `Axis` of a time: in periods of a drive, or with `Scales` in seconds."""
+    if scales is None:
+        return Axis(TIME_IN_PERIODS, frequency / (2.0 * np.pi))
+    unit, size = told(TIME, scales)
+    return Axis(f"time ({unit})", size)
+
+
+def of_plane(scales):
+    """The `Axis` of position and that of velocity."""
+    return of_variable(scales, "x"), of_variable(scales, "v")
+
+
 def scales_of(one, units):
-    """None for the units "scene"; for "physical" the `Scales` of a record's scene, or of a Dataset."""
+    """None for the units "scene"; for "physical" the `Scales` of a scene, of a record or its scene, or of a Dataset."""
     if require_system(units) == "scene":
         return None
-    return scales_from(one) if isinstance(one, xr.Dataset) else require_scales(one.scene)
+    return scales_from(one) if isinstance(one, xr.Dataset) else require_scales(getattr(one, "scene", one))
 
 
 def label(name, parameters=_PARAMETERS):

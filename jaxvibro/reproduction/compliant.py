@@ -4,7 +4,7 @@ import numpy as np
 
 from ..maps.simulate import simulate
 from ..orbits.find import find_orbit
-from ..plot.style import COLOURS, COORDINATES, TIME, WALL
+from ..plot.style import COLOURS, COORDINATES, TIME_IN_PERIODS, WALL
 from ..scene.state import State
 from .panels import Drawn, legend, panels, png, sheet, styled
 
@@ -55,6 +55,6 @@ def _picture(found):
         trace.axhspan(*beyond, color=WALL, alpha=0.2, linewidth=0)
     pull.set(xlim=(-FAR, FAR), xlabel=COORDINATES["x"], ylabel=r"spring force$\,/\,(K d)$")
     phase.set(xlim=(-FAR, FAR), xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
-    trace.set(xlim=(0.0, 1.0), ylim=(-FAR, FAR), xlabel=TIME, ylabel=COORDINATES["x"])
+    trace.set(xlim=(0.0, 1.0), ylim=(-FAR, FAR), xlabel=TIME_IN_PERIODS, ylabel=COORDINATES["x"])
     legend(figure, places)
     return png(figure)

@@ -78,7 +78,9 @@ def _parser():
     run.add_argument("--force", action="store_true", help="overwrite what is there")
     run.add_argument("--json", action="store_true", help="print a summary for machines, and only that, on stdout")
     run.add_argument("--csv", action="store_true", help="write tables for spreadsheets too, a row a point")
-    told = "of tables: those of the scene, or N, Hz, mm, m/s, W where it has [scene.scales]; default: scene"
+    told = (
+        "of tables and pictures: those of the scene, or N, Hz, mm, m/s, W where it has [scene.scales]; default: scene"
+    )
     run.add_argument("--units", choices=("scene", "physical"), default="scene", help=told)
     run.set_defaults(does=_run)
 

@@ -14,6 +14,7 @@ from ..loci.bistability import coexistences
 from ..loci.loci import image
 from ..maps.initial_conditions import box_text
 from ..maps.simulate import simulate
+from ..output.units import FORCE, LENGTH
 from ..plot import style
 from ..plot.locus import name as of_locus
 from ..plot.orbit import title
@@ -30,15 +31,15 @@ ROAMED = 40  # drive periods drawn of a motion that does not recur
 SAMPLES = 400  # of a drive period
 
 
-def picture(found):
-    """The picture of what was `Found`, as a PNG's bytes."""
-    figure = _diagram(found) if found.across is not None else _portraits(found)
-    figure.suptitle(_heading(found), fontsize="medium")
+def picture(found, units):
+    """The picture of what was `Found`, in "scene" or "physical" units, as a PNG's bytes."""
+    figure = _diagram(found, units) if found.across is not None else _portraits(found, units)
+    figure.suptitle(_heading(found, units), fontsize="medium")
     return _png(figure)
 
 
-def loci(found):
-    """The picture of the loci that were `Found`, as a PNG's bytes; mirror images on one curve are drawn as one."""
+def loci(found, units):
+    """The picture of the loci that were `Found`, likewise; mirror images on one curve are drawn as one."""
     asked = found.file.locus
     figure = Figure(figsize=(9.5, 6.5), layout="constrained")
     ax = figure.subplots()
@@ -47,28 +48,31 @@ def loci(found):
         other = image(one, kept)
         if other is None:
             kept.append(one)
-            plot.locus(one, ax)
+            plot.locus(one, ax, units=units)
         else:
             twins.add(of_locus(other))
     for pair in coexistences(found.branches, kept):
-        plot.region(*pair, ax)
+        plot.region(*pair, ax, units=units)
+    scales = style.scales_of(found.scene, units)
     for which, name in zip("xy", asked.parameters, strict=True):
-        ax.set(**{f"{which}label": style.label(name), f"{which}lim": asked.bounds[name]})
+        axis = style.of_parameter(scales, name)
+        limits = [axis.size * bound for bound in asked.bounds[name]]
+        ax.set(**{f"{which}label": axis.label, f"{which}lim": limits})
     entries = zip(*ax.get_legend_handles_labels(), strict=True)
     entries = [(handle, f"{text} and mirror image" if text in twins else text) for handle, text in entries]
     entries.sort(key=lambda one: one[0].get_gid() == "codimension two")
     if entries:
         look = {"frameon": False, "fontsize": "small", "handlelength": 4.0}
         figure.legend(*zip(*entries, strict=True), loc="outside right upper", **look)
-    figure.suptitle(_described(found.there(found.file.followed), asked.parameters), fontsize="medium")
+    figure.suptitle(_described(found.there(found.file.followed), asked.parameters, units), fontsize="medium")
     return _png(figure)
 
 
-def margin(found):
-    """The picture of the margin that was `Found`, as a PNG's bytes."""
+def margin(found, units):
+    """The picture of the margin that was `Found`, likewise."""
     figure = Figure(figsize=(7.5, 5.5), layout="constrained")
-    plot.margin(found.margin, figure.subplots())
-    figure.suptitle(_described(found.there(found.file.margin), ()), fontsize="medium")
+    plot.margin(found.margin, figure.subplots(), units)
+    figure.suptitle(_described(found.there(found.file.margin), (), units), fontsize="medium")
     return _png(figure)
 
 
@@ -78,24 +82,25 @@ def _png(figure):
     return held.getvalue()
 
 
-def _diagram(found):
+def _diagram(found, units):
+    size = style.of_parameter(style.scales_of(found.scene, units), found.across).size
     figure = Figure(figsize=(7.5, 9.0 if found.drawn else 8.0), layout="constrained")
     both = figure.subplots(2, 1, sharex=True)
     for ax, variable in zip(both, "xv", strict=True):
         if found.file.sweep is not None:
-            plot.diagram(found.swept, variable, ax, faint=bool(found.drawn))
+            plot.diagram(found.swept, variable, ax, bool(found.drawn), units)
         for one in found.drawn:
-            plot.branch(one, variable, ax)
+            plot.branch(one, variable, ax, units=units)
         for asked, draw, some in (
             (found.file.attractors, plot.mark, found.attractors),
             (found.file.orbits, plot.mark_orbits, found.others),
         ):
             value = found.mark(asked)
             if value is not None:
-                draw(some, value, variable, ax)
+                draw(some, size * value, variable, ax, units)
         ax.label_outer()
     if found.drawn:
-        plot.mark_points(found.drawn, both[0])
+        plot.mark_points(found.drawn, both[0], units)
     _legend(figure, both[0])
     return figure
 
@@ -119,8 +124,8 @@ def _legend(figure, ax):
     figure.legend(*zip(*entries, strict=True), ncols=len(entries) // rows, fontsize="small", columnspacing=1.0, **look)
 
 
-def _portraits(found):
-    motions = list(_motions(found))
+def _portraits(found, units):
+    motions = list(_motions(found, units))
     drawn, columns = motions[:MOST], max(1, math.isqrt(max(0, min(MOST, len(motions)) - 1)) + 1)
     rows = max(1, -(-len(drawn) // columns))
     figure = Figure(figsize=(max(WIDE, 1 + 4.0 * columns), 0.5 + 3.7 * rows), layout="constrained")
@@ -137,27 +142,28 @@ def _portraits(found):
     return figure
 
 
-def _motions(found):
+def _motions(found, units):
     """(what draws it into Axes, title) of each motion that there is to draw."""
     for one in found.attractors or ():
         if one.kind != "unresolved":
-            name = f"{one.label}, {share_text(one)}" + _at(found, found.file.attractors)
-            yield _drawing(found.there(found.file.attractors), one.state, one.periods or ROAMED), name
+            name = f"{one.label}, {share_text(one)}" + _at(found, found.file.attractors, units)
+            yield _drawing(found.there(found.file.attractors), one.state, one.periods or ROAMED, units), name
     for one in found.others:
-        yield partial(plot.orbit, one), title(one) + _at(found, found.file.orbits)
+        yield partial(plot.orbit, one, units=units), title(one) + _at(found, found.file.orbits, units)
     if found.margin is not None:
-        yield partial(plot.orbit, found.margin.orbit), title(found.margin.orbit) + _at(found, found.file.margin)
+        told = title(found.margin.orbit) + _at(found, found.file.margin, units)
+        yield partial(plot.orbit, found.margin.orbit, units=units), told
     if found.fit is not None:
         yield partial(plot.fit, found.fit, found.record), f"fit: {found.fit.status.name}"
     if found.swept is not None:
         n, last = int(recurrence(found.swept)[0, 0]), found.swept.isel(step=0, leg=0, period=-1)
         if n >= 0:
             state = State(float(last["x"]), float(last["v"]))
-            yield _drawing(found.scene, state, n or ROAMED), "from rest, settled"
+            yield _drawing(found.scene, state, n or ROAMED, units), "from rest, settled"
 
 
-def _drawing(scene, state, periods):
-    return lambda ax: plot.portrait(simulate(scene, state, periods, SAMPLES), scene, ax)
+def _drawing(scene, state, periods, units):
+    return lambda ax: plot.portrait(simulate(scene, state, periods, SAMPLES), scene, ax, units=units)
 
 
 def _shared(found):
@@ -170,26 +176,28 @@ def _shared(found):
     return found.there(asked[0])
 
 
-def _at(found, asked):
+def _at(found, asked, units):
     """For a title: the values in which a motion's scene differs from the heading's, in a line of their own."""
     if _shared(found) is not found.scene or not asked.at:
         return ""
-    return "\nat " + ", ".join(f"{style.SYMBOLS.get(name, name)} = {value:g}" for name, value in asked.at.items())
+    scales = style.scales_of(found.scene, units)
+    return "\nat " + ", ".join(style.value_text(scales, *one) for one in asked.at.items())
 
 
-def _heading(found):
+def _heading(found, units):
     """The scene in a line or two, but for what is swept, and the box of the starts."""
-    told = f"{_described(_shared(found), [found.across])};  states at phase 0 of the drive"
+    told = f"{_described(_shared(found), [found.across], units)};  states at phase 0 of the drive"
     if found.attractors is None:
         return told
-    return f"{told}\nstarts at phase 0: {box_text(found.there(found.file.attractors))}"
+    return f"{told}\nstarts at phase 0: {box_text(found.there(found.file.attractors), units)}"
 
 
-def _described(scene, without):
+def _described(scene, without, units):
     """A scene in a line or two, but for some parameters."""
+    scales = style.scales_of(scene, units)
     plain = [
-        f"{sign} = {float(scene.parameter(name)):g}"
-        for name, sign in style.SYMBOLS.items()
+        style.value_text(scales, name, float(scene.parameter(name)))
+        for name in style.SYMBOLS
         if name in scene.names and name not in without
     ]
     if scene.force is not None:
@@ -198,22 +206,24 @@ def _described(scene, without):
         }
         told = ", ".join(f"{name.removeprefix('force.')} {value:g}" for name, value in own.items())
         plain.append(style.plain(f"force {named(scene.force.function)}" + (told and f" with {told}")))
-    plain += [_term(k, term, without) for k, term in enumerate(scene.drive)]
-    walls = [_wall(side, wall, without) for side, wall in scene.walls.items()]
+    plain += [_term(k, term, without, scales) for k, term in enumerate(scene.drive)]
+    walls = [_wall(side, wall, without, scales) for side, wall in scene.walls.items()]
     return ",  ".join(plain) + "\n" + (",  ".join(walls) or "no walls")
 
 
-def _term(k, term, without):
+def _term(k, term, without, scales):
     """A further term of the drive, but for some parameters."""
-    told = "drive " + (f"{float(term.amplitude):g} " if f"drive.{k}.amplitude" not in without else "")
+    told = "drive "
+    if f"drive.{k}.amplitude" not in without:
+        told += style.amount_text(scales, FORCE, float(term.amplitude)) + " "
     turned = f" + {float(term.phase):g}" if f"drive.{k}.phase" not in without and float(term.phase) else ""
     return told + rf"$\cos({term.harmonic}\omega t{turned})$"
 
 
-def _wall(side, wall, without):
+def _wall(side, wall, without, scales):
     told = f"{side} wall"
     if f"{side}.position" not in without:
-        told += f" at {float(wall.position):g}"
+        told += f" at {style.amount_text(scales, LENGTH, float(wall.position))}"
     if wall.restitution is not None and f"{side}.restitution" not in without:
         told += f" with $R$ = {float(wall.restitution):g}"
     return told if wall.motion is None else told + ", moving"

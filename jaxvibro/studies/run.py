@@ -52,8 +52,8 @@ def run(
     path: of the scene file; its name without ending names the results. out: the folder, made where it is missing.
     changes: other values for this run, each "key=value" as in the file ("sweep.count=201"); "scene." may be left out.
     force: overwrite results that are there. progress: show bars on stderr. csv: write a table each of the sweep, the
-    attractors, the branches and the loci too, a row a point. units: of these and of the tables of branches and loci,
-    "scene", or "physical" (N, Hz, mm, ...) where the scene has [scene.scales].
+    attractors, the branches and the loci too, a row a point. units: of these, of the pictures and of the tables of
+    branches and loci, "scene", or "physical" (N, Hz, mm, ...) where the scene has [scene.scales].
 
     Raises SceneError for what the file or the changes may not say, FileExistsError where a result is there already,
     and OSError where a file cannot be read or the folder not be written to, all before any work; and SceneError
@@ -78,8 +78,8 @@ def run(
     heard = None if file.fit is None else record(path.parent, file.fit)
     found = study(file, heard, progress)
     table = report.table(found, path.name, units)
-    contents = {"picture": picture(found), "data": netcdf(dataset(found)), "table": table.encode()}
-    contents |= {kind: draw(found) for kind, draw in (("loci", loci), ("margin", margin)) if kind in files}
+    contents = {"picture": picture(found, units), "data": netcdf(dataset(found)), "table": table.encode()}
+    contents |= {kind: draw(found, units) for kind, draw in (("loci", loci), ("margin", margin)) if kind in files}
     contents |= {f"{what} table": text for what, text in csv_tables(found, units).items()} if csv else {}
     files = {kind: files[kind] for kind in contents}
     _write({files[kind]: content for kind, content in contents.items()}, force)
