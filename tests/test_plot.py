@@ -223,6 +223,13 @@ def test_a_line_is_bent_between_its_points_and_swings_beyond_none():
     assert smooth(many, many)[0] is many
 
 
+def test_a_point_that_is_there_twice_leaves_a_line_bent():
+    turn = np.linspace(0.0, 1.0, 7)
+    line = np.stack([turn, np.sin(turn)])
+    np.testing.assert_array_equal(smooth(*line[:, [0, *range(7), 6]]), smooth(*line))
+    assert smooth(*line).shape == (2, 6 * BETWEEN + 1)
+
+
 def test_curves_are_arrays_ready_to_plot():
     one = branch(change=9).curves("clearance")
     assert [piece.stable for piece in one.pieces] == [True, False]

@@ -12,9 +12,12 @@ CORNER = 0.6  # radians: where a line turns by more from one chord to the next i
 
 def smooth(across, up):
     """(across, up) of a line through points that breaks where one is nan, with more points between: each coordinate is
-    a cubic spline of the way along the line, from corner to corner."""
+    a cubic spline of the way along the line, from corner to corner. A point that is there twice is taken once."""
+    if len(up) > FEW:
+        return across, up
+    across, up = np.stack([across, up])[:, np.append(True, (np.diff(across) != 0) | (np.diff(up) != 0))]
     size = np.array([[np.ptp(each[np.isfinite(each)]) if np.isfinite(each).any() else 0.0] for each in (across, up)])
-    if len(up) > FEW or not size.all():
+    if not size.all():
         return across, up
     line = np.stack([across, up])
     chords = np.diff(line / size, axis=1)
@@ -29,7 +32,7 @@ def smooth(across, up):
 def _bent(line, chords):
     """The points of a line without corners, (2, points), with more between, up to the last."""
     steps = np.hypot(*chords)
-    if len(steps) < 2 or not (steps > 0).all():
+    if len(steps) < 2:
         return line[:, :-1]
     share, way = np.arange(BETWEEN) / BETWEEN, np.append(0.0, np.cumsum(steps))
     return CubicSpline(way, line, axis=1)((way[:-1, None] + share * steps[:, None]).ravel())

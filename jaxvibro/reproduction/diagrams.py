@@ -1,5 +1,6 @@
 """Figures 4, 6 and 7: diagrams against the amplitude, swept and followed."""
 
+import math
 from itertools import combinations
 
 import numpy as np
@@ -17,7 +18,11 @@ from .panels import Drawn, legend, png, sheet, styled, trim
 STARTS = 100
 LOOKS = 25  # amplitudes between two at which stable motions are counted
 BESIDE, LONGEST = 0.05, 8  # how far from an amplitude, and up to how many periods, grazings are looked for
-CAPTION = "x and v at phase 0 of the drive against its amplitude: swept down and up (dots), and all periodic motions."
+CROWD, EDGE = 2.0 / 3.0, 0.05  # of all special points; of their range, at its ends
+CAPTION = (
+    "x and v at phase 0 of the drive against its amplitude: swept down and up (dots), and all periodic motions; below, "
+    "x where most special points are."
+)
 LATE = "No motion of this branch exists below the value beside: it turns there."
 
 
@@ -178,12 +183,24 @@ def _drawn(found, claims):
 
 
 def _picture(found):
-    figure, places = sheet(2, 1, 3.1)
-    for (ax,), variable in zip(places, "xv", strict=True):
+    figure, places = sheet(3, 1, 2.5)
+    for (ax,), variable in zip(places, "xvx", strict=True):
         plot.diagram(found.swept, variable, ax, faint=True)
         for branch in found.drawn:
             plot.branch(branch, variable, ax)
-    trim(places, ticks=9)
-    plot.mark_points(found.drawn, places[0, 0])
+    places[2, 0].set_xlim(*_crowd([one.value for branch in found.drawn for one in branch.special]))
+    for some in (places[:2], places[2:]):
+        trim(some, ticks=9)
+        plot.mark_points(found.drawn, some[0, 0])
+        some[-1, 0].tick_params(labelbottom=True)
     legend(figure, places, columns=2)
     return png(figure)
+
+
+def _crowd(values):
+    """The least range that holds `CROWD` of some values, and a little more."""
+    values = np.sort(values)
+    count = math.ceil(CROWD * len(values))
+    first = int(np.argmin(values[count - 1 :] - values[: len(values) - count + 1]))
+    low, high = values[[first, first + count - 1]]
+    return low - EDGE * (high - low), high + EDGE * (high - low)

@@ -240,7 +240,7 @@ def _picture(file, found):
     figure, places = sheet(2, 1, 3.3)
     (above,), (below,) = places
     for (scene, fold, graze, lower), colour in zip(found, COLOURS, strict=False):
-        told, folds = f"{float(scene.damping):g}", [one.fold for one in lower]
+        told, folds = f"\N{GREEK SMALL LETTER GAMMA} = {float(scene.damping):g}", [one.fold for one in lower]
         for ax, loci, bounds in ((above, [fold], HIGH), (below, folds, LOW)):
             for one in (*loci, graze):
                 plot.locus(_marked(one, bounds), ax, colour)
@@ -265,7 +265,8 @@ def _marked(one, bounds):
 def _dotted(scene, fold, ax, colour):
     up = np.linspace(*_span(fold.values), 25)
     dots, _ = jax.vmap(closed.symmetric_fold, (0, None, None))(up, float(scene.damping), float(scene.restitution))
-    ax.plot(dots, up, linestyle="none", marker="o", markersize=2.5, color=colour)
+    told = "saddle-node, closed form"
+    ax.plot(dots, up, linestyle="none", marker="o", markersize=2.5, color=colour, label=told)
 
 
 def _off_grazing(scene, fold):
