@@ -27,6 +27,7 @@ _HOMES = {
     "State": "scene.state",
     "Impacts": "scene.state",
     "strobe": "maps.strobe",
+    "wall_loads": "maps.wall_loads",
     "monodromy": "maps.monodromy",
     "simulate": "maps.simulate",
     "sample": "maps.sample",

@@ -60,6 +60,7 @@ from .maps.sample import sample as sample
 from .maps.sections import sections as sections
 from .maps.simulate import simulate as simulate
 from .maps.strobe import strobe as strobe
+from .maps.wall_loads import wall_loads as wall_loads
 from .orbits.find import find_orbit as find_orbit
 from .orbits.from_starts import find_orbits as find_orbits
 from .orbits.orbit import Orbit as Orbit

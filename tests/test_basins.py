@@ -200,6 +200,7 @@ def test_dimension_of_a_cantor_set_of_boundaries():
     assert abs(found.value - 1.0 - np.log(2) / np.log(3)) < 3 * found.error
 
 
+@pytest.mark.slow
 def test_a_picture_of_basins_tells_all_attractors_apart():
     scene, attractors = known("figure 5")
     data = jv.basins(scene, np.linspace(-1.2, 1.0, 23), np.linspace(-3.0, 3.0, 21), 0.0, attractors)

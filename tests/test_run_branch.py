@@ -96,8 +96,8 @@ def test_the_data_hold_the_branches(followed):
 @pytest.mark.filterwarnings("ignore:No artists with labels")
 def test_branches_are_drawn_alone_and_over_what_was_swept_along_their_parameter(followed, monkeypatch):
     found, drawn = followed[2], []
-    monkeypatch.setattr(plot, "branch", lambda one, variable, ax: drawn.append(variable))
-    monkeypatch.setattr(plot, "diagram", lambda swept, variable, ax, faint: drawn.append((variable, faint)))
+    monkeypatch.setattr(plot, "branch", lambda one, variable, ax, units: drawn.append(variable))
+    monkeypatch.setattr(plot, "diagram", lambda swept, variable, ax, faint, units: drawn.append((variable, faint)))
 
     def picked(*changes, **others):
         drawn.clear()
@@ -120,7 +120,8 @@ def test_a_diagram_of_branches_says_where_it_is_and_takes_what_is_of_the_same_sc
         scene_file.read(SCENE_FILE, [f"orbits.at={given}"]).orbits for given in ("{amplitude=3}", "{damping=0.1}", "{}")
     ]
     assert [found.mark(each) for each in at] == [3.0, None, 4.65]
-    assert "A$" not in figures._heading(found) and "2.1" in figures._heading(found)
+    heading = figures._heading(found, "scene")
+    assert "A$" not in heading and "2.1" in heading
 
 
 def test_a_start_that_settles_on_no_orbit_is_one_clear_line(tmp_path, capsys):

@@ -87,9 +87,9 @@ def test_orbits_among_the_attractors_are_left_to_them(beside):
 
 def test_a_diagram_gets_both_and_portraits_are_nine_at_most(beside, monkeypatch):
     marked, drawn = [], []
-    monkeypatch.setattr(plot, "mark", lambda some, value, variable, ax: marked.append((len(some), value)))
-    monkeypatch.setattr(plot, "mark_orbits", lambda some, value, variable, ax: marked.append((len(some), value)))
-    monkeypatch.setattr(plot, "orbit", lambda one, ax: drawn.append(one.label))
+    monkeypatch.setattr(plot, "mark", lambda some, value, variable, ax, units: marked.append((len(some), value)))
+    monkeypatch.setattr(plot, "mark_orbits", lambda some, value, variable, ax, units: marked.append((len(some), value)))
+    monkeypatch.setattr(plot, "orbit", lambda one, ax, units: drawn.append(one.label))
     figures.picture(beside)
     assert marked == 2 * [(4, 4.65), (3, 4.65)] and drawn == []
     file = msgspec.structs.replace(beside.file, sweep=None, attractors=None)

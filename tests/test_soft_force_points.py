@@ -51,6 +51,7 @@ def apart(curves):
     return abs(first.values - second.values).max(), abs(np.subtract(*points)).max()
 
 
+@pytest.mark.slow
 def test_the_entry_itself_is_within_the_wall():
     """There the root of the depth has no slope in time."""
     speed = 0.7

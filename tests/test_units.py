@@ -184,7 +184,8 @@ def test_datasets_and_pictures_in_physical_units(followed):
     ax = plot.branch(branch, "speed", Figure().subplots(), units="physical", labels="auto")
     assert ax.get_xlabel() == "drive amplitude $F$ (N)" and ax.get_ylabel() == "largest impact speed (m/s)"
     assert "LP: saddle-node" in ax.get_legend_handles_labels()[1]
-    assert max(line.get_xdata().max() for line in ax.lines if line.get_gid() == "branch") == pytest.approx(90.0)
+    drawn = [line.get_xdata() for line in ax.lines if line.get_gid() == "branch" and len(line.get_xdata())]
+    assert max(across.max() for across in drawn) == pytest.approx(90.0)
     swept = to_physical(jv.sweep(rig(), "frequency", [2.0, 2.1], jv.State(0.0, 0.0), settle=3, keep=2))
     np.testing.assert_allclose(swept["frequency"], np.array([2.0, 2.1]) * np.sqrt(3e4 / 0.5) / (2 * np.pi))
     assert swept["frequency"].attrs["units"] == "Hz" and swept["x"].attrs["units"] == "mm"
@@ -251,7 +252,14 @@ at = {amplitude = 1.0}
         file.write(asked)
     done = jv.run(tmp_path / "rig.toml", tmp_path / "out", csv=True, units="physical")
     swept, branches = (pd.read_csv(tmp_path / "out" / f"rig.{what}.csv") for what in ("sweep", "branches"))
-    assert list(swept.columns) == ["leg", "amplitude (N)", "period", "x (mm)", "v (m/s)", "status"]
+    assert list(swept.columns[:6]) == ["leg", "amplitude (N)", "period", "x (mm)", "v (m/s)", "status"]
+    borne = ["largest_speed (m/s)", "largest_force (N)", "work_rate (W)"]
+    assert list(swept.columns[6:]) == [f"{side} {what}" for side in ("left", "right") for what in borne]
+    here = rig(frequency_hz=81.88).replace(amplitude=swept["amplitude (N)"].values / 15.0)
+    states = jv.State(swept["x (mm)"].values / 0.5, swept["v (m/s)"].values / (0.5e-3 * np.sqrt(6e4)))
+    hits = jv.strobe(here, states, slots=8)[1]
+    speeds = np.where(hits.side == 1, hits.speed, 0.0).max(axis=1) * 0.5e-3 * np.sqrt(6e4)
+    np.testing.assert_allclose(swept["right largest_speed (m/s)"].fillna(0.0), speeds, rtol=1e-9)
     np.testing.assert_allclose(swept["amplitude (N)"], np.repeat([7.5, 11.25, 15.0], 2), rtol=1e-14)
     with xr.open_dataset(tmp_path / "out" / "rig.nc") as data:
         np.testing.assert_allclose(swept["x (mm)"], 0.5 * data["x"].values.ravel(), rtol=1e-14)

@@ -92,6 +92,7 @@ def mark(
     Raises ArgumentError for what is no tuple or list of `Attractor`s, and for other units.
     """
     are_of("mark", Attractor, attractors)
+    sizes = [of_variable(scales_of(one, units), variable).size for one in attractors]
     ax = axes(ax)
     shapes: dict[int, Any] = {}
     ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
@@ -101,7 +102,7 @@ def mark(
         twin = place if one.mirror_of is None else one.mirror_of
         first = min(place, twin)
         shape = shapes.setdefault(first, MARKERS[len(shapes) % len(MARKERS)])
-        up = of_variable(scales_of(one, units), variable).size * one.points[:, "xv".index(variable)]
+        up = sizes[place] * one.points[:, "xv".index(variable)]
         if one.kind == "chaotic":
             look: dict[str, Any] = {
                 "marker": TICKLEFT if place == first else TICKRIGHT,

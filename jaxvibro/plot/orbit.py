@@ -58,6 +58,7 @@ def mark_orbits(
     Raises ArgumentError for what is no tuple or list of `Orbit`s, and for other units.
     """
     are_of("mark_orbits", Orbit, orbits)
+    sizes = [of_variable(scales_of(one, units), variable).size for one in orbits]
     ax = axes(ax)
     shapes: dict[int, Any] = {}
     ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
@@ -66,7 +67,7 @@ def mark_orbits(
         first = min(place, twin)
         new = first not in shapes
         shape = shapes.setdefault(first, MARKERS[len(shapes) % len(MARKERS)])
-        up = of_variable(scales_of(one, units), variable).size * _section(one)["xv".index(variable)]
+        up = sizes[place] * _section(one)["xv".index(variable)]
         look = {"marker": shape, "markerfacecolor": COLOUR if one.stable else "white", "zorder": 6}
         image = " and mirror image" if twin != place else ""
         text = f"{one.label}{image}, {_stability(one)}" if new else None

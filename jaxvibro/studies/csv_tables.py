@@ -4,8 +4,10 @@ import numpy as np
 import pandas as pd
 
 from ..branches.diagram import frame_of
+from ..maps.wall_loads import wall_loads
 from ..output.frames import frame
 from ..output.units import LENGTH, SPEED, unit_of
+from ..scene.state import State
 
 
 def asked_for(file):
@@ -45,6 +47,11 @@ def _sweep(found, units):
         "v": (SPEED, v.ravel()),
         "status": ("", np.repeat(status.ravel(), periods)),
     }
+    borne = wall_loads(found.scene.replace(**{name: values}), State(x, v, swept.attrs["phase"]))
+    for side in borne["wall"].values:
+        for what in ("largest_speed", "largest_force", "work_rate"):
+            one = borne[what].sel(wall=side)
+            columns[f"{side} {what}"] = (one.attrs["units"], one.values.ravel())
     return frame(found.scene, columns, units)
 
 

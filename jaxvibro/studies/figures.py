@@ -31,16 +31,16 @@ ROAMED = 40  # drive periods drawn of a motion that does not recur
 SAMPLES = 400  # of a drive period
 
 
-def picture(found, units):
+def picture(found, units="scene"):
     """The picture of what was `Found`, in "scene" or "physical" units, as a PNG's bytes."""
     figure = _diagram(found, units) if found.across is not None else _portraits(found, units)
     figure.suptitle(_heading(found, units), fontsize="medium")
     return _png(figure)
 
 
-def loci(found, units):
+def loci(found, units="scene"):
     """The picture of the loci that were `Found`, likewise; mirror images on one curve are drawn as one."""
-    asked = found.file.locus
+    asked, scene = found.file.locus, found.there(found.file.followed)
     figure = Figure(figsize=(9.5, 6.5), layout="constrained")
     ax = figure.subplots()
     kept, twins = [], set()
@@ -53,7 +53,7 @@ def loci(found, units):
             twins.add(of_locus(other))
     for pair in coexistences(found.branches, kept):
         plot.region(*pair, ax, units=units)
-    scales = style.scales_of(found.scene, units)
+    scales = style.scales_of(scene, units)
     for which, name in zip("xy", asked.parameters, strict=True):
         axis = style.of_parameter(scales, name)
         limits = [axis.size * bound for bound in asked.bounds[name]]
@@ -64,11 +64,11 @@ def loci(found, units):
     if entries:
         look = {"frameon": False, "fontsize": "small", "handlelength": 4.0}
         figure.legend(*zip(*entries, strict=True), loc="outside right upper", **look)
-    figure.suptitle(_described(found.there(found.file.followed), asked.parameters, units), fontsize="medium")
+    figure.suptitle(_described(scene, asked.parameters, units), fontsize="medium")
     return _png(figure)
 
 
-def margin(found, units):
+def margin(found, units="scene"):
     """The picture of the margin that was `Found`, likewise."""
     figure = Figure(figsize=(7.5, 5.5), layout="constrained")
     plot.margin(found.margin, figure.subplots(), units)
