@@ -23,6 +23,8 @@ from .strobe import strobe
 
 SLOTS, MOST = 32, 1024  # impacts of a lane that are looked at first, and at most
 NODES = 32  # of Gauss and Legendre in a stay within a soft wall
+GRID, NEWTON = 129, 4  # points of a stay from which Newton's steps to the largest force begin, and these
+ROWS = 4096  # stays that are looked at together
 LEAST = 3  # power of two of the stays that are looked at together
 AWAY = np.finfo(float).eps  # of a stay: how far from its ends the mass is looked at
 COLUMNS = {
@@ -81,6 +83,7 @@ def _in_lanes(tree, shape):
 def _of_wall(scene, state, impacts, side):
     """(largest speed, -inf without one, largest force, work) of one wall within a period, each (lanes,)."""
     met = np.asarray(impacts.side) == SIGNS[SIDES.index(side)]
+    met &= (np.asarray(impacts.status) < Status.CAP)[:, None]
     speeds = np.where(met, impacts.speed, -np.inf).max(axis=1)
     if getattr(scene, side).soft:
         return speeds, *_within(scene, state, impacts, met, side)
@@ -118,15 +121,17 @@ def _within(scene, state, impacts, met, side):
     spare = (1 << max(LEAST, (len(lanes) - 1).bit_length())) - len(lanes)
     padded, rows = (np.pad(each, (0, spare), mode="edge") for each in (lanes, rows))
     begin, depth, rate = (each[padded, rows] for each in (begin, depth, rate))
-    here, started = _picked(scene, padded), _picked(state, padded)
-    phase = started.phase + here.frequency * begin
-    end = np.minimum(begin + _durations(here, sign + 0.0 * depth, depth, rate, phase), 2.0 * np.pi / here.frequency)
+    here, phase = _picked(scene, padded), np.asarray(state.phase)[padded]
+    phase = phase + here.frequency * begin
+    last = np.minimum(_durations(here, sign + 0.0 * depth, depth, rate, phase), 2.0 * np.pi / here.frequency - begin)
+    where, pace = _wall(here, phase, side)
+    entered = State(where + sign * depth, pace + sign * rate, phase, np.full(phase.shape, sign * Contact.WITHIN))
     nodes, weights = legendre.leggauss(NODES)
     spread = np.concatenate([[AWAY - 1.0], nodes, [1.0 - AWAY]])
-    one, _ = sample(here, started, begin[:, None] + 0.5 * (end - begin)[:, None] * (1.0 + spread))
+    one, _ = sample(here, entered, 0.5 * last[:, None] * (1.0 + spread))
     where, pace = _wall(here, np.asarray(one.phase), side)
     push, rate = _push(here, sign * (np.asarray(one.x) - where), np.asarray(one.v), pace, side)
-    taken = 0.5 * (end - begin) * ((push * rate)[:, 1:-1] @ weights)
+    taken = 0.5 * last * ((push * rate)[:, 1:-1] @ weights)
     np.maximum.at(force, lanes, _largest(push[: len(lanes)]))
     np.add.at(work, lanes, taken[: len(lanes)])
     return force, work
@@ -166,15 +171,21 @@ def _push(scene, depth, v, pace, side):
 
 
 def _largest(push):
-    """The largest of the polynomial through each row's values at Gauss and Legendre's points, and of its end values."""
+    """The largest of the polynomial through each row's values at Gauss and Legendre's points, and of its end values:
+    the largest on a grid, then Newton's steps to where the slope is zero."""
     nodes, _ = legendre.leggauss(NODES)
-    series = legendre.legfit(nodes, push[:, 1:-1].T, NODES - 1).T
-    found = push.max(axis=1)
-    for row, own in enumerate(series):
-        turns = legendre.legroots(legendre.legder(np.trim_zeros(own, "b"))) if np.any(own[1:]) else np.zeros(0)
-        real = turns.real[(abs(turns.imag) < 1e-9) & (abs(turns.real) < 1.0)]
-        found[row] = max(found[row], *legendre.legval(real, own), -np.inf)
-    return found
+    grid = np.cos(np.linspace(0.0, np.pi, GRID))
+    found = []
+    for rows in np.array_split(push, max(1, len(push) // ROWS)):
+        series = [legendre.legfit(nodes, rows[:, 1:-1].T, NODES - 1)]
+        series += [legendre.legder(series[0], order) for order in (1, 2)]
+        best = grid[np.argmax(legendre.legval(grid, series[0]), axis=1)]
+        for _ in range(NEWTON):
+            slope, bend = (legendre.legval(best, one, tensor=False) for one in series[1:])
+            step = -slope / np.where(bend < 0.0, bend, -np.inf)
+            best = np.clip(best + np.clip(step, -np.pi / GRID, np.pi / GRID), -1.0, 1.0)
+        found.append(np.maximum(rows.max(axis=1), legendre.legval(best, series[0], tensor=False)))
+    return np.concatenate(found)
 
 
 def _dataset(scene, shape, found, status):
