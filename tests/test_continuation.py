@@ -182,7 +182,6 @@ def test_lanes_of_branches_do_not_disturb_each_other():
     assert np.allclose(place.z, true_place.z, rtol=0, atol=1e-12, equal_nan=True)
 
 
-@pytest.mark.slow
 def test_branches_together_are_as_one_by_one():
     a = [1.0, -0.5, 2.5]
     starts = [np.array([-2.0, -8.0 + 2.0 * each]) for each in a]

@@ -163,7 +163,6 @@ def test_periods_of_a_pendulum_and_of_duffing_between_elastic_walls_are_elliptic
                 assert abs(hits.speed[k] - speed) < 1e-12
 
 
-@pytest.mark.slow
 def test_rest_and_release_and_chatter_are_those_of_the_spring():
     """Weakly driven beside a wall on which the mass is pressed for a while."""
     wall = jv.Wall(0.0, 0.4)

@@ -50,7 +50,6 @@ def free(draw):
     return jax.jacfwd(flown)(jnp.array([draw.x, draw.scene.amplitude, draw.scene.right.position]))
 
 
-@pytest.mark.slow
 def test_more_impacts_than_slots_before_a_release():
     (by, *_), (_, impacts) = sloped(MANY, way=jax.jacrev)
     hits = impacts.time[impacts.side != 0]

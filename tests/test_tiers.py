@@ -36,7 +36,6 @@ def test_what_turns_back_near_a_wall_is_given_up():
         assert np.mean(np.asarray(lean(wide, start)[1])) == pytest.approx(given_up, abs=0.05)
 
 
-@pytest.mark.slow
 def test_masses_that_hop_and_rest_end_as_by_full_steps():
     scene, start = chatter(np.random.default_rng(7), MOST)
     found = compared(scene, start)
