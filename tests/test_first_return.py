@@ -43,6 +43,7 @@ def test_impacts_are_those_of_the_strobe_forward_and_backward(scene):
     assert len(Motion(scene, PHASE).onward(Impact(*there[0]), there[9, 1] + 1e-6, 20)) == 9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES)
 def test_clearance_is_that_of_the_strobe_and_below_zero_where_an_impact_was_passed_over(scene):
     nodes, clearance = motion(scene)

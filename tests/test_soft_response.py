@@ -113,6 +113,7 @@ def test_a_fold_along_the_hardness_moves_with_the_frequency(branches):
     assert float(jv.sensitivity(point, ("frequency",))[0]) == pytest.approx(1.0 / slope, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_grazing_moves_as_the_closed_form(free):
     (graze,) = free.points("GR")
     step = 1e-6
