@@ -138,13 +138,6 @@ branch = jv.follow(resting, "amplitude", (1.3, 1.45))
 (complete,) = branch.points("CH")
 print(branch.table())
 
-figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
-times = np.linspace(0.0, 2.0 * np.pi / 0.5, 4000)
-states, _ = jv.sample(resting.scene, resting.state, times)
-left.plot(times, states.x, color=BLUE)
-left.axhline(0.5, color=BLACK, linewidth=1)
-left.set(xlabel="t", ylabel="x", title=f"{resting.label} at amplitude 1.42")
-
 # %% [markdown]
 # The grazings come nearer to the CH by one factor a hop, which depends on R alone. With q the root of
 # (1 + q) (3 q - 1)^2 = 8 R q between 1/3 and 1 it is mu = (1 + q)^2 / (2 q^2 (3 q - 1)) (Nordmark and Piiroinen, 2009).
@@ -155,6 +148,12 @@ roots = np.roots(np.polyadd(np.polymul([1.0, 1.0], [9.0, -6.0, 1.0]), [-8.0 * 0.
 mu = (1.0 + q) ** 2 / (2.0 * q**2 * (3.0 * q - 1.0))
 hops = np.sort([one.value for one in branch.points("GR")])
 left_over = complete.value - hops
+figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2), layout="constrained")
+times = np.linspace(0.0, 2.0 * np.pi / 0.5, 4000)
+states, _ = jv.sample(resting.scene, resting.state, times)
+left.plot(times, states.x, color=BLUE)
+left.axhline(0.5, color=BLACK, linewidth=1)
+left.set(xlabel="t", ylabel="x", title=f"{resting.label} at amplitude 1.42")
 right.semilogy(left_over, "o", color=RED, label="grazings, followed")
 right.semilogy(left_over[-1] * mu ** np.arange(len(hops))[::-1], color=GREY, label=f"a factor of {mu:.5f} a hop")
 right.set(xlabel="number of the grazing", ylabel="amplitude left to the complete chatter")

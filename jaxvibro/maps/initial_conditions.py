@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from ..flight.wall_positions import places
-from ..output.units import LENGTH, SPEED, unit_in
+from ..output.units import LENGTH, SPEED, range_text
 from ..scene.state import State
 
 LEAST_DIVISOR = 1e-3  # of A, sqrt(D): at resonance without damping there is no steady motion
@@ -57,10 +57,8 @@ def random_starts(scene, count, seed):
     return State(np.clip(x, left, right).astype(scene.dtype), v.astype(scene.dtype), zero, zero)
 
 
-def box_text(scene, units="scene"):
-    """The box of starts of a single scene for reading."""
+def box_text(scene, scales=None):
+    """The box of starts of a single scene for reading, with `Scales` in physical units."""
     left, right, fast = (float(edge) for edge in box(scene))
-    (long, length), (pace, speed) = (unit_in(scene, unit, units) for unit in (LENGTH, SPEED))
-    after = "{} {}" if units == "physical" else "{}"
-    x = f"x from {length * left:.4g} to " + after.format(f"{length * right:.4g}", long)
-    return f"{x}, v from {-speed * fast:.4g} to " + after.format(f"{speed * fast:.4g}", pace)
+    x, v = range_text(scales, LENGTH, left, right), range_text(scales, SPEED, -fast, fast)
+    return f"x {x}, v {v}"

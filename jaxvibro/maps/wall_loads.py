@@ -87,16 +87,20 @@ def _of_wall(scene, state, impacts, side):
     speeds = np.where(met, impacts.speed, -np.inf).max(axis=1)
     if getattr(scene, side).soft:
         return speeds, *_within(scene, state, impacts, met, side)
-    return speeds, np.full(len(met), np.nan), _taken(scene, impacts, met, side)
+    return speeds, np.full(len(met), np.nan), _at_impacts(scene, impacts, met, side)
 
 
-def _taken(scene, impacts, met, side):
+def _at_impacts(scene, impacts, met, side):
     """The energy that the impacts on a rigid wall take. The slowest before a rest is taken for the last."""
     speeds, rebound = np.asarray(impacts.speed), np.asarray(scene.bounce(side))[:, None]
     rests = np.asarray(impacts.least_speed) == 0.0
     slowest = np.argmin(np.where(impacts.side != 0, speeds, np.inf), axis=1)[:, None] == np.arange(speeds.shape[1])
-    lost = np.where(slowest & rests[:, None], 1.0, 1.0 - rebound**2)
-    return 0.5 * np.where(met, lost * speeds**2, 0.0).sum(axis=1)
+    return np.where(met, taken(speeds, rebound, slowest & rests[:, None]), 0.0).sum(axis=1)
+
+
+def taken(speed, restitution, last):
+    """The energy that an impact takes in the wall's frame; last: before a rest, whose hops take what is left."""
+    return 0.5 * np.where(last, 1.0, 1.0 - restitution**2) * speed**2
 
 
 def _within(scene, state, impacts, met, side):
@@ -123,7 +127,8 @@ def _within(scene, state, impacts, met, side):
     begin, depth, rate = (each[padded, rows] for each in (begin, depth, rate))
     here, phase = _picked(scene, padded), np.asarray(state.phase)[padded]
     phase = phase + here.frequency * begin
-    last = np.minimum(_durations(here, sign + 0.0 * depth, depth, rate, phase), 2.0 * np.pi / here.frequency - begin)
+    left = 2.0 * np.pi / here.frequency - begin
+    last = np.asarray(_durations(here, sign + 0.0 * depth, depth, rate, phase, left))
     where, pace = _wall(here, phase, side)
     entered = State(where + sign * depth, pace + sign * rate, phase, np.full(phase.shape, sign * Contact.WITHIN))
     nodes, weights = legendre.leggauss(NODES)
@@ -131,9 +136,9 @@ def _within(scene, state, impacts, met, side):
     one, _ = sample(here, entered, 0.5 * last[:, None] * (1.0 + spread))
     where, pace = _wall(here, np.asarray(one.phase), side)
     push, rate = _push(here, sign * (np.asarray(one.x) - where), np.asarray(one.v), pace, side)
-    taken = 0.5 * last * ((push * rate)[:, 1:-1] @ weights)
+    gained = 0.5 * last * ((push * rate)[:, 1:-1] @ weights)
     np.maximum.at(force, lanes, _largest(push[: len(lanes)]))
-    np.add.at(work, lanes, taken[: len(lanes)])
+    np.add.at(work, lanes, gained[: len(lanes)])
     return force, work
 
 
@@ -148,11 +153,10 @@ def _wall(scene, phase, side):
 
 
 @persistent_jit(compiler_options=SOON)
-def _durations(scene, sign, depth, rate, phase):
-    """How long stays last that begin so deep within the wall on a side, going so fast into it."""
+def _durations(scene, sign, depth, rate, phase, longest):
+    """How long stays last that begin so deep within the wall on a side, going so fast into it; at most the longest."""
     frame = framed(scene)
     touch = sign * jnp.where(depth > 0, 1.0 * Contact.WITHIN, 1.0 * Contact.ENTERED)
-    longest = jnp.broadcast_to(MOST * frame.period, rate.shape)
     return duration(frame, touch, sign * depth, sign * rate, jnp.cos(phase), jnp.sin(phase), longest)
 
 

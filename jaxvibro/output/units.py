@@ -76,6 +76,22 @@ def told(unit: str, scales: Scales | None) -> tuple[str, float]:
     return PHYSICAL[unit].text, PHYSICAL[unit].size(scales)
 
 
+def amount_text(scales, unit, value):
+    """A number of a scene as "4.65", or with `Scales` as "12 N"."""
+    text, size = told(unit, scales)
+    return f"{size * value:g}" + _after(scales, text)
+
+
+def range_text(scales, unit, low, high):
+    """Two numbers of a scene as "from -1 to 1", or with `Scales` as "from -0.5 to 0.5 mm"."""
+    text, size = told(unit, scales)
+    return f"from {size * low:.4g} to {size * high:.4g}" + _after(scales, text)
+
+
+def _after(scales, text):
+    return "" if scales is None or text in ("", ONE) else f" {text}"
+
+
 def require_system(units):
     """The units asked for, "scene" or "physical". Raises ArgumentError for others."""
     if not isinstance(units, str) or units not in SYSTEMS:

@@ -8,7 +8,7 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 
-from ..output.units import LENGTH, ONE, SPEED, TIME, require_system, scales_from, told, unit_of
+from ..output.units import LENGTH, SPEED, TIME, amount_text, require_system, scales_from, told, unit_of
 from ..scene.check import ArgumentError
 from ..scene.scales import require_scales
 
@@ -67,12 +67,6 @@ def value_text(scales, name, value):
     """A scene's parameter as "A = 4.65", or with `Scales` as "F = 12 N"; its name where it has no symbol."""
     symbol = (SYMBOLS if scales is None else _PHYSICAL_SYMBOLS).get(name, plain(name))
     return f"{symbol} = {amount_text(scales, unit_of(name), value)}"
-
-
-def amount_text(scales, unit, value):
-    """A number of a scene as "4.65", or with `Scales` as "12 N"."""
-    unit, size = told(unit, scales)
-    return f"{size * value:g}" + ("" if scales is None or unit in ("", ONE) else f" {unit}")
 
 
 class Axis(NamedTuple):

@@ -7,6 +7,7 @@ are in the unit K length^2, work rates in K length^2 w0.
 
 import numpy as np
 
+from ..maps.wall_loads import taken
 from ..scene.codes import Contact
 
 SIGNS = {"left": -1, "right": 1}
@@ -26,8 +27,7 @@ def work_rate(sides, speeds, restitutions, span):
     for side, sign in SIGNS.items():
         if side in restitutions:
             rebound = np.where(np.sign(sides) == sign, restitutions[side][:, None], rebound)
-    lost = np.where(_last(sides), 0.5, 0.5 * (1.0 - rebound**2)) * speeds**2
-    return np.where(_hits(sides), lost, 0.0).sum(axis=1) / span
+    return np.where(_hits(sides), taken(speeds, rebound, _last(sides)), 0.0).sum(axis=1) / span
 
 
 def _hits(sides):

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 
 from ..branches.diagram import frame_of
-from ..maps.wall_loads import wall_loads
+from ..maps.wall_loads import COLUMNS, wall_loads
 from ..output.frames import frame
 from ..output.units import LENGTH, SPEED, unit_of
 from ..scene.state import State
@@ -49,7 +49,7 @@ def _sweep(found, units):
     }
     borne = wall_loads(found.scene.replace(**{name: values}), State(x, v, swept.attrs["phase"]))
     for side in borne["wall"].values:
-        for what in ("largest_speed", "largest_force", "work_rate"):
+        for what in COLUMNS:
             one = borne[what].sel(wall=side)
             columns[f"{side} {what}"] = (one.attrs["units"], one.values.ravel())
     return frame(found.scene, columns, units)

@@ -14,7 +14,7 @@ from ..loci.bistability import coexistences
 from ..loci.loci import image
 from ..maps.initial_conditions import box_text
 from ..maps.simulate import simulate
-from ..output.units import FORCE, LENGTH
+from ..output.units import FORCE, LENGTH, amount_text
 from ..plot import style
 from ..plot.locus import name as of_locus
 from ..plot.orbit import title
@@ -189,7 +189,8 @@ def _heading(found, units):
     told = f"{_described(_shared(found), [found.across], units)};  states at phase 0 of the drive"
     if found.attractors is None:
         return told
-    return f"{told}\nstarts at phase 0: {box_text(found.there(found.file.attractors), units)}"
+    there = found.there(found.file.attractors)
+    return f"{told}\nstarts at phase 0: {box_text(there, style.scales_of(there, units))}"
 
 
 def _described(scene, without, units):
@@ -215,7 +216,7 @@ def _term(k, term, without, scales):
     """A further term of the drive, but for some parameters."""
     told = "drive "
     if f"drive.{k}.amplitude" not in without:
-        told += style.amount_text(scales, FORCE, float(term.amplitude)) + " "
+        told += amount_text(scales, FORCE, float(term.amplitude)) + " "
     turned = f" + {float(term.phase):g}" if f"drive.{k}.phase" not in without and float(term.phase) else ""
     return told + rf"$\cos({term.harmonic}\omega t{turned})$"
 
@@ -223,7 +224,7 @@ def _term(k, term, without, scales):
 def _wall(side, wall, without, scales):
     told = f"{side} wall"
     if f"{side}.position" not in without:
-        told += f" at {style.amount_text(scales, LENGTH, float(wall.position))}"
+        told += f" at {amount_text(scales, LENGTH, float(wall.position))}"
     if wall.restitution is not None and f"{side}.restitution" not in without:
         told += f" with $R$ = {float(wall.restitution):g}"
     return told if wall.motion is None else told + ", moving"
