@@ -8,13 +8,14 @@ from .attractors.spectrum import spectrum as spectrum
 from .attractors.sweep import sweep as sweep
 from .branches.branch import Branch as Branch
 from .branches.branch_file import load_branch as load_branch
+from .branches.branch_file import load_held_branch as load_held_branch
 from .branches.diagram import Diagram as Diagram
 from .branches.diagram import load_diagram as load_diagram
 from .branches.diagram_family import diagrams as diagrams
 from .branches.explore import explore as explore
 from .branches.follow import follow as follow
 from .branches.follow import follow_all as follow_all
-from .branches.hold import HeldBranch as HeldBranch
+from .branches.held_branch import HeldBranch as HeldBranch
 from .branches.isolas import find_isolas as find_isolas
 from .branches.peaks import peak as peak
 from .branches.peaks import peaks as peaks
@@ -52,6 +53,7 @@ from .design.sensitivity import sensitivity as sensitivity
 from .loci.family import family as family
 from .loci.locus import Locus as Locus
 from .loci.locus import locus as locus
+from .loci.locus_file import load_locus as load_locus
 from .loci.switch import switch as switch
 from .maps.monodromy import monodromy as monodromy
 from .maps.return_map import Return as Return

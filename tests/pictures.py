@@ -145,6 +145,7 @@ def loci():
     for one in both:
         plot.locus(one, ax)
     plot.region(*both, "P100 and P111", ax)
+    plot.held(jv.follow(jv.find_orbit(tube(), LANDING), tuple(BOUNDS), BOUNDS, hold={"least_speed": 2.8}), ax)
     return ax.legend(fontsize="x-small")
 
 

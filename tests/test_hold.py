@@ -34,7 +34,7 @@ def test_a_peak_between_soft_walls_is_held():
 
 
 @pytest.mark.slow
-def test_a_slowest_impact_is_held():
+def test_a_slowest_impact_is_held(tmp_path):
     orbit = jv.find_orbit(jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.3)), jv.State(0.9, -1.1))
     bounds = {"amplitude": (0.5, 4.0), "right.position": (1.2, 1.5)}
     held = jv.follow(orbit, ("amplitude", "right.position"), bounds, hold={"least_speed": 1.5})
@@ -42,6 +42,9 @@ def test_a_slowest_impact_is_held():
     assert set(held.values[[0, -1], 1]) <= {1.2, 1.5} and "right.position reached" in held.reason["last"]
     assert max(found_alone(held, [0, len(held) // 2, -1])) < 1e-10
     assert "least_speed 1.5 along amplitude and right.position" in repr(held)
+    assert np.array_equal(held.to_frame()["least_speed"], np.full(len(held), 1.5)) and held.label == "P111"
+    held.save(tmp_path / "held.nc")
+    assert jv.load_held_branch(tmp_path / "held.nc").data.identical(held.data)
     for change, key in (
         ({"hold": {"speed": 1.0}}, "hold"),
         ({"hold": {"peak": np.nan}}, "hold"),

@@ -4,12 +4,16 @@ import json
 import warnings
 from dataclasses import replace
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 import xarray as xr
 
 import jaxvibro as jv
+from jaxvibro import plot
 from jaxvibro.branches import diagram as diagrams
+from jaxvibro.loci.locus import codim2_of
+from jaxvibro.loci.locus_file import DIMS
 from jaxvibro.output.checksums import FORMAT, MARKS, netcdf, sealed
 
 MARKED = set(MARKS)
@@ -28,16 +32,40 @@ def diagram(branch):
     return jv.Diagram("amplitude", (1.5, 4.0), branch.scene, (branch, branch), ((0, 1),), True, "all done", settings)
 
 
+PLANE = {"frequency": (1.5, 3.0), "amplitude": (1.5, 4.0)}
+
+
 @pytest.fixture(scope="module")
-def files(branch, diagram, tmp_path_factory):
+def held(branch):
+    """The rows of a branch as those of a curve along two parameters."""
+    data = branch.data.assign(frequency=("point", np.linspace(2.0, 2.2, len(branch))))
+    data.attrs = {}
+    return jv.HeldBranch(tuple(PLANE), "least_speed", 1.25, PLANE, branch.scene, data, ("the start", "the end"))
+
+
+@pytest.fixture(scope="module")
+def locus(held):
+    """The same rows as those of a locus, with a cusp in the middle."""
+    data = held.data[["frequency", "amplitude", *DIMS]].assign_attrs(periods=1)
+    marks = (0, "EP"), (9, "CP"), (len(held) - 1, "EP")
+    special = tuple(codim2_of(held.scene, "SN", PLANE, data, place, kind, 1e-16) for place, kind in marks)
+    return jv.Locus("SN", tuple(PLANE), PLANE, held.scene, data, special, held.reasons)
+
+
+@pytest.fixture(scope="module")
+def files(branch, diagram, held, locus, tmp_path_factory):
     """{kind: (file, how it is read)} of every kind of file that is read again."""
     out = tmp_path_factory.mktemp("saved")
     branch.save(out / "branch.nc")
+    held.save(out / "held.nc")
+    locus.save(out / "locus.nc")
     diagram.save(out / "diagram")
     one = min((out / "diagram").glob("*.nc"))
     (out / "data.nc").write_bytes(netcdf(branch.data.assign(word=("point", ["a", "bb"] * (len(branch) // 2)))))
     return {
         "branch": (out / "branch.nc", jv.load_branch),
+        "held": (out / "held.nc", jv.load_held_branch),
+        "locus": (out / "locus.nc", jv.load_locus),
         "data": (out / "data.nc", jv.load_data),
         "index": (out / "diagram" / "diagram.json", lambda path: jv.load_diagram(path.parent)),
         "of a diagram": (one, lambda path: jv.load_diagram(path.parent)),
@@ -59,7 +87,7 @@ def refused(path, read, content):
 
 
 def kinds(test):
-    return pytest.mark.parametrize("kind", ["branch", "data", "index", "of a diagram"])(test)
+    return pytest.mark.parametrize("kind", ["branch", "held", "locus", "data", "index", "of a diagram"])(test)
 
 
 @kinds
@@ -132,6 +160,79 @@ def test_damage_to_a_file_of_before_is_no_crash(files, tmp_path):
                 jv.load_branch(path)
             except jv.ArgumentError as error:
                 assert "\n" not in str(error) and len(str(error)) <= 300
+
+
+def test_curves_in_two_parameters_are_read_as_they_were(held, locus, files):
+    for one, kind in ((held, "held"), (locus, "locus")):
+        path, read = files[kind]
+        found = read(path)
+        assert found.data.identical(one.data) and repr(found) == repr(one) and found.table() == one.table()
+        assert (found.names, found.bounds, found.reasons) == (one.names, one.bounds, one.reasons)
+        assert found.to_frame().equals(one.to_frame()) and found.orbit(3).label == one.orbit(3).label == "P111"
+        with pytest.raises(FileExistsError):
+            one.save(path)
+    assert [each.values for each in found.special] == [each.values for each in locus.special]
+
+
+PLANES = [
+    *({"bounds": each} for each in ("{}", '{"amplitude": [0, 1]}', '{"amplitude": [1, 0], "frequency": [1, 2]}')),
+    *({"scene": each} for each in ("", "amplitude = 1", 3.0)),
+    {"bounds": '{"amplitude": [0, 1], "mass": [1, 2]}'},
+    {"reasons": "[1, 2]"},
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "attrs"),
+    [
+        *((kind, attrs) for kind in ("held", "locus") for attrs in PLANES),
+        *(("held", attrs) for attrs in ({"held": "speed"}, {"value": np.nan})),
+        *(("locus", {"special": each}) for each in ("[]", '[["CP", 1000000, 0.0]]', '[["", 1, 0.0]]')),
+        *(("locus", attrs) for attrs in ({"kind": "EP"}, {"periods": 0})),
+    ],
+)
+def test_fields_that_no_curve_has_are_refused(files, kind, attrs):
+    path, read = files[kind]
+    data = xr.load_dataset(path, engine="scipy")
+    data.attrs = {key: each for key, each in data.attrs.items() if key not in MARKED} | attrs
+    refused(path, read, netcdf(data))
+
+
+def test_rows_that_no_curve_has_are_refused(files):
+    for kind in ("held", "locus"):
+        path, read = files[kind]
+        data = xr.load_dataset(path, engine="scipy")
+        for change in (
+            data.drop_vars("side"),
+            data.isel(point=slice(0, 0)),
+            data.assign(amplitude=data.residual * np.inf),
+        ):
+            refused(path, read, netcdf(change))
+
+
+def test_what_is_held_is_told_and_drawn(branch, held):
+    lines = held.table().splitlines()
+    assert lines[0] == "least_speed held at 1.25" and lines[-2:] == ["first point: the start", "last point: the end"]
+    spans = [tuple(map(int, (line.split()[0], line.split()[2]))) for line in lines[2:-2]]
+    words = branch.to_frame()["stability"].values
+    assert [len(set(words[first : last + 1])) for first, last in spans] == [1] * len(spans)
+    assert spans[0][0] == 0 and spans[-1][1] == len(held) - 1 and len(spans) > 1
+    table = held.to_frame()
+    assert list(table.columns[:3]) == ["frequency", "amplitude", "least_speed"] and (table["least_speed"] == 1.25).all()
+    ax = plot.held(held)
+    drawn = [line for line in ax.lines if (line.get_gid() or "").startswith("held") and len(line.get_xdata())]
+    assert {line.get_linestyle() for line in drawn} == {"-", "--"}
+    ends = [(line.get_xdata()[0], line.get_ydata()[-1]) for line in (drawn[0], drawn[-1])]
+    assert ends[0][0] == held.values[0, 0] and ends[1][1] == held.values[-1, 1]
+    assert plot.held(held, ax) is ax and len(ax.get_legend().get_texts()) == 3
+    plt.close(ax.figure)
+    turned = replace(held, names=held.names[::-1])
+    with pytest.raises(jv.ArgumentError, match="must be in the plane of what these Axes hold already"):
+        plot.held(turned, ax)
+    with pytest.raises(jv.ArgumentError, match=r"plot\.held: must be given a HeldBranch"):
+        plot.held(branch)
+    with pytest.raises(jv.ArgumentError, match="units: must have scales"):
+        held.table("physical")
 
 
 DEEP = 5000 * "[" + 5000 * "]"

@@ -3,7 +3,6 @@
 import json
 from dataclasses import dataclass, field
 from functools import cached_property
-from os import PathLike
 from typing import Any
 
 import jax
@@ -16,13 +15,12 @@ from jaxtyping import Bool, Complex, Float
 
 from .. import __version__
 from ..orbits.orbit import Orbit
-from ..output.atomic_write import whole
 from ..output.checksums import netcdf
-from ..output.frames import frame, kinds_at, of_least, of_multipliers
+from ..output.frames import frame, kinds_at
 from ..output.labels import name_in
 from ..output.table_text import columns, headed, pair
-from ..output.units import LENGTH, POWER, SPEED, unit_in, unit_of
-from ..problem import loads, stability
+from ..output.units import unit_in, unit_of
+from ..problem import stability
 from ..problem.end import End, scaled
 from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary, label_of
 from ..problem.orbit_rows import OrbitRows, SpecialOrbit, row_of, spot_of
@@ -31,6 +29,7 @@ from ..scene.scene_table import table_of
 from . import normal_form as forms
 from .curves import Curves, curves
 from .normal_form import NormalForm
+from .orbit_columns import orbit_columns
 
 NUMBERS = ("first_step", "largest_step", "tolerance")  # of the settings
 
@@ -144,15 +143,6 @@ class Branch(OrbitRows[Special]):
         spot = spot_of(row_of(self.data, place), self.name)
         return scene_at(self.scene, self.name, spot.value), spot
 
-    def save(self, path: str | PathLike[str], force: bool = False) -> None:
-        """Write the branch to a NetCDF file, from which `load_branch` reads the same numbers.
-
-        Raises FileExistsError where the file is there already, unless force is given; OSError where it cannot be
-        written.
-        """
-        with whole(path, force) as file:
-            file.write(self.content)
-
     @property
     def content(self) -> bytes:
         """The bytes of the file that `save` writes."""
@@ -204,27 +194,9 @@ class Branch(OrbitRows[Special]):
         units: "scene", or "physical" (Hz, N, mm, m/s, W) of a scene that has scales, the columns' names then telling
         them. Raises ArgumentError for other units, and where the scene has no scales.
         """
-        data, scene = self.data, self.scene
-        sides, speeds = data["side"].values, data["speed"].values
-        names = [one.label for one in self.segments]
-        least = of_least(data)
-        return frame(
-            scene,
-            {
-                "kind": ("", kinds_at(self.special, len(self))),
-                self.name: (unit_of(self.name), self.values),
-                "label": ("", np.repeat(names, [one.last - one.first + 1 for one in self.segments])),
-                "stability": ("", stability.words(self.multipliers)),
-                "x": (LENGTH, data["x"].values[:, 0]),
-                "v": (SPEED, data["v"].values[:, 0]),
-                "least_speed": least["least_speed"],
-                "largest_speed": (SPEED, loads.largest_speed(sides, speeds)),
-                "least_clearance": least["least_clearance"],
-                "work_rate": (POWER, loads.work_rate(sides, speeds, *self._rebounds_and_spans())),
-                **of_multipliers(self.multipliers),
-            },
-            units,
-        )
+        labels = np.repeat([one.label for one in self.segments], [one.last - one.first + 1 for one in self.segments])
+        columns = orbit_columns(self.scene, {self.name: self.values}, self.data, labels, self.multipliers)
+        return frame(self.scene, {"kind": ("", kinds_at(self.special, len(self))), **columns}, units)
 
     def curves(self, variable: str = "x") -> Curves:
         """The `Curves` of one variable, ready to plot: stable and unstable pieces, and the special points.
@@ -236,16 +208,6 @@ class Branch(OrbitRows[Special]):
         Raises ArgumentError for other variables.
         """
         return curves(self, variable)
-
-    def _rebounds_and_spans(self):
-        """({side: R at each point, nan of a soft wall}, how long each orbit lasts)."""
-        scenes = changed(self.scene, {self.name: self.values})
-        rebounds = {
-            side: np.broadcast_to(np.nan if wall.soft else scenes.parameter(f"{side}.restitution"), len(self))
-            for side, wall in scenes.walls.items()
-        }
-        periods = np.isfinite(self.data["x"].values).sum(axis=1)
-        return rebounds, 2.0 * np.pi * periods / np.broadcast_to(scenes.frequency, len(self))
 
 
 def _plain(spot):

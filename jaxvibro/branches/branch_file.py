@@ -1,12 +1,12 @@
-"""The file of a branch, read: every field is held against what `Branch.save` writes."""
+"""The file of a branch, read: every field is held against what its `save` writes."""
 
-import json
 from os import PathLike
 
 import msgspec
 import numpy as np
 
-from ..output.checksums import dataset_of, opened
+from ..output.checksums import opened
+from ..output.saved_fields import field, record_of, require_bounds, require_columns, require_fit
 from ..output.units import scales_in
 from ..problem.end import End, read
 from ..problem.orbit_on_branch import OrbitPoint
@@ -14,14 +14,14 @@ from ..problem.orbit_rows import row_of
 from ..scene import check
 from ..scene.scene_table import SceneTable
 from .branch import NUMBERS, Branch, Segment, special_of
+from .held_branch import UNITS, HeldBranch
 from .normal_form import of_plain
 
 AT_POINTS = ("stable", "least_speed", "least_clearance", "residual", "value_slope", "segment")
-COLUMNS = {
-    "impact": ("time", "speed", "side", "time_slope", "speed_slope"),
-    "period": ("x", "v"),
-    "multiplier": ("multiplier_real", "multiplier_imag"),
-}
+DIMS: dict[str, tuple[str, ...]] = dict.fromkeys(AT_POINTS, ("point",))
+DIMS |= dict.fromkeys(("time", "speed", "side", "time_slope", "speed_slope"), ("point", "impact"))
+DIMS |= dict.fromkeys(("x", "v"), ("point", "period"))
+DIMS |= dict.fromkeys(("multiplier_real", "multiplier_imag"), ("point", "multiplier"))
 FINITE = ("x", "v", "residual", "value_slope")
 CODES = {1, 2, 3}  # of an impact, and of releases, times the wall's sign
 Itinerary = tuple[str, ...]
@@ -40,71 +40,80 @@ def load_branch(path: str | PathLike[str]) -> Branch:
     return opened(path, branch_of)
 
 
+@check.host("use what was loaded before")
+def load_held_branch(path: str | PathLike[str]) -> HeldBranch:
+    """The `HeldBranch` of a file that `HeldBranch.save` wrote.
+
+    Raises ArgumentError where the file is damaged or no such branch, OSError where it cannot be read.
+    """
+    return opened(path, lambda content, path: record_of(content, path, "HeldBranch", _held))
+
+
 def branch_of(content, path):
     """The `Branch` of a file's bytes. Raises ArgumentError."""
-    data = dataset_of(content, path)
-    try:
-        return _branch(data)
-    except (LookupError, ValueError, TypeError, ArithmeticError, RecursionError) as error:
-        reason = f"{type(error).__name__}: {error}"
-        raise check.ArgumentError("path", f"must be a file of Branch.save ({check.short(reason)})", str(path)) from None
+    return record_of(content, path, "Branch", _branch)
 
 
 def _branch(data):
     """The `Branch` of a file's data. Raises an error of one kind or another where its fields are no branch's."""
     attrs = data.attrs
     name, bounds = str(attrs["parameter"]), tuple(float(each) for each in attrs["bounds"])
-    _fits("bounds", len(bounds) == 2 and np.isfinite(bounds).all() and bounds[0] < bounds[1])
-    scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
-    check.require_known(name, scene.names, name)
+    require_bounds(bounds)
+    scene = _scene(attrs, name)
     _check_columns(data, name)
     last = data.sizes["point"] - 1
-    segments = tuple(Segment(*one) for one in _field(attrs, "segments", list[tuple[int, int, str, Itinerary]]))
+    segments = tuple(Segment(*one) for one in field(attrs, "segments", list[tuple[int, int, str, Itinerary]]))
     ends = [-1, *(one.last for one in segments)]
-    _fits("segments", ends[-1] == last and all(one.first == end + 1 for one, end in zip(segments, ends, strict=False)))
-    special, told = [], _field(attrs, "special", list[Point])
-    known = _field(attrs, "normal_forms", list[Form | None]) if "normal_forms" in attrs else [None] * len(told)
+    closed = all(one.first == end + 1 for one, end in zip(segments, ends, strict=False))
+    require_fit("segments", ends[-1] == last and closed)
+    special, told = [], field(attrs, "special", list[Point])
+    known = field(attrs, "normal_forms", list[Form | None]) if "normal_forms" in attrs else [None] * len(told)
     for (kind, place, residual, joins, aside), form in zip(told, known, strict=True):
-        _fits("special", kind and 0 <= place <= last)
+        require_fit("special", kind and 0 <= place <= last)
         more = [_spot(one) for one in joins], aside, of_plain(form)
         special.append(special_of(scene, name, bounds, place, row_of(data, place), kind, residual, *more))
-    reasons, settings = _field(attrs, "reasons", tuple[str, str]), _field(attrs, "settings", dict[str, float])
-    _fits("settings", set(settings) == set(NUMBERS) and all(0 < each < np.inf for each in settings.values()))
+    reasons, settings = field(attrs, "reasons", tuple[str, str]), field(attrs, "settings", dict[str, float])
+    steps = all(0 < each < np.inf for each in settings.values())
+    require_fit("settings", set(settings) == set(NUMBERS) and steps)
     settings |= {"monitors": {}, "stop": ()}
-    known = _field(attrs, "ends", tuple[str, str]) if "ends" in attrs else None  # files of before have texts alone
+    known = field(attrs, "ends", tuple[str, str]) if "ends" in attrs else None  # files of before have texts alone
     ends = tuple(map(read, reasons)) if known is None else tuple(End[each] for each in known)
     data.attrs = {"parameter": name, **scales_in(scene)}
     return Branch(name, bounds, scene, data, segments, tuple(special), reasons, settings, ends)
 
 
-def _field(attrs, key, kind):
-    """A field that is JSON, of a kind that msgspec tells."""
-    return msgspec.convert(json.loads(attrs[key]), kind)
+def _held(data):
+    """The `HeldBranch` of a file's data, likewise."""
+    attrs = data.attrs
+    bounds = field(attrs, "bounds", dict[str, tuple[float, float]])
+    names, held, value = tuple(bounds), str(attrs["held"]), float(attrs["value"])
+    require_fit("parameters", len(names) == 2)
+    require_fit("held", held in UNITS and np.isfinite(value))
+    for each in bounds.values():
+        require_bounds(each)
+    scene = _scene(attrs, *names)
+    _check_columns(data, *names)
+    reasons = field(attrs, "reasons", tuple[str, str])
+    data.attrs = scales_in(scene)
+    return HeldBranch(names, held, value, bounds, scene, data, reasons)
 
 
-def _fits(field, holds):
-    if not holds:
-        raise ValueError(f"its {field} cannot be")
+def _scene(attrs, *names):
+    """The scene in a file, which has parameters of these names."""
+    scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
+    for name in names:
+        check.require_known(name, scene.names, name)
+    return scene
 
 
-def _check_columns(data, name):
-    """Refuse data without the columns of a branch, and numbers that no orbit has."""
-    wanted = dict.fromkeys((name, *AT_POINTS), ("point",))
-    wanted |= {key: ("point", dim) for dim, keys in COLUMNS.items() for key in keys}
-    for key, dims in wanted.items():
-        _fits(key, data[key].dims == dims and data[key].dtype.kind in "fi")
-    _fits("sizes", data.sizes["point"] > 0 and data.sizes["period"] > 0 and data.sizes["multiplier"] == 2)
-    sides = data["side"].values
-    hit = sides != 0
-    _fits("side", np.isin(abs(sides), (0, *CODES)).all())
-    for key in (name, *FINITE):
-        _fits(key, np.isfinite(data[key].values).all())
-    for key in ("time", "speed"):
-        _fits(key, np.isfinite(data[key].values[hit]).all())
-    _fits("stable", np.isin(data["stable"].values, (0, 1)).all())
+def _check_columns(data, *names):
+    require_columns(data, dict.fromkeys(names, ("point",)) | DIMS, (*names, *FINITE), CODES)
+    require_fit("sizes", data.sizes["period"] > 0)
+    require_fit("stable", np.isin(data["stable"].values, (0, 1)).all())
 
 
 def _spot(join):
     value, times, speeds, sides, periods, *rest = join
-    _fits("joins", len(times) == len(speeds) == len(sides) and set(map(abs, sides)) <= CODES and periods > 0)
+    fits = len(times) == len(speeds) == len(sides) and set(map(abs, sides)) <= CODES and periods > 0
+    require_fit("joins", fits)
     return OrbitPoint(value, *(np.array(each, float) for each in (times, speeds, sides)), periods, *rest)

@@ -1,12 +1,12 @@
 """A branch as the lines of a picture: which parts are stable, and where a line breaks though the branch goes on."""
 
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from ..flight.wall_positions import places
+from ..output.runs import runs
 from ..problem.loads import largest_speed
 from ..scene import check
 from ..scene.scene import SIDES
@@ -49,7 +49,7 @@ def curves(branch, variable):
     columns = _columns_of(branch, variable)
     values, rows, stable = _lines(branch, variable, columns)
     pieces = tuple(
-        Piece(values[first : last + 1], rows[first : last + 1], bool(stable[first])) for first, last in _runs(stable)
+        Piece(values[first : last + 1], rows[first : last + 1], bool(stable[first])) for first, last in runs(stable)
     )
     kinds = dict.fromkeys(one.kind for one in branch.special if one.kind != "EP")
     found = {kind: branch.points(kind) for kind in kinds}
@@ -58,12 +58,6 @@ def curves(branch, variable):
         for kind, some in found.items()
     }
     return Curves(pieces, points)
-
-
-def _runs(flags):
-    """(first, one past the last) of each run of equal flags."""
-    edges = [0, *(np.flatnonzero(np.diff(flags)) + 1).tolist(), len(flags)]
-    return [(first, last) for first, last in pairwise(edges) if last > first]
 
 
 def _lines(branch, variable, columns):

@@ -22,7 +22,7 @@ from ..scene.scale import scene_length
 from . import hold as holding
 from .assemble import assemble
 from .branch import Branch
-from .hold import HeldBranch
+from .held_branch import HeldBranch
 from .segment import BranchSettings
 from .through_grazings import go_on
 from .user_monitors import MonitoredPoint

@@ -1,10 +1,7 @@
 """Orbits along two parameters, a number of theirs held: the start, brought to that number, and both ways from it."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 import xarray as xr
-from jaxtyping import Float
 
 from continuation import driver, event_search
 from continuation.arclength import Control
@@ -15,57 +12,22 @@ from continuation.stretch import Mark, backwards, glued
 from ..orbits.orbit import OrbitError
 from ..output.units import scales_in
 from ..problem.end import End, ended
+from ..problem.end_in_plane import told
 from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
-from ..problem.orbit_on_branch import OrbitPoint, place_orbit
-from ..problem.orbit_rows import OrbitRows, row_of, spot_of
+from ..problem.orbit_on_branch import place_orbit
+from ..problem.orbit_rows import row_of, spot_of
 from ..problem.touches import scales
 from ..scene import check
 from ..scene.parameters import bounds_of, domain, marked
 from ..scene.scale import scene_length
-from ..scene.scene import Scene
 from .assemble import about, columns_of
-from .branch import Branch, Special
+from .branch import Branch
+from .held_branch import HeldBranch
 from .held_equations import HELD, HeldOrbits
 from .largest_position import largest_of
 
 SMALLEST = 1e-8  # step
-
-
-@dataclass(frozen=True, eq=False)
-class HeldBranch(OrbitRows[Special]):
-    """Orbits along two parameters that share a number.
-
-    names: of the parameters; held, value: the number and what it is; bounds: of each; scene: at the start; data: an
-    xarray.Dataset with a row a point, in order, the columns as of a `Branch`, both parameters among them; reasons: why
-    it ends, at its first and at its last point; special: none is looked for.
-    """
-
-    names: tuple[str, str]
-    held: str
-    value: float
-    bounds: dict[str, tuple[float, float]]
-    scene: Scene = field(repr=False)
-    data: xr.Dataset = field(repr=False)
-    reasons: tuple[str, str]
-    special: tuple[Special, ...] = ()
-
-    NOUN = "branch"
-
-    def __repr__(self):
-        one, two = self.names
-        return f"HeldBranch({self.held} {self.value:g} along {one} and {two}, {len(self)} points)"
-
-    @property
-    def values(self) -> Float[np.ndarray, "points 2"]:
-        """The two parameters at each point, (points, 2)."""
-        return np.stack([self.data[name].values for name in self.names], axis=1)
-
-    def located(self, place: int) -> tuple[Scene, OrbitPoint]:
-        """(the scene at a point, its `OrbitPoint`)."""
-        row = row_of(self.data, place)
-        values = {name: float(row[name]) for name in self.names}
-        return self.scene.replace(**values), spot_of(row, self.names[0])
 
 
 class HeldWatch(OrbitWatch):
@@ -115,7 +77,7 @@ def start(scene, names, held, value, along, z):
 def near(branch, held, value):
     """(`OrbitEquations`, z) of the points of a `Branch` along the first parameter between which the number comes to a
     value, the nearest to its start first."""
-    numbers = largest_of(branch) if held == "peak" else branch.data["least_speed"].values
+    numbers = _numbers(branch, held)
     first = int(np.argmin(abs(branch.values - float(branch.scene.parameter(branch.name)))))
     crossed = np.flatnonzero((numbers[:-1] - value) * (numbers[1:] - value) <= 0)
     for k in sorted(crossed.tolist(), key=lambda k: abs(k - first)):
@@ -123,9 +85,14 @@ def near(branch, held, value):
         yield place_orbit(branch.scene, branch.name, spot_of(row_of(branch.data, place), branch.name))
 
 
+def _numbers(branch, held):
+    return largest_of(branch) if held == "peak" else branch.data["least_speed"].values
+
+
 def nowhere(branch: Branch, held: str, value: float) -> OrbitError:
     """The error where a number comes to a value nowhere."""
-    rule = f"{held} is nowhere {value:.12g} along {branch.name}"
+    numbers = _numbers(branch, held)
+    rule = f"{held} is nowhere {value:.12g} along {branch.name}, but from {min(numbers):.4g} to {max(numbers):.4g}"
     return OrbitError(rule, float(np.max(branch.data["residual"].values)), "give another orbit, or wider bounds")
 
 
@@ -144,8 +111,12 @@ def both(scene, names, bounds, held, value, begun, direction, settings):
     on = driver.run(task, start_point(z, ahead)) if direction != "backward" else None
     back = driver.run(task, start_point(z, -ahead)) if direction != "forward" else None
     whole = on if back is None else backwards(back) if on is None else glued([backwards(back), on])
-    reasons = tuple("the start" if one is None else _reason(one, names) for one in (back, on))
+    reasons = tuple("the start" if one is None else _why(ended(one), names) for one in (back, on))
     return HeldBranch(names, held, value, bounds, scene, _data(scene, ended(whole), names), reasons)
+
+
+def _why(one, names):
+    return told(one.end, names[one.which], one.value)
 
 
 def _data(scene, one, names):
@@ -155,8 +126,3 @@ def _data(scene, one, names):
     order = [*names, *(key for key in found if key not in names)]
     data = {key: xr.Variable(meant[key][0], found[key], meant[key][1]) for key in order}
     return xr.Dataset(data, attrs=scales_in(scene))
-
-
-def _reason(one, names):
-    text = End[one.end.name].reason(one.value).text
-    return text.replace("the parameter", names[one.which], 1)

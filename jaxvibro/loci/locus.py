@@ -1,9 +1,11 @@
 """`locus`: a curve of special points in two parameters, with its points of codimension two."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import jax.numpy as jnp
+import msgspec
 import numpy as np
 import pandas as pd
 import xarray as xr
@@ -11,20 +13,24 @@ from jaxtyping import Complex, Float
 
 from continuation.stretch import backwards, glued
 
+from .. import __version__
 from ..branches.branch import Special
 from ..orbits.orbit import roots
+from ..output.checksums import netcdf
 from ..output.frames import frame, kinds_at, of_least, of_multipliers
 from ..output.labels import name_in
 from ..output.table_text import columns, headed
 from ..output.units import LENGTH, SPEED, TIME, scales_in, unit_in, unit_of
+from ..problem import end_in_plane
 from ..problem.end import End
 from ..problem.orbit_on_branch import OrbitPoint, itinerary
 from ..problem.orbit_rows import OrbitRows, SpecialOrbit, row_of
 from ..scene import check
 from ..scene.scene import Scene, changed
+from ..scene.scene_table import table_of
 from .corner import outsets, track_on
 from .first_point import KINDS, RESTS, impacts_of, start_of
-from .track import reason, scaled_reason
+from .track import reason
 
 MEANINGS = {
     "CP": "cusp",
@@ -101,6 +107,20 @@ class Locus(OrbitRows[Codim2]):
         spot, values = _spot_of(self.data, place, self.names)
         return self.scene.replace(**values), spot
 
+    @property
+    def content(self) -> bytes:
+        """The bytes of the file that `save` writes."""
+        attrs = {
+            "title": "jaxvibro locus",
+            "source": f"jaxvibro {__version__}",
+            "kind": self.kind,
+            "bounds": json.dumps({name: self.bounds[name] for name in self.names}),
+            "scene": msgspec.toml.encode(table_of(self.scene)).decode(),
+            "special": json.dumps([[one.kind, one.place, one.residual] for one in self.special]),
+            "reasons": json.dumps(self.reasons),
+        }
+        return netcdf(self.data.assign_attrs(attrs))
+
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
         """The special points as a text, a line each, and why the locus ends. units, labels: as in `Branch.table`.
 
@@ -114,7 +134,7 @@ class Locus(OrbitRows[Codim2]):
             values = [f"{value * size:.12g}" for value, (_, size) in zip(one.values.values(), known, strict=True)]
             rows.append((name_in(one.kind, labels), *values, one.label, walls))
         sizes = {name: size for name, (_, size) in zip(self.names, known, strict=True)}
-        ends = [f"{end} point: {scaled_reason(why, sizes)}" for end, why in self.reason.items()]
+        ends = [f"{end} point: {end_in_plane.scaled(why, sizes)}" for end, why in self.reason.items()]
         return "\n".join([columns(rows), *ends])
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
@@ -191,7 +211,8 @@ def locus_of(special, on, back, left="the start"):
     data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_in(special.scene))
     for place in (0, first):
         found.setdefault(place, ("EP", float(data["residual"].values[place])))
-    points = tuple(_codim2(special, asked, data, place, *found[place]) for place in sorted(found))
+    given = special.scene, special.kind, asked.bounds, data
+    points = tuple(codim2_of(*given, place, *found[place]) for place in sorted(found))
     reasons = (reason(*back[-1]) if back else left, reason(*on[-1]))
     return Locus(special.kind, asked.names, asked.bounds, special.scene, data, points, reasons)
 
@@ -239,10 +260,11 @@ def _spot_of(data, place, names):
     return OrbitPoint(values[names[0]], *rows, data.attrs["periods"], np.nan, np.nan, float(row["residual"])), values
 
 
-def _codim2(special, asked, data, place, kind, residual):
-    row, (spot, values) = row_of(data, place), _spot_of(data, place, asked.names)
-    there = {name: jnp.asarray(value, special.scene.dtype) for name, value in values.items()}
-    scene = changed(special.scene, there)  # in its domain: not checked again
+def codim2_of(scene, on, bounds, data, place, kind, residual):
+    """The `Codim2` of a kind at a place among the points of a locus of the kind `on`, which starts at the scene."""
+    row, (spot, values) = row_of(data, place), _spot_of(data, place, tuple(bounds))
+    there = {name: jnp.asarray(value, scene.dtype) for name, value in values.items()}
+    scene = changed(scene, there)  # in its domain: not checked again
     found = row["multiplier_real"] + 1j * row["multiplier_imag"]
     walls = itinerary(spot, float(scene.frequency))
-    return Codim2(kind, special.kind, values, asked.bounds, found, place, residual, walls, scene, spot)
+    return Codim2(kind, on, values, bounds, found, place, residual, walls, scene, spot)

@@ -1,6 +1,5 @@
 """A locus in one direction: steps along it up to where its bounds, its walls or its start end it."""
 
-import re
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +11,7 @@ from continuation.stretch import Mark
 
 from ..problem import resting
 from ..problem.end import End, ended
+from ..problem.end_in_plane import told
 from ..problem.equations import problem
 from ..problem.first_touch import OrbitWatch, to_touch
 from ..problem.grazing import FLAT, opening
@@ -19,15 +19,6 @@ from ..problem.touches import stays, touches, wall_sides
 from . import codim2
 from .completing import Completing
 from .extended_system import Grazing, Singular
-
-REASONS = {
-    End.BOUND: "{name} reached its bound {value:.12g}",
-    End.DOMAIN: "the domain of {name} ends at {value:.12g}",
-    End.CLOSED: "it closes: the locus came back to its start",
-    End.STEP: "the step became too small: Newton's method does not converge there",
-    End.GRAZE: "an impact loses its speed there, a flight touches a wall, or a rest ends",
-    End.POINTS: "it has too many points",
-}
 
 
 class LocusSettings(NamedTuple):
@@ -105,14 +96,7 @@ def together(ways):
 
 def reason(way, one):
     """Why a `LocusWay` ended, of which the `Stretch` is known."""
-    return REASONS.get(one.end, REASONS[End.STEP]).format(name=way.asked.names[one.which], value=one.value)
-
-
-def scaled_reason(text, sizes):
-    """Such a text, the value of the parameter that it names told in a unit in which it is so many times as large."""
-    told = re.fullmatch(r"(?:the domain of )?(\S+) (?:reached its bound|ends at) (\S+)", text)
-    size = sizes.get(told[1], 1.0) if told else 1.0
-    return text if size == 1.0 else f"{text[: told.start(2)]}{float(told[2]) * size:.12g}"
+    return told(one.end, way.asked.names[one.which], one.value)
 
 
 def _left(task, points):

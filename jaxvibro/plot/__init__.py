@@ -4,6 +4,7 @@ from .basins import basins
 from .branch import branch, mark_points
 from .diagram import diagram, mark
 from .fit import fit
+from .held import held
 from .locus import locus, region
 from .manifolds import manifold
 from .margin import margin
@@ -18,6 +19,7 @@ __all__ = [
     "branch",
     "diagram",
     "fit",
+    "held",
     "locus",
     "manifold",
     "margin",

@@ -73,7 +73,7 @@ def branch(
             ax.plot(*line, label="_" + text, gid="branch", solid_capstyle="butt", **look)
     if text not in known:
         ax.plot([], [], label=text, gid="branch", color=colour, linewidth=WIDTHS[True])
-    _stability(ax)
+    stability_entries(ax)
     _points(ax, found.points, across.size, up.size, labels)
     if variable in ("x", "peak"):
         _walls(ax, one, up.size)
@@ -88,7 +88,7 @@ def name(one):
     return ", ".join(dict.fromkeys(part.label for part in one.segments))
 
 
-def _stability(ax):
+def stability_entries(ax):
     """What the lines mean, once in a legend."""
     if not any(line.get_gid() == "stability" for line in ax.lines):
         for stable, text in ((True, "stable"), (False, "unstable")):

@@ -10,8 +10,9 @@ from matplotlib.typing import ColorType
 from ..loci.locus import MEANINGS, Locus
 from ..output.labels import name_in
 from ..scene.check import ArgumentError
+from .plane import in_plane, plane_gid, with_gid
 from .smooth import smooth
-from .style import COLOURS, axes, is_of, legend, of_parameter, plain, scales_of
+from .style import COLOURS, axes, is_of, legend, plain, scales_of
 
 # Of each kind: a colour, and a style that tells it without colour.
 LOOKS = {
@@ -28,7 +29,7 @@ MARKERS |= {"CH": "H", "RL": "8", "DG": "P"}
 SIZES = {"RG": 9.0}  # points; of others 6: loci that end on a grazing may do so at an RG, whose ring then shows
 FILLED = COLOURS[4]
 HATCHES = ("///", "\\\\\\", "...", "xxx", "")
-LOCUS, REGION = "locus of", "region of"  # with the parameters, the group id of what is drawn
+LOCUS, REGION = "locus", "region"
 
 
 def locus(
@@ -50,9 +51,9 @@ def locus(
     """
     is_of("locus", Locus, one)
     alone = ax is None
-    ax, sizes = _plane(axes(ax), one, units)
+    ax, sizes = in_plane(axes(ax), one.names, scales_of(one, units))
     told, (own, style) = name(one), LOOKS[one.kind]
-    lines = _with_gid(ax.lines, LOCUS)
+    lines = with_gid(ax.lines, LOCUS)
     alike = [line for line in lines if line.get_label().lstrip("_") == told]
     earlier = {line.get_label().lstrip("_") for line in lines} - {told}
     rank = sum(each.startswith(f"{one.kind} ") for each in earlier)
@@ -61,7 +62,7 @@ def locus(
         look = {"linestyle": style, "color": colour or alike[0].get_color(), "linewidth": alike[0].get_linewidth()}
     hidden = any(line.get_color() == look["color"] for line in alike)
     line = smooth(*(one.values * sizes).T)
-    ax.plot(*line, label=f"_{told}" if hidden else told, gid=_gid(LOCUS, one.names), zorder=3, **look)
+    ax.plot(*line, label=f"_{told}" if hidden else told, gid=plane_gid(LOCUS, one.names), zorder=3, **look)
     _points(ax, one, sizes, labels)
     legend(ax, alone)
     return ax
@@ -103,11 +104,11 @@ def region(
     is_of("region", Locus, first, second)
     if first.names != second.names:
         raise ArgumentError("second", f"must be a locus in {' and '.join(first.names)}, as the first", second.names)
-    ax, sizes = _plane(axes(ax), first, units)
+    ax, sizes = in_plane(axes(ax), first.names, scales_of(first, units))
     outlines = _outlines(first.values * sizes, second.values * sizes)
     if not outlines:
         raise ArgumentError("second", f"must share values of {first.names[1]} with the first", repr(second))
-    earlier = len({patch.get_label() for patch in _with_gid(ax.patches, REGION)} - {"_"})
+    earlier = len({patch.get_label() for patch in with_gid(ax.patches, REGION)} - {"_"})
     look: dict[str, Any] = {
         "facecolor": colour or "0.5",
         "edgecolor": colour or "0.35",
@@ -115,7 +116,7 @@ def region(
     }
     for place, outline in enumerate(outlines):
         told = plain(text) if place == 0 else "_"
-        patch = ax.fill(*outline.T, label=told, gid=_gid(REGION, first.names), alpha=0.22, zorder=1, **look)[0]
+        patch = ax.fill(*outline.T, label=told, gid=plane_gid(REGION, first.names), alpha=0.22, zorder=1, **look)[0]
         patch.set_linewidth(0.0)
     across, up = _widest(outlines)
     box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.5}
@@ -165,25 +166,3 @@ def _widest(outlines):
         if size[place] > best:
             best, where = size[place], (0.5 * (left[place, 0] + right[place, 0]), left[place, 1])
     return where
-
-
-def _plane(ax, one, units):
-    """(the Axes, their labels those of the two parameters; what these are multiplied by). Raises ArgumentError where
-    they hold others."""
-    names, scales = one.names, scales_of(one, units)
-    held = {each.get_gid() for each in (*_with_gid(ax.lines, LOCUS), *_with_gid(ax.patches, REGION))}
-    there = {gid.removeprefix(LOCUS).removeprefix(REGION).strip() for gid in held}
-    if there - {", ".join(names)}:
-        rule = f"must be in the plane of what these Axes hold already ({', '.join(sorted(there))}, in this order)"
-        raise ArgumentError("one.names", rule, tuple(names))
-    across, up = (of_parameter(scales, name) for name in names)
-    ax.set(xlabel=across.label, ylabel=up.label)
-    return ax, np.array([across.size, up.size])
-
-
-def _gid(what, names):
-    return f"{what} {', '.join(names)}"
-
-
-def _with_gid(artists, what):
-    return [each for each in artists if (each.get_gid() or "").startswith(what)]

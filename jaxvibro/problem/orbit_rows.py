@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import cached_property
+from os import PathLike
 from typing import Generic, TypeVar
 
 import numpy as np
@@ -9,6 +10,7 @@ import xarray as xr
 from jaxtyping import Complex
 
 from ..orbits.orbit import Orbit
+from ..output.atomic_write import whole
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from .orbit_on_branch import OrbitPoint, described_orbit, label_of
@@ -37,13 +39,18 @@ class SpecialOrbit:
 
 class OrbitRows(Generic[Found]):
     """A class of these has data, special and reasons; `NOUN`, what it is called; `located(place)`: (the scene at a
-    point, its `OrbitPoint`)."""
+    point, its `OrbitPoint`); content: the bytes of its file."""
 
     data: xr.Dataset
     special: tuple[Found, ...]
     reasons: tuple[str, str]
     NOUN: str
     located: Callable[[int], tuple[Scene, OrbitPoint]]
+
+    @property
+    def content(self) -> bytes:
+        """The bytes of the file that `save` writes."""
+        raise NotImplementedError
 
     def __len__(self) -> int:
         return self.data.sizes["point"]
@@ -61,6 +68,16 @@ class OrbitRows(Generic[Found]):
     def multipliers(self) -> Complex[np.ndarray, "points 2"]:
         """Floquet's, (points, 2), complex, the larger first."""
         return self.data["multiplier_real"].values + 1j * self.data["multiplier_imag"].values
+
+    def save(self, path: str | PathLike[str], force: bool = False) -> None:
+        """Write the curve to a NetCDF file, from which `load_branch`, `load_held_branch` or `load_locus` reads the same
+        numbers.
+
+        Raises FileExistsError where the file is there already, unless force is given; OSError where it cannot be
+        written; ArgumentError where the scene has a force without a name.
+        """
+        with whole(path, force) as file:
+            file.write(self.content)
 
     def orbit(self, place: int) -> Orbit:
         """The `Orbit` at one of the points, by its place.

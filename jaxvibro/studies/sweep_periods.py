@@ -1,10 +1,10 @@
 """Stretches of a swept diagram: neighbouring values at which the state comes back after the same number of periods."""
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 
+from ..output.runs import runs
 from ..scene.check import MOST_PERIODS
 
 NEAR = 1e-6  # of the largest x and v of the diagram: a return as near as this counts
@@ -32,7 +32,7 @@ def stretches(swept):
     return [
         Stretch(str(leg), float(values[first, k]), float(values[last - 1, k]), last - first, _periods(found[first, k]))
         for k, leg in enumerate(swept["leg"].values)
-        for first, last in _runs(found[:, k])
+        for first, last in runs(found[:, k])
     ]
 
 
@@ -55,9 +55,3 @@ def recurrence(swept):
         some = points[:, :, left]
         found[left] = np.where(abs(some[:, n:] - some[:, :-n]).max(axis=(0, 1)) <= near, n, 0)
     return found
-
-
-def _runs(numbers):
-    """(first, one past the last) of each run of equal numbers."""
-    edges = [0, *(np.flatnonzero(np.diff(numbers)) + 1).tolist(), len(numbers)]
-    return list(pairwise(edges))

@@ -1,0 +1,26 @@
+"""Why a curve in the plane of two parameters ends, told with the name of the one that ended it."""
+
+import re
+
+from .end import End
+
+REASONS = {
+    End.BOUND: "{name} reached its bound {value:.12g}",
+    End.DOMAIN: "the domain of {name} ends at {value:.12g}",
+    End.CLOSED: "it closes: the curve came back to its start",
+    End.STEP: "the step became too small: Newton's method does not converge there",
+    End.GRAZE: "an impact loses its speed there, a flight touches a wall, or a rest ends",
+    End.POINTS: "it has too many points",
+}
+
+
+def told(end: End, name: str, value: float) -> str:
+    """The text of an `End` that the parameter of this name has at this value."""
+    return REASONS.get(end, REASONS[End.STEP]).format(name=name, value=value)
+
+
+def scaled(text: str, sizes: dict[str, float]) -> str:
+    """Such a text, the parameter's value told in a unit in which it is as many times as large as {name: times} says."""
+    match = re.fullmatch(r"(?:the domain of )?(\S+) (?:reached its bound|ends at) (\S+)", text)
+    size = sizes.get(match[1], 1.0) if match else 1.0
+    return f"{text[: match.start(2)]}{float(match[2]) * size:.12g}" if match and size != 1.0 else text
