@@ -2,7 +2,7 @@
 with its special points put in, until the branch ends.
 
 What is watched besides the equations is a `Watch`; its methods are asked in this order: `look`, `good`, `passed`,
-`before`, `touch`, `events`, `stops`.
+`before`, `touch`, `comes_back`, `events`, `stops`.
 """
 
 from enum import Enum
@@ -83,6 +83,11 @@ class Watch:
     def images(self, z, near):
         """The points near one that are the same solution as z."""
         return [z]
+
+    def comes_back(self, task, points):
+        """(place, length) where the branch comes back to one of the starts, None where it does not."""
+        marks = [each for z in task.starts for each in self.images(z, points.z[0])]
+        return event_search.passes_mark(task.problem, points, marks, task.control, task.args) if marks else None
 
     def stops(self, z, kind):
         """An `End` where a special point ends the branch whatever is asked for, else None."""
@@ -175,7 +180,7 @@ def _part(task, points, status):
             points, (end, again) = upto(points, bad), _retried(step, task.control)
     if met is not None:
         points, end = met.points, met.end
-    loop = _met(task, points)
+    loop = watch.comes_back(task, points)
     if loop is not None:
         points, met, end, again = cut_at(task, points, *loop), None, End.CLOSED, None
     if len(points.z) != size or met is not None or loop is not None:
@@ -234,12 +239,6 @@ def _retried(step, control):
     """(the end, the step to try) where a step came to no point of the branch."""
     again = SMALLER * float(step)
     return (End.STEP, None) if again < control.smallest else (None, again)
-
-
-def _met(task, points):
-    """(place, length) where the branch comes back to one of the starts, None where it does not."""
-    marks = [each for z in task.starts for each in task.watch.images(z, points.z[0])]
-    return event_search.passes_mark(task.problem, points, marks, task.control, task.args) if marks else None
 
 
 def _inserted(task, points, events):

@@ -184,7 +184,9 @@ def _plain(problem, z, args):
 
 
 def _border(matrix):
-    """(b, c): the nearly null vectors of a matrix's transpose and of the matrix."""
+    """(b, c): the nearly null vectors of a matrix's transpose and of the matrix; nan where it is not finite."""
+    if not np.isfinite(matrix).all():
+        return 2 * (np.full(len(matrix), np.nan),)
     left, _, right = np.linalg.svd(matrix)
     return left[:, -1], right[-1]
 

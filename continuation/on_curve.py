@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 
-from . import event_search, locate
+from . import event_search, locate, phases
 from .driver import End, Watch
 from .event_search import Event
 from .normal_forms import bent, border, critical, lyapunov
@@ -29,6 +29,11 @@ class OnCurve(Watch):
 
     def __init__(self, system, kind, names):
         self.system, self.kind, self.names = system, kind, names
+
+    def comes_back(self, task, points):
+        if self.system.kind == ORBITS:
+            return phases.comes_back(self.system, self.names, task, points)
+        return super().comes_back(task, points)
 
     def events(self, task, points, view, known, end):
         values = event_search.watched(task.problem, points, task.args)

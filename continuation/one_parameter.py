@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from . import driver, event_search, held, hopf, leaving
+from . import driver, event_search, held, hopf, leaving, phases
 from .arclength import Control
 from .branch import Branch, Special
 from .driver import End, Task, Watch
@@ -37,6 +37,11 @@ class Monitored(Watch):
 
     def before(self, task, points):
         return hopf.ahead(self.system, self.names, task, points) if self.system.kind == ORBITS else None
+
+    def comes_back(self, task, points):
+        if self.system.kind == ORBITS:
+            return phases.comes_back(self.system, self.names, task, points)
+        return super().comes_back(task, points)
 
     def events(self, task, points, view, known, end):
         signs = _signs(self.system, self.names, points.z, task.args)

@@ -1,5 +1,7 @@
 """Periodic orbits: by flows in closed form, where all is known, and (slow) by diffrax against others' solvers."""
 
+from math import factorial
+
 import heyoka as hy
 import jax
 import jax.numpy as jnp
@@ -89,6 +91,30 @@ def test_a_neimark_sacker_point_of_an_orbit_and_its_curve():
     curve = co.curve(point, ("m", "k"), {"m": (-1.0, 1.0), "k": (0.2, 0.4)})
     assert close(curve.p["m"], 0, 1e-12) and sorted(kinds(curve)) == ["R3", "R4"]
     assert close([curve.points(kind)[0].p["k"] for kind in ("R3", "R4")], [1 / 3, 1 / 4], 1e-11)
+
+
+def rings(u, time, p, args):
+    """Circles whose radii x + 2 move as x' = q - x^2, q = 1 / 4 - m^2, the angle by 1 + m / 5 + 3 x / 10."""
+    x, angle = jnp.hypot(u[0], u[1]) - 2.0, jnp.arctan2(u[1], u[0])
+    q = 0.25 - p["m"] ** 2
+    even, odd = (np.array([1.0 / factorial(2 * k + one) for k in range(12, -1, -1)]) for one in (0, 1))
+    c, s = jnp.polyval(even, q * time**2), jnp.polyval(odd, q * time**2)  # cosh(root of q, times time), sinh over that
+    grown = c + x * s * time
+    size, after = (x * c + q * s * time) / grown + 2.0, angle + (1.0 + p["m"] / 5.0) * time + 0.3 * jnp.log(grown)
+    return size * jnp.stack([jnp.cos(after), jnp.sin(after)])
+
+
+def test_an_isola_of_orbits_closes_whatever_its_phase():
+    angles = np.pi * np.arange(2)
+    points = 2.5 * np.stack([np.cos(angles), np.sin(angles)], 1)
+    start = np.append(points.reshape(-1), 2.0 * np.pi / 1.15)
+    branch = co.trace(flown(rings, 2), start, {"m": 0.0}, "m", (-2.0, 2.0))
+    sizes, m = np.hypot(*branch.u.T[:2]), branch.p["m"]
+    close(np.stack([(sizes - 2.0) ** 2 + m**2]), np.full((1, len(m)), 0.25), 1e-10)
+    close(branch.u[:, -1], 2.0 * np.pi / (1.0 + m / 5.0 + 0.3 * (sizes - 2.0)), 1e-10)
+    assert "closes" in branch.reason["last"]
+    assert sorted(round(one.p["m"], 10) for one in branch.points("SN")) == [-0.5, 0.5]
+    assert abs(sizes[-1] - sizes[0]) < 1e-9 and abs(branch.u[-1] - branch.u[0]).max() > 1e-5  # at another phase
 
 
 @pytest.mark.parametrize(
