@@ -81,7 +81,7 @@ def test_they_are_orbits_and_mirror_images(four):
 def test_exponent_of_an_orbit_whose_multipliers_are_complex(four):
     """Both have the modulus sqrt(det M), det M = R^4 exp(-2 gamma T) for two impacts."""
     expected = (4 * np.log(0.7) - 2 * 0.05 * PERIOD) / 2
-    assert abs(four[0].exponent - expected) < 5e-3
+    assert abs(four[0].exponent - expected) < 1e-12
     assert all(one.exponent < -0.5 for one in four)
 
 
@@ -89,7 +89,7 @@ def test_a_periodic_attractor_has_its_orbit(four, chaos):
     for one in four:
         assert (one.orbit.label, one.orbit.stable) == (one.label, True)
         assert abs(one.orbit.state.x - one.state.x) < 1e-9
-        assert abs(np.log(abs(one.orbit.multipliers[0])) - one.exponent) < 0.02
+        assert abs(np.log(abs(one.orbit.multipliers[0])) - one.exponent) < 1e-12
     assert [one.orbit is None for one in chaos] == [one.kind == "chaotic" for one in chaos]
 
 

@@ -80,6 +80,14 @@ def test_what_random_starts_settle_on_is_on_it(scene, diagram):
         assert orbits and all(is_on(one, diagram) for one in orbits)
 
 
+def test_the_motion_that_meets_no_wall_is_there_where_no_start_settles_on_it():
+    scene = jv.make_scene(2.3, 2.8, 0.02, 0.8, (None, 0.3))
+    diagram = jv.explore(scene, "amplitude", (1.9, 2.2), max_period=1)
+    (grazing,) = (one for branch in diagram.branches for one in branch.points("GR"))
+    size = np.hypot(1.0 - 2.8**2, 2 * 0.02 * 2.8)
+    assert grazing.label == "P100" and abs(grazing.value - 0.3 * size) < 1e-12
+
+
 @pytest.mark.slow
 def test_a_scene_of_one_wall_that_moves():
     wall = jv.Wall(0.8, 0.6, motion=jv.Motion(0.1, 0.5))

@@ -26,6 +26,16 @@ def two_moving(phase):
     return jv.Wall(-1.0, motion=jv.Motion(1.2)), jv.Wall(1.0, motion=jv.Motion(1.2, phase, 2))
 
 
+def test_walls_with_restitutions_of_their_own_need_no_other():
+    rigid, soft = jv.Wall(-1e-3, 0.65), jv.Wall(1.2e-3, stiffness=5e6)
+    scene = jv.make_scene(2.0, 2.1, 0.05, walls=(rigid, soft))
+    assert scene.parameter("left.restitution") == 0.65
+    rig = jv.scene_from_physical(
+        0.42, None, 6e4, 38.0, damping_ratio=0.01, frequency_hz=64.0, walls=(rigid, soft), length=1.0
+    )
+    assert rig.parameter("left.restitution") == 0.65
+
+
 BAD = [
     ("amplitude", {"amplitude": float("nan")}, "must be finite; got nan"),
     ("amplitude", {"amplitude": "2"}, "must be a real number; got '2'"),
@@ -45,6 +55,8 @@ BAD = [
     ("damping", {"damping": np.array([True])}, "must be a real number"),
     ("restitution", {"restitution": 1.0000001}, "must lie between 0 and 1; got 1.0000001"),
     ("restitution", {"restitution": -0.1}, "must lie between 0 and 1; got -0.1"),
+    ("restitution", {"restitution": None}, "must be given, or one of its own for each rigid wall; got None"),
+    ("restitution", right(restitution=0.5) | {"restitution": None}, "must be given, or one of its own"),
     ("walls", {"walls": 1.0}, "must be a pair"),
     ("walls", {"walls": (-1.0, 0.0, 1.0)}, "must be a pair"),
     ("walls", {"walls": np.array([-1.0, 0.0, 1.0])}, "must be a pair"),

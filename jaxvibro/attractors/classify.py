@@ -29,7 +29,8 @@ SAMPLES = 8  # times KEEP periods of chaos that are looked at
 class Evidence:
     """An attractor before its share and its mirror image are known.
 
-    lanes: those that are on it; hits: its impacts as points (`orbit_comparison`); numbers: the fields of `Attractor`.
+    lanes: those that are on it; hits: its impacts as points (`orbit_comparison`); numbers: the fields of `Attractor`,
+    the note without the exponent.
     """
 
     lanes: list[int]
@@ -54,7 +55,8 @@ def periodic(scene, found, periods, settle, scale):
         last, n = whole(scene, run.lanes([k])), len(one.points)
         apart = float(abs(last.points[-n:] - last.points[-2 * n : -n]).max())
         if rate < -neutral and apart <= near:
-            seen.append(read_orbit(scene, last, one.lanes, n, scale, _told(rate, f"recurs to within {apart:.0e}")))
+            told = {"exponent": rate, "note": f"recurs to within {apart:.0e}"}
+            seen.append(read_orbit(scene, last, one.lanes, n, scale, told))
         else:
             lost |= dict.fromkeys(one.lanes, "recurs but does not attract")
     return seen, lost
@@ -62,10 +64,6 @@ def periodic(scene, found, periods, settle, scale):
 
 def _chosen(state, lanes):
     return jax.tree.map(lambda leaf: leaf[lanes], state)
-
-
-def _told(rate, what):
-    return {"exponent": rate, "note": f"{what}; exponent {rate:.3g} per period"}
 
 
 def watch(scene, state):
@@ -161,7 +159,7 @@ def _grouped(scene, state, lanes, rates, wild, scale, seen):
     for one in seen:
         if "note" not in one.numbers:
             own = rates[np.isin(lanes, one.lanes)]
-            one.numbers.update(_told(float(own[np.isfinite(own)].mean()), "does not recur"))
+            one.numbers.update(exponent=float(own[np.isfinite(own)].mean()), note="does not recur")
     return lost
 
 

@@ -34,11 +34,11 @@ class Attractor:
     were. state: on it, at phase 0; of the unresolved, the first of the starts. periods: minimal number of drive periods
     of a periodic one, else 0. itinerary: the walls it hits, a word a period from `state` on, else (). points: x and v
     on Sigma from `state` on, shape (periods, 2); a sample where chaotic. least_speed: of its impacts, inf if none.
-    exponent: the largest Lyapunov exponent per drive period; -inf where it is too low to be measured, nan where
-    unknown. mirror_of: the place in the tuple of its mirror image, its own where it is symmetric; None where none was
-    found or the scene has no mirror symmetry. note: what was seen. rests: whether the mass of a periodic one rests on a
-    wall for a while; the itinerary has the hops of complete chatter up to where they are certain to end. scales: the
-    scene's.
+    exponent: the largest Lyapunov exponent per drive period, of an orbit by its multipliers; -inf where it is too low
+    to be measured, nan where unknown. mirror_of: the place in the tuple of its mirror image, its own where it is
+    symmetric; None where none was found or the scene has no mirror symmetry. note: what was seen. rests: whether the
+    mass of a periodic one rests on a wall for a while; the itinerary has the hops of complete chatter up to where they
+    are certain to end. scales: the scene's.
     """
 
     label: str
@@ -91,16 +91,26 @@ def find_attractors(scene: Scene, starts: int = 200, seed: int = 0, settle: int 
 def _paired(scene, seen, starts):
     """The attractors with their shares, and their mirror images where the scene is symmetric."""
     symmetric = is_symmetric(scene)
+    orbits = [_orbit(scene, one.numbers) for one in seen]
     return tuple(
         Attractor(
-            **one.numbers,
+            **one.numbers | _rate(one.numbers, orbit),
             **_share(len(one.lanes), starts),
             mirror_of=free_and_mirrored.image_place(one, seen) if symmetric else None,
-            orbit=_orbit(scene, one.numbers),
+            orbit=orbit,
             scales=scene.scales,
         )
-        for one in seen
+        for one, orbit in zip(seen, orbits, strict=True)
     )
+
+
+def _rate(numbers, orbit):
+    """{"exponent", "note"} of an attractor: of an orbit by its multipliers, else as it was measured."""
+    rate = numbers["exponent"]
+    if orbit is not None and np.isfinite(orbit.multipliers).all():
+        with np.errstate(divide="ignore"):
+            rate = float(np.log(abs(orbit.multipliers).max())) / orbit.periods
+    return {"exponent": rate, "note": f"{numbers['note']}; exponent {rate:.3g} per period"}
 
 
 def _share(count, starts):

@@ -21,7 +21,6 @@ def free(scene, seen):
     if orbit is None or not orbit.stable:
         return []
     rate = float(np.log(abs(orbit.multipliers[0])))
-    told = f"the free response, known in closed form; no start settled on it; exponent {rate:.3g} per period"
     numbers = {
         "label": orbit.label,
         "kind": "periodic",
@@ -31,7 +30,7 @@ def free(scene, seen):
         "points": np.array([[orbit.state.x, orbit.state.v]], scene.dtype),
         "least_speed": np.inf,
         "exponent": rate,
-        "note": told,
+        "note": "the free response, known in closed form; no start settled on it",
     }
     return [Evidence([], np.empty((0, 4), scene.dtype), numbers)]
 
@@ -61,7 +60,7 @@ def _image(scene, one, seen, scale):
     state, status = shift_phase(scene, turned, 0.0)
     if status[0] >= Status.CAP:
         return None
-    told = {"exponent": numbers["exponent"], "note": f"{IMAGE}; exponent {numbers['exponent']:.3g} per period"}
+    told = {"exponent": numbers["exponent"], "note": IMAGE}
     if numbers["periods"]:
         return read_orbit(scene, watch(scene, state), [], numbers["periods"], scale, told)
     roams = roam(scene, state)

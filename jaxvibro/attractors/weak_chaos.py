@@ -35,5 +35,5 @@ def weigh(scene, state):
     if rates.status >= Status.CAP or not np.isfinite(rate):
         return np.nan, f"does not recur, and has no exponent (status {Status(rates.status).word})"
     if rate > max(SURE * error, SHEAR):
-        return rate, f"does not recur; exponent {rate:.3g} +- {error:.1g} per period"
+        return rate, f"does not recur, its exponent known to {error:.1g}"
     return -np.inf, f"does not recur, and its exponent {rate:.1g} +- {error:.1g} is not positive beyond doubt"

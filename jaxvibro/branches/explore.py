@@ -24,7 +24,7 @@ from .branch_tree import Tree
 from .diagram import Diagram
 from .follow import check_settings, through
 from .on_branch import is_on, settled_at
-from .seed_orbits import probes
+from .seed_orbits import free_probe, probes
 from .switch import FIRST
 
 MOST = 400  # branches, where no budget is given
@@ -53,7 +53,8 @@ def explore(
     together; None is 400. resume: a `Diagram` that stopped at its budget, of the same scene, parameter and settings, to
     go on from. progress: called with the number of branches so far.
 
-    Every attractor that one of 256 starts settles on is on a branch. What lies on no branch that leaves these is not
+    Every attractor that one of 256 starts settles on is on a branch, and the motion that meets no wall, where there is
+    one. What lies on no branch that leaves these is not
     found: an isolated unstable orbit (`find_isolas` looks for closed branches of these), or one that only meets them at
     a grazing, where a branch goes on with one other; `Special.meets` has all, and `switch` follows them. In a symmetric
     scene a branch comes with its mirror image. The same arguments give the same diagram.
@@ -106,7 +107,7 @@ def explore_on(task, some, progress=None, found=(), done=()):
     symmetric = stays_symmetric(scene, name)
     tree = Tree(bounds, settings["max_period"], most, steps, list(found), list(done), symmetric, progress)
     tree.grow()
-    for probe in some:
+    for probe in (*some, *free_probe(scene, name, bounds)):
         if not tree.is_spent and not any(is_on(probe, branch) for branch in tree.found):
             _begin(tree, probe, scene, name, bounds, steps)
     told = SPENT.format(most) if tree.is_spent else DONE

@@ -9,11 +9,13 @@ from jaxtyping import Float
 from ..attractors.recurrence import returns
 from ..maps.initial_conditions import random_starts
 from ..maps.iterate import iterate
+from ..orbits.free_response import free_orbit
 from ..problem.orbit_on_branch import OrbitPoint
 from ..scene.codes import Contact, Status
 from ..scene.parameters import domain
 
 STARTS = 256  # at as many values
+FREE = 15  # values at which the motion that meets no wall is looked for
 SETTLE = 600  # drive periods
 SETTLED = 1e-7  # of the largest x and v: a return as near as this
 
@@ -40,6 +42,18 @@ def probes(scenes, name, bounds, max_period, seed):
         _listed(scene, name, values[some], found.lanes(some), max_period)
         for scene, some in zip(scenes, rows, strict=True)
     ]
+
+
+def free_probe(scene, name, bounds):
+    """[the `Probe` of the motion that meets no wall] at one of some values of a parameter, [] where it meets some at
+    all of them."""
+    low, high = np.clip(domain(scene, name), *bounds)
+    for value in np.linspace(low, high, FREE + 2)[1:-1].tolist():
+        orbit = free_orbit(scene.replace(**{name: value}))
+        if orbit is not None:
+            points = np.array([[orbit.state.x, orbit.state.v]])
+            return [Probe(OrbitPoint(value, *[np.zeros(0)] * 3, 1, *points[0].tolist(), 0.0), points)]
+    return []
 
 
 def _starts(scene, name, bounds, seed):

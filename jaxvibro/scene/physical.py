@@ -11,7 +11,7 @@ from numpy.typing import DTypeLike
 
 from . import check, questions
 from .scales import Scales
-from .scene import SIDES, Scene, Walls, make_scene, terms_of
+from .scene import SIDES, Scene, Walls, make_scene, shared_restitution, terms_of
 from .scene_rules import obey
 from .wall import Motion, Wall
 
@@ -35,11 +35,11 @@ def scene_from_physical(
 ) -> Scene:
     """The nondimensional scene of a mass on a spring, from SI quantities, which it remembers as its `Scales`.
 
-    mass M > 0 (kg), stiffness K > 0 (N/m), force F (N), restitution R: numbers or arrays that broadcast. One each of:
-    damping C >= 0 (N s/m) or damping_ratio C / (2 sqrt(K M)); frequency Omega > 0 (rad/s) or frequency_hz Omega / (2
-    pi); walls, (left, right) as in `make_scene`, or gap, how far from the rest position they stand on both sides: a
-    number, or (left, right), None where there is no wall. A soft wall's stiffness is the force it adds over how far
-    the mass is beyond it, its damping takes the place of C.
+    mass M > 0 (kg), stiffness K > 0 (N/m), force F (N), restitution R: numbers or arrays that broadcast, the last left
+    out where each rigid wall has its own. One each of: damping C >= 0 (N s/m) or damping_ratio C / (2 sqrt(K M));
+    frequency Omega > 0 (rad/s) or frequency_hz Omega / (2 pi); walls, (left, right) as in `make_scene`, or gap, how far
+    from the rest position they stand on both sides: a number, or (left, right), None where there is no wall. A soft
+    wall's stiffness is the force it adds over how far the mass is beyond it, its damping takes the place of C.
 
     drive: as in `make_scene`, its amplitudes in N.
 
@@ -54,10 +54,11 @@ def scene_from_physical(
     """
     kind = check.float_type(dtype)
     walls = check.pair(_one_of("walls", walls, "gap", _around(gap)))
-    given = {"mass": mass, "stiffness": stiffness, "force": force, "restitution": restitution}
+    given = {"mass": mass, "stiffness": stiffness, "force": force}
     for key, value in given.items():
         _require(key, value)
     given |= {
+        "restitution": shared_restitution(restitution, walls),
         "damping": _one_of("damping", damping, "damping_ratio", damping_ratio),
         "frequency": _one_of("frequency", frequency, "frequency_hz", frequency_hz),
         "length": _length(walls) if length is None else length,
@@ -72,7 +73,7 @@ def scene_from_physical(
         amplitude=of["force"] / (of["stiffness"] * of["length"]),
         frequency=(of["frequency"] if frequency_hz is None else 2.0 * np.pi * of["frequency"]) / natural,
         damping=of["damping"] / (2 * of["mass"] * natural) if damping_ratio is None else of["damping"],
-        restitution=restitution,
+        restitution=of["restitution"],
         walls=tuple(_scaled(side, wall, of, natural, kind) for side, wall in zip(SIDES, walls, strict=True)),
         dtype=kind,
         drive=[_weighed(f"drive.{k}", of, kind, *term) for k, term in enumerate(terms_of(drive))],

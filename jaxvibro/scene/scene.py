@@ -166,12 +166,13 @@ def make_scene(
     """A checked scene.
 
     amplitude A, frequency omega > 0, damping gamma >= 0 (1 is critical), restitution 0 <= R <= 1: numbers or arrays
-    that broadcast together as a batch; a list is refused. walls: (left, right), each a position, None (no wall there)
-    or a `Wall`, which may have a restitution of its own; or an array of two positions. force: a `Force` in place of the
-    spring and the damper, None for these; beside one there is no damping. drive: terms that are added to
-    A cos(omega t), each (amplitude, harmonic, phase) or a `Motion`; (amplitude, 0, 0.0) is a constant force.
-    Units: lengths in the unit of the walls, time in 1/w0, w0 the undamped natural frequency (paper, section 1).
-    dtype: None is float64 and needs jax's jax_enable_x64; jnp.float32 asks for single precision.
+    that broadcast together as a batch; a list is refused; R may be left out where each rigid wall has its own. walls:
+    (left, right), each a position, None (no wall there) or a `Wall`, which may have a restitution of its own; or an
+    array of two positions. force: a `Force` in place of the spring and the damper, None for these; beside one there is
+    no damping. drive: terms that are added to A cos(omega t), each (amplitude, harmonic, phase) or a `Motion`;
+    (amplitude, 0, 0.0) is a constant force. Units: lengths in the unit of the walls, time in 1/w0, w0 the undamped
+    natural frequency (paper, section 1). dtype: None is float64 and needs jax's jax_enable_x64; jnp.float32 asks for
+    single precision.
 
     Raises SceneError, which names the argument, the rule and the first offending value. Under tracing only types and
     shapes are checked.
@@ -180,8 +181,19 @@ def make_scene(
     for side, wall in given.items():
         if isinstance(wall, Motion):
             raise check.SceneError(side, "must be a position, None or a Wall", wall)
-    plain = {"amplitude": amplitude, "frequency": frequency, "damping": damping, "restitution": restitution}
+    plain = {"amplitude": amplitude, "frequency": frequency, "damping": damping}
+    plain["restitution"] = shared_restitution(restitution, given.values())
     return _checked({**plain, **given, "harder": None, "force": force, "drive": drive}, dtype)
+
+
+def shared_restitution(restitution, walls):
+    """The scene's R as given, or 1 where it is left out and no wall would have it. Raises SceneError."""
+    if restitution is not None:
+        return restitution
+    own = (wall is None or (isinstance(wall, Wall) and (wall.soft or wall.restitution is not None)) for wall in walls)
+    if not all(own):
+        raise check.SceneError("restitution", "must be given, or one of its own for each rigid wall", None)
+    return 1.0
 
 
 def changed(scene, changes):

@@ -84,7 +84,7 @@ class SceneTable(Table, frozen=True, kw_only=True):
     amplitude: float
     frequency: float
     damping: float | None = None
-    restitution: float
+    restitution: float | None = None
     left: WallTable | None = None
     right: WallTable | None = None
     force: ForceTable | None = None
