@@ -70,6 +70,16 @@ def test_statuses(orbit):
     assert jv.solve_orbits(scene, (times + orbit.state.phase / 1.9, speeds), orbit.itinerary).status == OK
 
 
+def test_impacts_may_be_counted_from_any_of_them():
+    scene, start = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)), jv.State(0.9, -1.1)
+    state = jv.find_orbit(scene, start).state
+    one, other = (jv.solve_orbits(scene, state, (word,)) for word in ("LR", "RL"))
+    assert one.status == other.status == OK and abs(one.state.x - other.state.x) < 1e-13
+    assert np.sort(one.times % (2 * np.pi / 2.1)) == pytest.approx(np.sort(other.times % (2 * np.pi / 2.1)), abs=1e-12)
+    assert abs(one.times[0] - other.times[1]) > 1e-3 or abs(one.times[1] - other.times[0]) > 1e-3
+    assert jv.solve_orbits(scene, state, ("LL",)).status == NONE
+
+
 @pytest.mark.parametrize(
     "given, told",
     [

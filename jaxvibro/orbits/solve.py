@@ -55,7 +55,8 @@ def solve_orbits(
 ) -> OrbitSolutions:
     """The periodic orbits near guesses that hit given walls in turn: `OrbitSolutions` of the shape of both together.
 
-    scenes: a `Scene`, single or a batch. guesses: a `State`, numbers or arrays, whose flight hits these walls; or
+    scenes: a `Scene`, single or a batch. guesses: a `State`, numbers or arrays, whose flight hits these walls, counted
+    from any of its impacts; or
     (times, speeds) of the impacts, (..., impacts) each, since phase 0. itinerary: a word of "L" and "R" a period, as
     ("LR",) or ("LRL", "R"); all words empty: the motion that meets no wall. periods: their number, may be left out.
 
@@ -117,16 +118,21 @@ def _given(guesses, count, dtype):
 
 
 def _met(scenes, guesses, sides, periods):
-    """(the section's phase, times and speeds of the impacts after states, nan where these are on other walls); without
-    impacts x and v."""
+    """(the section's phase, times and speeds of the impacts after states, begun with one that makes them those asked
+    for, nan where none does); without impacts x and v."""
     scenes, guesses = lax.stop_gradient((scenes, guesses))
     if not len(sides):
         shape = jnp.broadcast_shapes(guesses.x.shape, guesses.v.shape)
         return guesses.phase, jnp.stack([jnp.broadcast_to(each, shape) for each in (guesses.x, guesses.v)], -1)
     _, impacts = strobe(scenes, guesses, periods, len(sides))
-    alike = (impacts.side == sides.astype(np.int8)).all(-1) & (impacts.count == len(sides))
-    good = (alike & (impacts.status < Status.CAP))[..., None]
-    start = jnp.concatenate([jnp.where(good, each, jnp.nan) for each in (impacts.time, impacts.speed)], -1)
+    whole = (impacts.count == len(sides)) & (impacts.status < Status.CAP)
+    later = impacts.time + (2.0 * jnp.pi * periods / scenes.frequency)[..., None]
+    twice = (jnp.concatenate([impacts.time, later], -1), *(jnp.tile(each, 2) for each in (impacts.speed, impacts.side)))
+    start = jnp.full((*impacts.time.shape[:-1], 2 * len(sides)), jnp.nan, scenes.dtype)
+    for turn in reversed(range(len(sides))):
+        times, speeds, hit = (each[..., turn : turn + len(sides)] for each in twice)
+        alike = whole & (hit == sides.astype(np.int8)).all(-1)
+        start = jnp.where(alike[..., None], jnp.concatenate([times, speeds], -1), start)
     return guesses.phase, start
 
 
