@@ -33,6 +33,7 @@ MEANINGS = {
     "NN": "double Neimark-Sacker point",
     "EP": "end",
 }
+SHOWN = 5  # numbers of u in a table
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,11 +103,14 @@ class Branch:
         return tuple(one for one in self.special if one.kind == kind)
 
     def table(self) -> str:
-        """The special points as a text, a line each, and why the branch ends."""
-        rows = [("kind", *self.names, "u", "residual")]
+        """The special points as a text, a line each, with the length of u and its first numbers, and why the branch
+        ends."""
+        rows = [("kind", *self.names, "norm", "u", "residual")]
         for one in self.special:
             numbers = [f"{one.p[name]:.12g}" for name in self.names]
-            rows.append((one.kind, *numbers, " ".join(f"{each:.6g}" for each in one.u), f"{one.residual:.1e}"))
+            told = [f"{each:.6g}" for each in one.u[:SHOWN]] + ["..."] * (len(one.u) > SHOWN)
+            norm = f"{np.linalg.norm(one.u):.9g}"
+            rows.append((one.kind, *numbers, norm, " ".join(told), f"{one.residual:.1e}"))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
         return "\n".join([*lines, *(f"{end} point: {why}" for end, why in self.reason.items())])

@@ -10,6 +10,7 @@ from jaxtyping import ArrayLike, Real
 
 from . import driver, event_search, held, hopf, leaving, phases
 from .arclength import Control
+from .arguments import known_numbers, require_settings, require_system
 from .branch import Branch, Special
 from .driver import End, Task, Watch
 from .errors import ContinuationError
@@ -21,7 +22,6 @@ from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, matrix_at, p
 from .roots import sign_change
 from .stretch import backwards, glued
 
-DIRECTIONS = ("both", "forward", "backward")
 SMALLEST = 1e-8  # step
 ROWS = 64  # of points, whose eigenvalues are asked for in one call
 NEAR = 1e-9  # of u and its image: as near are they one
@@ -100,20 +100,22 @@ def trace(
 
     Raises ContinuationError for arguments that cannot be, and where Newton's method comes to no solution from u.
     """
-    u = np.atleast_1d(np.asarray(u, float))
-    system = symmetric(system, u, at, args)
+    row, at = known_numbers(u, at)
+    require_settings(direction, monitors, stop)
+    require_system(system, row, at, args)
+    system = symmetric(system, row, at, args)
     names = (along,) if isinstance(along, str) else tuple(along)
     kept = held.named(hold, monitors, names)
     box = bounds if isinstance(bounds, Mapping) else dict.fromkeys(names, bounds)
     if set(box) != set(names):
         raise ContinuationError("bounds", f"must be given for {', '.join(names)}", bounds)
-    bounds = _checked(system, u, at, {name: box[name] for name in names}, direction, stop)
-    others = {name: float(value) for name, value in at.items() if name not in names}
+    bounds = checked_bounds(at, {name: box[name] for name in names})
+    others = {name: value for name, value in at.items() if name not in names}
     given = held.Held(others, args, tuple(kept.values())) if kept else Given(others, args)
-    z = np.append(u, [float(at[name]) for name in names])
+    z = np.append(row, [at[name] for name in names])
     problem = held.held_problem(system, tuple(kept), names) if kept else problem_of(system, names)
     z = _solved(problem, z, given)
-    checked_bounds(dict(zip(names, z[len(u) :].tolist(), strict=True)), bounds)
+    checked_bounds(dict(zip(names, z[len(row) :].tolist(), strict=True)), bounds)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)
     task = task._replace(problem=problem)
     ahead = event_search.tangent(task.problem, z, task.control.scale, given)
@@ -144,6 +146,7 @@ def switch(
     if special.kind == "HB" and (not isinstance(orbits, System) or orbits.kind != ORBITS):
         raise ContinuationError("orbits", "must be the `periodic_orbits` of the field that has the Hopf point", orbits)
     bounds = bounds or special.bounds
+    require_settings("both", monitors, stop)
     system, z, given, tangents = leaving.ways(special, orbits)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)._replace(starts=())
     starts = [start_point(z, tangent) for tangent in tangents]
@@ -202,29 +205,12 @@ def symmetric(system, u, at, args):
     """The system, to keep to solutions that are their own images where u is one. Raises ContinuationError."""
     if not isinstance(system, System) or system.symmetry is None:
         return system
-    p = {name: float(value) for name, value in at.items()}
     some = u + np.random.default_rng(0).normal(size=len(u))
     twice = np.asarray(system.symmetry(system.symmetry(some)))
-    one, two = system.function(system.symmetry(some), p, args), system.symmetry(system.function(some, p, args))
+    one, two = system.function(system.symmetry(some), at, args), system.symmetry(system.function(some, at, args))
     if not np.allclose(twice, some, rtol=0, atol=1e-9) or not np.allclose(one, two, rtol=1e-9, atol=1e-9):
         raise ContinuationError("symmetry", "must be its own inverse, and keep the function", system.symmetry)
     return system._replace(within=bool(np.allclose(system.symmetry(u), u, rtol=0, atol=NEAR)))
-
-
-def _checked(system, u, at, bounds, direction, stop):
-    """The bounds as plain numbers, {name: (low, high)}, once nothing is wrong."""
-    if not isinstance(system, System):
-        raise ContinuationError("system", "must be one of `equilibria` or `fixed_points`", system)
-    if u.ndim != 1 or not np.isfinite(u).all():
-        raise ContinuationError("u", "must be a row of finite numbers", u)
-    count = system.segments * system.times
-    if system.kind == ORBITS and (len(u) <= count or (len(u) - 1) % count or u[-1] <= 0):
-        raise ContinuationError("u", f"must be {count} points, one after another, and the period", u)
-    if direction not in DIRECTIONS:
-        raise ContinuationError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
-    if isinstance(stop, str):
-        raise ContinuationError("stop", "must be a tuple of kinds", stop)
-    return checked_bounds(at, bounds)
 
 
 def checked_bounds(at, bounds):

@@ -15,6 +15,7 @@ from jaxtyping import Float
 
 from . import event_search, locate
 from .arclength import bordered
+from .arguments import require_settings
 from .branch import Branch, Special
 from .errors import ContinuationError
 from .on_curve import MEETING, OnCurve
@@ -51,6 +52,7 @@ def curve(
         raise ContinuationError("names", "must be two different parameters", names)
     if set(bounds) != set(pair):
         raise ContinuationError("bounds", f"must be given for {pair[0]} and {pair[1]}", bounds)
+    require_settings("both", None, stop)
     bounds = checked_bounds(special.p, {name: bounds[name] for name in pair})
     given = Given({name: value for name, value in special.p.items() if name not in pair}, special.args)
     z = np.append(special.u, [special.p[name] for name in pair])

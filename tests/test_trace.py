@@ -1,5 +1,6 @@
 """Branches and curves whose points and events are known numbers, as a user of `continuation` alone asks for them."""
 
+import jax
 import jax.numpy as jnp
 import mpmath
 import numpy as np
@@ -367,7 +368,15 @@ def test_where_a_branch_ends():
         ({"direction": "up"}, "direction"),
         ({"first_step": 0.0}, "first_step"),
         ({"stop": "SN"}, "stop"),
+        ({"stop": ["LP"]}, "stop"),
         ({"system": None}, "system"),
+        ({"at": [1.0]}, "at"),
+        ({"at": {"p": {"q": 1.0}}}, "at.p"),
+        ({"u": [[1.0]]}, "u"),
+        ({"system": co.equilibria(lambda u, p, args: [u[0] - p["p"]])}, "function"),
+        ({"system": co.equilibria(lambda u, p, args: u[0] - p["p"])}, "function"),
+        ({"system": co.equilibria(lambda u, p, args: np.sin(u) - p["p"])}, "function"),
+        ({"system": co.equilibria(lambda t, u, p: u - p["p"])}, "function"),
     ],
 )
 def test_what_cannot_be_is_refused(change, key):
@@ -375,6 +384,24 @@ def test_what_cannot_be_is_refused(change, key):
     with pytest.raises(co.ContinuationError) as told:
         co.trace(**given)
     assert told.value.key == key and "\n" not in str(told.value)
+
+
+def test_nothing_is_followed_within_jit():
+    with pytest.raises(co.ContinuationError, match="u: must be known numbers"):
+        jax.jit(lambda at: co.trace(PARABOLA, [1.0], {"p": at}, "p", (-5.0, 3.0)).u)(1.0)
+
+
+def test_a_table_has_a_norm_and_no_more_than_some_numbers():
+    def many(u, p, args):
+        return jnp.concatenate([p["p"] - u[:1] ** 2, u[1:] - 2.0])
+
+    lines = (
+        co.trace(co.equilibria(many), np.append(1.0, np.full(49, 2.0)), {"p": 1.0}, "p", (-5.0, 3.0))
+        .table()
+        .split("\n")
+    )
+    assert lines[0].split() == ["kind", "p", "norm", "u", "residual"] and max(map(len, lines)) < 120
+    assert lines[1].split()[2] == f"{np.sqrt(3.0 + 49 * 4.0):.9g}" and "..." in lines[1]
 
 
 def test_a_function_is_held_along_two_parameters():

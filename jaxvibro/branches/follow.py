@@ -21,7 +21,7 @@ from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
 from . import hold as holding
 from .assemble import assemble
-from .branch import Branch
+from .branch import MEANINGS, Branch
 from .held_branch import HeldBranch
 from .segment import BranchSettings
 from .through_grazings import go_on
@@ -227,4 +227,8 @@ def check_settings(first_step, largest_step, tolerance, monitors, stop):
     for label, function in monitors.items():
         if not callable(function):
             raise check.ArgumentError(f"monitors.{label}", "must be a function of a point", function)
-    return settings | {"monitors": monitors, "stop": check.sequence("stop", stop or ())}
+    stop = check.sequence("stop", stop or ())
+    for label in stop:
+        if label not in (known := (*MEANINGS, *monitors)):
+            raise check.ArgumentError("stop", f"must be special points or monitors{check.among(label, known)}", label)
+    return settings | {"monitors": monitors, "stop": stop}

@@ -57,9 +57,16 @@ def short(text, most=80):
     return line if len(line) <= most else f"{line[: most - 3]}..."
 
 
+# What papers and other programs call the parameters of a scene, and special points.
+CALLED = {"A": "amplitude", "F": "amplitude", "force": "amplitude", "omega": "frequency", "Omega": "frequency"}
+CALLED |= {"gamma": "damping", "zeta": "damping", "damping_ratio": "damping", "R": "restitution", "r": "restitution"}
+CALLED |= {"LP": "SN", "LPC": "SN", "TR": "NS", "BPC": "BP"}
+
+
 def among(name, names):
     """The end of a rule that a name breaks as it is none of these: the nearest of them, and all."""
-    near = difflib.get_close_matches(short(name), names, 1)
+    meant = CALLED.get(name)
+    near = [meant] if meant in names else difflib.get_close_matches(short(name), names, 1)
     return f"{', perhaps ' + near[0] if near else ''} ({', '.join(names)})"
 
 
