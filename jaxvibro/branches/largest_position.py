@@ -17,6 +17,7 @@ from ..problem.equations import cycle_at, there
 from ..problem.orbit_on_branch import place_orbit
 from ..problem.orbit_rows import row_of, spot_of
 
+MOST = 50_000  # cells
 ROUNDS = 6  # of false position: x at a turning point is right to the square of its time's error
 
 
@@ -92,8 +93,11 @@ def of_flight(built, found):
 
 def _highest(at, begin, span, reach, best):
     """The largest abs x of rows from a time on, over a span, if it is larger than the best so far; at: time -> (x, v);
-    reach: of a step of the flow, of which a cell is a small part."""
-    cells = jnp.ceil(jnp.max(span) / (flight_clearance.TURN * reach)).astype(int) + 8
+    reach: of a step of the flow, of which a cell is a small part. It is nan where there would be too many cells, as
+    where Newton's method goes astray."""
+    wanted = jnp.max(span) / (flight_clearance.TURN * reach)
+    known = wanted <= MOST
+    cells = jnp.ceil(jnp.where(known, wanted, 0.0)).astype(int) + 8
     step = span / cells
 
     def look(k, carry):
@@ -106,7 +110,7 @@ def _highest(at, begin, span, reach, best):
         return jnp.maximum(best, jnp.where(turns, abs(turned), 0.0)), v
 
     x, v = at(begin)
-    return jax.lax.fori_loop(0, cells, look, (jnp.maximum(best, abs(x)), v))[0]
+    return jnp.where(known, jax.lax.fori_loop(0, cells, look, (jnp.maximum(best, abs(x)), v))[0], jnp.nan)
 
 
 def _turn(at, low, high, first, last):
