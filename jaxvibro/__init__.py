@@ -81,6 +81,7 @@ _HOMES = {
     "Combination": "design.fitted",
     "ImpactRecord": "design.records",
     "SampleRecord": "design.records",
+    "record_from_physical": "design.records",
     "PointRecord": "design.records",
     "locus": "loci.locus",
     "Locus": "loci.locus",

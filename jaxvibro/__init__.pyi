@@ -47,6 +47,7 @@ from .design.place import place as place
 from .design.records import ImpactRecord as ImpactRecord
 from .design.records import PointRecord as PointRecord
 from .design.records import SampleRecord as SampleRecord
+from .design.records import record_from_physical as record_from_physical
 from .design.search import Search as Search
 from .design.search import search as search
 from .design.sensitivity import sensitivity as sensitivity

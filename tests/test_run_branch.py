@@ -151,7 +151,7 @@ KEYS = "(parameter, bounds, start, at, settle, max_period, largest_step)"
 BAD = [
     ("branch = 3", "branch", "must be a table; got 3"),
     ("branch.name = 'amplitude'", "branch.name", f"is not a key here {KEYS}"),
-    ("branch.parameter = 'force'", "branch.parameter", "must be a parameter of the scene (amplitude, "),
+    ("branch.parameter = 'force'", "branch.parameter", "must be a parameter of the scene"),
     ("branch.parameter = 3", "branch.parameter", "must be a text; got 3"),
     ("branch.bounds = 3", "branch.bounds", "must be a list; got 3"),
     ("branch.bounds = [1.0]", "branch.bounds", "must be a list of length 2; got [1.0]"),
@@ -163,7 +163,7 @@ BAD = [
     ("branch.bounds = [3, 6]", "branch.at.amplitude", "must lie within branch.bounds, 3.0 and 6.0; got 2.0"),
     ("branch.parameter = 'damping'\nbranch.bounds=[1, 2]", "branch.bounds", "must hold the scene's damping, 0.05"),
     ("branch.at = 4.65", "branch.at", "must be a table; got 4.65"),
-    ("branch.at.force = 1.0", "branch.at.force", "is not a parameter of this scene (amplitude, "),
+    ("branch.at.force = 1.0", "branch.at.force", "is not a parameter of this scene, perhaps amplitude ("),
     ("branch.at.damping = 'low'", "branch.at.damping", "must be a number; got 'low'"),
     ("branch.at.amplitude = nan", "branch.at.amplitude", "must be finite; got nan"),
     ("branch.at.frequency = 0", "branch.at.frequency", "must be greater than 0; got 0.0"),

@@ -8,6 +8,8 @@ import pytest
 from matplotlib.figure import Figure
 
 import jaxvibro as jv
+from jaxvibro.studies.record_file import record
+from jaxvibro.studies.schema import FitTable
 
 SCENES = Path(__file__).parents[1] / "scenes"
 TRUE = {
@@ -39,6 +41,37 @@ def test_the_numbers_that_made_the_record_are_told(done):
     assert np.sqrt(np.diag(data["fit_covariance"].values)) == pytest.approx(data["fit_sigma"].values)
     assert np.sum(data["fit_residual"].values ** 2) == pytest.approx(told["chi2"])
     assert {one.name for one in out.iterdir()} == {f"fit{end}" for end in (".png", ".nc", ".txt")}
+
+
+def test_a_record_in_physical_units_is_the_same_record(tmp_path):
+    natural, length = 500.0, 0.4e-3
+    pace = length * natural
+    rig = jv.scene_from_physical(2.0, 30.0, 2.0 * natural**2, 40.0, 900.0, 0.7, (-0.3e-3, 0.4e-3))
+    times, x, v = np.linspace(0.0, 30.0, 40), np.sin(np.arange(40.0)), np.cos(np.arange(40.0))
+    plain = jv.SampleRecord(times, x, 0.01, v, 0.02, 0.3)
+    given = jv.SampleRecord(times / natural, length * x, 0.01 * length, v * pace, 0.02 * pace, 0.3)
+    heard = jv.ImpactRecord(times[:3], [1, -1, 1], 1e-3)
+    rows = np.stack([given.times, 1e3 * given.x, given.v], 1).tolist()
+    lines = ["time (s),x (mm),v (m/s)", *(f"{t!r},{one!r},{other!r}" for t, one, other in rows)]
+    (tmp_path / "samples.csv").write_text("\n".join(lines))
+    hits = zip((times[:3] / natural).tolist(), ("right", "left", "right"), strict=True)
+    (tmp_path / "impacts.csv").write_text("\n".join(["time (s),side", *(f"{t!r},{side}" for t, side in hits)]))
+    samples = FitTable(record="samples.csv", sigma=1e3 * given.sigma, free={}, sigma_v=given.sigma_v, phase=0.3)
+    impacts = FitTable(record="impacts.csv", sigma=1e-3 / natural, free={})
+    assert_alike(plain, jv.record_from_physical(given, rig))
+    assert_alike(plain, record(tmp_path, samples, rig))
+    assert_alike(heard, record(tmp_path, impacts, rig))
+    with pytest.raises(jv.SceneError, match=r"line 1: must be time,x,v, as the scene has no \[scene.scales\]"):
+        record(tmp_path, samples, jv.make_scene(1.0, 2.0, 0.1, 0.7, (-1.0, 1.0)))
+    few = jv.SampleRecord(times[:2] / natural, x[:2], 0.01)
+    with pytest.warns(UserWarning, match="are its times in seconds"), pytest.raises(jv.ArgumentError):
+        jv.fit(rig, few, {"damping": 0.1, "amplitude": 1.0})
+
+
+def assert_alike(one, other):
+    for key, value in vars(one).items():
+        given = np.asarray(getattr(other, key), float)
+        np.testing.assert_allclose(given, np.asarray(value, float), rtol=1e-14, atol=1e-14)
 
 
 def test_residuals_are_drawn_at_their_impacts(done):
@@ -107,7 +140,7 @@ def test_what_may_not_stand_there_is_one_clear_error(tmp_path, change, told):
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("when,what\n1.0,left\n", r"^fit.csv, line 1: must be time,side or time,x or time,x,v; got .*when,what"),
+        ("when,what\n1.0,left\n", r"^fit.csv, line 1: must be time,side or time,x or time,x,v or .*; got .*when,what"),
         ("", r"^fit.csv, line 1: must be time,side"),
         ("time,side\n1.0,left\n2.0,up\n", r"^fit.csv, line 3: must have a side left, right, -1, 1, \+1; got 'up'"),
         ("time,side\n1.0\n", r"^fit.csv, line 2: must be time, side"),

@@ -217,7 +217,7 @@ BAD = [
     (
         "locus.parameters = ['amplitude', 'force']",
         "locus.parameters[1]",
-        "must be a parameter of the scene (amplitude, ",
+        "must be a parameter of the scene",
     ),
     (
         "locus.parameters = ['damping', 'damping']",

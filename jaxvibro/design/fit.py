@@ -6,6 +6,7 @@ import numpy as np
 
 from ..scene import check
 from ..scene.parameters import tied
+from ..scene.questions import ask_of_record
 from ..scene.scene import SIDES, Scene
 from . import chain_fit, fitted, motion_fit, point_fit
 from .fitted import Fit, FitStatus
@@ -54,6 +55,7 @@ def fit(
         raise check.ArgumentError("data", "must be an ImpactRecord, a SampleRecord or a PointRecord", data)
     units = units_of(scene, free)
     room = room_of(scene, units, bounds or {})
+    ask_of_record(scene, data)
     return (_of_impacts if isinstance(data, ImpactRecord) else _of_samples)(scene, data, units, room)
 
 

@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Bool, Float
 
-from ..output.table_text import columns
+from ..output.table_text import columns, headed
+from ..output.units import TIME, unit_in, unit_of
 from ..scene.scene import SIDES, Scene
 from .least_squares import SHORT, Free, Solved, largest_chi2
 
@@ -64,12 +65,19 @@ class Fit:
     scene: Scene
     status: FitStatus
 
-    def table(self) -> str:
-        """The fit as text."""
-        rows = [("number", "value", "sigma"), *((name, self.values[name], self.sigma[name]) for name in self.values)]
+    def table(self, units: str = "scene") -> str:
+        """The fit as text. units: "scene", or "physical" (Hz, N, mm, s) of a scene that has scales.
+
+        Raises ArgumentError for other units, and where the scene has no scales.
+        """
+        rows: list[tuple[str | float, ...]] = [("number", "value", "sigma")]
+        for name in self.values:
+            unit, size = unit_in(self.scene, unit_of(name), units)
+            rows.append((headed(name, unit, units), size * self.values[name], size * self.sigma[name]))
+        late = unit_in(self.scene, TIME, units)[1]
         lines = [columns(rows), f"chi2 {self.chi2:.4g} of {self.dof}, {self.status.name}"]
         lines += [f"not in the record: {one}" for one in self.unidentifiable]
-        lines += [f"missed: {time:.6g} {SIDES[int(side > 0)]}" for time, side in self.missed]
+        lines += [f"missed: {late * time:.6g} {SIDES[int(side > 0)]}" for time, side in self.missed]
         return "\n".join([*lines, *(f"spurious: impact {k}" for k in self.spurious)])
 
 

@@ -11,7 +11,8 @@ from jaxtyping import Float
 
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import Orbit, OrbitError
-from ..output.table_text import columns
+from ..output.table_text import columns, headed
+from ..output.units import unit_in, unit_of
 from ..scene import check
 from ..scene.codes import SolutionStatus
 from ..scene.parameters import domain
@@ -79,20 +80,26 @@ class Margin:
         """To the nearest, in units; infinite where none was found."""
         return self.points[0].distance if self.points else np.inf
 
-    def table(self) -> str:
-        """A line each, and how far it was looked."""
-        rows = [("kind", "distance", *self.free, "status")]
+    def table(self, units: str = "scene") -> str:
+        """A line each, and how far it was looked. units: "scene", or "physical" (Hz, N, mm) of a scene that has scales.
+
+        Raises ArgumentError for other units, and where the scene has no scales.
+        """
+        known = {name: unit_in(self.orbit.scene, unit_of(name), units) for name in self.free}
+
+        def values(scene):
+            return (f"{size * float(scene.parameter(name)):.9g}" for name, (_, size) in known.items())
+
+        rows = [("kind", "distance", *(headed(name, unit, units) for name, (unit, _) in known.items()), "status")]
         for one in self.points:
             status = one.status + (f", at a bound of {', '.join(one.at_bound)}" if one.at_bound else "")
             status += f", ends there in {one.edge}" if one.edge else ""
-            there = (f"{float(one.scene.parameter(name)):.9g}" for name in self.free)
-            rows.append((one.kind, f"{one.distance:.9g}", *there, status))
-        now = (f"{float(self.orbit.scene.parameter(name)):.9g}" for name in self.free)
-        rows.append((self.orbit.label, "0", *now, "the orbit itself"))
-        units = ", ".join(f"{name} {unit:g}" for name, unit in self.free.items())
+            rows.append((one.kind, f"{one.distance:.9g}", *values(one.scene), status))
+        rows.append((self.orbit.label, "0", *values(self.orbit.scene), "the orbit itself"))
+        steps = ", ".join(f"{name} {known[name][1] * step:g}" for name, step in self.free.items())
         reach, ways = self.searched
         return "\n".join(
-            [columns(rows), f"units: {units}", f"followed to a distance of {reach:g} in {ways} directions"]
+            [columns(rows), f"units: {steps}", f"followed to a distance of {reach:g} in {ways} directions"]
         )
 
 
@@ -121,7 +128,8 @@ def margin(
     orbit: an `Orbit` of separate impacts, or of none, stable or not. free: {name: unit}: distances are the root of the
     sum of squares of (change / unit). bounds: {name: (low, high)} of free numbers, by default their domains. kinds: SN,
     PD, SB, GR. directions: in so many, the axes and random ones, the orbit is followed until something ends it; these
-    ends are where Newton's method on the condition of Karush, Kuhn and Tucker begins, with multipliers for bounds.
+    ends are where Newton's method on the condition of Karush, Kuhn and Tucker begins, with multipliers for bounds. The
+    margin is that of this one orbit: other motions may be there sooner, and take most starts (`find_attractors`).
 
     An SB is looked for among the free numbers that keep the scene symmetric. Nothing is proved about directions
     in which the orbit was not followed (`searched`).

@@ -1,13 +1,14 @@
 """What was measured: small frozen records, checked as they are made."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Real
 
 from ..branches.branch import Special
 from ..scene import check
-from ..scene.scene import SIDES
+from ..scene.scales import require_scales
+from ..scene.scene import SIDES, Scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +78,32 @@ class SampleRecord:
         if self.v is None:
             return np.asarray(self.x)[:, None], np.array([self.sigma])
         return np.stack([self.x, self.v], 1), np.array([self.sigma, self.sigma_v or self.sigma])
+
+
+@check.host("multiply by what `scene.scales` says")
+def record_from_physical(record: ImpactRecord | SampleRecord, scene: Scene) -> ImpactRecord | SampleRecord:
+    """A record in seconds, metres and m/s, errors included, as a scene with scales measures it: another record of its
+    kind, for `fit`.
+
+    Raises ArgumentError for what is no such record, and where the scene has no scales.
+    """
+    if not isinstance(record, ImpactRecord | SampleRecord):
+        raise check.ArgumentError("record", "must be an ImpactRecord or a SampleRecord", record)
+    scales = require_scales(scene)
+    natural, length = scales.natural_frequency, scales.length
+    times = natural * np.asarray(record.times)
+    if isinstance(record, ImpactRecord):
+        return replace(record, times=times, sigma=natural * record.sigma)
+    pace, v = length * natural, record.v
+    sigma_v = (record.sigma if record.sigma_v is None else record.sigma_v) / pace
+    return replace(
+        record,
+        times=times,
+        x=np.asarray(record.x) / length,
+        sigma=record.sigma / length,
+        v=None if v is None else np.asarray(v) / pace,
+        sigma_v=None if v is None else sigma_v,
+    )
 
 
 def positive(key, value):

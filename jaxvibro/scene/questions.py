@@ -26,3 +26,11 @@ def ask(scene, in_radians):
         found.append(f"are the walls' positions in mm (they are {times})? they are taken in m")
     if found:
         warnings.warn("; ".join(found), UserWarning, stacklevel=4)
+
+
+def ask_of_record(scene, record):
+    """Warn where a record's times look like seconds: it is to cover less than a drive period of a scene with scales."""
+    turns = float(np.ptp(record.times)) * float(scene.frequency) / (2.0 * np.pi)
+    if scene.scales is not None and turns < 1.0:
+        told = f"the record covers {turns:.2g} of a drive period: are its times in seconds?"
+        warnings.warn(f"{told} record_from_physical takes them so", UserWarning, stacklevel=4)

@@ -10,8 +10,8 @@ from ..branches.branch import MEANINGS, labels_of
 from ..design.records import ImpactRecord
 from ..loci.locus import MEANINGS as ON_LOCI
 from ..maps.initial_conditions import box, box_text
-from ..output.table_text import columns, pair
-from ..output.units import unit_in, unit_of
+from ..output.table_text import columns, headed, pair
+from ..output.units import LENGTH, SPEED, amount_text, unit_in, unit_of
 from .compute import KEEP, SETTLE
 from .sweep_periods import longest, stretches
 
@@ -19,25 +19,23 @@ RESTS = "inf: the mass comes to rest by infinitely many hops, of which impacts h
 
 
 def table(found, name, units="scene"):
-    """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci. units: of the
-    scene, the branches and the loci."""
+    """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci. units: "scene"
+    or "physical"."""
     parts = [f"jaxvibro {__version__}, {name}\n", columns(_numbers(found.scene, units))]
-    if units != "scene":
-        parts.append("the scene, its branches and loci in physical units, all else in the scene's own")
     if found.swept is not None:
-        parts += ["", *_sweep(found)]
+        parts += ["", *_sweep(found, units)]
     if found.attractors is not None:
-        parts += ["", *_attractors(found)]
+        parts += ["", *_attractors(found, units)]
     if found.orbits is not None:
-        parts += ["", *_orbits(found)]
+        parts += ["", *_orbits(found, units)]
     if found.branches is not None:
         parts += ["", *_branches(found, units)]
     if found.loci is not None:
         parts += ["", *_loci(found, units)]
     if found.margin is not None:
-        parts += ["", *_margin(found)]
+        parts += ["", *_margin(found, units)]
     if found.fit is not None:
-        parts += ["", *_fit(found)]
+        parts += ["", *_fit(found, units)]
     return "\n".join(parts) + "\n"
 
 
@@ -49,37 +47,50 @@ def _numbers(scene, units):
     return [(name, value * known[name][1], known[name][0]) for name, value in scene.numbers.items()]
 
 
-def _sweep(found):
+def _sweep(found, units):
     asked = found.file.sweep
     if asked is None:
-        yield from _rest(found.swept)
+        yield from _rest(found, units)
         return
+    unit, size = unit_in(found.scene, unit_of(asked.parameter), units)
     yield f"sweep of {asked.parameter}: {asked.count} values, {asked.settle} periods settled, {asked.keep} kept"
     yield f"periods: drive periods after which the state comes back, -: not within {longest(found.swept)}"
-    rows = [("leg", "from", "to", "values", "periods")]
-    rows += [(one.leg, one.first, one.last, one.count, _periods(one.periods)) for one in stretches(found.swept)]
+    rows = [("leg", headed("from", unit, units), headed("to", unit, units), "values", "periods")]
+    rows += [
+        (one.leg, size * one.first, size * one.last, one.count, _periods(one.periods)) for one in stretches(found.swept)
+    ]
     yield columns(rows)
 
 
-def _rest(swept):
+def _rest(found, units):
+    swept, ((x, wide), (v, high)) = found.swept, _plane(found, units)
     (one,), last = stretches(swept), swept.isel(step=0, leg=0, period=-1)
     yield f"from rest, after {SETTLE + KEEP} drive periods, at phase 0 of the drive"
-    rows = [("x", f"{float(last['x']):.12f}"), ("v", f"{float(last['v']):.12f}"), ("periods", _periods(one.periods))]
+    rows = [(x, f"{wide * float(last['x']):.12f}"), (v, f"{high * float(last['v']):.12f}")]
+    rows += [("periods", _periods(one.periods))]
     yield columns(rows)
     yield f"periods: drive periods after which the state comes back, -: not within {longest(swept)}"
+
+
+def _plane(found, units):
+    """(name with its unit, how much of it one of the scene's is) of x and of v."""
+    known = ((name, *unit_in(found.scene, unit, units)) for name, unit in (("x", LENGTH), ("v", SPEED)))
+    return [(headed(name, unit, units), size) for name, unit, size in known]
 
 
 def _periods(number):
     return "bad status" if number is None else number or "-"
 
 
-def _attractors(found):
-    asked = found.file.attractors
-    yield f"attractors at {_at(asked)}, from {asked.starts} starts (seed {asked.seed}); x and v at phase 0"
-    yield f"starts: random at phase 0, {box_text(found.there(asked))}; their shares with bounds at 95 %"
-    rows = [("", "label", "share", "periods", "x", "v", "impacts", "exponent", "rests", "mirror image")]
+def _attractors(found, units):
+    asked, ((x, wide), (v, high)) = found.file.attractors, _plane(found, units)
+    where = _at(found, asked, units)
+    yield f"attractors at {where}, from {asked.starts} starts (seed {asked.seed}); x and v at phase 0"
+    area = box_text(found.there(asked), _scales(found, units))
+    yield f"starts: random at phase 0, {area}; their shares with bounds at 95 %"
+    rows = [("", "label", "share", "periods", x, v, "impacts", "exponent", "rests", "mirror image")]
     for place, one in enumerate(found.attractors, 1):
-        state = (f"{one.state.x:.12f}", f"{one.state.v:.12f}")
+        state = (f"{wide * one.state.x:.12f}", f"{high * one.state.v:.12f}")
         share, rate = share_text(one), f"{one.exponent:.4f}"
         walls, twin = _walls(one.itinerary), _mirror(place, one.mirror_of)
         rows.append((place, one.label, share, one.periods or "-", *state, walls, rate, _yes(one.rests), twin))
@@ -91,8 +102,25 @@ def _attractors(found):
         yield f"{place}: {one.note}"
 
 
-def _at(asked):
-    return ", ".join(f"{key} = {value:g}" for key, value in asked.at.items()) or "the scene's own values"
+def _scales(found, units):
+    return found.scene.scales if units == "physical" else None
+
+
+def _span(found, units, name, low, high):
+    one, other = (amount_text(_scales(found, units), unit_of(name), value) for value in (low, high))
+    return f"from {one} to {other}"
+
+
+def _start(found, asked, units):
+    scales = _scales(found, units)
+    x, v = amount_text(scales, LENGTH, asked.start.x), amount_text(scales, SPEED, asked.start.v)
+    return f"x = {x}, v = {v} at {_at(found, asked, units)}"
+
+
+def _at(found, asked, units):
+    scales = _scales(found, units)
+    told = (f"{key} = {amount_text(scales, unit_of(key), value)}" for key, value in asked.at.items())
+    return ", ".join(told) or "the scene's own values"
 
 
 def _yes(rests):
@@ -103,18 +131,19 @@ def _walls(itinerary):
     return " ".join(word or "." for word in itinerary) or "-"
 
 
-def _orbits(found):
-    asked = found.file.orbits
+def _orbits(found, units):
+    asked, ((x, wide), (v, high)) = found.file.orbits, _plane(found, units)
     told = f"max_period {asked.max_period}, near trajectories from {asked.starts} starts (seed {asked.seed})"
-    yield f"periodic orbits at {_at(asked)}, {told}: {len(found.orbits) or 'none'} found"
+    yield f"periodic orbits at {_at(found, asked, units)}, {told}: {len(found.orbits) or 'none'} found"
     if not found.orbits:
         return
     turned = any(one.state.phase for one in found.orbits)
-    names = ("", "label", "", "multipliers", "x", "v", "phase", "impacts", "least speed", "least clearance", "residual")
-    rows = [(*names, "mirror image")]
+    names = ("", "label", "", "multipliers", x, v, "phase", "impacts")
+    rows = [(*names, f"least speed{v[1:]}", f"least clearance{x[1:]}", "residual", "mirror image")]
     for place, one in enumerate(found.orbits, 1):
-        state = [f"{getattr(one.state, key):.12f}" for key in ("x", "v", "phase")]
-        least = (float(one.least_speed), float(one.least_clearance), f"{one.residual:.1e}")
+        parts = wide * one.state.x, high * one.state.v, one.state.phase
+        state = [f"{each:.12f}" for each in parts]
+        least = (high * float(one.least_speed), wide * float(one.least_clearance), f"{one.residual:.1e}")
         kind = "stable" if one.stable else "unstable"
         told = (one.label, kind + ", rests" if one.rests else kind, pair(one.multipliers, 7))
         rows.append((place, *told, *state, _walls(one.itinerary), *least, _mirror(place, one.mirror_of)))
@@ -128,10 +157,11 @@ def _orbits(found):
 def _branches(found, units):
     asked, (low, high) = found.file.followed, found.file.followed.bounds
     if found.diagram is None:
-        start = f"from x = {asked.start.x:g}, v = {asked.start.v:g} at {_at(asked)}, max_period {asked.max_period}"
+        start = f"from {_start(found, asked, units)}, max_period {asked.max_period}"
     else:
-        start = f"from many starts at {_at(asked)}, max_period {asked.max_period} (seed {asked.seed})"
-    yield f"branches of periodic orbits for {asked.parameter} from {low:g} to {high:g}, {start}: {len(found.branches)}"
+        start = f"from many starts at {_at(found, asked, units)}, max_period {asked.max_period} (seed {asked.seed})"
+    span = _span(found, units, asked.parameter, low, high)
+    yield f"branches of periodic orbits for {asked.parameter} {span}, {start}: {len(found.branches)}"
     if found.diagram is not None:
         yield found.diagram.reason
     for place, one in enumerate(found.branches, 1):
@@ -144,7 +174,7 @@ def _branches(found, units):
 
 def _loci(found, units):
     bounds = found.file.locus.bounds
-    where = " and ".join(f"{name} from {low:g} to {high:g}" for name, (low, high) in bounds.items())
+    where = " and ".join(f"{name} {_span(found, units, name, *pair)}" for name, pair in bounds.items())
     yield f"loci of special points in {where}: {len(found.loci)}"
     for place, one in enumerate(found.loci, 1):
         yield f"\n{place}: {one.kind} of {one.label}, {len(one)} points"
@@ -154,18 +184,17 @@ def _loci(found, units):
     yield f"\n{_meanings(ON_LOCI)}; SN, PD, SB on a GR: such a locus ends there"
 
 
-def _margin(found):
+def _margin(found, units):
     asked = found.file.margin
-    where = f"from x = {asked.start.x:g}, v = {asked.start.v:g} at {_at(asked)}"
-    yield f"nearest bifurcations of the orbit that is settled on {where}"
-    yield found.margin.table()
+    yield f"nearest bifurcations of the orbit that is settled on from {_start(found, asked, units)}"
+    yield found.margin.table(units)
     yield _meanings({kind: MEANINGS[kind] for kind in asked.kinds})
 
 
-def _fit(found):
+def _fit(found, units):
     what = "impacts" if isinstance(found.record, ImpactRecord) else "samples"
     yield f"numbers fitted to the {len(found.record.times)} {what} of {found.file.fit.record}"
-    yield found.fit.table()
+    yield found.fit.table(units)
 
 
 def _meanings(meanings):

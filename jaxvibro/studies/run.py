@@ -75,7 +75,7 @@ def run(
     if require_system(units) == "physical":
         require_scales(file.scene)
     _refuse(path, out, files.values(), force)
-    heard = None if file.fit is None else record(path.parent, file.fit)
+    heard = None if file.fit is None else record(path.parent, file.fit, file.scene)
     found = study(file, heard, progress)
     table = report.table(found, path.name, units)
     contents = {"picture": picture(found, units), "data": netcdf(dataset(found)), "table": table.encode()}
