@@ -10,9 +10,10 @@ from matplotlib.typing import ColorType
 from ..branches.branch import MEANINGS, Branch
 from ..output.labels import name_in
 from .smooth import smooth
-from .style import COLOURS, WALL, are_of, axes, is_of, legend, of_parameter, of_variable, plain, scales_of
+from .style import COLOURS, WALL, are_of, axes, is_of, legend, of_parameter, of_variable, plain, scales_of, wide
 
 ORDER = tuple(COLOURS[k] for k in (2, 7, 5, 3, 0, 6, 1))  # yellow is too pale for a line
+ORDER += ("#882255", "#999933", "#332288", "#44AA99")  # of Tol's, where there are more
 WIDTHS = {True: 2.0, False: 0.9}  # of a stable and of an unstable part, points
 STYLES = {True: "-", False: (0, (4, 2))}
 MARKERS = {
@@ -64,7 +65,7 @@ def branch(
     for piece in found.pieces:
         look: dict[str, Any] = {
             "color": colour,
-            "linewidth": WIDTHS[piece.stable],
+            "linewidth": wide(WIDTHS[piece.stable]),
             "linestyle": STYLES[piece.stable],
             "zorder": 3,
         }
@@ -72,7 +73,7 @@ def branch(
             line = smooth(piece.values * across.size, column * up.size)
             ax.plot(*line, label="_" + text, gid="branch", solid_capstyle="butt", **look)
     if text not in known:
-        ax.plot([], [], label=text, gid="branch", color=colour, linewidth=WIDTHS[True])
+        ax.plot([], [], label=text, gid="branch", color=colour, linewidth=wide(WIDTHS[True]))
     stability_entries(ax)
     _points(ax, found.points, across.size, up.size, labels)
     if variable in ("x", "peak"):
@@ -92,7 +93,7 @@ def stability_entries(ax):
     """What the lines mean, once in a legend."""
     if not any(line.get_gid() == "stability" for line in ax.lines):
         for stable, text in ((True, "stable"), (False, "unstable")):
-            look = {"color": WALL, "linewidth": WIDTHS[stable], "linestyle": STYLES[stable]}
+            look = {"color": WALL, "linewidth": wide(WIDTHS[stable]), "linestyle": STYLES[stable]}
             ax.plot([], [], label=text, gid="stability", **look)
 
 

@@ -16,6 +16,7 @@ ROOM = 0.7  # of the way from one value to the next
 SMALLER = 0.5  # of the size of the leg before: where legs agree a ring of it is seen, in print too
 FAINT = 0.7  # of that size
 MARKERS = "osD^vP*X"
+SWEPT = "swept"
 
 
 def diagram(
@@ -24,9 +25,9 @@ def diagram(
     """Draw one variable, "x" or "v", of a Dataset of `sweep`: the Axes.
 
     A dimension besides the values' and `period` (lane, or leg with its names) makes a leg of each of its entries, with
-    a colour and a size of dot of its own. Fixed walls are lines where x is drawn, unless they are far from all dots.
-    faint: smaller and paler dots, below branches; without it they lie above. units: "scene", or "physical" of a scene
-    that has scales. New Axes get a legend.
+    a colour and a size of dot of its own, those after what the Axes hold of other sweeps. Fixed walls are lines where x
+    is drawn, unless they are far from all dots. faint: smaller and paler dots, below branches; without it they lie
+    above. units: "scene", or "physical" of a scene that has scales. New Axes get a legend.
 
     Raises ArgumentError for what is no such Dataset, and for other units.
     """
@@ -36,8 +37,9 @@ def diagram(
     wide, high = of_parameter(scales, name), of_variable(scales, variable)
     step, *lanes = (dim for dim in swept[variable].dims if dim != "period")
     legs = [swept] if not lanes else [swept.isel({lanes[0]: k}) for k in range(swept.sizes[lanes[0]])]
+    there = sum(line.get_gid() == SWEPT and np.size(line.get_xdata()) > 0 for line in ax.lines)
     first = float(np.clip(ROOM * _points(ax) / len(swept[step]), *SIZES))
-    for k, leg in enumerate(legs):
+    for k, leg in enumerate(legs, there):
         across = np.broadcast_to(wide.size * leg[name].values[:, None], leg[variable].shape)
         up = high.size * leg[variable].transpose(step, "period").values
         _dots(ax, across, up, k, first, _named(leg, lanes) + f"from {across[0, 0]:g} to {across[-1, 0]:g}", faint)
@@ -72,7 +74,7 @@ def _dots(ax, across, up, place, first, text, faint):
     size, colour = first * SMALLER ** min(place, 2), COLOURS[place % len(COLOURS)]
     style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": paler(colour) if faint else colour}
     size, style["zorder"] = (FAINT * size, 2.0) if faint else (size, 4.0)
-    ax.plot(across.ravel(), up.ravel(), markersize=size, rasterized=True, label="_" + text, **style)
+    ax.plot(across.ravel(), up.ravel(), markersize=size, rasterized=True, label="_" + text, gid=SWEPT, **style)
     ax.plot([], [], markersize=7 / (1 + 0.4 * place), label=text, **style)
 
 

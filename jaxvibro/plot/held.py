@@ -11,7 +11,7 @@ from ..output.units import amount_text
 from .branch import STYLES, WIDTHS, stability_entries
 from .plane import in_plane, plane_gid, with_gid
 from .smooth import smooth
-from .style import COLOURS, axes, is_of, legend, scales_of
+from .style import COLOURS, axes, is_of, legend, scales_of, wide
 
 HELD = "held"
 ORDER = tuple(COLOURS[k] for k in (6, 3, 5, 7, 0))  # loci have others first
@@ -36,10 +36,15 @@ def held(one: HeldBranch, ax: Axes | None = None, colour: ColorType | None = Non
     line, steady = one.values * sizes, one.stable[:-1] & one.stable[1:]
     for first, last in runs(steady):
         here = bool(steady[first])
-        look: dict[str, Any] = {"color": colour, "linewidth": WIDTHS[here], "linestyle": STYLES[here], "zorder": 4}
+        look: dict[str, Any] = {
+            "color": colour,
+            "linewidth": wide(WIDTHS[here]),
+            "linestyle": STYLES[here],
+            "zorder": 4,
+        }
         ax.plot(*smooth(*line[first : last + 1].T), label="_" + told, gid=plane_gid(HELD, one.names), **look)
     if told not in known:
-        ax.plot([], [], label=told, gid=plane_gid(HELD, one.names), color=colour, linewidth=WIDTHS[True])
+        ax.plot([], [], label=told, gid=plane_gid(HELD, one.names), color=colour, linewidth=wide(WIDTHS[True]))
     stability_entries(ax)
     legend(ax, alone)
     return ax

@@ -12,7 +12,7 @@ from ..output.labels import name_in
 from ..scene.check import ArgumentError
 from .plane import in_plane, plane_gid, with_gid
 from .smooth import smooth
-from .style import COLOURS, axes, is_of, legend, plain, scales_of
+from .style import COLOURS, axes, is_of, legend, plain, scales_of, wide
 
 # Of each kind: a colour, and a style that tells it without colour.
 LOOKS = {
@@ -57,7 +57,11 @@ def locus(
     alike = [line for line in lines if line.get_label().lstrip("_") == told]
     earlier = {line.get_label().lstrip("_") for line in lines} - {told}
     rank = sum(each.startswith(f"{one.kind} ") for each in earlier)
-    look: dict[str, Any] = {"color": colour or own, "linestyle": style, "linewidth": WIDTHS[min(rank, len(WIDTHS) - 1)]}
+    look: dict[str, Any] = {
+        "color": colour or own,
+        "linestyle": style,
+        "linewidth": wide(WIDTHS[min(rank, len(WIDTHS) - 1)]),
+    }
     if alike:
         look = {"linestyle": style, "color": colour or alike[0].get_color(), "linewidth": alike[0].get_linewidth()}
     hidden = any(line.get_color() == look["color"] for line in alike)

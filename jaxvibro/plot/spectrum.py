@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from .style import COLOURS, WALL, axes, is_from, of_parameter, scales_of
+from .style import COLOURS, WALL, axes, is_from, legend, of_parameter, scales_of
 
 SURE = 3.0  # standard errors by which the first exponent must exceed 0, for a value to be shaded as chaotic
 BAND = 2.0  # standard errors to either side
@@ -22,13 +22,13 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") ->
     are seen where the errors are; a line at zero; grey behind the values where the first exponent is positive beyond
     doubt. An exponent of -inf is a tick at the lower edge; where there is none, the line has a gap; a value that stands
     alone is a dot. Open circles are the growth between rests of a mass that comes to rest. units: of the parameter,
-    "scene", or "physical" of a scene that has scales.
+    "scene", or "physical" of a scene that has scales. New Axes get a legend.
 
     Raises ArgumentError for what is no such Dataset, and for other units.
     """
     is_from("spectrum", "spectrum", ("swept", "exponent", "error"), found)
     name = found.attrs["swept"]
-    wide, ax = of_parameter(scales_of(found, units), name), axes(ax)
+    alone, wide, ax = ax is None, of_parameter(scales_of(found, units), name), axes(ax)
     order = np.argsort(found[name].values, kind="stable")
     found = found.isel({name: order})
     across, exponent, error = wide.size * found[name].values, found["exponent"].values, found["error"].values
@@ -40,9 +40,9 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") ->
         spread = np.where(np.isfinite(error[:, k]), BAND * error[:, k], 0.0)
         ax.fill_between(across, line - spread, line + spread, color=colour, alpha=PALE, linewidth=0)
         ax.plot(across, line, dashes, linewidth=width, color=colour, label=NAMES[k])
-        alone = _alone(np.isfinite(line))
-        if alone.any():
-            ax.plot(across[alone], line[alone], "o", markersize=3, color=colour, label="_alone")
+        single = _alone(np.isfinite(line))
+        if single.any():
+            ax.plot(across[single], line[single], "o", markersize=3, color=colour, label="_alone")
         deep = across[np.isneginf(exponent[:, k])]
         ticks: dict[str, Any] = {"linestyle": "none", "marker": "v", "markersize": 4, "color": colour, "clip_on": False}
         ax.plot(deep, np.zeros(len(deep)), transform=ax.get_xaxis_transform(), label="_-inf", **ticks)
@@ -57,6 +57,7 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") ->
         ax.plot(across, found["between"].values, label="growth between rests", **look)
     ax.set(xlabel=wide.label, ylabel="Lyapunov exponents per drive period")
     ax.margins(x=0.01)
+    legend(ax, alone)
     return ax
 
 

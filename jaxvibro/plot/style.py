@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
@@ -15,6 +16,7 @@ from ..scene.scales import require_scales
 # Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
 WALL = "0.55"
+OWN_WIDTH = 1.5  # points, of matplotlib's lines
 
 SYMBOLS = {"amplitude": "$A$", "frequency": r"$\omega$", "damping": r"$\gamma$", "restitution": "$R$"}
 _PHYSICAL_SYMBOLS = {"amplitude": "$F$", "frequency": r"$\Omega/2\pi$", "damping": "$C$", "restitution": "$R$"}
@@ -116,6 +118,11 @@ def label(name, parameters=_PARAMETERS):
         return f"{_OF_TERM[own]} of the drive's term {place}"
     rest = "contact damping" if rest == "damping" else rest
     return f"{side} wall: {parameters[rest]}" if rest else parameters[name]
+
+
+def wide(points):
+    """A line's width, points, in proportion to what `rcParams` say of lines."""
+    return points * mpl.rcParams["lines.linewidth"] / OWN_WIDTH
 
 
 def plain(text):

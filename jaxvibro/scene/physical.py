@@ -79,7 +79,7 @@ def scene_from_physical(
         drive=[_weighed(f"drive.{k}", of, kind, *term) for k, term in enumerate(terms_of(drive))],
     )
     if not check.is_traced(*jax.tree.leaves(scene)) and not scene.shape:
-        questions.ask(scene, frequency_hz is None)
+        questions.ask(scene, frequency_hz is None, damping_ratio, gap)
     return replace(scene, scales=_scales(of))
 
 
@@ -119,6 +119,9 @@ def _length(walls):
     position = right.position if isinstance(right, Wall) else right
     if position is None:
         raise check.SceneError("length", "must be given where there is no right wall", None)
+    if not check.is_traced(position) and np.any(np.asarray(position) <= 0):
+        rule = "must be given where the right wall is not right of 0: are the walls the wrong way round?"
+        raise check.SceneError("length", rule, None)
     return position
 
 

@@ -9,9 +9,9 @@ FAR = 20.0  # times what the mass reaches: a wall as far away looks like one in 
 MILLI = 1e-3
 
 
-def ask(scene, in_radians):
-    """Warn, once, where the frequency given in radians per second looks like Hz, or the walls' positions like mm, of a
-    single scene."""
+def ask(scene, in_radians, damping_ratio=None, gap=None):
+    """Warn, once, where the frequency given in radians per second looks like Hz, the walls' positions like mm, the
+    damping ratio like per cent, or a gap like a position, of a single scene."""
     frequency = float(scene.frequency)
     found = []
     looks_like_hz = in_radians and NEAR[0] <= 2.0 * np.pi * frequency <= NEAR[1]
@@ -24,6 +24,12 @@ def ask(scene, in_radians):
     if len(far) == len(scene.walls) and far and reached > 0 and min(far) > FAR * reached >= FAR * MILLI * min(far):
         times = f"{min(far) / reached:.3g} times as far as the drive moves the mass"
         found.append(f"are the walls' positions in mm (they are {times})? they are taken in m")
+    if damping_ratio is not None and float(damping_ratio) > 1.0:
+        found.append(f"is the damping ratio in per cent ({float(damping_ratio):g})? 1 is critical")
+    if isinstance(gap, tuple | list) and any(one is not None and float(one) < 0 for one in gap):
+        found.append(
+            f"is gap ({', '.join(map(str, gap))}) meant as positions? walls= takes them; a gap counts outwards"
+        )
     if found:
         warnings.warn("; ".join(found), UserWarning, stacklevel=4)
 
