@@ -62,7 +62,7 @@ def test_the_three_ways_to_say_a_quantity_are_one():
         ({"gap": (jv.Wall(1.0), None)}, "gap: must be a number, or"),
         ({"gap": "1 mm"}, "gap: must be a real number"),
         ({"mass": None}, "mass: must be given"),
-        ({"gap": -1e-3}, "length: must be greater than 0"),
+        ({"gap": -1e-3}, "length: must be given where the right wall is not right of 0: are the walls the wrong"),
     ],
 )
 def test_what_is_said_twice_or_not_at_all_is_refused(changes, told):
@@ -80,6 +80,14 @@ def test_one_warning_asks_about_hz_and_mm():
         rig(frequency_hz=40.0 / (2 * np.pi))  # 40 rad/s is meant
         rig(frequency_hz=None, frequency=60.0 * np.pi)
         rig(frequency_hz=None, frequency=np.array([40.0, 50.0]))
+
+
+def test_per_cent_and_positions_are_asked_about():
+    with pytest.warns(UserWarning, match=r"damping ratio in per cent \(5\)") as told:
+        rig(damping_ratio=5)
+    with pytest.warns(UserWarning, match=r"is gap \(-0\.0002, 0\.0005\) meant as positions") as other:
+        rig(gap=(-0.2e-3, 0.5e-3))
+    assert len(told) == len(other) == 1
 
 
 def test_scales_stay_with_a_scene_and_make_no_other_program():

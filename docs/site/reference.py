@@ -12,6 +12,7 @@ from importlib import import_module
 
 import continuation
 import jaxvibro as jv
+from continuation.shooting import periodic_orbits, settled
 
 PAGES = {
     "scene": "Scenes: oscillator, drive, walls, forces",
@@ -35,6 +36,7 @@ RECORDS = {
     "branches": (
         *("branches.branch.Special", "branches.branch.Segment", "branches.normal_form.NormalForm"),
         *("branches.user_monitors.MonitoredPoint", "problem.end.End"),
+        *("branches.curves.Curves", "branches.curves.Piece", "branches.curves.Marks"),
     ),
     "loci": ("loci.locus.Codim2",),
     "studies": ("studies.run.Done", "studies.warm.Warmed"),
@@ -53,6 +55,7 @@ def members():
         found[home.split(".")[0]].append((f"jaxvibro.{name}", getattr(jv, name)))
     found["plot"] = [(f"jaxvibro.plot.{name}", getattr(jv.plot, name)) for name in jv.plot.__all__]
     found["continuation"] = [(f"continuation.{name}", getattr(continuation, name)) for name in continuation.__all__]
+    found["continuation"] += [(f"continuation.shooting.{one.__name__}", one) for one in (periodic_orbits, settled)]
     return found
 
 
