@@ -60,7 +60,7 @@ def test_of_random_scenes_they_are_those_of_the_replay(kind, periods, monkeypatc
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", [RIGID[1], RIGID[4]])
+@pytest.mark.parametrize("kind", [RIGID[1], pytest.param(RIGID[4], marks=pytest.mark.long)])
 def test_of_random_scenes_they_are_the_product(kind):
     scene, start = usual(np.random.default_rng(4), LANES, kind)
     places = len(jax.tree.leaves(scene))

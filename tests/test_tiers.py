@@ -13,7 +13,7 @@ from tests.status_proof import RIGID, draw
 from tests.tiers_proof import bits, chatter, compared, full, grazing, lean, measured, same, usual
 
 MOST = 4_000  # lanes of a test
-KINDS = [RIGID[1], pytest.param(RIGID[4], marks=pytest.mark.slow)]
+KINDS = [RIGID[1], pytest.param(RIGID[4], marks=pytest.mark.long)]
 
 
 @pytest.mark.parametrize(("make", "most"), [(usual, 0.2), (draw, 0.9)])
