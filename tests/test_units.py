@@ -82,6 +82,20 @@ def test_one_warning_asks_about_hz_and_mm():
         rig(frequency_hz=None, frequency=np.array([40.0, 50.0]))
 
 
+def test_an_orbit_is_told_in_physical_units(followed):
+    orbit = followed[0].orbit(len(followed[0]) - 1)
+    natural = np.sqrt(3e4 / 0.5)
+    plain, found = (orbit.table(units).splitlines() for units in ("scene", "physical"))
+    assert plain[0] == found[0] and plain[0].startswith(orbit.label + ", ")
+    assert found[1].startswith("x (mm) ") and "v (m/s) " in found[1]
+    assert found[2].split() == ["time", "(s)", "wall", "speed", "(m/s)"] and len(found) == 3 + orbit.impacts.count
+    for one, other, time, speed in zip(plain[3:], found[3:], orbit.impacts.time, orbit.impacts.speed, strict=True):
+        assert float(one.split()[0]) == pytest.approx(time, rel=1e-8)
+        assert float(other.split()[0]) == pytest.approx(time / natural, rel=1e-8)
+        assert float(other.split()[2]) == pytest.approx(0.5e-3 * natural * speed, rel=1e-8)
+        assert one.split()[1] == other.split()[1]
+
+
 def test_per_cent_and_positions_are_asked_about():
     with pytest.warns(UserWarning, match=r"damping ratio in per cent \(5\)") as told:
         rig(damping_ratio=5)

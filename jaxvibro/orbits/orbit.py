@@ -7,7 +7,9 @@ from jaxtyping import Complex
 
 from ..maps import itinerary as words
 from ..maps.rests import NO_RESTS
-from ..scene.scene import Scene
+from ..output.table_text import columns, headed, pair
+from ..output.units import LENGTH, SPEED, TIME, unit_in
+from ..scene.scene import SIDES, Scene
 from ..scene.state import Impacts, State
 
 KEPT = 1e-9  # of 1 + the trace, squared: nearer to 1 a determinant is 1
@@ -57,6 +59,21 @@ class Orbit:
     scene: Scene = field(repr=False)
     mirror_of: int | None = None
     rests: bool = False
+
+    def table(self, units: str = "scene") -> str:
+        """What the orbit is, its state, and a line for each impact: when, on which wall, the speed before it. units:
+        "scene", or "physical" (s, mm, m/s) of a scene that has scales.
+
+        Raises ArgumentError for other units, and where the scene has no scales.
+        """
+        (length, wide), (pace, high), (clock, late) = (unit_in(self.scene, one, units) for one in (LENGTH, SPEED, TIME))
+        rows = [(headed("time", clock, units), "wall", headed("speed", pace, units))]
+        hits = zip(self.impacts.time, self.impacts.side, self.impacts.speed, strict=True)
+        rows += [(f"{late * time:.9g}", SIDES[int(side > 0)], f"{high * speed:.9g}") for time, side, speed in hits]
+        told = f"{self.label}, {'stable' if self.stable else 'unstable'}, multipliers {pair(self.multipliers)}"
+        x, v = f"{wide * self.state.x:.12g}", f"{high * self.state.v:.12g}"
+        state = f"{headed('x', length, units)} {x}, {headed('v', pace, units)} {v} at phase {self.state.phase:.9g}"
+        return "\n".join([told, state, columns(rows)])
 
 
 def multipliers(trace, determinant):
