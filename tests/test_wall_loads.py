@@ -144,3 +144,15 @@ def test_what_cannot_be_is_refused():
     with pytest.raises(jv.ArgumentError, match="periods: must be"):
         jv.wall_loads(SCENES["rigid"](), START, 0)
     assert jv.wall_loads(jv.make_scene(1.0, 1.0, 0.1, 0.5, (None, None)), START)["status"] == 0
+
+
+def test_of_a_sweep_they_keep_its_dimensions():
+    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    swept = jv.sweep(scene, "amplitude", [1.5, 2.5, 3.5], jv.State(0.9, -1.1), settle=20, keep=2)
+    found = jv.wall_loads(scene, swept)
+    assert found["work_rate"].dims == (*swept["x"].dims, "wall") and found["amplitude"].equals(swept["amplitude"])
+    states = jv.State(swept["x"].values, swept["v"].values)
+    own = jv.wall_loads(scene.replace(amplitude=swept["amplitude"].values[:, None]), states)
+    assert np.array_equal(found["largest_speed"].values, own["largest_speed"].values)
+    with pytest.raises(jv.ArgumentError, match="state: must be a State, or a Dataset of sweep"):
+        jv.wall_loads(scene, found)

@@ -35,24 +35,46 @@ COLUMNS = {
 
 
 @check.host("use strobe and sample")
-def wall_loads(scene: Scene, state: State, periods: int = 1) -> xr.Dataset:
+def wall_loads(scene: Scene, state: State | xr.Dataset, periods: int = 1) -> xr.Dataset:
     """What the walls bear within drive periods from a state on: an xarray.Dataset.
 
-    scene: a `Scene`; state: a `State` at its phase; their numbers broadcast together. periods: whole number >= 1. Of an
-    orbit `wall_loads(orbit.scene, orbit.state, orbit.periods)`; of a sweep at each value the states that it recorded.
+    scene: a `Scene`; state: a `State` at its phase; their numbers broadcast together; or a Dataset of `sweep` from this
+    scene, whose dimensions and coordinates stay: of all states that it recorded, each at its value. periods: whole
+    number >= 1. Of an orbit `wall_loads(orbit.scene, orbit.state, orbit.periods)`.
 
-    Along the lanes, named lane or lane_0, lane_1, ..., and "wall", those that there are: largest_speed, before an
-    impact and relative to the wall, nan where there is none; largest_force, K length: of a soft wall what it adds to
-    the spring and the damper of a free mass, k2 depth + 2 (gamma2 - gamma) x', beside a `Force` k2 depth + 2 gamma2 x',
-    or its `Push`, 0 where it is not met, nan of a rigid wall; work_rate, K length^2 w0: the energy that the wall takes
-    in its own frame, over the time, at a rigid one (1 - R^2) u^2 / 2 an impact of speed u, all of it at the last before
-    a rest, at a soft one the integral of its force times the speed into it. status: of each lane, as of `strobe`; from
-    CAP on there are no numbers. Impacts and stays are those of `strobe`; within a stay the force is taken at 32 points
-    of Gauss and Legendre and the ends, and is right to 1e-9 of itself where the wall's law is smooth.
+    Along the lanes, named lane or lane_0, lane_1, ..., or as those of the sweep, and "wall", those that there are:
+    largest_speed, before an impact and relative to the wall, nan where there is none; largest_force, K length: of a
+    soft wall what it adds to the spring and the damper of a free mass, k2 depth + 2 (gamma2 - gamma) x', beside a
+    `Force` k2 depth + 2 gamma2 x', or its `Push`, 0 where it is not met, nan of a rigid wall; work_rate, K length^2 w0:
+    the energy that the wall takes in its own frame, over the time, at a rigid one (1 - R^2) u^2 / 2 an impact of speed
+    u, all of it at the last before a rest, at a soft one the integral of its force times the speed into it. status: of
+    each lane, as of `strobe`; from CAP on there are no numbers. Impacts and stays are those of `strobe`; within a stay
+    the force is taken at 32 points of Gauss and Legendre and the ends, and is right to 1e-9 of itself where the wall's
+    law is smooth.
 
     Raises ArgumentError as `strobe` does.
     """
-    periods, state = check.whole("periods", periods, 1), real_state(scene, state)
+    periods = check.whole("periods", periods, 1)
+    if isinstance(state, xr.Dataset):
+        return _of_sweep(scene, state, periods)
+    return _of_states(scene, real_state(scene, state), periods)
+
+
+def _of_sweep(scene, swept, periods):
+    """The Dataset of the states that a sweep recorded, with its dimensions and coordinates."""
+    if "swept" not in swept.attrs or not {"x", "v"} <= set(swept.variables):
+        raise check.ArgumentError("state", "must be a State, or a Dataset of sweep", f"with {', '.join(swept)}")
+    check.require_single(scene)
+    name, recorded = swept.attrs["swept"], swept["x"]
+    values = swept[name].broadcast_like(recorded).transpose(*recorded.dims)
+    state = State(recorded.values, swept["v"].transpose(*recorded.dims).values, swept.attrs["phase"])
+    there = scene.replace(**{name: values.values})
+    found = _of_states(there, real_state(there, state), periods)
+    named = dict(zip((dim for dim in found["status"].dims), recorded.dims, strict=True))
+    return found.rename(named).assign_coords(recorded.coords)
+
+
+def _of_states(scene, state, periods):
     shape = np.broadcast_shapes(scene.shape, *map(np.shape, jax.tree.leaves(state)))
     scales, scene, state = scales_in(scene), _in_lanes(scene, shape), _in_lanes(state, shape)
     status, found = np.zeros(math.prod(shape), int), np.zeros((len(COLUMNS), math.prod(shape), len(scene.walls)))

@@ -7,7 +7,6 @@ from ..branches.diagram import frame_of
 from ..maps.wall_loads import COLUMNS, wall_loads
 from ..output.frames import frame
 from ..output.units import LENGTH, SPEED, unit_of
-from ..scene.state import State
 
 
 def asked_for(file):
@@ -47,7 +46,7 @@ def _sweep(found, units):
         "v": (SPEED, v.ravel()),
         "status": ("", np.repeat(status.ravel(), periods)),
     }
-    borne = wall_loads(found.scene.replace(**{name: values}), State(x, v, swept.attrs["phase"]))
+    borne = wall_loads(found.scene, swept)
     for side in borne["wall"].values:
         for what in COLUMNS:
             one = borne[what].sel(wall=side)
