@@ -89,6 +89,15 @@ def test_the_motion_that_meets_no_wall_is_there_where_no_start_settles_on_it():
 
 
 @pytest.mark.slow
+def test_around_a_resonance_the_motion_that_meets_no_wall_is_there_on_both_sides():
+    scene = jv.make_scene(0.2, 1.0, 0.02, 0.3, (-1.0, 1.0))
+    diagram = jv.explore(scene, "frequency", (0.5, 1.6), max_period=1)
+    found = [one.value for branch in diagram.branches for one in branch.points("GR")]
+    w = np.sqrt(np.roots([1.0, 2.0 * (2 * 0.02**2 - 1.0), 1.0 - 0.2**2]))  # |1 - w^2 + 2 i gamma w| = A
+    assert [min(abs(np.array(found) - each)) < 1e-12 for each in w] == [True, True]
+
+
+@pytest.mark.slow
 def test_a_scene_of_one_wall_that_moves():
     wall = jv.Wall(0.8, 0.6, motion=jv.Motion(0.1, 0.5))
     scene = jv.make_scene(1.0, 1.8, 0.1, 0.6, (None, wall))

@@ -24,7 +24,7 @@ from .branch_tree import Tree
 from .diagram import Diagram
 from .follow import check_settings, through
 from .on_branch import is_on, settled_at
-from .seed_orbits import free_probe, probes
+from .seed_orbits import free_probes, probes
 from .switch import FIRST
 
 MOST = 400  # branches, where no budget is given
@@ -107,7 +107,7 @@ def explore_on(task, some, progress=None, found=(), done=()):
     symmetric = stays_symmetric(scene, name)
     tree = Tree(bounds, settings["max_period"], most, steps, list(found), list(done), symmetric, progress)
     tree.grow()
-    for probe in (*some, *free_probe(scene, name, bounds)):
+    for probe in (*some, *free_probes(scene, name, bounds)):
         if not tree.is_spent and not any(is_on(probe, branch) for branch in tree.found):
             _begin(tree, probe, scene, name, bounds, steps)
     told = SPENT.format(most) if tree.is_spent else DONE

@@ -44,16 +44,15 @@ def probes(scenes, name, bounds, max_period, seed):
     ]
 
 
-def free_probe(scene, name, bounds):
-    """[the `Probe` of the motion that meets no wall] at one of some values of a parameter, [] where it meets some at
-    all of them."""
+def free_probes(scene, name, bounds):
+    """Yields the `Probe` of the motion that meets no wall at those of some values of a parameter where there is one:
+    around a resonance it is there on both sides."""
     low, high = np.clip(domain(scene, name), *bounds)
     for value in np.linspace(low, high, FREE + 2)[1:-1].tolist():
         orbit = free_orbit(scene.replace(**{name: value}))
         if orbit is not None:
             points = np.array([[orbit.state.x, orbit.state.v]])
-            return [Probe(OrbitPoint(value, *[np.zeros(0)] * 3, 1, *points[0].tolist(), 0.0), points)]
-    return []
+            yield Probe(OrbitPoint(value, *[np.zeros(0)] * 3, 1, *points[0].tolist(), 0.0), points)
 
 
 def _starts(scene, name, bounds, seed):
