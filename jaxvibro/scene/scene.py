@@ -89,6 +89,11 @@ class Scene:
         return (*found, "hardness") if self.hardens else tuple(found)
 
     @property
+    def shares_restitution(self) -> bool:
+        """Whether there is a rigid wall without a restitution of its own, which has the scene's."""
+        return any(not wall.soft and wall.restitution is None for wall in self.walls.values())
+
+    @property
     def walls(self) -> dict[str, Wall]:
         """{side: `Wall`} of the walls that there are, left first."""
         return {side: getattr(self, side) for side in SIDES if getattr(self, side) is not None}

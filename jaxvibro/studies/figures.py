@@ -199,7 +199,7 @@ def _described(scene, without, units):
     plain = [
         style.value_text(scales, name, float(scene.parameter(name)))
         for name in style.SYMBOLS
-        if name in scene.names and name not in without
+        if name in scene.names and name not in without and (name != "restitution" or scene.shares_restitution)
     ]
     if scene.force is not None:
         own = {

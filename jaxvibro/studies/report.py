@@ -41,10 +41,11 @@ def table(found, name, units="scene"):
 
 def _numbers(scene, units):
     """The scene's parameters, in physical units with these."""
+    numbers = {name: each for name, each in scene.numbers.items() if name != "restitution" or scene.shares_restitution}
     if units == "scene":
-        return list(scene.numbers.items())
+        return list(numbers.items())
     known = {name: unit_in(scene, unit_of(name), units) for name in scene.names}
-    return [(name, value * known[name][1], known[name][0]) for name, value in scene.numbers.items()]
+    return [(name, value * known[name][1], known[name][0]) for name, value in numbers.items()]
 
 
 def _sweep(found, units):
