@@ -104,6 +104,7 @@ def rings(u, time, p, args):
     return size * jnp.stack([jnp.cos(after), jnp.sin(after)])
 
 
+@pytest.mark.slow
 def test_an_isola_of_orbits_closes_whatever_its_phase():
     angles = np.pi * np.arange(2)
     points = 2.5 * np.stack([np.cos(angles), np.sin(angles)], 1)

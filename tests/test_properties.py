@@ -275,11 +275,10 @@ def reversal(kind, rows):
     close(keep, bound, (again.x, state.x), (-again.v, state.v))
 
 
-FAST = [(mirror, "moving"), (shift, "moving"), (order, "moving"), (areas, "moving"), (reversal, "moving")]
-FAST += [(derivative, "one")]
+FAST = [(shift, "moving"), (order, "moving"), (areas, "moving"), (reversal, "moving")]
 SLOW = [(each, "soft") for each in (scaling, shift, areas, reversal, semigroup)]
 SLOW += [(scaling, "moving"), (semigroup, "one"), (chunks, "moving"), (derivative, "moving")]
-SLOW += [(sampled, "one"), (mirror, "two")]
+SLOW += [(sampled, "one"), (mirror, "two"), (mirror, "moving"), (derivative, "one")]
 LONG = (shift, "soft"), (chunks, "moving")
 
 

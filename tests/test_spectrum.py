@@ -58,6 +58,7 @@ def test_longer_orbits():
         assert abs(rates[0] - np.log(abs(pair)).max() / n) < 1e-6
 
 
+@pytest.mark.slow
 def test_the_sum_is_what_impacts_and_damping_leave():
     walls = (jv.Wall(-1.0, restitution=0.7), jv.Wall(1.0, restitution=0.72))
     found = jv.spectrum(scene(walls=walls), "amplitude", [2.0, 8.0, 10.0], START, error=0.02, most=1)

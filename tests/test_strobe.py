@@ -370,7 +370,7 @@ def test_clearances_of_a_users_own_vmap_and_beside_derivatives(lanes):
         (None, None),
         (None, 1.0),
         (jv.Wall(-1.0, 0.6), jv.Wall(1.0, 0.8)),
-        (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.1))),
+        pytest.param((-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.1))), marks=pytest.mark.slow),
         pytest.param(
             (jv.Wall(-1.0, stiffness=50.0, damping=0.5), jv.Wall(1.0, stiffness=9.0, motion=jv.Motion(0.1))),
             marks=pytest.mark.slow,

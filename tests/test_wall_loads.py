@@ -146,6 +146,7 @@ def test_what_cannot_be_is_refused():
     assert jv.wall_loads(jv.make_scene(1.0, 1.0, 0.1, 0.5, (None, None)), START)["status"] == 0
 
 
+@pytest.mark.slow
 def test_of_a_sweep_they_keep_its_dimensions():
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     swept = jv.sweep(scene, "amplitude", [1.5, 2.5, 3.5], jv.State(0.9, -1.1), settle=20, keep=2)
