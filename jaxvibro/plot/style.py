@@ -16,6 +16,7 @@ from ..scene.scales import require_scales
 # Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
 WALL = "0.55"
+LEGEND = "legend"  # group id of those made here
 OWN_WIDTH = 1.5  # points, of matplotlib's lines
 
 SYMBOLS = {"amplitude": "$A$", "frequency": r"$\omega$", "damping": r"$\gamma$", "restitution": "$R$"}
@@ -141,9 +142,10 @@ def axes(ax: Axes | None) -> Axes:
 
 
 def legend(ax, alone):
-    """A legend in Axes that were made for one picture, or have one; whoever gives Axes makes his own."""
-    if alone or ax.get_legend() is not None:
-        ax.legend(frameon=False, fontsize="small")
+    """A legend in Axes that were made for one picture, or have one of these; whoever gives Axes makes his own."""
+    known = ax.get_legend()
+    if alone or (known is not None and known.get_gid() == LEGEND):
+        ax.legend(frameon=False, fontsize="small").set_gid(LEGEND)
 
 
 def is_of(picture, kind, *values):

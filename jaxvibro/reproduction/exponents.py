@@ -34,7 +34,7 @@ def drawn(file, progress):
         )
     with styled():
         figure, ((ax,),) = sheet(1, 1, 3.2)
-        plot.spectrum(found, ax)
+        plot.spectrum(found, ax).legend(frameon=False, loc="lower left")
         return Drawn(png(figure), CAPTION, tuple(_claims(scene, asked, found)), {"": found})
 
 
