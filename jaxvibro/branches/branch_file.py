@@ -2,17 +2,15 @@
 
 from os import PathLike
 
-import msgspec
 import numpy as np
 
 from ..output.checksums import opened
-from ..output.saved_fields import field, record_of, require_bounds, require_columns, require_fit
+from ..output.saved_fields import CODES, field, record_of, require_bounds, require_columns, require_fit, scene_in
 from ..output.units import scales_in
 from ..problem.end import End, read
 from ..problem.orbit_on_branch import OrbitPoint
 from ..problem.orbit_rows import row_of
 from ..scene import check
-from ..scene.scene_table import SceneTable
 from .branch import NUMBERS, Branch, Segment, special_of
 from .held_branch import UNITS, HeldBranch
 from .normal_form import of_plain
@@ -23,7 +21,6 @@ DIMS |= dict.fromkeys(("time", "speed", "side", "time_slope", "speed_slope"), ("
 DIMS |= dict.fromkeys(("x", "v"), ("point", "period"))
 DIMS |= dict.fromkeys(("multiplier_real", "multiplier_imag"), ("point", "multiplier"))
 FINITE = ("x", "v", "residual", "value_slope")
-CODES = {1, 2, 3}  # of an impact, and of releases, times the wall's sign
 Itinerary = tuple[str, ...]
 Join = tuple[float, list[float], list[float], list[float], int, float, float, float]  # a `OrbitPoint`
 Form = tuple[float, int, float, list[float], list[tuple[int, float, float, float]], str, str]  # a `NormalForm`
@@ -59,7 +56,7 @@ def _branch(data):
     attrs = data.attrs
     name, bounds = str(attrs["parameter"]), tuple(float(each) for each in attrs["bounds"])
     require_bounds(bounds)
-    scene = _scene(attrs, name)
+    scene = scene_in(attrs, name)
     _check_columns(data, name)
     last = data.sizes["point"] - 1
     segments = tuple(Segment(*one) for one in field(attrs, "segments", list[tuple[int, int, str, Itinerary]]))
@@ -91,23 +88,15 @@ def _held(data):
     require_fit("held", held in UNITS and np.isfinite(value))
     for each in bounds.values():
         require_bounds(each)
-    scene = _scene(attrs, *names)
+    scene = scene_in(attrs, *names)
     _check_columns(data, *names)
     reasons = field(attrs, "reasons", tuple[str, str])
     data.attrs = scales_in(scene)
     return HeldBranch(names, held, value, bounds, scene, data, reasons)
 
 
-def _scene(attrs, *names):
-    """The scene in a file, which has parameters of these names."""
-    scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
-    for name in names:
-        check.require_known(name, scene.names, name)
-    return scene
-
-
 def _check_columns(data, *names):
-    require_columns(data, dict.fromkeys(names, ("point",)) | DIMS, (*names, *FINITE), CODES)
+    require_columns(data, dict.fromkeys(names, ("point",)) | DIMS, (*names, *FINITE))
     require_fit("sizes", data.sizes["period"] > 0)
     require_fit("stable", np.isin(data["stable"].values, (0, 1)).all())
 

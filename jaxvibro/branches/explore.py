@@ -6,6 +6,7 @@ next is looked at.
 """
 
 from collections.abc import Callable
+from itertools import chain
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,10 +55,10 @@ def explore(
     go on from. progress: called with the number of branches so far.
 
     Every attractor that one of 256 starts settles on is on a branch, and the motion that meets no wall, where there is
-    one. What lies on no branch that leaves these is not
-    found: an isolated unstable orbit (`find_isolas` looks for closed branches of these), or one that only meets them at
-    a grazing, where a branch goes on with one other; `Special.meets` has all, and `switch` follows them. In a symmetric
-    scene a branch comes with its mirror image. The same arguments give the same diagram.
+    one. What lies on no branch that leaves these is not found: an isolated unstable orbit (`find_isolas` looks for
+    closed branches of these), or one that only meets them at a grazing, where a branch goes on with one other;
+    `Special.meets` has all, and `switch` follows them. In a symmetric scene a branch comes with its mirror image. The
+    same arguments give the same diagram.
 
     Raises ArgumentError for arguments that cannot be.
     """
@@ -107,8 +108,10 @@ def explore_on(task, some, progress=None, found=(), done=()):
     symmetric = stays_symmetric(scene, name)
     tree = Tree(bounds, settings["max_period"], most, steps, list(found), list(done), symmetric, progress)
     tree.grow()
-    for probe in (*some, *free_probes(scene, name, bounds)):
-        if not tree.is_spent and not any(is_on(probe, branch) for branch in tree.found):
+    for probe in chain(some, free_probes(scene, name, bounds)):
+        if tree.is_spent:
+            break
+        if not any(is_on(probe, branch) for branch in tree.found):
             _begin(tree, probe, scene, name, bounds, steps)
     told = SPENT.format(most) if tree.is_spent else DONE
     return Diagram(name, bounds, scene, tuple(tree.found), tuple(tree.done), not tree.is_spent, told, settings)

@@ -2,20 +2,16 @@
 
 from os import PathLike
 
-import msgspec
-
 from ..output.checksums import opened
-from ..output.saved_fields import field, record_of, require_bounds, require_columns, require_fit
+from ..output.saved_fields import field, record_of, require_bounds, require_columns, require_fit, scene_in
 from ..output.units import scales_in
 from ..scene import check
-from ..scene.scene_table import SceneTable
 from .first_point import KINDS, RESTS
 from .locus import Locus, codim2_of
 
 DIMS: dict[str, tuple[str, ...]] = dict.fromkeys(("least_speed", "least_clearance", "residual"), ("point",))
 DIMS |= dict.fromkeys(("time", "speed", "side"), ("point", "impact"))
 DIMS |= dict.fromkeys(("multiplier_real", "multiplier_imag"), ("point", "multiplier"))
-CODES = {1, 2, 3}  # of an impact, and of releases, times the wall's sign
 
 
 @check.host("use what was loaded before")
@@ -34,11 +30,10 @@ def _locus(data):
     names = tuple(bounds)
     require_fit("kind", kind in (*KINDS, *RESTS))
     require_fit("parameters", len(names) == 2)
-    scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
-    for name, each in bounds.items():
+    for each in bounds.values():
         require_bounds(each)
-        check.require_known(name, scene.names, name)
-    require_columns(data, dict.fromkeys(names, ("point",)) | DIMS, (*names, "residual"), CODES)
+    scene = scene_in(attrs, *names)
+    require_columns(data, dict.fromkeys(names, ("point",)) | DIMS, (*names, "residual"))
     periods = int(attrs["periods"])
     require_fit("periods", periods > 0)
     told, reasons = field(attrs, "special", list[tuple[str, int, float]]), field(attrs, "reasons", tuple[str, str])

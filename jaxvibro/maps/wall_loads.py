@@ -70,7 +70,7 @@ def _of_sweep(scene, swept, periods):
     state = State(recorded.values, swept["v"].transpose(*recorded.dims).values, swept.attrs["phase"])
     there = scene.replace(**{name: values.values})
     found = _of_states(there, real_state(there, state), periods)
-    named = dict(zip((dim for dim in found["status"].dims), recorded.dims, strict=True))
+    named = dict(zip(found["status"].dims, recorded.dims, strict=True))
     return found.rename(named).assign_coords(recorded.coords)
 
 

@@ -56,9 +56,9 @@ def solve_orbits(
     """The periodic orbits near guesses that hit given walls in turn: `OrbitSolutions` of the shape of both together.
 
     scenes: a `Scene`, single or a batch. guesses: a `State`, numbers or arrays, whose flight hits these walls, counted
-    from any of its impacts; or
-    (times, speeds) of the impacts, (..., impacts) each, since phase 0. itinerary: a word of "L" and "R" a period, as
-    ("LR",) or ("LRL", "R"); all words empty: the motion that meets no wall. periods: their number, may be left out.
+    from any of its impacts; or (times, speeds) of the impacts, (..., impacts) each, since phase 0. itinerary: a word of
+    "L" and "R" a period, as ("LR",) or ("LRL", "R"); all words empty: the motion that meets no wall. periods: their
+    number, may be left out.
 
     Newton's method on the equations of the impacts; stable or not. Under jit, vmap and grad: derivatives by every
     number of the scenes are those of the orbit as a root of its equations (implicit function theorem), of any order,

@@ -16,7 +16,7 @@ ROOM = 0.7  # of the way from one value to the next
 SMALLER = 0.5  # of the size of the leg before: where legs agree a ring of it is seen, in print too
 FAINT = 0.7  # of that size
 MARKERS = "osD^vP*X"
-SWEPT = "swept"
+SWEPT = "swept"  # group id of dots
 
 
 def diagram(

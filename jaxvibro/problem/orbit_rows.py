@@ -1,5 +1,6 @@
 """What a branch and a locus have in common: orbits in the rows of a Dataset, special points among them, two ends."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cached_property
 from os import PathLike
@@ -37,7 +38,7 @@ class SpecialOrbit:
         return described_orbit(self.scene, self.spot)
 
 
-class OrbitRows(Generic[Found]):
+class OrbitRows(ABC, Generic[Found]):
     """A class of these has data, special and reasons; `NOUN`, what it is called; `located(place)`: (the scene at a
     point, its `OrbitPoint`); content: the bytes of its file."""
 
@@ -48,9 +49,9 @@ class OrbitRows(Generic[Found]):
     located: Callable[[int], tuple[Scene, OrbitPoint]]
 
     @property
+    @abstractmethod
     def content(self) -> bytes:
         """The bytes of the file that `save` writes."""
-        raise NotImplementedError
 
     def __len__(self) -> int:
         return self.data.sizes["point"]
