@@ -5,10 +5,11 @@ from functools import partial
 
 import numpy as np
 
-from . import event_search, locate, phases
-from .driver import End, Watch
+from . import event_search, locate
+from .driver import End
 from .event_search import Event
 from .normal_forms import bent, border, critical, lyapunov
+from .phases import SystemWatch
 from .points import between
 from .problem import EQUILIBRIA, FIXED_POINTS, ORBITS, eigenvalues_at, is_oscillation, is_pair, matrix_at
 
@@ -24,16 +25,12 @@ CROSSING = {"HB": "HH", "NS": "NN"}  # where a curve meets another of its kind: 
 ANGLES = {"R3": 0.5, "R4": 0.0}  # on a curve of NS: less the cosine of the multipliers' angle
 
 
-class OnCurve(Watch):
+class OnCurve(SystemWatch):
     """Events along a curve of special points of a kind."""
 
     def __init__(self, system, kind, names):
-        self.system, self.kind, self.names = system, kind, names
-
-    def comes_back(self, task, points):
-        if self.system.kind == ORBITS:
-            return phases.comes_back(self.system, self.names, task, points)
-        return super().comes_back(task, points)
+        super().__init__(system, names)
+        self.kind = kind
 
     def events(self, task, points, view, known, end):
         values = event_search.watched(task.problem, points, task.args)

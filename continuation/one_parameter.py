@@ -8,15 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from . import driver, event_search, held, hopf, leaving, phases
+from . import driver, event_search, held, hopf, leaving
 from .arclength import Control
 from .arguments import known_numbers, require_settings, require_system
 from .branch import Branch, Special
-from .driver import End, Task, Watch
+from .driver import End, Task
 from .errors import ContinuationError
 from .event_search import Event
 from .newton import ADVICE, newton
 from .persistent_jit import persistent_jit
+from .phases import SystemWatch
 from .points import between, start_point
 from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, matrix_at, problem_of
 from .roots import sign_change
@@ -29,19 +30,15 @@ ZERO = 1e-9  # of an eigenvalue's distance from an event: as small is nearly non
 Monitors = Mapping[str, Callable[[Any, Any, Any], ArrayLike]]  # of (u, p, args)
 
 
-class Monitored(Watch):
+class Monitored(SystemWatch):
     """Events where functions of a point, {name: of (u, p, args)}, change their signs, besides the problem's own."""
 
     def __init__(self, system, names, monitors):
-        self.system, self.names, self.monitors = system, names, monitors
+        super().__init__(system, names)
+        self.monitors = monitors
 
     def before(self, task, points):
         return hopf.ahead(self.system, self.names, task, points) if self.system.kind == ORBITS else None
-
-    def comes_back(self, task, points):
-        if self.system.kind == ORBITS:
-            return phases.comes_back(self.system, self.names, task, points)
-        return super().comes_back(task, points)
 
     def events(self, task, points, view, known, end):
         signs = _signs(self.system, self.names, points.z, task.args)

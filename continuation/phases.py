@@ -8,16 +8,30 @@ import jax.numpy as jnp
 import numpy as np
 
 from .cycles import points_of
+from .driver import Watch
 from .event_search import SAME
 from .persistent_jit import persistent_jit
 from .points import between
+from .problem import ORBITS
 from .roots import sign_change
 
 LOOKS = 8  # in each flight of an orbit, for the nearest place
 POLISH = 8  # Newton's steps from there
 
 
-def comes_back(system, names, task, points):
+class SystemWatch(Watch):
+    """What is watched along a branch of a system, in parameters of these names."""
+
+    def __init__(self, system, names):
+        self.system, self.names = system, names
+
+    def comes_back(self, task, points):
+        if self.system.kind == ORBITS:
+            return _comes_back(self.system, self.names, task, points)
+        return super().comes_back(task, points)
+
+
+def _comes_back(system, names, task, points):
     """(place of the point before, length from it) where a row of orbits is one of the task's starts again, or None."""
     for start in task.starts:
         gaps = points.z[:, -1] - start[-1]
