@@ -90,9 +90,16 @@ from .scene.state import Impacts as Impacts
 from .scene.state import State as State
 from .scene.wall import Motion as Motion
 from .scene.wall import Wall as Wall
+from .stores.dask_engine import DaskEngine as DaskEngine
+from .stores.engines import LocalEngine as LocalEngine
+from .stores.filling import Progress as Progress
+from .stores.zarr_store import Store as Store
+from .stores.zarr_store import load_store as load_store
 from .studies.run import run as run
 from .studies.scene_file import load_scene as load_scene
 from .studies.scene_file import save_scene as save_scene
+from .studies.show import show as show
 from .studies.warm import warm as warm
+from .surveys.map import map_parameters as map_parameters
 
 __version__: str

@@ -11,8 +11,8 @@ ROOT = Path(__file__).parents[1]
 FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROOT / package).rglob("*.py"))
 # A file imports only from its own room and from those before it.
 ROOMS = [
-    *("scene", "output", "compiled", "flight", "maps", "orbits", "attractors", "problem", "branches", "loci", "design"),
-    *("plot", "studies", "reproduction"),
+    *("scene", "output", "compiled", "stores", "flight", "maps", "orbits", "attractors", "problem", "branches", "loci"),
+    *("design", "surveys", "plot", "studies", "reproduction"),
 ]
 FACE = ("plot", "reproduction")  # rooms whose own file names what stands in them
 

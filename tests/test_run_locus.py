@@ -125,7 +125,7 @@ def test_the_picture_has_its_bounds_and_draws_mirror_images_once(followed, monke
     twins = [Kept(**vars(named(label))) for label in ("P112", "P121", "P111")]
     draw = plot.locus
     monkeypatch.setattr(plot, "locus", lambda each, ax, **more: axes.append(each.label) or draw(each, ax, **more))
-    monkeypatch.setattr(picture, "_png", lambda figure: figures.append(figure))
+    monkeypatch.setattr(picture, "png", lambda figure: figures.append(figure))
     picture.loci(SimpleNamespace(branches=(), file=found.file, loci=twins, there=found.there))
     assert axes == ["P112", "P111"]
     (figure,) = figures

@@ -20,6 +20,8 @@ PAGES = {
     "maps": "Maps and trajectories",
     "orbits": "Periodic orbits",
     "attractors": "Attractors, sweeps, exponents, basins, manifolds",
+    "surveys": "Maps over parameters, shares, the least shock",
+    "stores": "Stores and engines",
     "branches": "Branches and diagrams",
     "loci": "Loci",
     "design": "Design and fits",

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES
 from ..scene.state import State
-from .tangent import LAPS, begin, run
+from .tangent import begin, run
 
 NEUTRAL = 1e-5  # growth a period that rounding may make of none
 ROUNDS = 5  # of Newton's method on the strobe: the last two are rounding apart
@@ -80,7 +80,7 @@ def of_orbits(scene, state, periods):
     """
     seen = []
     for _ in range(ROUNDS):
-        _, laps = run(scene, begin(state), LAPS)
+        _, laps = run(scene, begin(state), int(periods.max()))
         off = laps.points[periods - 1, np.arange(len(periods))] - np.stack([state.x, state.v], -1)
         parts = laps.left, laps.right, laps.count, areas(scene, laps), *np.moveaxis(laps.within, -1, 0)
         left, right, hits, area, *within = (_until(part, periods) for part in parts)

@@ -34,14 +34,15 @@ def settled_periods(now, before, passed, scale, dtype):
     returns from shrinking: those below 64 eps scale, or below eps^(1/2) scale and no longer shrinking, count as settled
     too: an orbit that stretches rounding before it contracts it comes back no better. Of the divisors of n the first is
     taken whose return lies within ten times that distance, since the lane is not known better. scale: of x and v, the
-    largest.
+    largest, one for all lanes or (lanes,).
     """
     eps = np.finfo(dtype).eps
     near = eps**0.5 * scale
     still = (now <= 64.0 * eps * scale) | ((now <= near) & (now >= before))
     settled = still | (remaining(now, before, passed) <= near)
     first = np.where(settled.any(axis=0), settled.argmax(axis=0) + 1, 0)
-    return np.array([_least_divisor(n, now[:, lane] <= 10.0 * near) for lane, n in enumerate(first)], dtype=int)
+    recurs = now <= 10.0 * near
+    return np.array([_least_divisor(n, recurs[:, lane]) for lane, n in enumerate(first)], dtype=int)
 
 
 def _least_divisor(n, recurs):

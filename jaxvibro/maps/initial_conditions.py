@@ -50,10 +50,14 @@ def random_starts(scene, count, seed):
 
     scene: a single one, or one with a number for each start.
     """
+    return placed(scene, np.random.default_rng(seed).random((count, 2)))
+
+
+def placed(scene, draws):
+    """Starts at places of the `box`, each two numbers from 0 to 1, (starts, 2): a `State` of shape (starts,)."""
     left, right, fast = box(scene)
-    draws = np.random.default_rng(seed).random((count, 2))
     x, v = left + (right - left) * draws[:, 0], fast * (2.0 * draws[:, 1] - 1.0)
-    zero = np.zeros(count, scene.dtype)
+    zero = np.zeros(len(draws), scene.dtype)
     return State(np.clip(x, left, right).astype(scene.dtype), v.astype(scene.dtype), zero, zero)
 
 

@@ -7,6 +7,7 @@ from .fit import fit
 from .held import held
 from .locus import locus, region
 from .manifolds import manifold
+from .map import map
 from .margin import margin
 from .orbit import mark_orbits, orbit
 from .portrait import portrait
@@ -22,6 +23,7 @@ __all__ = [
     "held",
     "locus",
     "manifold",
+    "map",
     "margin",
     "mark",
     "mark_orbits",

@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from ..attractors.assign import OUTSIDE, UNRESOLVED
-from .style import WALL, axes, is_from, of_plane, plain, scales_of
+from .style import WALL, axes, edges, is_from, of_plane, plain, scales_of
 
 # Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too.
 PALE = ("#FCEFB4", "#A9DCF5", "#F2AE72", "#72AD91", "#A9719A", "#4C79AD", "#94502F", "#3F5750")
@@ -35,24 +35,18 @@ def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True, uni
     colours, shapes = _looks(dataset)
     listed = [WALL, UNKNOWN, *colours]
     norm = BoundaryNorm(np.arange(OUTSIDE - 0.5, len(colours)), len(listed))
-    edges = [_edges(axis.size * dataset[name].values) for axis, name in ((across, "x"), (up, "v"))]
-    drawn = ax.pcolorfast(*edges, dataset["label"].values, cmap=ListedColormap(listed), norm=norm, zorder=0)
+    borders = [edges(axis.size * dataset[name].values) for axis, name in ((across, "x"), (up, "v"))]
+    drawn = ax.pcolorfast(*borders, dataset["label"].values, cmap=ListedColormap(listed), norm=norm, zorder=0)
     drawn.set_rasterized(True)
     for place, shape in enumerate(shapes):
         points = across.size * dataset["point_x"].values[place], up.size * dataset["point_v"].values[place]
         ax.plot(*points, **_mark(shape, colours[place]), gid="attractor", zorder=3 if shape == "." else 3.5)
     ax.set(xlabel=across.label, ylabel=up.label)
-    ax.set(xlim=edges[0][[0, -1]], ylim=edges[1][[0, -1]])
+    ax.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
     if legend:
         handles = _entries(dataset, colours, shapes)
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
     return ax
-
-
-def _edges(values):
-    """The edges of cells around values."""
-    half = 0.5 * np.diff(values)
-    return np.concatenate([values[:1] - half[:1], values[:-1] + half, values[-1:] + half[-1:]])
 
 
 def _looks(dataset):

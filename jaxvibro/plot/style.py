@@ -136,6 +136,12 @@ def paler(colour):
     return tuple(0.5 + 0.5 * part for part in to_rgb(colour))
 
 
+def edges(values):
+    """The edges of cells around values; around a single one, of width 1."""
+    half = 0.5 * (np.diff(values) if len(values) > 1 else np.ones(1))
+    return np.concatenate([values[:1] - half[:1], values[:-1] + half[: len(values) - 1], values[-1:] + half[-1:]])
+
+
 def axes(ax: Axes | None) -> Axes:
     """The Axes given, or those of a new figure."""
     return plt.subplots(layout="constrained")[1] if ax is None else ax

@@ -20,13 +20,15 @@ _RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are look
 periodic [orbits], stable and unstable; a [branch] of them is followed along a parameter, with the branches that leave
 it, or all branches are found by themselves ([explore]); a [locus] follows their special points in two parameters; a
 [margin] tells how far the nearest bifurcations of an orbit are; a [fit] which numbers made a record of impacts, a CSV
-file; a scene with none of these is followed from rest. Walls are rigid or soft. Writes DIR/NAME.png, NAME.nc and
-NAME.txt, for a scene file NAME.toml, with a [locus] NAME.loci.png, with a [margin] NAME.margin.png. The tables
-[spectrum], [basins] and [panels] are for paper."""
+file; a [map] tells what each cell of a grid over two parameters settles on, and goes on where it was interrupted; a
+scene with none of these is followed from rest. Walls are rigid or soft. Writes DIR/NAME.png, NAME.nc and NAME.txt, for
+a scene file NAME.toml, with a [locus] NAME.loci.png, with a [margin] NAME.margin.png, with a [map] NAME.map.png and
+NAME.zarr, for a [map] alone no other picture. The tables [spectrum], [basins] and [panels] are for paper."""
 _PAPER = """Recomputes figures 2 to 12 of Cheng and Xu (2007), its formulas and what it says of one wall and of walls
 that move, and judges every claim by numbers. Writes DIR/report.html, DIR/report.md and, for each NAME, NAME.json (the
 claims) and, where there are such, NAME.png and NAME.nc. What an earlier run has done is kept: an interrupted one goes
 on where it stopped."""
+_SHOW = """Shows a [map] that is kept, as far as it is done: prints its table and draws its picture."""
 _WARM = """Asks of a scene what is asked first (a strobe, an orbit, its branch, those that leave it, loci), all of it
 compiled, so that later processes compile nothing for scenes with the same kinds of walls. It takes half a minute and
 more, a minute and more with soft walls; a session in Python finds what is kept with the settings that are printed."""
@@ -49,6 +51,10 @@ def main(arguments=None):
         return end.code
     try:
         given.does(given)
+    except ModuleNotFoundError as error:
+        if error.name not in ("distributed", "cloudpickle"):
+            raise
+        return _told(f"{error.name} is not installed: pip install 'jaxvibro[cluster]'", BAD)
     except KeyboardInterrupt:
         return _told("interrupted", INTERRUPTED)
     except MemoryError:
@@ -82,7 +88,19 @@ def _parser():
         "of tables and pictures: those of the scene, or N, Hz, mm, m/s, W where it has [scene.scales]; default: scene"
     )
     run.add_argument("--units", choices=("scene", "physical"), default="scene", help=told)
+    run.add_argument("--engine", choices=("local", "dask"), help="who works out a [map]; default: local, this process")
+    run.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that is there, as tcp://host:8786")
+    told = "chunks of a [map] at a time; default: one for each processor core"
+    run.add_argument("--workers", metavar="N", type=int, help=told)
     run.set_defaults(does=_run)
+
+    show = commands.add_parser("show", help="show a map that is kept", description=_SHOW, allow_abbrev=False)
+    show.add_argument("path", metavar="STORE", help="the folder of a map, NAME.zarr")
+    show.add_argument("--picture", metavar="FILE", help="default: NAME.png beside it")
+    show.add_argument("--data", metavar="FILE", help="write all of it as a NetCDF file too")
+    show.add_argument("--force", action="store_true", help="overwrite what is there")
+    show.add_argument("--units", choices=("scene", "physical"), default="scene", help="of the table and the picture")
+    show.set_defaults(does=_show)
 
     paper = commands.add_parser("paper", help="recompute the paper", description=_PAPER, allow_abbrev=False)
     paper.add_argument("names", metavar="NAME", nargs="*", help="fig2 to fig12, walls, formulas; default: all")
@@ -107,7 +125,7 @@ def _init(given):
 
 def _run(given):
     jax_settings.prepare()
-    asked = {"csv": given.csv, "units": given.units}
+    asked = {"csv": given.csv, "units": given.units, "engine": _engine(given)}
     done = _loaded("run")(given.scene, given.out, given.changes, given.force, progress=True, **asked)
     if given.json:
         print(json.dumps(done.summary, indent=2, allow_nan=False))
@@ -115,6 +133,24 @@ def _run(given):
     print(done.table)
     for kind, path in done.summary["files"].items():
         print(f"{kind:17}{path}" if len(kind) > 7 else f"{kind:8}{path}")
+
+
+def _engine(given):
+    """Who works out a map, None for this process with all of its cores."""
+    if given.engine == "dask" or (given.scheduler is not None and given.engine is None):
+        return _loaded("DaskEngine")(given.scheduler, given.workers)
+    if given.scheduler is not None:
+        raise jv.ArgumentError("scheduler", "must not be given with the engine local", given.scheduler)
+    return None if given.workers is None else _loaded("LocalEngine")(given.workers)
+
+
+def _show(given):
+    jax_settings.prepare()
+    picture = given.picture or os.path.splitext(given.path.rstrip(os.sep))[0] + ".png"
+    print(_loaded("show")(given.path, picture, given.data, given.force, given.units))
+    for kind, path in (("picture", picture), ("data", given.data)):
+        if path:
+            print(f"{kind:8}{path}")
 
 
 def _paper(given):

@@ -1,6 +1,7 @@
 """What a scene file asks for, computed: a swept diagram, attractors, orbits, branches and loci; else the motion from
 rest."""
 
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import jax
@@ -27,6 +28,7 @@ from ..orbits.orbit import Orbit, OrbitError
 from ..scene.check import ArgumentError, SceneError
 from ..scene.scene import Scene, changed
 from ..scene.state import State
+from ..surveys.map import map_parameters
 from .schema import AttractorsTable, BranchTable, ExploreTable, MarginTable, OrbitsTable, SceneFile
 
 Asked = AttractorsTable | OrbitsTable | BranchTable | ExploreTable | MarginTable | None  # a table with values `at`
@@ -42,7 +44,8 @@ class Found:
     swept: the Dataset of `sweep` with a dimension `leg`, of one value and a leg "rest" where no study was asked for;
     attractors, orbits: as `find_attractors` and `find_orbits` give them; branches: as `followed` does, or those of the
     `Diagram` of `explore`, which is in diagram; loci, refused: as `loci.loci` gives them; margin, fit: as `margin` and
-    `fit` do; record: what was fitted. Each is None where the file does not ask for it.
+    `fit` do; record: what was fitted; map: as `map_parameters` gives it. Each is None where the file does not ask for
+    it.
     """
 
     file: SceneFile
@@ -57,6 +60,7 @@ class Found:
     margin: Margin | None = None
     fit: Fit | None = None
     record: ImpactRecord | SampleRecord | None = None
+    map: xr.Dataset | None = None
 
     @property
     def across(self) -> str | None:
@@ -103,8 +107,9 @@ class Found:
         return tuple(replace(orbits[k], mirror_of=places.get(orbits[k].mirror_of)) for k in kept)
 
 
-def study(file, record=None, progress=False):
-    """Does what a `SceneFile` asks: `Found`. record: the one that it names; progress: show bars on stderr.
+def study(file, record=None, progress=False, store=None):
+    """Does what a `SceneFile` asks: `Found`. record: the one that it names; progress: show bars on stderr; store: where
+    a [map] is kept.
 
     Raises SceneError where the start of a branch settles on no orbit that can be followed, and where a record holds
     less than is asked of it.
@@ -126,9 +131,10 @@ def study(file, record=None, progress=False):
     if file.orbits is not None:
         orbits = _orbits(scene.replace(**file.orbits.at), file.orbits, progress)
     near = None if file.margin is None else _margin(scene.replace(**file.margin.at), file.margin)
-    if swept is attractors is orbits is branches is near is fit is None:
+    mapped = None if file.map is None else _map(scene.replace(**file.map.at), file.map, progress, store)
+    if swept is attractors is orbits is branches is near is fit is mapped is None:
         swept = _rest(scene)
-    return Found(file, scene, swept, attractors, orbits, branches, diagram, *curves, near, fit, record)
+    return Found(file, scene, swept, attractors, orbits, branches, diagram, *curves, near, fit, record, mapped)
 
 
 def _legs(scene, table, progress):
@@ -221,6 +227,26 @@ def _fit(scene, table, record):
         return fitted(scene, record, table.free, table.bounds)
     except ArgumentError as error:
         raise SceneError(f"fit.{error.key}", error.rule, error.value, error.index) from None
+
+
+def _map(scene, table, progress, store):
+    with cells_bar("map", not progress) as report:
+        return map_parameters(scene, **table.arguments, store=store, progress=report)
+
+
+@contextmanager
+def cells_bar(name, silent=False):
+    """What is to be called with each `Progress`: a bar on stderr, with rate, time left and what is undecided."""
+    with tqdm(desc=name, unit=" cells", unit_scale=True, mininterval=0.5, disable=silent) as bar:
+
+        def report(progress):
+            if bar.total is None:
+                bar.reset(progress.total)
+                bar.initial = bar.n = progress.done
+            bar.set_postfix(undecided=progress.undecided, refresh=False)
+            bar.update(progress.done - bar.n)
+
+        yield report
 
 
 def _rest(scene):

@@ -35,7 +35,7 @@ def picture(found, units="scene"):
     """The picture of what was `Found`, in "scene" or "physical" units, as a PNG's bytes."""
     figure = _diagram(found, units) if found.across is not None else _portraits(found, units)
     figure.suptitle(_heading(found, units), fontsize="medium")
-    return _png(figure)
+    return png(figure)
 
 
 def loci(found, units="scene"):
@@ -64,19 +64,20 @@ def loci(found, units="scene"):
     if entries:
         look = {"frameon": False, "fontsize": "small", "handlelength": 4.0}
         figure.legend(*zip(*entries, strict=True), loc="outside right upper", **look)
-    figure.suptitle(_described(scene, asked.parameters, units), fontsize="medium")
-    return _png(figure)
+    figure.suptitle(described(scene, asked.parameters, units), fontsize="medium")
+    return png(figure)
 
 
 def margin(found, units="scene"):
     """The picture of the margin that was `Found`, likewise."""
     figure = Figure(figsize=(7.5, 5.5), layout="constrained")
     plot.margin(found.margin, figure.subplots(), units)
-    figure.suptitle(_described(found.there(found.file.margin), (), units), fontsize="medium")
-    return _png(figure)
+    figure.suptitle(described(found.there(found.file.margin), (), units), fontsize="medium")
+    return png(figure)
 
 
-def _png(figure):
+def png(figure):
+    """A figure as the bytes of a PNG."""
     held = BytesIO()
     figure.savefig(held, format="png", dpi=DOTS)
     return held.getvalue()
@@ -186,14 +187,14 @@ def _at(found, asked, units):
 
 def _heading(found, units):
     """The scene in a line or two, but for what is swept, and the box of the starts."""
-    told = f"{_described(_shared(found), [found.across], units)};  states at phase 0 of the drive"
+    told = f"{described(_shared(found), [found.across], units)};  states at phase 0 of the drive"
     if found.attractors is None:
         return told
     there = found.there(found.file.attractors)
     return f"{told}\nstarts at phase 0: {box_text(there, style.scales_of(there, units))}"
 
 
-def _described(scene, without, units):
+def described(scene, without, units):
     """A scene in a line or two, but for some parameters."""
     scales = style.scales_of(scene, units)
     plain = [

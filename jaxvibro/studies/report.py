@@ -12,6 +12,7 @@ from ..loci.locus import MEANINGS as ON_LOCI
 from ..maps.initial_conditions import box, box_text
 from ..output.table_text import columns, headed, pair
 from ..output.units import LENGTH, SPEED, amount_text, unit_in, unit_of
+from . import map_report
 from .compute import KEEP, SETTLE
 from .sweep_periods import longest, stretches
 
@@ -22,20 +23,18 @@ def table(found, name, units="scene"):
     """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci. units: "scene"
     or "physical"."""
     parts = [f"jaxvibro {__version__}, {name}\n", columns(_numbers(found.scene, units))]
-    if found.swept is not None:
-        parts += ["", *_sweep(found, units)]
-    if found.attractors is not None:
-        parts += ["", *_attractors(found, units)]
-    if found.orbits is not None:
-        parts += ["", *_orbits(found, units)]
-    if found.branches is not None:
-        parts += ["", *_branches(found, units)]
-    if found.loci is not None:
-        parts += ["", *_loci(found, units)]
-    if found.margin is not None:
-        parts += ["", *_margin(found, units)]
-    if found.fit is not None:
-        parts += ["", *_fit(found, units)]
+    asked = [
+        (found.swept, _sweep),
+        (found.attractors, _attractors),
+        (found.orbits, _orbits),
+        (found.branches, _branches),
+    ]
+    asked += [(found.loci, _loci), (found.margin, _margin), (found.fit, _fit)]
+    for one, told in asked:
+        if one is not None:
+            parts += ["", *told(found, units)]
+    if found.map is not None:
+        parts += ["", *map_report.lines(found.map, units)]
     return "\n".join(parts) + "\n"
 
 
@@ -231,6 +230,8 @@ def summary(found, files):
         told["margin"] = [_near(one) for one in found.margin.points]
     if found.fit is not None:
         told["fit"] = _fitted(found.fit)
+    if found.map is not None:
+        told["map"] = map_report.counts(found.map)
     return told
 
 

@@ -15,7 +15,9 @@ from ..output.units import require_system
 from ..scene.check import SceneError, host
 from ..scene.scales import require_scales
 from ..scene.scene_table import SceneTable
-from . import report, scene_file
+from ..stores.engines import Engine, LocalEngine
+from ..stores.zarr_store import Store
+from . import map_report, report, scene_file
 from .compute import study
 from .csv_tables import asked_for, csv_tables
 from .figures import loci, margin, picture
@@ -24,7 +26,9 @@ from .results_dataset import dataset
 from .schema import SceneFile
 
 ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}
-MORE = {"locus": {"loci": ".loci.png"}, "margin": {"margin": ".margin.png"}}  # where a table asks for it
+# Where a table asks for it; a map's store is a folder, which the study itself writes.
+MORE = {"locus": {"loci": ".loci.png"}, "margin": {"margin": ".margin.png"}, "map": {"map": ".map.png"}}
+STORE = ".zarr"
 FOR_PAPER = ("spectrum", "basins", "panels")  # tables that `paper` knows
 
 
@@ -45,15 +49,17 @@ def run(
     progress: bool = False,
     csv: bool = False,
     units: str = "scene",
+    engine: Engine | None = None,
 ) -> Done:
-    """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus] or [margin] a
-    picture of that too: `Done`.
+    """Does what a scene file asks, and writes its picture, data and table into a folder, with a [locus], [margin] or
+    [map] a picture of that too, and of a [map] its `Store`, which a later run goes on with: `Done`.
 
     path: of the scene file; its name without ending names the results. out: the folder, made where it is missing.
     changes: other values for this run, each "key=value" as in the file ("sweep.count=201"); "scene." may be left out.
     force: overwrite results that are there. progress: show bars on stderr. csv: write a table each of the sweep, the
     attractors, the branches and the loci too, a row a point. units: of these, of the pictures and of the tables of
-    branches and loci, "scene", or "physical" (N, Hz, mm, ...) where the scene has [scene.scales].
+    branches and loci, "scene", or "physical" (N, Hz, mm, ...) where the scene has [scene.scales]. engine: who works
+    out a [map], None: this process.
 
     Raises SceneError for what the file or the changes may not say, FileExistsError where a result is there already,
     and OSError where a file cannot be read or the folder not be written to, all before any work; and SceneError
@@ -66,7 +72,7 @@ def run(
     for name in FOR_PAPER:
         if getattr(file, name):
             raise SceneError(name, "is a table for `jaxvibro paper`, not for a run", path.name)
-    endings = dict(ENDINGS)
+    endings = {"table": ENDINGS["table"]} if file.is_map_alone else dict(ENDINGS)
     for name, more in MORE.items():
         endings |= more if getattr(file, name) is not None else {}
     if csv:
@@ -75,16 +81,26 @@ def run(
     if require_system(units) == "physical":
         require_scales(file.scene)
     _refuse(path, out, files.values(), force)
+    store = None if file.map is None else _store(out, path.stem, engine)
     heard = None if file.fit is None else record(path.parent, file.fit, file.scene)
-    found = study(file, heard, progress)
+    found = study(file, heard, progress, store)
     table = report.table(found, path.name, units)
-    contents = {"picture": picture(found, units), "data": netcdf(dataset(found)), "table": table.encode()}
-    contents |= {kind: draw(found, units) for kind, draw in (("loci", loci), ("margin", margin)) if kind in files}
+    contents = {} if file.is_map_alone else {"picture": picture(found, units), "data": netcdf(dataset(found))}
+    contents["table"] = table.encode()
+    draws = {"loci": loci, "margin": margin, "map": lambda found, units: map_report.picture(found.map, units)}
+    contents |= {kind: draw(found, units) for kind, draw in draws.items() if kind in files}
     contents |= {f"{what} table": text for what, text in csv_tables(found, units).items()} if csv else {}
     files = {kind: files[kind] for kind in contents}
     _write({files[kind]: content for kind, content in contents.items()}, force)
-    summary = report.summary(found, {kind: str(one) for kind, one in files.items()})
+    told = files if store is None else files | {"store": Path(store.path)}
+    summary = report.summary(found, {kind: str(one) for kind, one in told.items()})
     return Done(summary | {"seconds": round(time.perf_counter() - began, 3)}, table)
+
+
+def _store(out, name, engine):
+    """The store of a [map], whose folder is there."""
+    out.mkdir(parents=True, exist_ok=True)
+    return Store(out / (name + STORE), engine or LocalEngine())
 
 
 def _full(change):

@@ -37,6 +37,8 @@ _KINDS = {
     "branch.start": schema.StartTable,
     "explore": schema.ExploreTable,
     "locus": schema.LocusTable,
+    "map": schema.MapTable,
+    "map.start": schema.StartTable,
     "spectrum": schema.SpectrumTable,
     "spectrum.start": schema.StartTable,
     "basins": schema.BasinsTable,

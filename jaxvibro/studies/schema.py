@@ -1,6 +1,6 @@
 """The tables of a scene file: what may stand in them."""
 
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -8,6 +8,7 @@ from msgspec import Meta, field
 
 from ..scene.check import MOST_PERIODS
 from ..scene.scene_table import SceneTable, Table
+from ..scene.state import State
 
 MOST = 1_000_000
 MOST_LEGS = 1000
@@ -164,6 +165,33 @@ class BasinsTable(Table, frozen=True, kw_only=True):
         return np.linspace(*self.x, self.count), np.linspace(*self.v, self.count)
 
 
+class MapTable(Table, frozen=True, kw_only=True):
+    """[map]: what the scene, with the values under `at`, settles on at each cell of a grid over two parameters, the
+    first up and the second across; so many values of each. starts: random ones a cell, in place of the one start."""
+
+    parameters: tuple[Name, Name]
+    bounds: dict[str, tuple[float, float]]
+    count: tuple[Count, Count]
+    quantities: tuple[Name, ...] = ("label", "exponent")
+    start: StartTable = StartTable(0.0, 0.0)
+    starts: Count | None = None
+    seed: Seed = 0
+    along: Name | None = None
+    settle: Settle = 300
+    patience: Count = 5000
+    at: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def arguments(self) -> dict[str, Any]:
+        """Those of `map_parameters`, but for the scene."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            pairs = zip(self.parameters, self.count, strict=True)
+            grid = {name: np.linspace(*self.bounds[name], count) for name, count in pairs}
+        start = State(self.start.x, self.start.v) if self.starts is None else self.starts
+        alike = ("quantities", "along", "settle", "patience", "seed")
+        return {"grid": grid, "start": start, **{name: getattr(self, name) for name in alike}}
+
+
 class SceneFile(Table, frozen=True):
     """All that a scene file says: the scene, and the studies that it asks for."""
 
@@ -176,6 +204,7 @@ class SceneFile(Table, frozen=True):
     locus: LocusTable | None = None
     margin: MarginTable | None = None
     fit: FitTable | None = None
+    map: MapTable | None = None
     spectrum: SpectrumTable | None = None
     basins: BasinsTable | None = None
     panels: dict[str, list[float]] = field(default_factory=dict)
@@ -184,6 +213,12 @@ class SceneFile(Table, frozen=True):
     def followed(self) -> BranchTable | ExploreTable | None:
         """What gives branches: [branch] or [explore]; None without."""
         return self.branch or self.explore
+
+    @property
+    def is_map_alone(self) -> bool:
+        """Whether a [map] is all that is asked for."""
+        others = (name for name in self.__struct_fields__ if name not in ("scene", "map", "panels"))
+        return self.map is not None and not any(getattr(self, name) for name in others)
 
     @property
     def panel_values(self) -> list[dict[str, float]]:

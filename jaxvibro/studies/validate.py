@@ -9,6 +9,7 @@ from ..design.records import positive
 from ..scene import check
 from ..scene.scene import Scene, changed, free_between, known
 from ..scene.scene_table import PLAIN
+from ..surveys.map import study_of
 from .schema import KINDS, MOST_STATES
 
 
@@ -33,6 +34,8 @@ def checked(file):
         _check_margin(scene, file.margin)
     if file.fit is not None:
         _check_fit(scene, file.fit)
+    if file.map is not None:
+        _check_map(scene, file.map)
     if file.spectrum is not None:
         _check_spectrum(scene, file.spectrum)
     if file.basins is not None:
@@ -58,6 +61,30 @@ def _under(prefix):
         yield
     except check.ArgumentError as error:
         raise check.SceneError(prefix + error.key, error.rule, error.value, error.index) from None
+
+
+def _check_map(scene, table):
+    _check_plane("map", scene, table)
+    with _under("map.at."):
+        here = known(changed(scene, table.at), np.float64)
+    if table.starts is None:
+        _check_start("map.start", here, table.start)
+    with _under("map."):
+        study_of(here, **table.arguments)
+
+
+def _check_plane(key, scene, asked):
+    """Two different parameters, and bounds for both."""
+    names = list(asked.parameters)
+    for place, name in enumerate(names):
+        _check_name(f"{key}.parameters[{place}]", scene, name)
+    if names[0] == names[1]:
+        raise check.SceneError(f"{key}.parameters", "must be two different parameters", names)
+    if set(asked.bounds) != set(names):
+        given = ", ".join(asked.bounds) or "none"
+        raise check.SceneError(f"{key}.bounds", f"must give [low, high] for {' and for '.join(names)}, no other", given)
+    for name in names:
+        _check_bounds(f"{key}.bounds.{name}", asked.bounds[name])
 
 
 def _check_sweep(scene, sweep):
@@ -146,15 +173,8 @@ def _check_locus(scene, file):
     names = list(asked.parameters)
     if source is None:
         raise check.SceneError("locus", "must come with [branch] or [explore], whose special points it follows", names)
-    for place, name in enumerate(names):
-        _check_name(f"locus.parameters[{place}]", scene, name)
-    if names[0] == names[1]:
-        raise check.SceneError("locus.parameters", "must be two different parameters", names)
-    if set(asked.bounds) != set(names):
-        given = ", ".join(asked.bounds) or "none"
-        raise check.SceneError("locus.bounds", f"must give [low, high] for {' and for '.join(names)}, no other", given)
+    _check_plane("locus", scene, asked)
     for name in names:
-        _check_bounds(f"locus.bounds.{name}", asked.bounds[name])
         _check_reach(f"locus.bounds.{name}", name, asked.bounds[name], scene, file)
     _check_kinds("locus.kinds", asked.kinds)
     _check_step("locus.largest_step", asked.largest_step)

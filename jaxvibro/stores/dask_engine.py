@@ -1,0 +1,105 @@
+"""Chunks worked out by a Dask cluster, one that is there or one of this machine's own; workers may come and go."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
+from logging import CRITICAL
+from typing import TypeVar
+
+import cloudpickle
+import jax
+from distributed import CancelledError, Client, KilledWorker, LocalCluster, as_completed
+from distributed.comm import CommClosedError
+
+from ..scene import check
+from .engines import cores
+
+Found = TypeVar("Found")
+AHEAD = 2  # chunks of a worker's thread that are handed out before the first is back
+LOST = 5  # times that a chunk's workers may be lost, each as many of them as the cluster allows
+FIRST = 64  # chunks that are handed out while no worker is known
+WAIT = 30.0  # seconds for a scheduler to answer
+KEPT = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")  # settings that workers share
+
+
+@dataclass(frozen=True)
+class DaskEngine:
+    """Works chunks out on a Dask cluster, whose workers can reach the store's folder by the same path.
+
+    address: of a scheduler, as "tcp://host:8786"; None: a cluster of this machine is started, and stopped at the end.
+    workers: processes of that, None for one a core that may be used. Workers may be lost and new ones come: a chunk
+    whose worker was lost is handed out again. What is sent to them is pickled, as Dask does: trust the cluster.
+
+    A script that starts a cluster of its own does so below `if __name__ == "__main__":`. Needs
+    `pip install jaxvibro[cluster]`. Raises ArgumentError for numbers that cannot be; OSError where no scheduler
+    answers, where it is lost, and where a chunk ends each worker that it is given to.
+    """
+
+    address: str | None = None
+    workers: int | None = None
+
+    def __post_init__(self) -> None:
+        if self.address is not None and not (isinstance(self.address, str) and self.address):
+            raise check.ArgumentError("address", 'must be of a scheduler, as "tcp://host:8786", or None', self.address)
+        if self.workers is not None:
+            check.whole("workers", self.workers, 1)
+            if self.address is not None:
+                raise check.ArgumentError("workers", "must not be given for a cluster that is there", self.workers)
+
+    def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
+        """What work(number) returns for each of some numbers, as it comes in."""
+        blob, left, lost = cloudpickle.dumps(work), iter(numbers), Counter[int]()
+        with ExitStack() as stack:
+            client = self._client(stack)
+            going, asked = as_completed(loop=client.loop), dict[str, int]()
+
+            def ask(some):
+                for number in some:
+                    future = client.submit(_worked, blob, number, pure=False)
+                    asked[future.key] = number
+                    going.add(future)
+
+            ask(islice(left, _ahead(client)))
+            for future in going:
+                number = asked.pop(future.key)
+                try:
+                    yield future.result()
+                except KilledWorker:
+                    lost[number] += 1
+                    if lost[number] == LOST:
+                        raise OSError(f"chunk {number} has ended each worker that it was given to") from None
+                    ask([number])
+                except (CancelledError, CommClosedError):
+                    told = f"the scheduler at {client.scheduler.address if client.scheduler else self.address} is lost"
+                    raise OSError(f"{told}; what is done is kept: run it again") from None
+                ask(islice(left, max(0, _ahead(client) - len(asked))))
+
+    def _client(self, stack):
+        place = self.address
+        if place is None:
+            shared = {name.upper(): str(value) for name in KEPT if (value := getattr(jax.config, name)) is not None}
+            size = {"n_workers": self.workers or cores(), "threads_per_worker": 1, "memory_limit": 0}
+            quiet = {"dashboard_address": None, "silence_logs": CRITICAL}
+            place = stack.enter_context(LocalCluster(**size, **quiet, processes=True, env=shared))
+        try:
+            return stack.enter_context(Client(place, timeout=WAIT, set_as_default=False))
+        except (OSError, ValueError) as error:
+            raise OSError(f"no scheduler answers at {place}: {check.short(error)}") from None
+
+
+def _ahead(client):
+    """Chunks that are handed out at a time."""
+    return max(FIRST, AHEAD * sum(client.nthreads().values()))
+
+
+def _worked(blob, number):
+    """Runs on a worker."""
+    return _loaded(blob)(number)
+
+
+@lru_cache(4)
+def _loaded(blob):
+    return cloudpickle.loads(blob)

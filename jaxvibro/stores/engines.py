@@ -1,0 +1,87 @@
+"""Who works a study's chunks out: an engine hands a function numbers of chunks, and gives back what it returns.
+
+The function says nothing of engines, and engines nothing of studies. Here is that of this process: a chunk is worked
+out by one thread on one device from beginning to end, so that no device waits for another's slowest lanes.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from contextlib import nullcontext
+from dataclasses import dataclass
+from itertools import cycle, islice
+from queue import SimpleQueue
+from typing import Protocol, TypeVar, runtime_checkable
+
+import jax
+
+from ..scene import check
+
+Found = TypeVar("Found")
+AHEAD = 2  # chunks of a thread that are handed out before the first is back
+
+
+@runtime_checkable
+class Engine(Protocol):
+    """Works chunks out."""
+
+    def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
+        """What work(number) returns for each of some numbers, as it comes in; the first error ends it, once what has
+        been begun is done."""
+
+
+@dataclass(frozen=True)
+class LocalEngine:
+    """Works chunks out in this process, on all of jax's devices.
+
+    workers: chunks at a time; None: one for each device, on a processor one for each of its cores that may be used.
+    devices: how many of jax's local devices take part, None for all. Raises ArgumentError for numbers that cannot be.
+    """
+
+    workers: int | None = None
+    devices: int | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("workers", "devices"):
+            if getattr(self, name) is not None:
+                check.whole(name, getattr(self, name), 1)
+
+    def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
+        """What work(number) returns for each of some numbers, as it comes in."""
+        devices = jax.local_devices()[: self.devices]
+        workers = self.workers or max(len(devices), cores() if devices[0].platform == "cpu" else 1)
+        free: SimpleQueue = SimpleQueue()
+        for device in islice(cycle(devices), workers):
+            free.put(device if len(devices) > 1 else None)
+
+        def on_device(number):
+            device = free.get()
+            try:
+                with nullcontext() if device is None else jax.default_device(device):
+                    return work(number)
+            finally:
+                free.put(device)
+
+        with ThreadPoolExecutor(workers) as pool:
+            yield from in_flight(lambda number: pool.submit(on_device, number), numbers, workers * AHEAD)
+
+
+def in_flight(begin, numbers, most):
+    """The results of begin(number), a future each, as they come in, so many at a time; the first error cancels the
+    rest."""
+    left, going = iter(numbers), set()
+    try:
+        going.update(begin(number) for number in islice(left, most))
+        while going:
+            done, going = wait(going, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield future.result()
+            going.update(begin(number) for number in islice(left, most - len(going)))
+    finally:
+        for future in going:
+            future.cancel()
+
+
+def cores():
+    """How many of the machine's cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,0 +1,85 @@
+"""What a study of very many cells is: a grid cut into chunks, each a pure function of its number."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+
+class Column(NamedTuple):
+    """What is worked out for each cell. dtype: of its numbers; blank: that of a cell not yet done; more: the names and
+    sizes of the dimensions that it has besides the grid's; attrs: as of an xarray variable."""
+
+    dtype: np.dtype
+    blank: float
+    attrs: Mapping[str, Any]
+    more: Mapping[str, int] = {}
+
+
+class Grid(NamedTuple):
+    """The cells. sizes: {dimension: cells along it}; chunk: how many of them along each a chunk has, fewer at an end.
+
+    Chunks are numbered row by row, the last dimension fastest.
+    """
+
+    sizes: Mapping[str, int]
+    chunk: tuple[int, ...]
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Cells along each dimension."""
+        return tuple(self.sizes.values())
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """Chunks along each dimension."""
+        return tuple(-(-size // part) for size, part in zip(self.shape, self.chunk, strict=True))
+
+    @property
+    def chunks(self) -> int:
+        """How many there are."""
+        return math.prod(self.counts)
+
+    def cut(self, number: int) -> tuple[slice, ...]:
+        """Which cells a chunk has, along each dimension."""
+        places = np.unravel_index(number, self.counts)
+        edges = zip(places, self.chunk, self.shape, strict=True)
+        return tuple(slice(int(k) * part, min((int(k) + 1) * part, size)) for k, part, size in edges)
+
+    def cells(self, number: int) -> int:
+        """How many cells a chunk has."""
+        return math.prod(part.stop - part.start for part in self.cut(number))
+
+
+@runtime_checkable
+class Study(Protocol):
+    """A study: a frozen record that can be sent to another process.
+
+    grid: the cells; columns: what each of them gets; identity: texts that tell this study from any other, the scene
+    among them; frame: what is known before, an xarray.Dataset: coordinates, attributes, and variables without a
+    dimension of the grid, all that a chunk needs and that is not computed to the same bits twice.
+    """
+
+    @property
+    def grid(self) -> Grid: ...
+    @property
+    def columns(self) -> Mapping[str, Column]: ...
+    @property
+    def identity(self) -> Mapping[str, str]: ...
+    @property
+    def frame(self) -> Any: ...
+
+    def compute(self, number: int, frame: Any) -> tuple[dict[str, np.ndarray], int]:
+        """(what each cell of a chunk gets, how many of them are undecided): the same bits each time it is asked."""
+
+
+def size_in_bytes(study: Study) -> int:
+    """Of all columns together."""
+    cells = math.prod(study.grid.shape)
+    return sum(cells * math.prod(one.more.values()) * np.dtype(one.dtype).itemsize for one in study.columns.values())
+
+
+def blank(study: Study, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
+    """Columns of so many cells of which none is done."""
+    return {name: np.full((*shape, *one.more.values()), one.blank, one.dtype) for name, one in study.columns.items()}
