@@ -10,7 +10,9 @@ from ..maps.initial_conditions import box
 from ..output.units import LENGTH, SPEED, scales_in
 from ..scene import check
 from ..scene.scene import Scene
-from .assign import OUTSIDE, assign_labels, homes
+from ..stores.filling import Store, done
+from .assign import OUTSIDE, homes
+from .basins_study import BasinsStudy
 from .find import Attractor, find_attractors
 from .fractal import BOX, dimension, entropies
 
@@ -26,6 +28,7 @@ def basins(
     attractors: Sequence[Attractor] | None = None,
     patience: int = PATIENCE,
     progress: Callable[[int], object] | None = None,
+    store: Store | None = None,
 ) -> xr.Dataset:
     """The basins of attraction on Sigma: an xarray.Dataset.
 
@@ -33,6 +36,7 @@ def basins(
     past a soft wall a start is within it; phase: of the drive at the start, rad. attractors: a tuple as from
     `find_attractors`, which is asked where it is None; those that it calls unresolved take no starts. patience: drive
     periods that a start may take, a whole number from 1 on. progress: called with the number of starts that are done.
+    store: a `Store` to keep labels and periods in and to go on with; None: in memory.
 
     Dataset: label(v, x): the attractor's place in the tuple, -1 where the start is not certain to be on any (many of
     them: another attractor, ask `find_attractors` with more starts), -2 beyond a rigid wall; periods(v, x): drive
@@ -48,7 +52,7 @@ def basins(
     states (`trap`); on a chaotic one when it was near a sample of it at eight looks in a row, eight periods apart. An
     attractor with an impact on a rigid wall just at the section's phase has no such ellipse: take another phase.
 
-    Raises ArgumentError for a batch of scenes and for numbers that cannot be.
+    Raises ArgumentError for a batch of scenes and for numbers that cannot be, and what the store raises.
     """
     check.require_single(scene)
     x, v = _axis("x", x), _axis("v", v)
@@ -59,10 +63,10 @@ def basins(
     attractors = find_attractors(scene) if attractors is None else tuple(attractors)
     left, right, fast = box(scene)
     found = homes(scene, attractors, float(angle), float(max(abs(left), abs(right), fast)))
-    across, along = (each.ravel() for each in np.meshgrid(x, v))
-    label, periods = assign_labels(scene, across, along, float(angle), found, patience, progress)
-    shape = (len(v), len(x))
-    return _dataset(scene, x, v, float(angle), attractors, found, label.reshape(shape), periods.reshape(shape))
+    names = tuple(one.label for one in attractors)
+    study = BasinsStudy(scene, x, v, float(angle), tuple(found), names, patience)
+    seen = done(study, store, progress and (lambda one: progress(one.done)))
+    return _dataset(scene, float(angle), attractors, found, seen)
 
 
 def _axis(key, values) -> Float[np.ndarray, " numbers"]:
@@ -72,8 +76,8 @@ def _axis(key, values) -> Float[np.ndarray, " numbers"]:
     return values
 
 
-def _dataset(scene, x, v, phase, attractors, homes, label, periods):
-    most = max((len(home.points) for home in homes), default=0)
+def _dataset(scene, phase, attractors, homes, seen):
+    label, most = seen["label"].values, max((len(home.points) for home in homes), default=0)
     points = np.full((len(homes), most, 2), np.nan)
     for row, home in zip(points, homes, strict=True):
         row[: len(home.points)] = home.points
@@ -83,8 +87,8 @@ def _dataset(scene, x, v, phase, attractors, homes, label, periods):
     mirrors = [-1 if one.mirror_of is None else one.mirror_of for one in attractors]
     return xr.Dataset(
         {
-            "label": (("v", "x"), label, {"long_name": "attractor, -1 unresolved, -2 beyond a rigid wall"}),
-            "periods": (("v", "x"), periods, {"long_name": "drive periods after which it was seen"}),
+            "label": seen["label"],
+            "periods": seen["periods"],
             "fraction": ("attractor", fraction, {"long_name": "share of the starts beyond no rigid wall"}),
             "fraction_error": ("attractor", error),
             "point_x": (("attractor", "point"), points[..., 0], {"units": LENGTH}),
@@ -92,8 +96,8 @@ def _dataset(scene, x, v, phase, attractors, homes, label, periods):
             "mixed": ("side", size.mixed, {"long_name": "share of boxes with more than one label"}),
         },
         coords={
-            "x": ("x", x, {"long_name": "displacement", "units": LENGTH}),
-            "v": ("v", v, {"long_name": "velocity", "units": SPEED}),
+            "x": seen["x"],
+            "v": seen["v"],
             "name": ("attractor", [one.label for one in attractors]),
             "kind": ("attractor", [one.kind for one in attractors]),
             "mirror_of": ("attractor", np.array(mirrors, int)),

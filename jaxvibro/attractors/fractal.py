@@ -9,7 +9,6 @@ from scipy.special import xlogy
 BOX = 5  # labels along the side of a box of the entropies: 25 in it, as the source takes
 LARGEST = 8  # boxes of the largest size lie across the picture, at least
 FULL = 0.2  # of the boxes: where more are mixed, several boundaries meet in a box
-NONE = np.iinfo(np.int32).max
 
 
 class Dimension(NamedTuple):
@@ -48,9 +47,9 @@ def dimension(labels):
     standard error, or half of the difference between the slopes of its two halves where that is larger. value and error
     are nan where no box is mixed or the picture has no three sizes.
     """
-    low = np.where(labels < 0, NONE, labels).astype(np.int64)
-    high = np.where(labels < 0, -1, labels).astype(np.int64)
-    low, high = _corners(low, np.minimum), _corners(high, np.maximum)
+    none = np.iinfo(labels.dtype).max
+    low = _corners(np.where(labels < 0, none, labels), np.minimum)
+    high = _corners(np.maximum(labels, -1), np.maximum)
     sides = 2 ** np.arange(max(0, (min(low.shape) // LARGEST).bit_length()))
     mixed = np.array([_mixed(low, high, side) for side in sides])
     few = np.flatnonzero((mixed > 0) & (mixed <= FULL))

@@ -1,6 +1,5 @@
 """The Lyapunov spectrum against a parameter: both exponents of what a scene settles on, with error bars."""
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 
@@ -15,8 +14,11 @@ from ..output.units import scales_in, unit_of
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import State, check_start, real_state
+from ..stores.engines import cores
+from ..stores.filling import Store, done
 from .chaotic_exponents import of_motion, settled
 from .orbit_exponents import lost, of_orbits
+from .spectrum_study import SpectrumStudy, rates_of
 from .sweep import MEANING, UNITS, equation, others, started, static
 from .tangent import LAPS, begin
 
@@ -33,6 +35,7 @@ def spectrum(
     error: Real[ArrayLike, ""] = 2e-3,
     most: int = 2**20,
     progress: Callable[[int], object] | None = None,
+    store: Store | None = None,
 ) -> xr.Dataset:
     """Both Lyapunov exponents per drive period of what a scene settles on, for many values of a parameter: a Dataset.
 
@@ -40,7 +43,8 @@ def spectrum(
     where every value starts, of numbers or with a number for each value. settle: drive periods left out. What recurs
     after at most 32 periods has its exponents from its multipliers, ln abs(mu) / n; all else from averages along 64
     copies of the motion, until the standard errors of both are at most `error`, or about `most` drive periods have been
-    averaged. progress: called with the number of values done.
+    averaged. progress: called with the number of values done. store: a `Store` to keep the numbers in, 64 values at a
+    time, and to go on with; None: in memory.
 
     The Dataset, along `name`: exponent and error (name, order), the larger first, per drive period, the error a
     standard error (of an orbit: what rounding leaves unsure); impacts per period, and impacts_on (name, wall), of the
@@ -58,7 +62,8 @@ def spectrum(
     Sources: Benettin et al., Meccanica 15 (1980) 9-20; at impacts Mueller, Chaos, Solitons and Fractals 5 (1995)
     1671-1681; paper, (38). Errors by batch means (`batch_means.standard_error`).
 
-    Raises ArgumentError as `sweep` does, for an error that is not positive, and for counts that cannot be.
+    Raises ArgumentError as `sweep` does, for an error that is not positive, and for counts that cannot be; and what the
+    store raises.
     """
     check.require_single(scene)
     settle, most = check.whole("settle", settle, 0), check.whole("most", most, 1)
@@ -67,10 +72,14 @@ def spectrum(
     if goal.shape:
         raise check.ArgumentError("error", "must be a single number", error)
     values, state = _checked(scene, name, values, state)
-    scenes = scene.replace(**{name: values})
     starts = jax.tree.map(lambda leaf: np.broadcast_to(leaf, values.shape), state)
-    with ThreadPoolExecutor(_cores()) as pool:
-        found, resting = _found(pool, scenes, starts, settle, float(goal), most, progress or (lambda done: None))
+    if store is None:
+        with ThreadPoolExecutor(cores()) as pool:
+            scenes = scene.replace(**{name: values})
+            found, resting = _found(pool, scenes, starts, settle, float(goal), most, progress or (lambda done: None))
+    else:
+        study = SpectrumStudy(scene, name, values, starts, _of_block, (settle, float(goal), most))
+        found, resting = rates_of(done(study, store, progress and (lambda one: progress(one.done))))
     return _dataset(scene, name, values, state, found, resting)
 
 
@@ -86,9 +95,10 @@ def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count"], S
     return values, state
 
 
-def _cores():
-    """How many cores there are to be used: a block of lanes keeps one busy, and lets others run."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+def _of_block(scenes, state, settle, goal, most):
+    """`_found` in one thread."""
+    with ThreadPoolExecutor(1) as pool:
+        return _found(pool, scenes, state, settle, goal, most, lambda done: None)
 
 
 def _found(pool, scenes, state, settle, goal, most, progress):

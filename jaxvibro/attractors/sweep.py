@@ -21,6 +21,8 @@ from ..scene.codes import Status
 from ..scene.named_forces import named
 from ..scene.scene import Scene
 from ..scene.state import State, check_start
+from ..stores.filling import Store, done
+from .sweep_study import SweepStudy
 
 CHUNK = 16  # values between two reports of progress
 DRIVE = "amplitude cos(frequency t)"
@@ -40,6 +42,7 @@ def sweep(
     keep: int = 100,
     chunk: int = CHUNK,
     progress: Callable[[int], object] | None = None,
+    store: Store | None = None,
 ) -> xr.Dataset:
     """What a scene settles on as one of its parameters goes through values, in their order: an xarray.Dataset.
 
@@ -47,7 +50,8 @@ def sweep(
     first axis is the way, the others broadcast with the scene's and the state's numbers, as in `strobe`; a lane is a
     sweep of its own. state: a `State`, where the first value starts. At each value `settle` drive periods are left out
     and the next `keep` recorded. chunk: values between two calls of `progress`, which is given the number of values
-    done; it changes no bit of the result.
+    done; it changes no bit of the result. store: a `Store` to keep very many lanes in, 64 at a time from their first
+    value to their last, and to go on with; `progress` is then given lanes. None: in memory.
 
     The Dataset holds x and v on Sigma (the state's phase) with dimensions (name, lane, period) and status with (name,
     lane); without lanes there is no dimension `lane`, with several axes of them they are lane_0, lane_1, ... Where
@@ -58,13 +62,21 @@ def sweep(
     status is CAP or worse (`Impacts`) has nan for that value, and starts the next one anew from the given state.
 
     Raises ArgumentError for an unknown name, values that are not finite or break a rule of the scene, a start beyond a
-    wall, and counts that cannot be, all before any work.
+    wall, and counts that cannot be, all before any work; and what the store raises.
     """
     settle, keep = check.whole("settle", settle, 0), check.whole("keep", keep, 1)
     chunk = check.whole("chunk", chunk, 1)
     values, state = _checked(scene, name, values, state)
     shape = np.broadcast_shapes(values.shape[1:], scene.shape, *map(np.shape, jax.tree.leaves(state)))
-    found = _run(*_lanes(shape, scene, values, state), name, settle, keep, chunk, progress)
+    lanes = _lanes(shape, scene, values, state)
+    if store is None:
+        found = _run(*lanes, name, settle, keep, chunk, progress)
+    else:
+        first = jax.tree.map(lambda leaf: leaf[0], lanes[0])
+        seen = done(
+            SweepStudy(first, name, lanes, _whole, (settle, keep)), store, progress and (lambda one: progress(one.done))
+        )
+        found = [np.moveaxis(seen[key].values, 0, 1) for key in ("x", "v", "status")]
     parts = [part.reshape(len(values), *shape, *part.shape[2:]) for part in found]
     return _dataset(scene, name, values, state, parts)
 
@@ -99,6 +111,10 @@ def _lanes(shape, scene, values, state) -> tuple[Scene, Float[np.ndarray, "count
         return np.broadcast_to(leaf, shape).reshape(size)
 
     return jax.tree.map(flat, scene), np.stack([flat(value) for value in values]), jax.tree.map(flat, state)
+
+
+def _whole(scene, values, start, name, settle, keep):
+    return _run(scene, values, start, name, settle, keep, CHUNK, None)
 
 
 def _run(scene, values, start, name, settle, keep, chunk, progress):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import msgspec
 from msgspec import Struct, field
 
 from . import check
@@ -128,6 +129,18 @@ def table_of(scene):
     scales = scene.scales and ScalesTable(**scene.scales.numbers)
     drive = [wave(term) for term in scene.drive]
     return SceneTable(**plain, **sides, force=_force_table(scene.force), drive=drive, scales=scales)
+
+
+def scene_text(scene):
+    """One scene as the TOML of its table. Raises ArgumentError as `table_of`."""
+    return msgspec.toml.encode(table_of(scene)).decode()
+
+
+def scene_text_or_none(scene):
+    """The same, "" of a scene that has a force without a name."""
+    named = name_of(scene.force.function) if scene.force else True
+    laws = (wall.law for wall in scene.walls.values() if wall.law)
+    return scene_text(scene) if named and all(name_of_push(law.function) for law in laws) else ""
 
 
 def _push_table(law):

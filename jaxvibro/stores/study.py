@@ -1,5 +1,6 @@
 """What a study of very many cells is: a grid cut into chunks, each a pure function of its number."""
 
+import hashlib
 import math
 from collections.abc import Mapping
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -72,6 +73,12 @@ class Study(Protocol):
 
     def compute(self, number: int, frame: Any) -> tuple[dict[str, np.ndarray], int]:
         """(what each cell of a chunk gets, how many of them are undecided): the same bits each time it is asked."""
+
+
+def axis_text(values: np.ndarray) -> str:
+    """Numbers as a text that tells them from others: how many there are, the ends, a digest."""
+    ends = f"{values.flat[0]!r} to {values.flat[-1]!r}" if values.size else "none"
+    return f"{values.size}, {ends}, {hashlib.sha256(values.tobytes()).hexdigest()[:16]}"
 
 
 def size_in_bytes(study: Study) -> int:

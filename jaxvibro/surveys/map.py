@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import Any
 
 import jax
-import msgspec
 import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
@@ -19,10 +18,10 @@ from ..output.units import scales_in, unit_of
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import Scene
-from ..scene.scene_table import table_of
+from ..scene.scene_table import scene_text, scene_text_or_none
 from ..scene.state import State, check_start
 from ..stores.filling import Progress, Store, done
-from ..stores.study import Column, Grid
+from ..stores.study import Column, Grid, axis_text
 from . import cell_columns, coexisting
 from .motions import motions
 
@@ -136,8 +135,8 @@ class MapStudy:
             given |= {"start": [float(each) for each in jax.tree.leaves(self.state)]}
         rows = zip(self.names, self.values, strict=True)
         return {
-            "scene": msgspec.toml.encode(table_of(self.scene)).decode(),
-            **{name: repr(row.tolist()) for name, row in rows},
+            "scene": scene_text(self.scene),
+            **{name: axis_text(row) for name, row in rows},
             **{name: repr(each) for name, each in given.items()},
             "quantities": repr(self.quantities),
             "dtype": str(self.scene.dtype),
@@ -157,7 +156,7 @@ class MapStudy:
         attrs |= {"settle": self.settle, "patience": self.patience, "walls": " ".join(self.scene.walls) or "none"}
         attrs |= {"along": self.names[self.along]} if self.along is not None else {}
         attrs |= {"starts": self.starts, "seed": self.seed} if self.starts else {}
-        attrs["scene_file"] = self.identity["scene"]
+        attrs["scene_file"] = scene_text_or_none(self.scene)
         return xr.Dataset(coords=coords, attrs=attrs)
 
     def compute(self, number: int, frame: Any) -> tuple[dict[str, np.ndarray], int]:

@@ -1,0 +1,89 @@
+"""The starts of basins as a `Study`: a grid on Sigma in bands of rows, each start labelled by what holds it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import Float
+from scipy.spatial import cKDTree
+
+from ..output.units import LENGTH, SPEED
+from ..scene.scene import Scene
+from ..scene.scene_table import scene_text, scene_text_or_none
+from ..stores.study import Column, Grid, axis_text
+from .assign import OUTSIDE, UNRESOLVED, Home, assign_labels
+from .trapping_region import Cloud, Trap
+
+STARTS = 1 << 16  # of a chunk
+NOT_DONE = -3  # label of a start whose chunk is not done
+
+
+@dataclass(frozen=True)
+class BasinsStudy:
+    """Basins as a `Study`. x, v: of the starts; phase: rad; homes: of the attractors, which are called so."""
+
+    scene: Scene
+    x: Float[np.ndarray, " columns"]
+    v: Float[np.ndarray, " rows"]
+    phase: float
+    homes: tuple[Home, ...]
+    names: tuple[str, ...]
+    patience: int
+
+    @cached_property
+    def grid(self) -> Grid:
+        rows, columns = len(self.v), len(self.x)
+        bands = -(-rows * columns // STARTS)
+        return Grid({"v": rows, "x": columns}, (-(-rows // bands), columns))
+
+    @property
+    def columns(self) -> dict[str, Column]:
+        label = f"attractor, {UNRESOLVED} unresolved, {OUTSIDE} beyond a rigid wall"
+        return {
+            "label": Column(np.dtype(np.int16), NOT_DONE, {"long_name": label}),
+            "periods": Column(np.dtype(np.int32), 0, {"long_name": "drive periods after which it was seen"}),
+        }
+
+    @cached_property
+    def identity(self) -> dict[str, str]:
+        axes = {name: axis_text(getattr(self, name)) for name in ("x", "v")}
+        plain = {"phase": repr(self.phase), "patience": repr(self.patience), "attractors": repr(self.names)}
+        return {"scene": scene_text(self.scene), **axes, **plain, "dtype": str(self.scene.dtype)}
+
+    @cached_property
+    def frame(self) -> xr.Dataset:
+        coords = {
+            "x": ("x", self.x, {"long_name": "displacement", "units": LENGTH}),
+            "v": ("v", self.v, {"long_name": "velocity", "units": SPEED}),
+        }
+        parts: dict[str, Any] = {}
+        for k, home in enumerate(self.homes):
+            parts[f"points_{k}"] = ((f"point_{k}", "axis"), home.points)
+            if isinstance(home.trap, Trap):
+                parts[f"lengths_{k}"] = ((f"point_{k}", "side", "axis"), home.trap.lengths)
+            if isinstance(home.trap, Cloud):
+                parts[f"sample_{k}"] = ((f"place_{k}", "axis"), np.asarray(home.trap.tree.data))
+                parts[f"near_{k}"] = ((), home.trap.near)
+        return xr.Dataset(parts, coords, {"scene_file": scene_text_or_none(self.scene), "names": list(self.names)})
+
+    def compute(self, number: int, frame: xr.Dataset) -> tuple[dict[str, np.ndarray], int]:
+        rows, columns = self.grid.cut(number)
+        across, along = np.meshgrid(self.x[columns], self.v[rows])
+        homes = self.homes if frame is self.frame else [_home(frame, k) for k in range(len(self.homes))]
+        label, periods = assign_labels(
+            self.scene, across.ravel(), along.ravel(), self.phase, homes, self.patience, workers=1
+        )
+        found = {"label": label.astype(np.int16), "periods": periods}
+        return {name: each.reshape(across.shape) for name, each in found.items()}, int((label == UNRESOLVED).sum())
+
+
+def _home(frame, k):
+    """The `Home` of an attractor as a store's frame has it."""
+    points = frame[f"points_{k}"].values
+    if f"lengths_{k}" in frame:
+        return Home(points, Trap(points, frame[f"lengths_{k}"].values))
+    if f"sample_{k}" in frame:
+        return Home(points, Cloud(cKDTree(frame[f"sample_{k}"].values), float(frame[f"near_{k}"])))
+    return Home(points, None)
