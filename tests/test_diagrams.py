@@ -40,6 +40,22 @@ def test_as_explore_gives_them(scene):
 
 
 @pytest.mark.slow
+def test_kept_in_a_store(scene, tmp_path):
+    asked, seen = ("amplitude", (0.0, 2.0), "damping", [0.3, 0.1]), []
+    plain = jv.diagrams(scene, *asked, max_period=1)
+    for _ in range(2):
+        kept = jv.diagrams(scene, *asked, max_period=1, progress=seen.append, store=jv.Store(tmp_path / "diagrams"))
+        for mine, other in zip(kept, plain, strict=True):
+            assert mine.settings == other.settings and mine.left == other.left and len(mine) == len(other)
+            assert float(mine.scene.damping) == float(other.scene.damping)
+            for one, another in zip(mine.branches, other.branches, strict=True):
+                np.testing.assert_allclose(one.values, another.values, rtol=0, atol=1e-9)
+    assert seen == [0, 1, 2, 2]
+    with pytest.raises(jv.ArgumentError, match="settings is another there"):
+        jv.diagrams(scene, *asked, max_period=2, store=jv.Store(tmp_path / "diagrams"))
+
+
+@pytest.mark.slow
 def test_what_the_starts_of_all_values_settle_on(scene):
     scenes = [scene.replace(damping=gamma) for gamma in (0.3, 0.05)]
     tasks = [check_arguments(each, "amplitude", BOUNDS, 1, 0, None, 0.1) for each in scenes]

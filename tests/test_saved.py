@@ -109,6 +109,17 @@ def test_a_cut_is_told(files, kind):
         refused(path, read, whole[:size])
 
 
+def test_a_branch_without_impacts_is_read(tmp_path):
+    scene = jv.make_scene(0.3, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    branch = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.1, 0.5))
+    assert branch.data.sizes["impact"] == 0
+    branch.save(tmp_path / "free.nc")
+    found = jv.load_branch(tmp_path / "free.nc")
+    np.testing.assert_array_equal(found.values, branch.values)
+    assert len(found.orbit(3).impacts.time) == 0
+    assert found.table() == branch.table() and found.to_frame().equals(branch.to_frame())
+
+
 def before(path, attrs=None):
     """A NetCDF file's content without format number and checksum, attributes changed."""
     data = xr.load_dataset(path, engine="scipy")
