@@ -12,9 +12,11 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 import xarray as xr
+from distributed import LocalCluster
 
 import jaxvibro as jv
 from jaxvibro.output.checksums import netcdf
@@ -228,6 +230,17 @@ def test_a_scheduler_that_does_not_answer_is_told(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxvibro.stores.dask_engine.WAIT", 0.3)
     with pytest.raises(OSError, match=r"no scheduler answers at tcp://127.0.0.1:9"):
         done(Counted(3), jv.Store(tmp_path / "store", jv.DaskEngine("tcp://127.0.0.1:9")), None)
+
+
+def test_workers_that_are_there_compute_in_the_precision_that_is_asked(tmp_path):
+    study = Counted(3, offset=jnp.asarray(1.0 / 3.0))
+    assert study.offset.dtype == np.float64
+    with LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None) as cluster:
+        engine = jv.DaskEngine(cluster.scheduler_address)
+        found = done(study, jv.Store(tmp_path / "there", engine), None)
+    np.testing.assert_array_equal(found["number"].values[:, 0, 0], 1.0 / 3.0 + np.arange(3))
+    done(study, jv.Store(tmp_path / "here"), None)
+    assert bits(tmp_path / "there") == bits(tmp_path / "here")
 
 
 def test_an_error_of_a_worker_is_told(tmp_path):

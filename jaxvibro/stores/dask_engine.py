@@ -51,14 +51,15 @@ class DaskEngine:
 
     def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
         """What work(number) returns for each of some numbers, as it comes in."""
-        blob, left, lost = cloudpickle.dumps(work), iter(numbers), Counter[int]()
+        sent = cloudpickle.dumps(work), jax.config.read("jax_enable_x64")
+        left, lost = iter(numbers), Counter[int]()
         with ExitStack() as stack:
             client = self._client(stack)
             going, asked = as_completed(loop=client.loop), dict[str, int]()
 
             def ask(some):
                 for number in some:
-                    future = client.submit(_worked, blob, number, pure=False)
+                    future = client.submit(_worked, *sent, number, pure=False)
                     asked[future.key] = number
                     going.add(future)
 
@@ -95,11 +96,12 @@ def _ahead(client):
     return max(FIRST, AHEAD * sum(client.nthreads().values()))
 
 
-def _worked(blob, number):
-    """Runs on a worker."""
-    return _loaded(blob)(number)
+def _worked(blob, double, number):
+    """Runs on a worker, whose numbers are of another precision where it was not told: those that are sent, too."""
+    with jax.enable_x64(double):
+        return _loaded(blob, double)(number)
 
 
 @lru_cache(4)
-def _loaded(blob):
+def _loaded(blob, double):
     return cloudpickle.loads(blob)

@@ -23,7 +23,7 @@ AHEAD = 2  # chunks of a thread that are handed out before the first is back
 
 @runtime_checkable
 class Engine(Protocol):
-    """Works chunks out."""
+    """Works chunks out, in the precision of whoever asks for them."""
 
     def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
         """What work(number) returns for each of some numbers, as it comes in; the first error ends it, once what has
@@ -48,7 +48,7 @@ class LocalEngine:
 
     def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
         """What work(number) returns for each of some numbers, as it comes in."""
-        devices = jax.local_devices()[: self.devices]
+        devices, double = jax.local_devices()[: self.devices], jax.config.read("jax_enable_x64")
         workers = self.workers or max(len(devices), cores() if devices[0].platform == "cpu" else 1)
         free: SimpleQueue = SimpleQueue()
         for device in islice(cycle(devices), workers):
@@ -57,7 +57,7 @@ class LocalEngine:
         def on_device(number):
             device = free.get()
             try:
-                with nullcontext() if device is None else jax.default_device(device):
+                with jax.enable_x64(double), nullcontext() if device is None else jax.default_device(device):
                     return work(number)
             finally:
                 free.put(device)

@@ -5,7 +5,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol, runtime_checkable
 
-import jax
 import numpy as np
 import xarray as xr
 
@@ -93,20 +92,17 @@ class InMemory:
 class Work:
     """What an engine calls: chunk number -> how many of its cells are undecided, once it is kept.
 
-    kept: a store open for the study, which may be sent to another process; double: whether numbers are float64, there
-    as here.
+    kept: a store open for the study, which may be sent to another process.
     """
 
     study: Study
     kept: Kept
-    double: bool
 
     def __call__(self, number: int) -> tuple[int, int]:
         known = self.kept.undecided_of(number)
         if known is not None:  # a worker that was lost had done it
             return number, known
-        with jax.enable_x64(self.double):
-            parts, undecided = self.study.compute(number, self.kept.frame)
+        parts, undecided = self.study.compute(number, self.kept.frame)
         self.kept.put(number, parts, undecided)
         return number, undecided
 
@@ -129,8 +125,7 @@ def done(study: Study, store: Store | None, progress: Callable[[Progress], objec
             progress(Progress(count, total, undecided, rate, (total - count) / rate if rate else float("nan")))
 
     report()
-    work = Work(study, kept, jax.config.read("jax_enable_x64"))
-    for number, more in engine.each(work, missing) if len(known) < grid.chunks else ():
+    for number, more in engine.each(Work(study, kept), missing) if len(known) < grid.chunks else ():
         count, undecided = count + grid.cells(number), undecided + more
         report()
     return kept.data()

@@ -25,6 +25,7 @@ from ..maps.initial_conditions import box
 from ..maps.long_run import padded
 from ..maps.rests import rests
 from ..maps.strobe import strobe
+from ..scene.check import MOST_PERIODS
 from ..scene.codes import Status
 from ..scene.scene import Scene
 from ..scene.state import State
@@ -32,6 +33,7 @@ from ..scene.state import State
 BLOCK = 16  # periods whose growth is summed
 SURE = 3.0  # standard errors by which the exponent of chaos must exceed `LEAST_EXPONENT`
 UNDECIDED, CHAOTIC = -1, 0  # in place of the periods of an orbit
+NEAR = 1e-3  # of x and v, the largest: how near a state that has settled is to one before
 SAMPLE = 8  # times LAPS periods of a motion that does not recur, which are kept
 
 
@@ -102,14 +104,14 @@ def _look(scene, found, lanes, settle, patience):
         return
     now, laps = run(here, begin(_some(found.state, lanes)), LAPS)
     scale, status = _scale(here, laps), laps.status
-    before, passed, growth = returns(laps.points), passed + LAPS, []
+    before, passed, growth = _returns(laps.points, scale), passed + LAPS, []
     while len(lanes):
         now, laps = run(here, now, LAPS)
         status = np.asarray(worse(status, laps.status))
         passed += LAPS
         found.points[(turn := len(growth) % SAMPLE * LAPS) : turn + LAPS, lanes] = laps.points
         growth.append(np.ascontiguousarray(laps.growth.T).reshape(len(lanes), -1, BLOCK).sum(axis=-1))
-        back = returns(laps.points)
+        back = _returns(laps.points, scale)
         periods = settled_periods(back, before, LAPS, scale, scene.dtype)
         ended = (status >= Status.CAP) | (periods > 0) | (passed >= patience)
         well = (periods > 0) & (status < Status.CAP)
@@ -127,6 +129,15 @@ def _look(scene, found, lanes, settle, patience):
             back[:, order],
         )
         now, growth = _ends(now, order), [part[order] for part in growth]
+
+
+def _returns(points, scale):
+    """`returns` of the lanes whose last state has been nearly met before, infinite of others: they have not settled."""
+    apart = abs(points[-1] - points[-1 - MOST_PERIODS : -1]).max(axis=-1).min(axis=0)
+    near = np.flatnonzero(apart <= NEAR * scale)
+    found = np.full((MOST_PERIODS, points.shape[1]), np.inf)
+    found[:, near] = returns(points[:, near])
+    return found
 
 
 def _some(tree, chosen):
