@@ -94,5 +94,6 @@ from .studies.run import run as run
 from .studies.scene_file import load_scene as load_scene
 from .studies.scene_file import save_scene as save_scene
 from .studies.warm import warm as warm
+from .surveys.fractions import fractions as fractions
 
 __version__: str

@@ -96,7 +96,9 @@ def settled_on(scene, given, settle):
     found, periods, scale = settle_lanes(scene, given, settle, max(abs(left), abs(right)))
     orbits, adrift = periodic(scene, found, periods, settle, scale)
     sets, restless = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < Status.CAP)), scale)
-    bad = {int(lane): f"status {Status(found.status[lane]).word}" for lane in np.flatnonzero(found.status >= Status.CAP)}
+    bad = {
+        int(lane): f"status {Status(found.status[lane]).word}" for lane in np.flatnonzero(found.status >= Status.CAP)
+    }
     seen = orbits + sets
     seen += free_and_mirrored.free(scene, seen)
     seen += free_and_mirrored.images(scene, seen, scale)

@@ -1,6 +1,7 @@
-"""The attractors of a scene along a parameter, each under one name, and the shares of random starts that end on them."""
+"""The attractors of a scene along a parameter, each under one name, with the shares of random starts on them."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -15,8 +16,8 @@ from ..output.units import LENGTH, SPEED, scales_in, unit_of
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.symmetry import is_symmetric
-from .carry import Station, carry_on
 from .matching import identities, nearest_turn
+from .stations import Station, carry_on
 
 LARGEST = 2**31 - 1  # whole number that a NetCDF file of the classic format holds
 
@@ -65,7 +66,7 @@ def fractions(
         if progress is not None:
             progress(len(stations))
     carry_on(stations, name, settle)
-    return _dataset(scene, name, values, stations, identities(stations, name, settle), starts, seed)
+    return _dataset(scene, name, values, stations, identities(stations, name, settle) or [{}], starts, seed)
 
 
 def _checked(scene, name, values) -> Float[np.ndarray, " values"]:
@@ -98,11 +99,19 @@ def _dataset(scene, name, values, stations, known, starts, seed):
         "unresolved": (name, lost / starts, along),
         "unresolved_low": (name, low, {"long_name": "lower bound of it at 95 %", "units": "1"}),
         "unresolved_high": (name, high, {"long_name": "upper bound of it at 95 %", "units": "1"}),
-        "status": (name, np.array([one.status for one in stations], np.int32), {"long_name": "worst status", **MEANING}),
+        "status": (
+            name,
+            np.array([one.status for one in stations], np.int32),
+            {"long_name": "worst status", **MEANING},
+        ),
     }
     coords = {
         name: (name, values, {"long_name": name, "units": unit_of(name)}),
-        "attractor": ("attractor", np.arange(len(known), dtype=np.int32), {"long_name": "attractor along the parameter"}),
+        "attractor": (
+            "attractor",
+            np.arange(len(known), dtype=np.int32),
+            {"long_name": "attractor along the parameter"},
+        ),
     }
     attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene), **scales_in(scene)}
     attrs |= {key: float(value) for key, value in others(scene, name).items()}
@@ -122,7 +131,7 @@ ABOUT = {
     "state_v": {"long_name": "velocity on it at phase 0", "units": SPEED},
     "mirror_of": {"long_name": "its mirror image among the attractors, -1 for none"},
 }
-ABSENT = dict.fromkeys(("share", "share_low", "share_high", "exponent", "state_x", "state_v"), np.nan)
+ABSENT: dict[str, Any] = dict.fromkeys(("share", "share_low", "share_high", "exponent", "state_x", "state_v"), np.nan)
 ABSENT |= {"label": "", "kind": "", "periods": 0}
 
 

@@ -5,6 +5,8 @@ side by side may lead to each other too, each where the other's branch has ended
 way, and they stay two.
 """
 
+from itertools import pairwise
+
 import jax
 import numpy as np
 
@@ -15,17 +17,17 @@ from ..maps.initial_conditions import box
 from ..orbits.orbit_comparison import is_same_orbit, meetings, mirrored
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
-from .carry import STEPS, kicked
+from .stations import kicked, part_at
 
 ASIDE = 0.01  # of the largest x and v: ways there and back that are as near at each step are one
 NEAR = 0.1  # of the same: an orbit as near to where another one leads by its last two values
 
 
 def identities(stations, name, settle):
-    """The attractors that `Station`s share, carried on (`carry_on`): a list of {station: place}, the first ones first."""
+    """The attractors that `Station`s share, carried on (`carry_on`): a list of {station: place}, the first first."""
     known = [{0: place} for place in range(len(stations[0].seen))]
     now = dict(enumerate(known))
-    for k, (here, there) in enumerate(zip(stations, stations[1:], strict=False)):
+    for k, (here, there) in enumerate(pairwise(stations)):
         ends = [_led(stations, k, now[place]) for place in range(len(here.seen))]
         onward = dict(_pairs(here, there, name, ends, settle))
         later = {}
@@ -105,18 +107,20 @@ def _first(station, place):
 def _side_by_side(here, there, name, i, j, settle):
     """Whether two orbits that lead to each other are both there at a value between.
 
-    The ways there and back are compared at each step of the parameter. Where they differ most, both motions are left to
-    settle: one that is late, as after a symmetry breaking, comes to the other; what settles apart is another.
+    The ways there and back are compared at each step of the parameter. In the middle of those where they differ both
+    motions are left to settle: one that is late, as after a symmetry breaking, comes to the other; what settles apart
+    is another.
     """
     if not (here.seen[i].numbers["periods"] and there.seen[j].numbers["periods"]):
         return False
     one, two = here.ways[1][i].trail[:-1], there.ways[-1][j].trail[-2::-1]
     scale = max(here.scale, there.scale)
-    apart = [_hausdorff(*(part[:, :2] for part in pair)) for pair in zip(one, two, strict=True)]
-    step = int(np.argmax(apart))
-    if not apart[step] > ASIDE * scale:
+    apart = np.array([_hausdorff(*(part[:, :2] for part in pair)) for pair in zip(one, two, strict=True)])
+    differ = np.flatnonzero(apart > ASIDE * scale)
+    if not differ.size:
         return False
-    scene = here.scene.replace(**{name: here.value + (there.value - here.value) * ((step + 1) / STEPS)})
+    step = differ[len(differ) // 2]
+    scene = here.scene.replace(**{name: here.value + (there.value - here.value) * part_at(step + 1)})
     x, v, contact = np.stack([one[step, -1], two[step, -1]], -1).astype(scene.dtype)
     state = fit(scene, kicked(scene, State(x, v, np.zeros_like(x), contact), scale))
     left, right, _ = box(scene)
@@ -126,7 +130,9 @@ def _side_by_side(here, there, name, i, j, settle):
 
 def _hits(scene, found, lane, periods, scale):
     """The impacts, as points, of a lane that has settled on an orbit."""
-    return meetings(float(scene.frequency), *(part[-periods:, lane] for part in (found.time, found.side, found.speed)), scale)
+    return meetings(
+        float(scene.frequency), *(part[-periods:, lane] for part in (found.time, found.side, found.speed)), scale
+    )
 
 
 def _is_one(scene, hits, others):
@@ -147,7 +153,7 @@ def distance(points, others):
 
 
 def _led(stations, k, one):
-    """Where an attractor's points (points, 2) are at the next value: of an orbit, as far on as since the value before."""
+    """Where an attractor's points (points, 2) are at the next value: of an orbit, as far on as since that before."""
     numbers = stations[k].seen[one[k]].numbers
     points, n = numbers["points"], numbers["periods"]
     before = stations[k - 1].seen[one[k - 1]].numbers if k - 1 in one else None

@@ -20,7 +20,7 @@ from ..scene.codes import Status
 from ..scene.scene import Scene
 from ..scene.state import State
 
-STEPS = 32  # of the parameter from one value to the next
+STEPS = 64  # of the parameter from one value to the next
 KICK = 0.375  # power of eps, of the largest x and v: it lets a motion leave an orbit that has ceased to attract
 HEADING = (0.6, 0.8)
 
@@ -75,7 +75,9 @@ def _carry(stations, name, tasks, settle):
     begin = np.array([stations[k].value for k, _, _ in padded])
     end = np.array([stations[k + way].value for k, _, way in padded])
     states = [stations[k].seen[place].numbers["state"] for k, place, _ in padded]
-    state, status, trail = _ramp(stations[0].scene, name, begin, end, _stacked(stations[0].scene, states), _scales(stations, padded))
+    state, status, trail = _ramp(
+        stations[0].scene, name, begin, end, _stacked(stations[0].scene, states), _scales(stations, padded)
+    )
     goals = np.array([k + way for k, _, way in tasks])
     homes = np.full(len(tasks), -1)
     for goal in np.unique(goals):
@@ -103,7 +105,7 @@ def _ramp(scene, name, begin, end, state, scale):
     to the end."""
     worst, trail = np.zeros(len(begin), int), []
     for step in range(1, STEPS + 1):
-        values = end if step == STEPS else begin + (end - begin) * (step / STEPS)
+        values = end if step == STEPS else begin + (end - begin) * part_at(step)
         here = scene.replace(**{name: values})
         state = jax.tree.map(np.asarray, fit(here, kicked(scene, state, scale)))
         run = iterate(here, state, MOST_PERIODS, few=0)
@@ -112,10 +114,19 @@ def _ramp(scene, name, begin, end, state, scale):
     return state, worst, np.stack(trail)
 
 
+def part_at(step):
+    """The part of the way that the parameter has gone after so many steps: they are small at both ends, where an
+    attractor of one of the values may be near its own end."""
+    u = step / STEPS
+    return u * u * (3.0 - 2.0 * u)
+
+
 def kicked(scene, state, scale):
     """States a little aside, but for those in contact with a wall; scale: of x and v, the largest."""
     size = np.where(np.asarray(state.contact) == 0, np.finfo(scene.dtype).eps ** KICK * scale, 0.0)
-    x, v = (np.asarray(part + size * along, scene.dtype) for part, along in zip((state.x, state.v), HEADING, strict=True))
+    x, v = (
+        np.asarray(part + size * along, scene.dtype) for part, along in zip((state.x, state.v), HEADING, strict=True)
+    )
     return State(x, v, state.phase, state.contact)
 
 
