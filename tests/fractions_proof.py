@@ -1,4 +1,4 @@
-"""Shares and names along the amplitude of figure 4: `python -m tests.fractions_proof [VALUES] [PERIODS]`.
+"""Shares and names along parameters: `python -m tests.fractions_proof [CASE] [VALUES] [PERIODS]`, a case of CASES.
 
 Shares: at each of so many values the bounds of `fractions` are held against MANY starts from another seed, labelled by
 the traps of `basins` (`attractors_proof.counted`). Names: every periodic attractor of at most so many periods is looked
@@ -18,8 +18,16 @@ from jaxvibro.orbits.orbit_comparison import is_same_set, meetings
 from jaxvibro.surveys.matching import nearest_turn
 from tests.attractors_proof import MANY, counted
 
-NUMBERS = 4.65, 2.1, 0.05, 0.7, (-1.0, 1.0)
-BOUNDS = (3.5, 6.0)
+WALLS = (-1.0, 1.0)
+CASES = {
+    "fig4": ((4.65, 2.1, 0.05, 0.7, WALLS), "amplitude", (3.5, 6.0)),
+    "faster": ((4.0, 2.1, 0.05, 0.7, WALLS), "frequency", (1.7, 2.7)),
+    "bouncy": ((2.6, 2.3, 0.04, 0.7, WALLS), "restitution", (0.2, 0.9)),
+    "uneven": ((4.0, 2.1, 0.05, 0.7, (-1.5, 1.0)), "amplitude", (0.5, 7.0)),
+    "one": ((3.0, 2.1, 0.05, 0.7, (None, 1.0)), "amplitude", (0.5, 6.0)),
+    "moved": ((4.0, 2.1, 0.05, 0.6, WALLS), "left.position", (-1.6, -0.4)),
+    "moving": ((3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, motion=jv.Motion(0.1, 0.5)))), "amplitude", (0.5, 5.0)),
+}
 NEAR = 0.03  # of the largest x and v: a state so near to the line between two points of a branch is on it
 LONG = 16  # times 64 periods of a chaotic motion that are compared
 
@@ -44,16 +52,19 @@ def is_it(scene, one, entry):
     return is_same_set(hits(scene, *state), hits(scene, one.state.x, one.state.v))
 
 
-def shares(found, name):
+def shares(scene, found, name):
     """Prints how many shares of MANY other starts lie within the bounds."""
     held, lost, missed, began = [], [], [], time.perf_counter()
     for k, value in enumerate(found[name].values):
-        scene, here = jv.make_scene(*NUMBERS).replace(**{name: value}), found.isel({name: k})
-        known = [one for one in jv.find_attractors(scene, seed=1000 + k) if one.kind != "unresolved"]
-        counts, others, off = counted(scene, known, 100_000 + k)
+        at, here = scene.replace(**{name: value}), found.isel({name: k})
+        for starts in (200, 2000):
+            known = [one for one in jv.find_attractors(at, starts, 1000 + k) if one.kind != "unresolved"]
+            counts, others, off = counted(at, known, 100_000 + k)
+            if not others:
+                break
         there = [place for place in range(found.sizes["attractor"]) if str(here.label[place].values)]
         for one, count in zip(known, counts, strict=True):
-            place = next((each for each in there if is_it(scene, one, here.isel(attractor=each))), None)
+            place = next((each for each in there if is_it(at, one, here.isel(attractor=each))), None)
             if place is None:
                 missed.append((float(value), one.label, count / MANY))
                 continue
@@ -108,10 +119,10 @@ def leaves(diagram, one, other, low, high):
     return False
 
 
-def identities(found, name, periods):
+def identities(scene, found, name, bounds, periods):
     """Prints on which branches the names stay."""
     began = time.perf_counter()
-    diagram = jv.explore(jv.make_scene(*NUMBERS), name, (BOUNDS[0] - 0.1, BOUNDS[1] + 0.1), periods)
+    diagram = jv.explore(scene, name, (bounds[0] - 0.02, bounds[1] + 0.02), periods)
     print(
         f"explore: {len(diagram)} branches of up to {periods} periods in {time.perf_counter() - began:.0f} s",
         flush=True,
@@ -143,19 +154,19 @@ def identities(found, name, periods):
     print(f"names from value to value: {count}; on other branches: {wrong}; renamed along a branch: {renamed}")
 
 
-def main(values, periods):
-    """The proof along so many values."""
-    began = time.perf_counter()
-    found = jv.fractions(jv.make_scene(*NUMBERS), "amplitude", np.linspace(*BOUNDS, values))
-    told = (found.label != "").sum().item()
-    print(f"{values} values in {time.perf_counter() - began:.0f} s: {found.sizes['attractor']} names, {told} entries")
-    unfound = int(((found.label != "") & (found.share == 0)).sum())
-    print(f"entries that no start settled on: {unfound}", flush=True)
-    identities(found, "amplitude", periods)
-    shares(found, "amplitude")
+def main(case, values, periods):
+    """The proof along so many values of a case."""
+    numbers, name, bounds = CASES[case]
+    scene, began = jv.make_scene(*numbers), time.perf_counter()
+    found = jv.fractions(scene, name, np.linspace(*bounds, values))
+    spent, there = time.perf_counter() - began, found.label != ""
+    print(f"{case}: {values} values in {spent:.0f} s: {found.sizes['attractor']} names, {int(there.sum())} entries")
+    print(f"entries that no start settled on: {int((there & (found.share == 0)).sum())}", flush=True)
+    identities(scene, found, name, bounds, periods)
+    shares(scene, found, name)
 
 
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
-    given = [int(one) for one in sys.argv[1:]]
-    main(*(given + [50, 4][len(given) :]))
+    case, *given = sys.argv[1:] or ["fig4"]
+    main(case, *([int(one) for one in given] + [50, 4][len(given) :]))

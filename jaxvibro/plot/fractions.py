@@ -14,6 +14,7 @@ HUES = tuple(one for one in COLOURS if one != "#000000")  # black is the edges'
 CHAOS, UNKNOWN = "....", "/////"  # hatches
 GREY = "0.8"
 LINE: dict[str, Any] = {"color": "black", "linewidth": 0.5}
+ROUNDING = 1e-9  # of sums of shares
 LISTED, TOLD = 10, 3  # attractors in the legend, and labels of each, at most
 NEEDED = ("swept", "share", "label", "kind", "unresolved", "starts")
 
@@ -38,7 +39,7 @@ def fractions(
     across = wide.size * found[name].values
     edges, base, share = _edges(across), np.zeros(len(across)), np.nan_to_num(found["share"].values)
     order, colours = _looks(found)
-    for place in order:
+    for row, place in enumerate(order, 1):
         top = base + share[:, place]
         ax.stairs(top, edges, baseline=base, fill=True, color=colours[place], linewidth=0, gid="attractor")
         wild = found["kind"].values[:, place] == "chaotic"
@@ -48,13 +49,15 @@ def fractions(
         ax.stairs(np.where(share[:, place] > 0, top, np.nan), edges, baseline=None, **LINE)
         base = top
         if bounds:
-            _bounds(ax, across, base, found.attrs["starts"])
+            there = (share[:, place] > 0.0) & (base < 1.0 - ROUNDING)
+            inside = edges[:-1] + row / (len(order) + 1) * np.diff(edges)  # each edge at a place of its own in a bar
+            _bounds(ax, inside[there], base[there], found.attrs["starts"])
     top = base + found["unresolved"].values
     ax.stairs(top, edges, baseline=base, fill=True, facecolor=GREY, edgecolor="0.3", hatch=UNKNOWN, lw=0)
     ax.set(xlabel=wide.label, ylabel="share of starts", xlim=edges[[0, -1]], ylim=(0.0, 1.0))
     if legend:
         handles = _entries(found, order, colours)
-        ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.2), ncols=2, frameon=False)
+        ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2, frameon=False)
     return ax
 
 
@@ -83,9 +86,8 @@ def _looks(found):
 
 def _bounds(ax, across, edge, starts):
     """How far up and down the edge over some bands may be: of the starts below it, counted together."""
-    inside = (edge > 0.0) & (edge < 1.0)
-    low, high = np.array([share_bounds(round(float(one) * starts), starts) for one in edge[inside]]).reshape(-1, 2).T
-    ax.vlines(across[inside], low, high, gid="bounds", **LINE)
+    low, high = np.array([share_bounds(round(float(one) * starts), starts) for one in edge]).reshape(-1, 2).T
+    ax.vlines(across, low, high, gid="bounds", **LINE)
 
 
 def _entries(found, order, colours):

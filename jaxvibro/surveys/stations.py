@@ -136,7 +136,7 @@ def homes_of(station, state, settle):
     scene, seen = station.scene, station.seen
     left, right, _ = box(scene)
     state = jax.tree.map(np.asarray, fit(scene, kicked(scene, state, station.scale)))
-    found, periods, scale = settle_lanes(scene, state, settle, max(abs(left), abs(right)))
+    found, periods, _ = settle_lanes(scene, state, settle, max(abs(left), abs(right)))
     homes = np.full(len(periods), -1)
     for lane in np.flatnonzero(periods):
         homes[lane] = _among_orbits(seen, orbit_of(found, lane, periods[lane])[0], station.scale)
@@ -146,9 +146,9 @@ def homes_of(station, state, settle):
         if one.status[0] < Status.CAP:
             homes[lane] = _among(seen, read_set(scene, one, station.scale, {}))
     known = len(seen)
-    for one in periodic(scene, found, np.where(homes < 0, periods, 0), settle, scale)[0]:
+    for one in periodic(scene, found, np.where(homes < 0, periods, 0), settle, station.scale)[0]:
         homes[one.lanes] = _added(seen, one)
-    for one in chaotic(scene, found, roaming[homes[roaming] < 0], scale)[0]:
+    for one in chaotic(scene, found, roaming[homes[roaming] < 0], station.scale)[0]:
         homes[one.lanes] = _added(seen, one)
     if len(seen) > known:
         seen += free_and_mirrored.images(scene, seen, station.scale)
