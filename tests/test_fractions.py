@@ -11,7 +11,8 @@ from jaxvibro.attractors.assign import assign_labels, homes
 from jaxvibro.attractors.shares import share_bounds
 from jaxvibro.maps.initial_conditions import random_starts
 from jaxvibro.output.checksums import netcdf
-from jaxvibro.surveys.matching import distance, nearest_turn
+from jaxvibro.surveys.matching import distance, identities, nearest_turn
+from jaxvibro.surveys.stations import Station, carry_on, homes_of
 from tests.pictures import tube
 
 STARTS, MANY = 40, 400
@@ -66,6 +67,7 @@ def test_names_stay_on_the_branches_that_are_followed(found):
             assert abs(line - entry[f"state_{key}"].values).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_shares_are_those_of_other_starts(found):
     scene = plain(amplitude=VALUES[1])
     known = jv.find_attractors(scene, 40, seed=5)
@@ -95,10 +97,10 @@ def test_mirror_images_know_each_other(found):
         assert (row[labels == ""] == -1).all()
 
 
-def test_a_value_alone_has_the_same_shares(found):
-    alone = jv.fractions(tube(), "amplitude", VALUES[:1], STARTS)
-    assert sorted(alone["share"].values[0]) == sorted(found["share"].values[0, :2])
-    assert (found["share"].values[0, :2] != found["share"].values[1, :2]).all()
+def test_starts_are_those_of_the_value_alone(found):
+    near = jv.fractions(tube(), "amplitude", [VALUES[0], VALUES[0] + 1e-6], STARTS)
+    first, second = np.sort(near["share"].values, axis=1)
+    assert (first == np.sort(found["share"].values[0, :2])).all() and (first != second).all()
 
 
 def test_files_hold_every_bit(found, tmp_path):
@@ -130,6 +132,17 @@ def test_an_attractor_that_no_start_found_is_carried_on():
     assert data["state_x"].values[:3, place] == pytest.approx(
         np.array([2.0, 3.2, 3.4]) * (1 - 2.1**2) / 3.4165**2, rel=1e-4
     )
+
+
+def test_one_that_a_start_found_at_the_first_value_alone_is_carried_to_the_last():
+    stations = [Station(value, plain(amplitude=value), [], 0, 6.0, 0) for value in VALUES]
+    homes = homes_of(stations[0], jv.State(*(np.full(2, each) for each in (0.9, -1.1, 0.0, 0.0))), 300)
+    assert homes.tolist() == [0, 0]
+    carry_on(stations, "amplitude", 300)
+    for station in stations:  # with its mirror image
+        assert [(one.numbers["label"], one.lanes) for one in station.seen] == [("P111", [])] * 2
+    names = identities(stations, "amplitude", 300)
+    assert [list(one) for one in names] == [[0, 1, 2]] * 2
 
 
 def test_two_that_lead_to_each_other_but_are_there_side_by_side_are_two():
