@@ -143,6 +143,16 @@ def test_one_that_a_start_found_at_the_first_value_alone_is_carried_to_the_last(
         assert [(one.numbers["label"], one.lanes) for one in station.seen] == [("P111", [])] * 2
     names = identities(stations, "amplitude", 300)
     assert [list(one) for one in names] == [[0, 1, 2]] * 2
+    for station in stations:  # as where all settle too slowly: by where they are
+        station.ways = {
+            way: {place: one._replace(home=None) for place, one in ways.items()} for way, ways in station.ways.items()
+        }
+    assert identities(stations, "amplitude", 300) == names
+    for station in stations:  # as where all lead to the first
+        station.ways = {
+            way: {place: one._replace(home=0) for place, one in ways.items()} for way, ways in station.ways.items()
+        }
+    assert [list(one) for one in identities(stations, "amplitude", 300)] == [[0, 1, 2], [0], [1], [2]]
 
 
 def test_two_that_lead_to_each_other_but_are_there_side_by_side_are_two():
