@@ -96,17 +96,20 @@ def located(diagram, value, entry):
     return best[1]
 
 
-def between(branch, first, last):
-    """The rows between two places of a branch, each the row before it."""
-    return np.arange(min(first, last) + 1, max(first, last) + 1)
+def ways(branch, first, last):
+    """The rows between two places of a branch, each the row before it; of a closed one also the other way."""
+    low, high = sorted((first, last))
+    yield np.arange(low + 1, high + 1)
+    if any("closes" in str(one) for one in branch.reasons):
+        yield np.concatenate([np.arange(high + 1, len(branch)), np.arange(low + 1)])
 
 
 def stays(branch, first, last, low, high):
     """Whether a branch leads from the one place to the other without a turn, stable all the way."""
-    rows = between(branch, first, last)
-    values = branch.values[rows]
-    inside = ((values >= low) & (values <= high)).all()
-    return bool(inside and branch.stable[rows].all())
+    return any(
+        ((branch.values[rows] >= low) & (branch.values[rows] <= high) & branch.stable[rows]).all()
+        for rows in ways(branch, first, last)
+    )
 
 
 def leaves(diagram, one, other, low, high):
