@@ -96,6 +96,7 @@ _HOMES = {
     "find_attractors": "attractors.find",
     "spectrum": "attractors.spectrum",
     "basins": "attractors.basins",
+    "fractions": "surveys.fractions",
     "manifold": "attractors.manifold",
     "map_parameters": "surveys.map",
     "Store": "stores.zarr_store",

@@ -101,5 +101,6 @@ from .studies.scene_file import save_scene as save_scene
 from .studies.show import show as show
 from .studies.warm import warm as warm
 from .surveys.map import map_parameters as map_parameters
+from .surveys.fractions import fractions as fractions
 
 __version__: str

@@ -138,6 +138,11 @@ def spectrum():
     return plot.spectrum(found, ax).legend()
 
 
+def shares():
+    (ax,) = axes(high=3.4)
+    return plot.fractions(jv.fractions(tube(), "amplitude", np.linspace(4.5, 5.0, 6), 60), ax, units="physical")
+
+
 def loci():
     (ax,) = axes(high=3.4)
     points = [branches()[1].points(kind)[0] for kind in ("SN", "GR")]
@@ -179,6 +184,7 @@ PICTURES: tuple[Callable, ...] = (
     manifolds,
     sections,
     spectrum,
+    shares,
     loci,
     margins,
     fit,

@@ -2,9 +2,10 @@
 
 from collections import Counter
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from ..maps.initial_conditions import box, random_starts
 from ..orbits.by_impacts import from_phase_0
@@ -17,7 +18,7 @@ from ..scene.scene import Scene
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
 from . import free_and_mirrored
-from .classify import chaotic, periodic
+from .classify import Evidence, chaotic, periodic
 from .shares import share_bounds
 from .transients import settle_lanes
 
@@ -75,26 +76,43 @@ def find_attractors(scene: Scene, starts: int = 200, seed: int = 0, settle: int 
     check.require_single(scene)
     starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
     given = random_starts(scene, starts, check.whole("seed", seed, 0))
+    found = settled_on(scene, given, settle)
+    return _paired(scene, found.seen, starts) + _unresolved(given, found.lost, starts)
+
+
+class Settled(NamedTuple):
+    """What starts have settled on. seen: a list of `Evidence`, its lanes the places of the starts that did, the most
+    first; lost: {start: why it is on none of these}; scale: of x and v, the largest; status: of each start."""
+
+    seen: list[Evidence]
+    lost: dict[int, str]
+    scale: float
+    status: Int[np.ndarray, " starts"]
+
+
+def settled_on(scene, given, settle):
+    """What these starts of a scene settle on, and what is known without a start: `Settled`."""
     left, right, _ = box(scene)
     found, periods, scale = settle_lanes(scene, given, settle, max(abs(left), abs(right)))
     orbits, adrift = periodic(scene, found, periods, settle, scale)
     sets, restless = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < Status.CAP)), scale)
-    lost = np.flatnonzero(found.status >= Status.CAP)
-    bad = {int(lane): f"status {Status(found.status[lane]).word}" for lane in lost}
+    bad = {
+        int(lane): f"status {Status(found.status[lane]).word}" for lane in np.flatnonzero(found.status >= Status.CAP)
+    }
     seen = orbits + sets
     seen += free_and_mirrored.free(scene, seen)
     seen += free_and_mirrored.images(scene, seen, scale)
     seen.sort(key=lambda one: (-len(one.lanes), one.numbers["label"], *one.numbers["points"][0]))
-    return _paired(scene, seen, starts) + _unresolved(given, adrift | restless | bad, starts)
+    return Settled(seen, adrift | restless | bad, scale, found.status)
 
 
 def _paired(scene, seen, starts):
     """The attractors with their shares, and their mirror images where the scene is symmetric."""
     symmetric = is_symmetric(scene)
-    orbits = [_orbit(scene, one.numbers) for one in seen]
+    orbits = [polished(scene, one.numbers) for one in seen]
     return tuple(
         Attractor(
-            **one.numbers | _rate(one.numbers, orbit),
+            **one.numbers | rated(one.numbers, orbit),
             **_share(len(one.lanes), starts),
             mirror_of=free_and_mirrored.image_place(one, seen) if symmetric else None,
             orbit=orbit,
@@ -104,7 +122,7 @@ def _paired(scene, seen, starts):
     )
 
 
-def _rate(numbers, orbit):
+def rated(numbers, orbit):
     """{"exponent", "note"} of an attractor: of an orbit by its multipliers, else as it was measured."""
     rate = numbers["exponent"]
     if orbit is not None and np.isfinite(orbit.multipliers).all():
@@ -117,7 +135,7 @@ def _share(count, starts):
     return {"share": count / starts, "share_bounds": share_bounds(count, starts), "starts": starts}
 
 
-def _orbit(scene, numbers):
+def polished(scene, numbers):
     """The `Orbit` of a periodic attractor, at the attractor's own phase and period; None where there is none."""
     if not numbers["periods"]:
         return None

@@ -122,9 +122,9 @@ def scales_from(data):
 def to_physical(data: xr.Dataset) -> xr.Dataset:
     """A Dataset of a scene with scales (`scene_from_physical`) in N, Hz, mm, m/s, s, W, N/m and N s/m: another Dataset.
 
-    data: of `sweep`, `simulate`, `sections`, `basins`, `manifold`, `spectrum`, or a branch's or locus' `data`. Each
-    variable whose attribute `units` is one of the scene's is multiplied, and told in its new unit; the rest, and the
-    attributes, stay as they are.
+    data: of `sweep`, `simulate`, `sections`, `basins`, `fractions`, `manifold`, `spectrum`, or a branch's or locus'
+    `data`. Each variable whose attribute `units` is one of the scene's is multiplied, and told in its new unit; the
+    rest, and the attributes, stay as they are.
 
     Raises ArgumentError for what is no such Dataset, and where its scene had no scales.
     """

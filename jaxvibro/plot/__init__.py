@@ -4,6 +4,7 @@ from .basins import basins
 from .branch import branch, mark_points
 from .diagram import diagram, mark
 from .fit import fit
+from .fractions import fractions
 from .held import held
 from .locus import locus, region
 from .manifolds import manifold
@@ -20,6 +21,7 @@ __all__ = [
     "branch",
     "diagram",
     "fit",
+    "fractions",
     "held",
     "locus",
     "manifold",

@@ -1,0 +1,172 @@
+"""The attractors of a scene along a parameter, each under one name, with the shares of random starts on them."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from jaxtyping import ArrayLike, Float, Real
+
+from ..attractors.find import polished, rated, settled_on
+from ..attractors.free_and_mirrored import image_place
+from ..attractors.shares import LEVEL, share_bounds
+from ..attractors.sweep import MEANING, UNITS, equation, others, static
+from ..maps.initial_conditions import random_starts
+from ..output.units import LENGTH, SPEED, scales_in, unit_of
+from ..scene import check
+from ..scene.scene import Scene
+from ..scene.symmetry import is_symmetric
+from .matching import identities, nearest_turn
+from .stations import Station, carry_on
+
+LARGEST = 2**31 - 1  # whole number that a NetCDF file of the classic format holds
+
+
+@check.host("use strobe")
+def fractions(
+    scene: Scene,
+    name: str,
+    values: Real[ArrayLike, " values"] | Sequence[float],
+    starts: int = 200,
+    seed: int = 0,
+    settle: int = 300,
+    progress: Callable[[int], object] | None = None,
+) -> xr.Dataset:
+    """The attractors along a parameter, each followed as one, with the shares of random starts on them: a Dataset.
+
+    scene: a single one; name: of any of its parameters, dotted for a wall's; values: shape (values,), rising. starts,
+    settle: at each value, as in `find_attractors`; the starts of a value are drawn from the seed and the value itself:
+    other ones at each, so that their errors are independent along the parameter, and the same ones whatever other
+    values are asked for. progress: called with the number of values whose starts have settled.
+
+    An attractor keeps its place along the dimension "attractor" as long as the motion carried on from it, in small
+    steps of the parameter, lands on it at the next value, and from there comes back (`matching`). So it does where
+    periods double and where a motion grazes without a jump: its label changes. Where a branch ends and falls onto
+    another, the other goes on as itself. Of the two that a symmetric motion breaks into, or that join in one, it is
+    the one whose label comes first, or else whose mean x at phase 0 is lower; the other has a place of its own. An
+    attractor that is carried on to a value where no start found it is there with a share of 0.
+
+    The Dataset, along (name, attractor): share, share_low, share_high: of the starts, with the bounds at 95 % (Clopper
+    and Pearson, 1934; of 0 starts or all, one bound alone), nan where the attractor is not there; label (P n p q,
+    "chaotic"), "" where it is not; kind, "periodic", "chaotic" or ""; periods, 0 of none; exponent, the largest, per
+    drive period; state_x, state_v: on it at phase 0; mirror_of: the place of its mirror image, its own where it is
+    symmetric, -1 where it has none. Along name: unresolved, unresolved_low, unresolved_high: the share of starts on
+    none, and status, the worst of the starts', as `Impacts` has it. starts, seed: attributes.
+
+    Raises ArgumentError for a batch of scenes, an unknown name, values that do not rise or break a rule of the scene,
+    and counts that cannot be, all before any work.
+    """
+    check.require_single(scene)
+    values = _checked(scene, name, values)
+    starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
+    seed = check.whole("seed", seed, 0)
+    stations = []
+    for value in values:
+        stations.append(_settled(scene.replace(**{name: value}), float(value), starts, seed, settle))
+        if progress is not None:
+            progress(len(stations))
+    carry_on(stations, name, settle)
+    return _dataset(scene, name, values, stations, identities(stations, name, settle) or [{}], starts, seed)
+
+
+def _checked(scene, name, values) -> Float[np.ndarray, " values"]:
+    check.require_known(name, scene.names, name)
+    values = check.number(name, values, scene.dtype)
+    if values.ndim != 1 or len(values) == 0 or not (np.diff(values) > 0).all():
+        raise check.ArgumentError(name, "must be values in rising order, at least one", values)
+    scene.replace(**{name: values})
+    return values
+
+
+def _settled(scene, value, starts, seed, settle):
+    """The `Station` of a value, of what its own starts settle on."""
+    drawn = random_starts(scene, starts, (seed, int(np.float64(value).view(np.uint64))))
+    found = settled_on(scene, drawn, settle)
+    return Station(value, scene, found.seen, len(found.lost), found.scale, int(found.status.max()))
+
+
+def _dataset(scene, name, values, stations, known, starts, seed):
+    """The named result of the stations and the attractors that they share."""
+    rows = [[_entry(stations, one, k, starts) for one in known] for k in range(len(stations))]
+    for k, row in enumerate(rows):
+        for one, entry in zip(known, row, strict=True):
+            entry["mirror_of"] = _mirror(stations[k], one, k, known)
+    lost = np.array([one.lost for one in stations])
+    low, high = np.array([share_bounds(int(count), starts) for count in lost]).T
+    along = {"long_name": "share of the starts on no attractor", "units": "1"}
+    variables = {
+        **{key: ((name, "attractor"), _column(rows, key), about) for key, about in ABOUT.items()},
+        "unresolved": (name, lost / starts, along),
+        "unresolved_low": (name, low, {"long_name": "lower bound of it at 95 %", "units": "1"}),
+        "unresolved_high": (name, high, {"long_name": "upper bound of it at 95 %", "units": "1"}),
+        "status": (
+            name,
+            np.array([one.status for one in stations], np.int32),
+            {"long_name": "worst status", **MEANING},
+        ),
+    }
+    coords = {
+        name: (name, values, {"long_name": name, "units": unit_of(name)}),
+        "attractor": (
+            "attractor",
+            np.arange(len(known), dtype=np.int32),
+            {"long_name": "attractor along the parameter"},
+        ),
+    }
+    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene), **scales_in(scene)}
+    attrs |= {key: float(value) for key, value in others(scene, name).items()}
+    attrs |= {"starts": starts, "seed": seed if seed <= LARGEST else str(seed), "confidence": 1.0 - LEVEL}
+    return xr.Dataset(variables, coords, attrs)
+
+
+ABOUT = {
+    "share": {"long_name": "share of the starts", "units": "1"},
+    "share_low": {"long_name": "lower bound of the share at 95 %", "units": "1"},
+    "share_high": {"long_name": "upper bound of the share at 95 %", "units": "1"},
+    "label": {"long_name": "n drive periods, p impacts on the left wall, q on the right"},
+    "kind": {"long_name": "periodic or chaotic"},
+    "periods": {"long_name": "drive periods of the orbit, 0 where there is none"},
+    "exponent": {"long_name": "largest Lyapunov exponent", "units": "per drive period"},
+    "state_x": {"long_name": "position on it at phase 0", "units": LENGTH},
+    "state_v": {"long_name": "velocity on it at phase 0", "units": SPEED},
+    "mirror_of": {"long_name": "its mirror image among the attractors, -1 for none"},
+}
+ABSENT: dict[str, Any] = dict.fromkeys(("share", "share_low", "share_high", "exponent", "state_x", "state_v"), np.nan)
+ABSENT |= {"label": "", "kind": "", "periods": 0}
+
+
+def _column(rows, key):
+    """A variable (values, attractors) of the entries: texts of one width, whole numbers as files hold them."""
+    dtype = {"label": str, "kind": str, "periods": np.int32, "mirror_of": np.int32}.get(key, float)
+    return np.array([[entry[key] for entry in row] for row in rows], dtype).reshape(len(rows), -1)
+
+
+def _entry(stations, one, k, starts):
+    """What is told of an attractor at a value; one: {station: place}."""
+    if k not in one:
+        return dict(ABSENT)
+    station, evidence = stations[k], stations[k].seen[one[k]]
+    numbers, count = evidence.numbers, len(evidence.lanes)
+    low, high = share_bounds(count, starts)
+    points = numbers["points"]
+    if k - 1 in one and numbers["periods"]:
+        before = stations[k - 1].seen[one[k - 1]].numbers
+        if before["periods"] == numbers["periods"]:
+            points = nearest_turn(points, before["points"])
+    return {
+        "share": count / starts,
+        "share_low": low,
+        "share_high": high,
+        **{key: numbers[key] for key in ("label", "kind", "periods")},
+        "exponent": rated(numbers, polished(station.scene, numbers))["exponent"],
+        "state_x": points[0, 0] if numbers["periods"] else numbers["state"].x,
+        "state_v": points[0, 1] if numbers["periods"] else numbers["state"].v,
+    }
+
+
+def _mirror(station, one, k, known):
+    """The place among the known attractors of one's mirror image at a station, -1 for none."""
+    if k not in one or not is_symmetric(station.scene):
+        return -1
+    place = image_place(station.seen[one[k]], station.seen)
+    return next((place_ for place_, other in enumerate(known) if place is not None and other.get(k) == place), -1)
