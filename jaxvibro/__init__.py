@@ -96,6 +96,8 @@ _HOMES = {
     "find_attractors": "attractors.find",
     "spectrum": "attractors.spectrum",
     "basins": "attractors.basins",
+    "least_shock": "surveys.least_shock",
+    "LeastShock": "surveys.least_shock",
     "manifold": "attractors.manifold",
     "run": "studies.run",
     "paper": "reproduction.run",

@@ -94,5 +94,7 @@ from .studies.run import run as run
 from .studies.scene_file import load_scene as load_scene
 from .studies.scene_file import save_scene as save_scene
 from .studies.warm import warm as warm
+from .surveys.least_shock import LeastShock as LeastShock
+from .surveys.least_shock import least_shock as least_shock
 
 __version__: str

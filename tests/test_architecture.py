@@ -12,7 +12,7 @@ FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROO
 # A file imports only from its own room and from those before it.
 ROOMS = [
     *("scene", "output", "compiled", "flight", "maps", "orbits", "attractors", "problem", "branches", "loci", "design"),
-    *("plot", "studies", "reproduction"),
+    *("surveys", "plot", "studies", "reproduction"),
 ]
 FACE = ("plot", "reproduction")  # rooms whose own file names what stands in them
 
