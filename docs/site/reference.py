@@ -23,6 +23,7 @@ PAGES = {
     "branches": "Branches and diagrams",
     "loci": "Loci",
     "design": "Design and fits",
+    "surveys": "Least shocks",
     "plot": "Pictures: `jv.plot`",
     "studies": "Scene files and runs",
     "reproduction": "The paper, recomputed",

@@ -70,7 +70,7 @@ class LeastShock:
             one = self.by_phase.sel(phase=phase)
             to = int(one["to"])
             named = f"{to}: {self.attractors[to].label}" if to >= 0 else "none found"
-            rows.append((f"{phase:.6g}", *(f"{size * float(one[name]):.9g}" for name, size in scales.items()), named))
+            rows.append((f"{phase:.6g}", *(f"{size * float(one[name]):.7g}" for name, size in scales.items()), named))
         told = f"{self.below} smaller shocks tried, {self.undecided} of them undecided; up to {fast * self.reach:.6g}"
         safe = f"none below {fast * self.safe:.6g} leaves the trap of {self.place}: {self.attractors[self.place].label}"
         return "\n".join([columns(rows), told, safe])
