@@ -66,8 +66,8 @@ class LeastShock:
         heads = (("size", speed), ("dx", length), ("dv", speed), ("x", length), ("v", speed))
         rows = [("phase", *(headed(name, unit, units) for name, unit in heads), "leads to")]
         scales = {"size": fast, "dx": long, "dv": fast, "x": long, "v": fast}
-        for phase in self.by_phase["phase"].values:
-            one = self.by_phase.sel(phase=phase)
+        for k, phase in enumerate(self.by_phase["phase"].values):
+            one = self.by_phase.isel(phase=k)
             to = int(one["to"])
             named = f"{to}: {self.attractors[to].label}" if to >= 0 else "none found"
             rows.append((f"{phase:.6g}", *(f"{size * float(one[name]):.7g}" for name, size in scales.items()), named))
@@ -172,7 +172,6 @@ def _answer(scene, attractors, place, direction, reach, phases, results):
     data = _dataset(scene, phases, results)
     best = int(np.argmin([one.size for one in results]))
     least = results[best]
-    safe = min(one.safe for one in results)
     return LeastShock(
         size=least.size,
         dx=float(least.change[0]),
@@ -183,7 +182,7 @@ def _answer(scene, attractors, place, direction, reach, phases, results):
         to=least.to,
         bracket=least.bracket,
         until=least.until,
-        safe=min(safe, reach),
+        safe=min(one.safe for one in results),
         below=sum(one.below for one in results),
         undecided=sum(one.undecided for one in results),
         least_undecided=min(one.least_undecided for one in results),

@@ -72,6 +72,8 @@ def search(ground: Ground, reach: float, shocks: int, seed: int, count: Callable
             trial.linger(number)
         if trial.size < before:
             trial.closer()
+        if trial.size <= trial.least:
+            break
         if trial.size > (1.0 - GAIN) * before:
             if number == shocks:
                 break
@@ -86,6 +88,7 @@ class _Trial:
         self.ground, self.rng, self.count = ground, rng, count
         self.points = between(ground.scene, ground.phase, base(ground.homes[ground.place]))
         self.tree = cKDTree(self.points)
+        self.least = np.finfo(ground.scene.dtype).eps * abs(self.points).max()  # smaller ones are lost in rounding
         self.size, self.start, self.change, self.to = reach, -1, np.full(2, np.nan), -1
         self.sizes, self.lost = [], []
         self.last, self.drawn = None, 0
@@ -170,6 +173,8 @@ class _Trial:
         """(bracket, until) of the least shock in its direction."""
         if self.to < 0:
             return (self.size, np.inf), np.inf
+        if self.size <= self.least:
+            return (0.0, self.size), self.size
         low, eps = 0.0, np.finfo(self.ground.scene.dtype).eps
         shares = np.arange(1, RAY) / RAY
         while self.size - low > eps**0.5 * self.size:
