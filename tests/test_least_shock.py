@@ -13,7 +13,7 @@ from .reference.soft_lanes import Lanes, Wall
 
 FIG5 = {"amplitude": 4.65, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
 UNEVEN = {"amplitude": 2.4, "frequency": 2.1, "damping": 0.05}
-WALLS = Wall(-1, -1.1, 0.6), Wall(1, 0.9, 0.75)
+WALLS = Wall(-1, -1.1, 0.7), Wall(1, 0.9, 0.7)
 FEW = 4096
 OTHERS = [pytest.param(*each, marks=pytest.mark.long) for each in (("v", 1.0), ("xv", 2.0))]
 
@@ -23,7 +23,7 @@ def known(name):
     if name == "figure 5":
         scene = jv.make_scene(**FIG5)
     else:
-        scene = jv.make_scene(**UNEVEN, walls=tuple(jv.Wall(each.position, each.restitution) for each in WALLS))
+        scene = jv.make_scene(**UNEVEN, restitution=0.7, walls=tuple(each.position for each in WALLS))
     return scene, jv.find_attractors(scene, starts=60)
 
 
