@@ -53,6 +53,9 @@ def test_the_free_response_leaves_at_that_size_and_at_none_smaller_in_flights_by
     change = np.array([found.dx, found.dv])
     assert np.hypot(*change) == pytest.approx(found.size, rel=1e-15) and (direction == "xv" or not found.dx)
     assert stays(change * np.array([[1.0 - 1e-7], [1.0 + 1e-7], [1.01]])).tolist() == [True, False, False]
+    assert (1.0 - 1e-7) * found.size < found.bracket[0] < found.size < found.until
+    if direction == "v":  # a strip of its own basin, 1e-5 above: by both routes
+        assert found.until < 1.0001 * found.size and stays(1.0000107 * change[None]).all()
     share, turn = np.sqrt(np.arange(1, 100) / 100.0), 2.4 * np.arange(1, 100)
     way = np.stack([np.cos(turn), np.sin(turn)], -1) if direction == "xv" else np.outer(np.sign(np.cos(turn)), [0, 1])
     assert stays(found.size * (1.0 - 1e-7) * share[:, None] * way).all()
