@@ -104,6 +104,8 @@ _HOMES = {
     "LocalEngine": "stores.engines",
     "DaskEngine": "stores.dask_engine",
     "Progress": "stores.filling",
+    "least_shock": "surveys.least_shock",
+    "LeastShock": "surveys.least_shock",
     "run": "studies.run",
     "show": "studies.show",
     "paper": "reproduction.run",

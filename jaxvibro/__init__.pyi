@@ -100,7 +100,9 @@ from .studies.scene_file import load_scene as load_scene
 from .studies.scene_file import save_scene as save_scene
 from .studies.show import show as show
 from .studies.warm import warm as warm
-from .surveys.map import map_parameters as map_parameters
 from .surveys.fractions import fractions as fractions
+from .surveys.least_shock import LeastShock as LeastShock
+from .surveys.least_shock import least_shock as least_shock
+from .surveys.map import map_parameters as map_parameters
 
 __version__: str

@@ -25,7 +25,6 @@ PAGES = {
     "branches": "Branches and diagrams",
     "loci": "Loci",
     "design": "Design and fits",
-    "surveys": "Surveys along parameters",
     "plot": "Pictures: `jv.plot`",
     "studies": "Scene files and runs",
     "reproduction": "The paper, recomputed",
