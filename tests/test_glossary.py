@@ -13,7 +13,7 @@ OLD = {"along", "kept", "left", "told", "look", "brush", "dips", "graze", "carry
 
 def test_words_stand_once_and_in_order():
     words = [word for word, _, _ in ROWS]
-    assert words == sorted(set(words)) and 30 <= len(words) <= 45
+    assert words == sorted(set(words)) and 30 <= len(words) <= 50
     assert len(ROWS) == (ROOT / "docs" / "glossary.md").read_text().count("\n| ") - 1
 
 
