@@ -230,3 +230,20 @@ def test_a_picture_in_physical_units(found):
     for wrong in (found.drop_vars("share"), 3):
         with pytest.raises(jv.ArgumentError, match="Dataset of fractions"):
             plot.fractions(wrong)
+
+
+@pytest.mark.slow
+def test_the_least_shock_along_a_parameter():
+    scene, values = jv.make_scene(4.65, 2.1, 0.05, 0.7, (jv.Wall(-1.0), jv.Wall(1.0))), [0.3, 4.65]
+    found = jv.fractions(scene, "amplitude", values, 60, shocks=1 << 12)
+    assert found.attrs["shocks"] == 1 << 12 and found["least_shock"].attrs["units"] == "length w0"
+    there = found["label"].values != ""
+    assert np.isnan(found["least_shock"].values[~there]).all()
+    assert np.isinf(found["least_shock"].values[0][there[0]]).all()  # P100 alone
+    here = scene.replace(amplitude=4.65)
+    known = jv.find_attractors(here, 60)
+    for place, x in enumerate(found["state_x"].values[1]):
+        if there[1, place]:
+            own = next(k for k, one in enumerate(known) if abs(one.points[:, 0] - x).min() < 1e-6)
+            size = jv.least_shock(here, known, own, shocks=1 << 14).size
+            assert abs(found["least_shock"].values[1, place] / size - 1.0) < 1e-3

@@ -77,7 +77,7 @@ def find_attractors(scene: Scene, starts: int = 200, seed: int = 0, settle: int 
     starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
     given = random_starts(scene, starts, check.whole("seed", seed, 0))
     found = settled_on(scene, given, settle)
-    return _paired(scene, found.seen, starts) + _unresolved(given, found.lost, starts)
+    return paired(scene, found.seen, starts) + _unresolved(given, found.lost, starts)
 
 
 class Settled(NamedTuple):
@@ -106,13 +106,14 @@ def settled_on(scene, given, settle):
     return Settled(seen, adrift | restless | bad, scale, found.status)
 
 
-def _paired(scene, seen, starts):
-    """The attractors with their shares, and their mirror images where the scene is symmetric."""
+def paired(scene, seen, starts):
+    """The `Evidence` of a scene's attractors as `Attractor`s, with their shares, and their mirror images where the
+    scene is symmetric."""
     symmetric = is_symmetric(scene)
-    orbits = [polished(scene, one.numbers) for one in seen]
+    orbits = [_polished(scene, one.numbers) for one in seen]
     return tuple(
         Attractor(
-            **one.numbers | rated(one.numbers, orbit),
+            **one.numbers | _rated(one.numbers, orbit),
             **_share(len(one.lanes), starts),
             mirror_of=free_and_mirrored.image_place(one, seen) if symmetric else None,
             orbit=orbit,
@@ -122,7 +123,7 @@ def _paired(scene, seen, starts):
     )
 
 
-def rated(numbers, orbit):
+def _rated(numbers, orbit):
     """{"exponent", "note"} of an attractor: of an orbit by its multipliers, else as it was measured."""
     rate = numbers["exponent"]
     if orbit is not None and np.isfinite(orbit.multipliers).all():
@@ -135,7 +136,7 @@ def _share(count, starts):
     return {"share": count / starts, "share_bounds": share_bounds(count, starts), "starts": starts}
 
 
-def polished(scene, numbers):
+def _polished(scene, numbers):
     """The `Orbit` of a periodic attractor, at the attractor's own phase and period; None where there is none."""
     if not numbers["periods"]:
         return None

@@ -7,15 +7,14 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
-from ..attractors.find import polished, rated, settled_on
-from ..attractors.free_and_mirrored import image_place
+from ..attractors.find import paired, settled_on
 from ..attractors.shares import LEVEL, share_bounds
 from ..attractors.sweep import MEANING, UNITS, equation, others, static
 from ..maps.initial_conditions import random_starts
 from ..output.units import LENGTH, SPEED, scales_in, unit_of
 from ..scene import check
 from ..scene.scene import Scene
-from ..scene.symmetry import is_symmetric
+from .least_shock import least_shock
 from .matching import identities, nearest_turn
 from .stations import Station, carry_on
 
@@ -30,6 +29,7 @@ def fractions(
     starts: int = 200,
     seed: int = 0,
     settle: int = 300,
+    shocks: int = 0,
     progress: Callable[[int], object] | None = None,
 ) -> xr.Dataset:
     """The attractors along a parameter, each followed as one, with the shares of random starts on them: a Dataset.
@@ -51,7 +51,9 @@ def fractions(
     "chaotic"), "" where it is not; kind, "periodic", "chaotic" or ""; periods, 0 of none; exponent, the largest, per
     drive period; state_x, state_v: on it at phase 0; mirror_of: the place of its mirror image, its own where it is
     symmetric, -1 where it has none. Along name: unresolved, unresolved_low, unresolved_high: the share of starts on
-    none, and status, the worst of the starts', as `Impacts` has it. starts, seed: attributes.
+    none, and status, the worst of the starts', as `Impacts` has it. starts, seed: attributes. With `shocks`, so many
+    tried for each attractor at each value, least_shock: the least impulse at phase 0 that makes its motion leave it
+    (`least_shock`), inf where none does, nan where it is not known, as where an impact falls on that phase.
 
     Raises ArgumentError for a batch of scenes, an unknown name, values that do not rise or break a rule of the scene,
     and counts that cannot be, all before any work.
@@ -59,14 +61,21 @@ def fractions(
     check.require_single(scene)
     values = _checked(scene, name, values)
     starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
-    seed = check.whole("seed", seed, 0)
+    seed, shocks = check.whole("seed", seed, 0), check.whole("shocks", shocks, 0)
     stations = []
     for value in values:
         stations.append(_settled(scene.replace(**{name: value}), float(value), starts, seed, settle))
         if progress is not None:
             progress(len(stations))
     carry_on(stations, name, settle)
-    return _dataset(scene, name, values, stations, identities(stations, name, settle) or [{}], starts, seed)
+    known = identities(stations, name, settle) or [{}]
+    found = [paired(one.scene, one.seen, starts) for one in stations]
+    data = _dataset(scene, name, values, stations, found, known, starts, seed)
+    if not shocks:
+        return data
+    least = [[_least(stations[k].scene, found[k], one.get(k), shocks) for one in known] for k in range(len(stations))]
+    told = {"long_name": "least impulse at phase 0 that makes the motion leave", "units": SPEED}
+    return data.assign(least_shock=((name, "attractor"), np.array(least), told)).assign_attrs(shocks=shocks)
 
 
 def _checked(scene, name, values) -> Float[np.ndarray, " values"]:
@@ -85,12 +94,24 @@ def _settled(scene, value, starts, seed, settle):
     return Station(value, scene, found.seen, len(found.lost), found.scale, int(found.status.max()))
 
 
-def _dataset(scene, name, values, stations, known, starts, seed):
-    """The named result of the stations and the attractors that they share."""
-    rows = [[_entry(stations, one, k, starts) for one in known] for k in range(len(stations))]
+def _least(scene, attractors, place, shocks):
+    """The least impulse at phase 0 of one of the attractors; nan of none, and where it has no trap there."""
+    if place is None:
+        return np.nan
+    try:
+        return least_shock(scene, attractors, place, shocks=shocks).size
+    except check.ArgumentError as error:
+        if error.key != "phase":
+            raise
+        return np.nan
+
+
+def _dataset(scene, name, values, stations, found, known, starts, seed):
+    """The named result of the attractors found at each value, and which of them are one."""
+    rows = [[_entry(found, one, k) for one in known] for k in range(len(found))]
     for k, row in enumerate(rows):
         for one, entry in zip(known, row, strict=True):
-            entry["mirror_of"] = _mirror(stations[k], one, k, known)
+            entry["mirror_of"] = _mirror(found[k], one, k, known)
     lost = np.array([one.lost for one in stations])
     low, high = np.array([share_bounds(int(count), starts) for count in lost]).T
     along = {"long_name": "share of the starts on no attractor", "units": "1"}
@@ -141,32 +162,26 @@ def _column(rows, key):
     return np.array([[entry[key] for entry in row] for row in rows], dtype).reshape(len(rows), -1)
 
 
-def _entry(stations, one, k, starts):
-    """What is told of an attractor at a value; one: {station: place}."""
+def _entry(found, one, k):
+    """What is told of an attractor at a value; one: {value's place: attractor's place}."""
     if k not in one:
         return dict(ABSENT)
-    station, evidence = stations[k], stations[k].seen[one[k]]
-    numbers, count = evidence.numbers, len(evidence.lanes)
-    low, high = share_bounds(count, starts)
-    points = numbers["points"]
-    if k - 1 in one and numbers["periods"]:
-        before = stations[k - 1].seen[one[k - 1]].numbers
-        if before["periods"] == numbers["periods"]:
-            points = nearest_turn(points, before["points"])
+    here, points = found[k][one[k]], found[k][one[k]].points
+    if k - 1 in one and here.periods:
+        before = found[k - 1][one[k - 1]]
+        if before.periods == here.periods:
+            points = nearest_turn(points, before.points)
     return {
-        "share": count / starts,
-        "share_low": low,
-        "share_high": high,
-        **{key: numbers[key] for key in ("label", "kind", "periods")},
-        "exponent": rated(numbers, polished(station.scene, numbers))["exponent"],
-        "state_x": points[0, 0] if numbers["periods"] else numbers["state"].x,
-        "state_v": points[0, 1] if numbers["periods"] else numbers["state"].v,
+        "share": here.share,
+        "share_low": here.share_bounds[0],
+        "share_high": here.share_bounds[1],
+        **{key: getattr(here, key) for key in ("label", "kind", "periods", "exponent")},
+        "state_x": points[0, 0] if here.periods else here.state.x,
+        "state_v": points[0, 1] if here.periods else here.state.v,
     }
 
 
-def _mirror(station, one, k, known):
-    """The place among the known attractors of one's mirror image at a station, -1 for none."""
-    if k not in one or not is_symmetric(station.scene):
-        return -1
-    place = image_place(station.seen[one[k]], station.seen)
-    return next((place_ for place_, other in enumerate(known) if place is not None and other.get(k) == place), -1)
+def _mirror(attractors, one, k, known):
+    """The place among the known attractors of one's mirror image at a value, -1 for none."""
+    image = attractors[one[k]].mirror_of if k in one else None
+    return next((place for place, other in enumerate(known) if image is not None and other.get(k) == image), -1)
