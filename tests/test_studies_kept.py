@@ -25,6 +25,8 @@ def test_basins(tmp_path, monkeypatch):
     again = jv.basins(here, *axes, 0.4, known, progress=seen.append, store=jv.Store(tmp_path / "basins"))
     xr.testing.assert_identical(kept, plain)
     xr.testing.assert_identical(again, plain)
+    far = jv.Store(tmp_path / "far", jv.DaskEngine(workers=1))
+    xr.testing.assert_identical(jv.basins(here, *axes, 0.4, known, store=far), plain)
     assert sorted(seen) == seen and seen[0] == 0 and seen[-2:] == [750, 750] and len(seen) == 6
     assert (jv.load_store(tmp_path / "basins")["label"] == plain["label"]).all()
     with pytest.raises(jv.ArgumentError, match="attractors is another there"):

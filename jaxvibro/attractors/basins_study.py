@@ -32,6 +32,11 @@ class BasinsStudy:
     names: tuple[str, ...]
     patience: int
 
+    def __reduce__(self):
+        """Sent to a worker without the traps, which may be large: it reads them from the store."""
+        homes = tuple(Home(home.points, None) for home in self.homes)
+        return BasinsStudy, (self.scene, self.x, self.v, self.phase, homes, self.names, self.patience)
+
     @cached_property
     def grid(self) -> Grid:
         rows, columns = len(self.v), len(self.x)

@@ -18,7 +18,7 @@ from ..scene.state import State
 from .batch_means import standard_error
 from .orbit_exponents import Rates, areas, lost, shrinkage
 from .recurrence import returns, settled_periods
-from .tangent import LAPS, TangentLanes, begin, run, worse
+from .tangent import LAPS, TangentLanes, begin, run, worse_on_host
 
 BLOCK = 16  # periods whose growth is summed
 FIRST = 16  # times LAPS periods before the error is first looked at
@@ -67,7 +67,7 @@ def settled(scene, lanes, settle, rounds):
         periods = np.where(periods > 0, periods, settled_periods(now, before, LAPS, scale, dtype))
         rate.append(laps.growth.mean(axis=0))
         visits.append(lanes.state)
-        before, status = now, np.asarray(worse(status, laps.status))
+        before, status = now, worse_on_host(status, laps.status)
         if np.all((periods > 0) | ~np.isfinite(lanes.state.x)):
             break
     visits = jax.tree.map(lambda *parts: np.stack(parts), *visits)
@@ -94,7 +94,7 @@ def of_motion(scene, start, goal, most):
             within = np.moveaxis(laps.within, -1, 0)
             rows = np.stack([laps.growth, laps.left, laps.right, laps.count, areas(scene, laps), *within])
             sums.append(rows.reshape(len(rows), -1, BLOCK, WIDTH).sum(2))
-            status = np.asarray(worse(status, laps.status))
+            status = worse_on_host(status, laps.status)
         rates = _averaged(scene, np.concatenate(sums, axis=1), int(status.max()))
         periods = settled_periods(returns(laps.points), returns(before.points), LAPS, scale, dtype)
         if status.max() < Status.CAP and periods.any():

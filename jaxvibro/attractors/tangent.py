@@ -72,6 +72,11 @@ def worse(old, new):
     return jnp.where(old >= Status.CAP, old, jnp.maximum(old, new))
 
 
+def worse_on_host(old, new):
+    """The same of what the host has, whatever its shape: nothing is compiled for it."""
+    return np.where(np.asarray(old) >= Status.CAP, old, np.maximum(old, new))
+
+
 def run(scene, lanes, periods):
     """(TangentLanes, Laps) so many periods later.
 

@@ -19,7 +19,7 @@ from ..attractors.batch_means import standard_error
 from ..attractors.classify import LEAST_EXPONENT
 from ..attractors.orbit_exponents import of_orbits
 from ..attractors.recurrence import returns, settled_periods
-from ..attractors.tangent import LAPS, TangentLanes, begin, run, worse
+from ..attractors.tangent import LAPS, TangentLanes, begin, run, worse, worse_on_host
 from ..compiled.compiler_hints import OPTIONS, WIDTH
 from ..maps.initial_conditions import box
 from ..maps.long_run import padded
@@ -107,7 +107,7 @@ def _look(scene, found, lanes, settle, patience):
     before, passed, growth = _returns(laps.points, scale), passed + LAPS, []
     while len(lanes):
         now, laps = run(here, now, LAPS)
-        status = np.asarray(worse(status, laps.status))
+        status = worse_on_host(status, laps.status)
         passed += LAPS
         found.points[(turn := len(growth) % SAMPLE * LAPS) : turn + LAPS, lanes] = laps.points
         growth.append(np.ascontiguousarray(laps.growth.T).reshape(len(lanes), -1, BLOCK).sum(axis=-1))

@@ -1,0 +1,116 @@
+# ---
+# jupyter:
+#   jupytext:
+#     formats: py:percent,ipynb
+#     text_representation:
+#       extension: .py
+#       format_name: percent
+#   kernelspec:
+#     display_name: Python 3
+#     language: python
+#     name: python3
+# ---
+
+# %% [markdown]
+# # Maps over parameters
+#
+# What papers on impact oscillators print: the label of the motion at each cell of a grid, its exponent, how many motions
+# there are side by side, and how hard they are to throw out. Each by one call, and kept as it is worked out.
+
+# %%
+import tempfile
+from pathlib import Path
+
+import jax
+import matplotlib.pyplot as plt
+import numpy as np
+
+import jaxvibro as jv
+
+jax.config.update("jax_enable_x64", True)
+OUT = Path("out")
+OUT.mkdir(exist_ok=True)
+
+
+def keep(figure, name):
+    """Save a picture beside the others."""
+    figure.savefig(OUT / f"12_{name}.png", dpi=120)
+
+
+scene = jv.make_scene(amplitude=4.65, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
+
+# %% [markdown]
+# ## Labels, with the loci over them
+#
+# From rest at each cell. A label has its own colour in every map: a hue for the periods, chaos nearly black, grey what is
+# not decided. The loci are followed from one point each of a branch: GR, where the motion without impacts begins to touch,
+# and the symmetry breaking of P111.
+
+# %%
+grid = {"amplitude": np.linspace(0.5, 6.0, 60), "frequency": np.linspace(1.6, 3.6, 60)}
+store = jv.Store(Path(tempfile.mkdtemp()) / "map.zarr")
+found = jv.map_parameters(scene, grid, store=store)
+figure, axes = plt.subplots(figsize=(7, 6.5), layout="constrained")
+jv.plot.map(found, axes)
+names, bounds = ("frequency", "amplitude"), {"frequency": (1.6, 3.6), "amplitude": (0.5, 6.0)}
+branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (0.5, 6.0))
+for special in (branch.points("SN")[0], branch.points("SB")[0]):
+    jv.plot.locus(jv.locus(special, names, bounds), axes)
+keep(figure, "labels")
+
+# %% [markdown]
+# Below the locus of SN there is no P111 at all; where the map still shows P100 above it, rest happens to lie in the basin of
+# the motion without impacts. The same store, gone on with after any end, or asked again, costs nothing:
+
+# %%
+again = jv.map_parameters(scene, grid, store=store)
+print("alike:", again.identical(found), "- undecided cells:", int((found.label == 0).sum()))
+
+# %% [markdown]
+# The exponent of the same map; chaos is where it is positive.
+
+# %%
+figure, axes = plt.subplots(figsize=(7, 5.5), layout="constrained")
+jv.plot.map(found, axes, "exponent")
+keep(figure, "exponents")
+
+# %% [markdown]
+# ## Carried both ways: hysteresis
+#
+# One motion carried up and down the frequency at each amplitude. Where both ways end on different motions there is
+# hysteresis.
+
+# %%
+grid = {"amplitude": np.linspace(1.0, 6.0, 26), "frequency": np.linspace(2.2, 3.6, 36)}
+carried = jv.map_parameters(scene, grid, along="frequency", quantities=("label",))
+figure, panels = plt.subplots(1, 2, figsize=(12, 6), layout="constrained")
+for way, axes, title in zip((1, -1), panels, ("frequency up", "frequency down"), strict=True):
+    jv.plot.map(carried.sel(way=way), axes)
+    axes.set_title(title)
+keep(figure, "both_ways")
+apart = (carried.label.sel(way=1) != carried.label.sel(way=-1)).mean()
+print(f"both ways differ at {100 * float(apart):.1f} % of the cells")
+
+# %% [markdown]
+# ## Side by side: attractors and shares
+#
+# Many random starts a cell tell how many attractors there are. Along one parameter `fractions` keeps each under its name,
+# with bounds of its share; and `shocks` asks of each how small an impulse throws it out.
+
+# %%
+grid = {"amplitude": np.linspace(3.5, 6.0, 11), "frequency": np.linspace(1.9, 2.6, 15)}
+many = jv.map_parameters(scene, grid, 40, ("attractors",))
+figure, axes = plt.subplots(figsize=(7, 5), layout="constrained")
+jv.plot.map(many, axes, "attractors")
+keep(figure, "attractors")
+
+# %%
+shares = jv.fractions(scene, "amplitude", np.linspace(4.4, 5.2, 17), 100, shocks=1 << 12)
+figure, (above, below) = plt.subplots(2, 1, figsize=(7.5, 8), layout="constrained", sharex=True)
+jv.plot.fractions(shares, above)
+for place in range(shares.sizes["attractor"]):
+    label = "/".join(dict.fromkeys(text for text in shares.label.values[:, place] if text))
+    below.plot(shares.amplitude, shares.least_shock.isel(attractor=place), ".-", label=label)
+below.set(xlabel="drive amplitude A", ylabel="least impulse at phase 0 (length w0)")
+below.legend(frameon=False, fontsize="small")
+keep(figure, "shares_and_shocks")
