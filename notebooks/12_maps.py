@@ -43,8 +43,8 @@ scene = jv.make_scene(amplitude=4.65, frequency=2.1, damping=0.05, restitution=0
 # ## Labels, with the loci over them
 #
 # From rest at each cell. A label has its own colour in every map: a hue for the periods, chaos nearly black, grey what is
-# not decided. The loci are followed from one point each of a branch: GR, where the motion without impacts begins to touch,
-# and the symmetry breaking of P111.
+# not decided. The loci are followed from one point each of the branch of P111: the saddle-node at which it begins, and
+# where it loses its symmetry.
 
 # %%
 grid = {"amplitude": np.linspace(0.5, 6.0, 60), "frequency": np.linspace(1.6, 3.6, 60)}
@@ -54,13 +54,15 @@ figure, axes = plt.subplots(figsize=(7, 6.5), layout="constrained")
 jv.plot.map(found, axes)
 names, bounds = ("frequency", "amplitude"), {"frequency": (1.6, 3.6), "amplitude": (0.5, 6.0)}
 branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (0.5, 6.0))
-for special in (branch.points("SN")[0], branch.points("SB")[0]):
+fold = min(branch.points("SN"), key=lambda one: one.value)
+for special in (fold, branch.points("SB")[0]):
     jv.plot.locus(jv.locus(special, names, bounds), axes)
 keep(figure, "labels")
 
 # %% [markdown]
-# Below the locus of SN there is no P111 at all; where the map still shows P100 above it, rest happens to lie in the basin of
-# the motion without impacts. The same store, gone on with after any end, or asked again, costs nothing:
+# Below the saddle-node there is no P111; where the map shows P100 above it, rest lies in the basin of the motion without
+# impacts. Undecided cells lie where motions settle as slowly as one likes, as along the symmetry breaking. The same store,
+# gone on with after any end, or asked again, costs nothing:
 
 # %%
 again = jv.map_parameters(scene, grid, store=store)

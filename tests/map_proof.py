@@ -85,15 +85,16 @@ def basins(folder):
     """Figure 5's basins from 1e5 starts to 1e8, each in a store."""
     asked = read(ROOT / "scenes" / "fig5.toml")
     scene, phase = asked.scene.make(), asked.basins.phase
+    few = [-0.5, 0.5], [-1.0, 1.0]
     began = time.perf_counter()
     attractors = jv.find_attractors(scene)
-    jv.basins(scene, [-0.5, 0.5], [-1.0, 1.0], phase, attractors)
+    jv.basins(scene, *few, phase, attractors, store=jv.Store(Path(folder) / "few.zarr"))
     print(f"set-up (attractors, compiling, trapping regions): {time.perf_counter() - began:.1f} s")
     costs = []
     for side in (316, 1000, 3162, 10_000):
         axes = np.linspace(*asked.basins.x, side), np.linspace(*asked.basins.v, side)
         began = time.perf_counter()
-        jv.basins(scene, [-0.5, 0.5], [-1.0, 1.0], phase, attractors)
+        jv.basins(scene, *few, phase, attractors, store=jv.Store(Path(folder) / f"few_{side}.zarr"))
         before, began = time.perf_counter() - began, time.perf_counter()
         found = jv.basins(scene, *axes, phase, attractors, store=jv.Store(Path(folder) / f"basins_{side}.zarr"))
         costs.append((side * side, time.perf_counter() - began - before))

@@ -138,3 +138,21 @@ def test_a_folder_without_a_diagram(tmp_path):
         jv.load_diagram(tmp_path)
     with pytest.raises(FileNotFoundError):
         jv.load_diagram(tmp_path / "none")
+
+
+@pytest.mark.slow
+def test_both_halves_of_symmetric_orbits_leave_a_breaking_that_is_come_to_from_aside():
+    """The starts' P112 goes through the SB into its mirror image: of the symmetric P111 that leaves it one half is
+    stable, and neither is the other's image."""
+    scene = jv.make_scene(4.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    found = jv.explore(scene, "frequency", (1.68, 2.72), max_period=1)
+    assert found.complete
+    here = scene.replace(frequency=2.4586)
+    orbit = jv.find_orbit(here, jv.State(0.70557727, 2.45965016))
+    assert orbit.label == "P111" and orbit.stable
+    at = [abs(one.values - 2.4586) + abs(one.data["x"].values[:, 0] - orbit.state.x) for one in found.branches]
+    assert min(each.min() for each in at) < 0.05
+    branch = found.branches[int(np.argmin([each.min() for each in at]))]
+    np.testing.assert_allclose(branch.values.max(), 2.72)
+    assert branch.values.min() == pytest.approx(found.points("SB")[0].value, abs=1e-6)
+    assert branch.stable[len(branch) // 2]

@@ -124,6 +124,6 @@ def _fractions(label, count):
         return np.array([(part == place).sum() for place in range(count)]) / inside
 
     parts = [shares(label[row::2, column::2]) for row in (0, 1) for column in (0, 1)]
-    inside = label[label != OUTSIDE]
-    unresolved = float((inside < 0).mean()) if inside.size else 0.0
+    inside, outside = label.size, int((label == OUTSIDE).sum())
+    unresolved = float((label < 0).sum() - outside) / max(1, inside - outside)
     return shares(label), np.std(parts, axis=0, ddof=1) + unresolved

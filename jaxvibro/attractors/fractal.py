@@ -8,6 +8,7 @@ from scipy.special import xlogy
 
 BOX = 5  # labels along the side of a box of the entropies: 25 in it, as the source takes
 LARGEST = 8  # boxes of the largest size lie across the picture, at least
+BAND = 64  # rows of boxes that are looked at together
 FULL = 0.2  # of the boxes: where more are mixed, several boundaries meet in a box
 
 
@@ -28,14 +29,21 @@ def entropies(labels, box=BOX):
     picture holds no whole box. Daza, Wagemakers, Georgeot, Guery-Odelin and Sanjuan, Sci. Rep. 6, 31416 (2016).
     """
     rows, columns = (size // box for size in labels.shape)
-    cut = labels[: rows * box, : columns * box].reshape(rows, box, columns, box).swapaxes(1, 2).reshape(-1, box * box)
-    counts = np.array([(cut == one).sum(axis=1) for one in np.unique(cut[cut >= 0])])
-    if not counts.size:
+    parts = [_in_boxes(labels[k * box : (k + BAND) * box], columns, box) for k in range(0, rows, BAND)]
+    each, mixed = (np.concatenate(part) for part in zip(*parts, strict=True)) if parts else (np.empty(0), np.empty(0))
+    if not each.size:
         return np.nan, np.nan
+    return float(each.mean()), float(each[mixed].mean()) if mixed.any() else 0.0
+
+
+def _in_boxes(labels, columns, box):
+    """(the entropy, whether there is more than one label) of the whole boxes of some rows that have any label."""
+    rows = len(labels) // box
+    cut = labels[: rows * box, : columns * box].reshape(rows, box, columns, box).swapaxes(1, 2).reshape(-1, box * box)
+    counts = np.array([(cut == one).sum(axis=1) for one in np.unique(cut) if one >= 0]).reshape(-1, len(cut))
     counts = counts[:, counts.any(axis=0)]
     shares = counts / counts.sum(axis=0)
-    each, mixed = -xlogy(shares, shares).sum(axis=0), (counts > 0).sum(axis=0) > 1
-    return float(each.mean()), float(each[mixed].mean()) if mixed.any() else 0.0
+    return -xlogy(shares, shares).sum(axis=0), (counts > 0).sum(axis=0) > 1
 
 
 def dimension(labels):
@@ -47,6 +55,7 @@ def dimension(labels):
     standard error, or half of the difference between the slopes of its two halves where that is larger. value and error
     are nan where no box is mixed or the picture has no three sizes.
     """
+    labels = labels.astype(np.int8) if labels.max(initial=0) < np.iinfo(np.int8).max else labels
     none = np.iinfo(labels.dtype).max
     low = _corners(np.where(labels < 0, none, labels), np.minimum)
     high = _corners(np.maximum(labels, -1), np.maximum)

@@ -84,13 +84,12 @@ class Tree:
     def _leave(self, k, point):
         if _is_reached(point, k, self.found):
             return
-        begun = _starts(point)
-        if self.symmetric and point.kind == "SB":
-            begun = begun[:1]  # the other half is the mirror image
-        for start in begun:
+        for start in _starts(point):
             branch = branch_from(point, start, self.bounds, **{"first_step": FIRST} | self.steps)
             if len(branch) > 1 and not any(_is_retraced(branch, other) for other in self.found):
                 self.add(branch)
+            if self.symmetric and point.kind == "SB" and not _is_own_mirror(branch):
+                break  # the other half is the mirror image; those of symmetric orbits are two
 
     def add(self, branch):
         """One branch more, and in a symmetric scene its mirror image."""
