@@ -14,8 +14,8 @@
 # %% [markdown]
 # # Maps over parameters
 #
-# What papers on impact oscillators print: the label of the motion at each cell of a grid, its exponent, how many motions
-# there are side by side, and how hard they are to throw out. Each by one call, and kept as it is worked out.
+# What papers on impact oscillators print: the label of the motion at each cell of a grid, its exponent, how many
+# motions there are side by side, and how hard they are to throw out. Each by one call, and kept as it is worked out.
 
 # %%
 import tempfile
@@ -42,9 +42,9 @@ scene = jv.make_scene(amplitude=4.65, frequency=2.1, damping=0.05, restitution=0
 # %% [markdown]
 # ## Labels, with the loci over them
 #
-# From rest at each cell. A label has its own colour in every map: a hue for the periods, chaos nearly black, grey what is
-# not decided. The loci are followed from one point each of the branch of P111: the saddle-node at which it begins, and
-# where it loses its symmetry.
+# From rest at each cell. A label has its own colour in every map: a hue for the periods, chaos nearly black, grey what
+# is not decided. The loci are followed from one point each of the branch of P111: the saddle-node at which it begins,
+# and where it loses its symmetry.
 
 # %%
 grid = {"amplitude": np.linspace(0.5, 6.0, 60), "frequency": np.linspace(1.6, 3.6, 60)}
@@ -53,16 +53,15 @@ found = jv.map_parameters(scene, grid, store=store)
 figure, axes = plt.subplots(figsize=(7, 6.5), layout="constrained")
 jv.plot.map(found, axes)
 names, bounds = ("frequency", "amplitude"), {"frequency": (1.6, 3.6), "amplitude": (0.5, 6.0)}
-branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "amplitude", (0.5, 6.0))
-fold = min(branch.points("SN"), key=lambda one: one.value)
-for special in (fold, branch.points("SB")[0]):
+branch = jv.follow(jv.find_orbit(scene.replace(amplitude=2.5), jv.State(0.0, 0.0)), "amplitude", (0.5, 6.0))
+for special in (branch.points("SN")[0], branch.points("SB")[0]):
     jv.plot.locus(jv.locus(special, names, bounds), axes)
 keep(figure, "labels")
 
 # %% [markdown]
-# Below the saddle-node there is no P111; where the map shows P100 above it, rest lies in the basin of the motion without
-# impacts. Undecided cells lie where motions settle as slowly as one likes, as along the symmetry breaking. The same store,
-# gone on with after any end, or asked again, costs nothing:
+# Below the saddle-node there is no P111; where the map shows P100 above it, rest lies in the basin of the motion
+# without impacts. Undecided cells lie where motions settle as slowly as one likes, as along the symmetry breaking. The
+# same store, gone on with after any end, or asked again, costs nothing:
 
 # %%
 again = jv.map_parameters(scene, grid, store=store)
@@ -96,8 +95,8 @@ print(f"both ways differ at {100 * float(apart):.1f} % of the cells")
 # %% [markdown]
 # ## Side by side: attractors and shares
 #
-# Many random starts a cell tell how many attractors there are. Along one parameter `fractions` keeps each under its name,
-# with bounds of its share; and `shocks` asks of each how small an impulse throws it out.
+# Many random starts a cell tell how many attractors there are. Along one parameter `fractions` keeps each under its
+# name, with bounds of its share; and `shocks` asks of each how small an impulse throws it out.
 
 # %%
 grid = {"amplitude": np.linspace(3.5, 6.0, 11), "frequency": np.linspace(1.9, 2.6, 15)}
