@@ -175,6 +175,8 @@ def test_a_store_is_gone_on_with(tmp_path):
     again = jv.map_parameters(figure_4(), grid, chunk=2, store=jv.Store(tmp_path / "map"), progress=seen.append)
     xr.testing.assert_identical(again, whole)
     assert seen[4:] == [seen[4]] and seen[4].done == 6
+    other = figure_4().replace(frequency=1.0)  # which the grid gives anyway
+    assert jv.map_parameters(other, grid, chunk=2, store=jv.Store(tmp_path / "map")).identical(whole)
     with pytest.raises(jv.ArgumentError, match=r"scene is another there; got 'damping = 0.05 there, damping = 0.06"):
         jv.map_parameters(figure_4().replace(damping=0.06), grid, chunk=2, store=jv.Store(tmp_path / "map"))
 

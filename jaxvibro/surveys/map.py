@@ -1,5 +1,6 @@
 """Maps: what a scene settles on at each cell of a grid over any of its parameters."""
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -25,7 +26,8 @@ from ..stores.study import Column, Grid, axis_text
 from . import cell_columns, coexisting
 from .motions import motions
 
-LANES = 4096  # of a chunk
+LANES, FEWEST = 4096, 512  # of a chunk: the most, and the fewest where a small map is cut for many workers
+PARTS = 16  # that it is cut into then
 CARRIED = 512  # the same where motions are carried along: each row is then one lane's work from end to end
 PATIENCE = 5000  # drive periods after which a motion that has not recurred is called chaotic or undecided
 WAYS = (1, -1)
@@ -106,16 +108,12 @@ class MapStudy:
 
     @cached_property
     def grid(self) -> Grid:
-        shape = [len(each) for each in self.values]
-        room, part = max(1, self.size // self._lanes), [1] * len(shape)
+        shape, room = [len(each) for each in self.values], max(1, self.size // self._lanes)
+        part = list(shape)  # whole rows, as many as there is room for, of what is carried along all
         for axis in reversed(range(len(shape))):
-            if axis == self.along:
-                part[axis] = shape[axis]
-            else:
-                part[axis] = min(shape[axis], room)
-                room //= part[axis]
-                room = room if part[axis] == shape[axis] else 0
-            room = max(room, 1) if room else 1
+            if axis != self.along:
+                part[axis] = -(-shape[axis] // -(-shape[axis] // room))  # of one size, as far as that goes
+                room = room // part[axis] if part[axis] == shape[axis] else 1
         return Grid(dict(zip(self.names, shape, strict=True)), tuple(part))
 
     @cached_property
@@ -127,7 +125,7 @@ class MapStudy:
         given: dict[str, Any] = {
             "settle": self.settle,
             "patience": self.patience,
-            "along": self.along and self.names[self.along],
+            "along": None if self.along is None else self.names[self.along],
         }
         if self.starts:
             given |= {"starts": self.starts, "seed": self.seed}
@@ -135,12 +133,17 @@ class MapStudy:
             given |= {"start": [float(each) for each in jax.tree.leaves(self.state)]}
         rows = zip(self.names, self.values, strict=True)
         return {
-            "scene": scene_text(self.scene),
+            "scene": scene_text(self._first),
             **{name: axis_text(row) for name, row in rows},
             **{name: repr(each) for name, each in given.items()},
             "quantities": repr(self.quantities),
             "dtype": str(self.scene.dtype),
         }
+
+    @property
+    def _first(self):
+        """The scene of the first cell: what it had there itself does not matter."""
+        return self.scene.replace(**{name: row[0] for name, row in zip(self.names, self.values, strict=True)})
 
     @cached_property
     def frame(self) -> xr.Dataset:
@@ -156,7 +159,7 @@ class MapStudy:
         attrs |= {"settle": self.settle, "patience": self.patience, "walls": " ".join(self.scene.walls) or "none"}
         attrs |= {"along": self.names[self.along]} if self.along is not None else {}
         attrs |= {"starts": self.starts, "seed": self.seed} if self.starts else {}
-        attrs["scene_file"] = scene_text_or_none(self.scene)
+        attrs["scene_file"] = scene_text_or_none(self._first)
         return xr.Dataset(coords=coords, attrs=attrs)
 
     def compute(self, number: int, frame: Any) -> tuple[dict[str, np.ndarray], int]:
@@ -240,7 +243,9 @@ def study_of(
         raise check.ArgumentError("start", "must be a State where the motion is carried along", start)
     quantities = cell_columns.checked(scene, quantities, starts)
     settle, patience = check.whole("settle", settle, 0), check.whole("patience", patience, 1)
-    size = check.whole("chunk", chunk, 1) if chunk is not None else CARRIED if along is not None else LANES
+    cells = math.prod(map(len, values)) * max(1, starts)
+    usual = CARRIED if along is not None else min(LANES, max(FEWEST, cells // PARTS))
+    size = usual if chunk is None else check.whole("chunk", chunk, 1)
     state = REST if starts else _single(start)
     edges = [row.reshape([-1 if axis == k else 1 for axis in range(len(names))]) for k, row in enumerate(values)]
     everywhere = scene.replace(**dict(zip(names, edges, strict=True)))
