@@ -91,15 +91,19 @@ def basins(folder):
     jv.basins(scene, *few, phase, attractors, store=jv.Store(Path(folder) / "few.zarr"))
     print(f"set-up (attractors, compiling, trapping regions): {time.perf_counter() - began:.1f} s")
     costs = []
-    for side in (316, 1000, 3162, 10_000):
+    for side, rounds in ((316, 15), (1000, 3), (3162, 1), (10_000, 1)):
         axes = np.linspace(*asked.basins.x, side), np.linspace(*asked.basins.v, side)
-        began = time.perf_counter()
-        jv.basins(scene, *few, phase, attractors, store=jv.Store(Path(folder) / f"few_{side}.zarr"))
-        before, began = time.perf_counter() - began, time.perf_counter()
-        found = jv.basins(scene, *axes, phase, attractors, store=jv.Store(Path(folder) / f"basins_{side}.zarr"))
-        costs.append((side * side, time.perf_counter() - began - before))
+        spent = []
+        for k in range(rounds):
+            for what in (few, axes):  # the first is the set-up
+                place = Path(folder) / f"basins_{side}_{k}_{len(what[0])}.zarr"
+                began = time.perf_counter()
+                found = jv.basins(scene, *what, phase, attractors, store=jv.Store(place))
+                spent.append(time.perf_counter() - began)
+        before, all_of_it = np.median(spent[::2]), np.median(spent[1::2])
+        costs.append((side * side, all_of_it - before))
         unresolved = float((found["label"] == -1).mean())
-        print(f"{side * side} starts: {costs[-1][1]:.2f} s after {before:.2f} s of set-up, {memory():.2f} GiB at most,")
+        print(f"{side * side} starts: {costs[-1][1]:.3f} s after {before:.3f} s of set-up, {memory():.2f} GiB at most,")
         print(f"  shares {found['fraction'].values.round(5).tolist()}, unresolved {unresolved:.2e}", flush=True)
     starts, seconds = np.log(np.array(costs)).T
     print(f"slope of the cost: {np.polyfit(starts, seconds, 1)[0]:.3f}")

@@ -38,6 +38,8 @@ def test_spectrum(tmp_path):
     plain = jv.spectrum(scene(), "amplitude", values, REST, **asked)
     kept = jv.spectrum(scene(), "amplitude", values, REST, **asked, store=jv.Store(tmp_path / "spectrum"))
     xr.testing.assert_identical(kept, plain)
+    far = jv.Store(tmp_path / "far", jv.DaskEngine(workers=1))
+    xr.testing.assert_identical(jv.spectrum(scene(), "amplitude", values, REST, **asked, store=far), plain)
     again = jv.spectrum(scene(), "amplitude", values, REST, **asked, store=jv.Store(tmp_path / "spectrum"))
     xr.testing.assert_identical(again, plain)
     with pytest.raises(jv.ArgumentError, match=r"start\.x is another there"):

@@ -52,28 +52,33 @@ def _home(scene, one, phase, scale):
     return Home(points, trap(scene, points, phase, scale))
 
 
-def assign_labels(scene, x, v, phase, homes, patience, workers=None):
+def assign_labels(scene, x, v, phase, homes, patience):
+    """`labelled` by all processor cores."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        return labelled(pool, scene, x, v, phase, homes, patience)
+
+
+def labelled(pool, scene, x, v, phase, homes, patience):
     """(label, periods): where each start (lanes,) ends, and the drive periods after which that was seen.
 
     label: the place in `homes`; UNRESOLVED where no trap held the start within so many periods, and OUTSIDE beyond a
-    wall. workers: threads, None for one a processor core.
+    wall. pool: of threads.
     """
     label, seen = np.full(len(x), UNRESOLVED, np.int32), np.zeros(len(x), np.int32)
     lanes = np.arange(len(x))
     now = np.stack([x, v, np.zeros(len(x))]).astype(scene.dtype)
     near = np.zeros((len(homes), len(x)), np.int8)
-    with ThreadPoolExecutor(workers or os.cpu_count()) as pool:
-        for passed in range(ROUND, patience + ROUND, ROUND):
-            parts = [slice(first, first + LANES) for first in range(0, len(lanes), LANES)]
-            some = [[each[..., part] for part in parts] for each in (now, near)]
-            looks = pool.map(partial(_look, scene, phase, homes), *some)
-            now, near, found, status = (np.concatenate(each, axis=-1) for each in zip(*looks, strict=True))
-            found = np.where(status == Status.INVALID, OUTSIDE, found)
-            done = (found != UNRESOLVED) | (status >= Status.CAP)
-            label[lanes[done]], seen[lanes[done]] = found[done], passed
-            lanes, now, near = lanes[~done], now[:, ~done], near[:, ~done]
-            if not len(lanes):
-                break
+    for passed in range(ROUND, patience + ROUND, ROUND):
+        parts = [slice(first, first + LANES) for first in range(0, len(lanes), LANES)]
+        some = [[each[..., part] for part in parts] for each in (now, near)]
+        looks = pool.map(partial(_look, scene, phase, homes), *some)
+        now, near, found, status = (np.concatenate(each, axis=-1) for each in zip(*looks, strict=True))
+        found = np.where(status == Status.INVALID, OUTSIDE, found)
+        done = (found != UNRESOLVED) | (status >= Status.CAP)
+        label[lanes[done]], seen[lanes[done]] = found[done], passed
+        lanes, now, near = lanes[~done], now[:, ~done], near[:, ~done]
+        if not len(lanes):
+            break
     return label, seen
 
 

@@ -12,11 +12,13 @@ from scipy.spatial import cKDTree
 from ..output.units import LENGTH, SPEED
 from ..scene.scene import Scene
 from ..scene.scene_table import scene_text, scene_text_or_none
+from ..stores.engines import ThisThread
 from ..stores.study import Column, Grid, axis_text
-from .assign import OUTSIDE, UNRESOLVED, Home, assign_labels
+from .assign import OUTSIDE, UNRESOLVED, Home, labelled
 from .trapping_region import Cloud, Trap
 
 STARTS = 1 << 16  # of a chunk
+MOST_SMALL = 32_000  # drive periods of patience up to which numbers of them take two bytes
 NOT_DONE = -3  # label of a start whose chunk is not done
 
 
@@ -45,10 +47,11 @@ class BasinsStudy:
 
     @property
     def columns(self) -> dict[str, Column]:
+        whole = np.int16 if self.patience <= MOST_SMALL else np.int32
         label = f"attractor, {UNRESOLVED} unresolved, {OUTSIDE} beyond a rigid wall"
         return {
             "label": Column(np.dtype(np.int16), NOT_DONE, {"long_name": label}),
-            "periods": Column(np.dtype(np.int32), 0, {"long_name": "drive periods after which it was seen"}),
+            "periods": Column(np.dtype(whole), 0, {"long_name": "drive periods after which it was seen"}),
         }
 
     @cached_property
@@ -77,10 +80,9 @@ class BasinsStudy:
         rows, columns = self.grid.cut(number)
         across, along = np.meshgrid(self.x[columns], self.v[rows])
         homes = self.homes if frame is self.frame else [_home(frame, k) for k in range(len(self.homes))]
-        label, periods = assign_labels(
-            self.scene, across.ravel(), along.ravel(), self.phase, homes, self.patience, workers=1
-        )
-        found = {"label": label.astype(np.int16), "periods": periods}
+        starts = across.ravel(), along.ravel()
+        label, periods = labelled(ThisThread, self.scene, *starts, self.phase, homes, self.patience)
+        found = {name: each.astype(self.columns[name].dtype) for name, each in (("label", label), ("periods", periods))}
         return {name: each.reshape(across.shape) for name, each in found.items()}, int((label == UNRESOLVED).sum())
 
 

@@ -14,7 +14,7 @@ from ..output.units import scales_in, unit_of
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import State, check_start, real_state
-from ..stores.engines import cores
+from ..stores.engines import ThisThread, cores
 from ..stores.filling import Store, done
 from .chaotic_exponents import of_motion, settled
 from .orbit_exponents import lost, of_orbits
@@ -96,9 +96,8 @@ def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count"], S
 
 
 def _of_block(scenes, state, settle, goal, most):
-    """`_found` in one thread."""
-    with ThreadPoolExecutor(1) as pool:
-        return _found(pool, scenes, state, settle, goal, most, lambda done: None)
+    """`_found` in this thread."""
+    return _found(ThisThread, scenes, state, settle, goal, most, lambda done: None)
 
 
 def _found(pool, scenes, state, settle, goal, most, progress):

@@ -63,7 +63,7 @@ def padded(lanes, first, width):
         if not np.shape(leaf):
             return leaf
         some = leaf[first : first + width]
-        return np.pad(some, (0, width - len(some)), mode="edge")
+        return some if len(some) == width else np.pad(some, (0, width - len(some)), mode="edge")
 
     return jax.tree.map(part, lanes)
 

@@ -29,8 +29,9 @@ def sealed(content):
 
 def netcdf(data):
     """An xarray.Dataset as the bytes of a sealed NetCDF file (classic format), which knows no dimension without places:
-    such a one, as of the impacts of orbits that have none, gets one, of zeros."""
-    marked = data.pad({name: (0, 1) for name, size in data.sizes.items() if not size}, constant_values=0).assign_attrs()
+    where orbits have no impacts there is room for one, of zeros."""
+    none = {"impact": (0, 1)} if data.sizes.get("impact") == 0 else {}
+    marked = data.pad(none, constant_values=0).assign_attrs()
     marked.attrs = MARKS | data.attrs | MARKS
     return sealed(bytes(marked.to_netcdf(engine="scipy")))
 
