@@ -5,7 +5,6 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro.attractors import basins_study
 
 REST = jv.State(0.0, 0.0)
 
@@ -15,7 +14,7 @@ def scene():
 
 
 def test_basins(tmp_path, monkeypatch):
-    monkeypatch.setattr(basins_study, "STARTS", 200)
+    monkeypatch.setattr("jaxvibro.attractors.basins.CHUNK", 200)
     here = scene().replace(amplitude=5.0)  # chaos, whose sample is kept too
     known = jv.find_attractors(here, 40)
     assert {one.kind for one in known} >= {"periodic", "chaotic"}

@@ -16,6 +16,7 @@ from .basins_study import BasinsStudy
 from .find import Attractor, find_attractors
 from .fractal import BOX, dimension, entropies
 
+CHUNK = 1 << 16  # starts that are worked out together
 PATIENCE = 2000  # drive periods after which a start is given up
 
 
@@ -64,7 +65,7 @@ def basins(
     left, right, fast = box(scene)
     found = homes(scene, attractors, float(angle), float(max(abs(left), abs(right), fast)))
     names = tuple(one.label for one in attractors)
-    study = BasinsStudy(scene, x, v, float(angle), tuple(found), names, patience)
+    study = BasinsStudy(scene, x, v, float(angle), tuple(found), names, patience, CHUNK)
     seen = done(study, store, progress and (lambda one: progress(one.done)))
     return _dataset(scene, float(angle), attractors, found, seen)
 

@@ -17,14 +17,14 @@ from ..stores.study import Column, Grid, axis_text
 from .assign import OUTSIDE, UNRESOLVED, Home, labelled
 from .trapping_region import Cloud, Trap
 
-STARTS = 1 << 16  # of a chunk
 MOST_SMALL = 32_000  # drive periods of patience up to which numbers of them take two bytes
 NOT_DONE = -3  # label of a start whose chunk is not done
 
 
 @dataclass(frozen=True)
 class BasinsStudy:
-    """Basins as a `Study`. x, v: of the starts; phase: rad; homes: of the attractors, which are called so."""
+    """Basins as a `Study`. x, v: of the starts; phase: rad; homes: of the attractors, which are called so;
+    size: starts of a chunk, about."""
 
     scene: Scene
     x: Float[np.ndarray, " columns"]
@@ -33,16 +33,17 @@ class BasinsStudy:
     homes: tuple[Home, ...]
     names: tuple[str, ...]
     patience: int
+    size: int
 
     def __reduce__(self):
         """Sent to a worker without the traps, which may be large: it reads them from the store."""
         homes = tuple(Home(home.points, None) for home in self.homes)
-        return BasinsStudy, (self.scene, self.x, self.v, self.phase, homes, self.names, self.patience)
+        return BasinsStudy, (self.scene, self.x, self.v, self.phase, homes, self.names, self.patience, self.size)
 
     @cached_property
     def grid(self) -> Grid:
         rows, columns = len(self.v), len(self.x)
-        bands = -(-rows * columns // STARTS)
+        bands = -(-rows * columns // self.size)
         return Grid({"v": rows, "x": columns}, (-(-rows // bands), columns))
 
     @property
