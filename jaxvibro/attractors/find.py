@@ -86,7 +86,7 @@ class Settled(NamedTuple):
 
     seen: list[Evidence]
     lost: dict[int, str]
-    scale: float
+    scale: float | np.floating
     status: Int[np.ndarray, " starts"]
 
 

@@ -46,7 +46,7 @@ class Station:
     scene: Scene
     seen: list[Evidence]
     lost: int
-    scale: float
+    scale: float | np.floating
     status: int
     ways: dict[int, dict[int, Carried]] = field(default_factory=lambda: {-1: {}, 1: {}})
 
