@@ -7,19 +7,12 @@ import jaxvibro as jv
 from jaxvibro.output.label_codes import label_of
 from jaxvibro.studies.command import main
 
-FILE = """
-[scene]
-amplitude = 4.65
-frequency = 2.1
-damping = 0.05
-restitution = 0.7
-[scene.left]
-position = -1.0
-[scene.right]
-position = 1.0
+from .scene_files import SCENE
+
+FILE = f"""{SCENE}
 [map]
 parameters = ["amplitude", "frequency"]
-bounds = {amplitude = [1.0, 6.0], frequency = [2.2, 3.4]}
+bounds = {{amplitude = [1.0, 6.0], frequency = [2.2, 3.4]}}
 count = [3, 4]
 """
 

@@ -1,6 +1,5 @@
 """Which attractor each of very many starts ends on: they are run on together, and dropped once a trap holds them."""
 
-import os
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
@@ -19,6 +18,7 @@ from ..maps.iterate import iterate
 from ..maps.phase_shift import shift_phase
 from ..scene.codes import Status
 from ..scene.state import State
+from ..stores.engines import cores
 from .trapping_region import Cloud, Trap, cloud, trap
 
 ROUND = 8  # drive periods between two looks
@@ -54,7 +54,7 @@ def _home(scene, one, phase, scale):
 
 def assign_labels(scene, x, v, phase, homes, patience):
     """`labelled` by all processor cores."""
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
+    with ThreadPoolExecutor(cores()) as pool:
         return labelled(pool, scene, x, v, phase, homes, patience)
 
 

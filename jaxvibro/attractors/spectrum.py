@@ -9,6 +9,7 @@ import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
 from ..compiled.compiler_hints import WIDTH
+from ..maps.long_run import some
 from ..maps.rests import NO_RESTS, rests
 from ..output.units import scales_in, unit_of
 from ..scene import check
@@ -105,17 +106,17 @@ def _found(pool, scenes, state, settle, goal, most, progress):
     everyone = np.arange(len(state.x))
 
     def early(index):
-        return settled(_some(scenes, index), begin(_some(state, index)), settle, FEW)
+        return settled(some(scenes, index), begin(some(state, index)), settle, FEW)
 
     def late(index):
-        return settled(_some(scenes, index), _joined(seen[k].lanes for k in index), 0, MANY)
+        return settled(some(scenes, index), _joined(seen[k].lanes for k in index), 0, MANY)
 
     def orbits(index):
         state, periods = _joined((seen[k].lanes.state, seen[k].periods) for k in index)
-        return of_orbits(_some(scenes, index), state, periods)
+        return of_orbits(some(scenes, index), state, periods)
 
     def motion(k):
-        return of_motion(_some(scenes, k), seen[k], goal, most)
+        return of_motion(some(scenes, k), seen[k], goal, most)
 
     seen = _lanes(_in_blocks(pool, early, everyone))
     going = np.array([k for k, one in enumerate(seen) if one.goes_on], int)
@@ -133,15 +134,10 @@ def _found(pool, scenes, state, settle, goal, most, progress):
     found |= _orbits(pool, orbits, [k for k in rest if seen[k].periods[0]])
     resting = [NO_RESTS] * len(everyone)
     for k in (k for k, one in found.items() if np.isneginf(one.exponent[0])):
-        one, state = _some(scenes, k), jax.tree.map(lambda leaf: leaf[0], seen[k].lanes.state)
+        one, state = some(scenes, k), jax.tree.map(lambda leaf: leaf[0], seen[k].lanes.state)
         resting[k] = rests(one, state, found[k].periods or LAPS)
         resting[k] = resting[k]._replace(count=resting[k].count / (found[k].periods or LAPS))
     return [found[k] for k in everyone.tolist()], resting
-
-
-def _some(tree, index):
-    """The tree of some lanes; a number that all lanes share stays one."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[index] if np.ndim(leaf) else np.asarray(leaf), tree)
 
 
 def _joined(parts):

@@ -27,7 +27,12 @@ class Cluster:
         """Whether these points are the orbit's, begun anywhere along it."""
         if len(points) != len(self.points) or not itinerary.same(words, self.words):
             return False
-        return any(abs(np.roll(self.points, k, axis=0) - points).max() <= near for k in range(len(points)))
+        return is_turned(points, self.points, near)
+
+
+def is_turned(points, others, near):
+    """Whether points of an orbit (periods, 2) are others, begun anywhere along it."""
+    return any(abs(np.roll(others, k, axis=0) - points).max() <= near for k in range(len(points)))
 
 
 def settle_lanes(scene, state, settle, reach):

@@ -53,15 +53,9 @@ class Tree:
         return len(self.found) >= self.most
 
     def has(self, branch):
-        """Whether a branch is one of those found: it has a special point that is theirs, at an end of both or of
-        neither, as one that ends where another goes on is not that."""
-        return any(
-            is_same(one, two) and _is_end(one, branch) == _is_end(two, other)
-            for one in branch.special
-            if one.kind in OWN
-            for other in self.found
-            for two in other.special
-        )
+        """Whether a branch is one of those found: it has a special point that is theirs."""
+        theirs = [one for other in self.found for one in other.special]
+        return any(is_same(one, two) for one in branch.special if one.kind in OWN for two in theirs)
 
     def grow(self):
         """Leaves every special point of the branches that has not been left, in turn."""
@@ -98,10 +92,6 @@ class Tree:
             self.found.append(mirrored(branch))
         if self.progress is not None:
             self.progress(len(self.found))
-
-
-def _is_end(point, branch):
-    return point.place in (0, len(branch) - 1)
 
 
 def _is_left(point, max_period):

@@ -68,6 +68,11 @@ def padded(lanes, first, width):
     return jax.tree.map(part, lanes)
 
 
+def some(tree, lanes):
+    """The tree of some lanes, NumPy's arrays; a number that all lanes share stays one."""
+    return jax.tree.map(lambda leaf: np.asarray(leaf)[lanes] if np.ndim(leaf) else np.asarray(leaf), tree)
+
+
 def joined(runs, size):
     """The results of blocks as those of so many lanes; what they end with is a ring, whose first axis is periods."""
     *ends, rings = zip(*runs, strict=True)

@@ -13,10 +13,19 @@ RULE = "1000000 n + 1000 p + q for P n p q, 999 for inf; 1 chaotic, 0 undecided,
 
 
 def codes(
-    periods: Int[ArrayLike, "..."], left: Int[ArrayLike, "..."], right: Int[ArrayLike, "..."]
+    periods: Int[ArrayLike, "..."],
+    left: Int[ArrayLike, "..."],
+    right: Int[ArrayLike, "..."],
+    endless: Int[ArrayLike, "..."] = 0,
 ) -> Int[np.ndarray, "..."]:
-    """Those of orbits of so many drive periods, with so many impacts on the walls; more than 998 count as 998."""
-    left, right = (np.minimum(each, ENDLESS - 1) for each in (left, right))
+    """Those of orbits of so many drive periods, with so many impacts on the walls; more than 998 count as 998.
+
+    endless: on which walls the mass comes to rest by complete chatter: 1 left, 2 right, 3 both.
+    """
+    rests = [np.asarray(endless) & bit for bit in (1, 2)]
+    left, right = (
+        np.where(rest, ENDLESS, np.minimum(hits, ENDLESS - 1)) for rest, hits in zip(rests, (left, right), strict=True)
+    )
     return np.asarray(PERIODS * np.asarray(periods) + LEFT * left + right, np.int32)
 
 

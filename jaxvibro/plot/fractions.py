@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from ..attractors.shares import share_bounds
-from .style import COLOURS, axes, is_from, of_parameter, paler, plain, scales_of
+from .style import COLOURS, axes, edges, is_from, of_parameter, paler, plain, scales_of
 
 HUES = tuple(one for one in COLOURS if one != "#000000")  # black is the edges'
 CHAOS, UNKNOWN = "....", "/////"  # hatches
@@ -37,34 +37,29 @@ def fractions(
     name = found.attrs["swept"]
     wide, ax = of_parameter(scales_of(found, units), name), axes(ax)
     across = wide.size * found[name].values
-    edges, base, share = _edges(across), np.zeros(len(across)), np.nan_to_num(found["share"].values)
+    borders, base, share = edges(across), np.zeros(len(across)), np.nan_to_num(found["share"].values)
     order, colours = _looks(found)
     for row, place in enumerate(order, 1):
         top = base + share[:, place]
-        ax.stairs(top, edges, baseline=base, fill=True, color=colours[place], linewidth=0, gid="attractor")
+        ax.stairs(top, borders, baseline=base, fill=True, color=colours[place], linewidth=0, gid="attractor")
         wild = found["kind"].values[:, place] == "chaotic"
         if wild.any():
             dotted = np.where(wild, top, base)
-            ax.stairs(dotted, edges, baseline=base, fill=True, facecolor="none", edgecolor="black", hatch=CHAOS, lw=0)
-        ax.stairs(np.where(share[:, place] > 0, top, np.nan), edges, baseline=None, **LINE)
+            ax.stairs(dotted, borders, baseline=base, fill=True, facecolor="none", edgecolor="black", hatch=CHAOS, lw=0)
+        ax.stairs(np.where(share[:, place] > 0, top, np.nan), borders, baseline=None, **LINE)
         base = top
         if bounds:
             there = (share[:, place] > 0.0) & (base < 1.0 - ROUNDING)
-            inside = edges[:-1] + row / (len(order) + 1) * np.diff(edges)  # each edge at a place of its own in a bar
+            # each edge at a place of its own in a bar
+            inside = borders[:-1] + row / (len(order) + 1) * np.diff(borders)
             _bounds(ax, inside[there], base[there], found.attrs["starts"])
     top = base + found["unresolved"].values
-    ax.stairs(top, edges, baseline=base, fill=True, facecolor=GREY, edgecolor="0.3", hatch=UNKNOWN, lw=0)
-    ax.set(xlabel=wide.label, ylabel="share of starts", xlim=edges[[0, -1]], ylim=(0.0, 1.0))
+    ax.stairs(top, borders, baseline=base, fill=True, facecolor=GREY, edgecolor="0.3", hatch=UNKNOWN, lw=0)
+    ax.set(xlabel=wide.label, ylabel="share of starts", xlim=borders[[0, -1]], ylim=(0.0, 1.0))
     if legend:
         handles = _entries(found, order, colours)
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2, frameon=False)
     return ax
-
-
-def _edges(across):
-    """Half way between values, and as far beyond the first and the last."""
-    half = 0.5 * np.diff(across) if len(across) > 1 else np.full(1, 0.5)
-    return np.concatenate([across[:1] - half[:1], across[:-1] + half[: len(across) - 1], across[-1:] + half[-1:]])
 
 
 def _looks(found):

@@ -63,7 +63,7 @@ class InMemory:
         if size > MOST_BYTES:
             rule = f"must be given for results of more than {MOST_BYTES >> 30} GiB"
             raise check.ArgumentError("store", rule, f"{size / 2**30:.3g} GiB in memory")
-        self.study, self.columns, self.done = study, blank(study, study.grid.shape), dict[int, int]()
+        self.study, self.columns, self.done = study, blank(study.columns, study.grid.shape), dict[int, int]()
 
     @property
     def frame(self) -> xr.Dataset:

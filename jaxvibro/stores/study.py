@@ -87,6 +87,6 @@ def size_in_bytes(study: Study) -> int:
     return sum(cells * math.prod(one.more.values()) * np.dtype(one.dtype).itemsize for one in study.columns.values())
 
 
-def blank(study: Study, shape: tuple[int, ...]) -> dict[str, np.ndarray]:
-    """Columns of so many cells of which none is done."""
-    return {name: np.full((*shape, *one.more.values()), one.blank, one.dtype) for name, one in study.columns.items()}
+def blank(columns: Mapping[str, Column], shape: tuple[int, ...]) -> dict[str, np.ndarray]:
+    """The columns of so many cells of which none is done."""
+    return {name: np.full((*shape, *one.more.values()), one.blank, one.dtype) for name, one in columns.items()}

@@ -169,7 +169,7 @@ class Kept:
     def put(self, number: int, parts: dict[str, np.ndarray], undecided: int) -> None:
         """Keeps a chunk; its entry in `done` is written last. Raises ArgumentError in a process of other versions."""
         self._require_versions()
-        cut = self._grid.cut(number)
+        cut = self.grid.cut(number)
         for name in self.told["columns"]:
             self.arrays[name][cut] = parts[name]
         self.arrays[UNDECIDED][number : number + 1] = undecided
@@ -180,7 +180,8 @@ class Kept:
         self.arrays[DONE][number : number + 1] = NOT_DONE
 
     @cached_property
-    def _grid(self):
+    def grid(self) -> Grid:
+        """The cells."""
         return Grid(self.told["sizes"], tuple(self.told["chunk"]))
 
     def damaged(self) -> list[int]:
@@ -190,7 +191,7 @@ class Kept:
 
     def _digest(self, number):
         """Of a chunk's files, those that there are."""
-        place, whole = np.unravel_index(number, self._grid.counts), hashlib.sha256()
+        place, whole = np.unravel_index(number, self.grid.counts), hashlib.sha256()
         for name, more in self.told["columns"].items():
             path = Path(self.path, name, CHUNKS, *map(str, place), *["0"] * more)
             content = path.read_bytes() if path.exists() else b""
@@ -220,9 +221,7 @@ def load_store(path: str | PathLike[str]) -> xr.Dataset:
     Raises ArgumentError for what is no such store, or damaged, OSError where it cannot be read.
     """
     kept = Kept(str(path))
-    grid = kept.told
-    chunks = int(np.prod([-(-size // part) for size, part in zip(grid["sizes"].values(), grid["chunk"], strict=True)]))
-    return kept.data().assign_attrs(chunks=chunks, chunks_done=len(kept.undecided()))
+    return kept.data().assign_attrs(chunks=kept.grid.chunks, chunks_done=len(kept.undecided()))
 
 
 def _told(study):
@@ -277,12 +276,8 @@ def _base(place, columns):
     """A digest of the files in a store that do not change."""
     whole, changing = hashlib.sha256(), {*columns, DONE, UNDECIDED}
     for folder in sorted(one for one in place.iterdir() if one.is_dir()):
-        files = (
-            [folder / METADATA]
-            if folder.name in changing
-            else sorted(one for one in folder.rglob("*") if one.is_file())
-        )
-        for file in files:
+        all_of_it = sorted(one for one in folder.rglob("*") if one.is_file())
+        for file in [folder / METADATA] if folder.name in changing else all_of_it:
             whole.update(f"{file.relative_to(place)} {file.stat().st_size} ".encode() + file.read_bytes())
     return whole.hexdigest()
 

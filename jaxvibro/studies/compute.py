@@ -230,14 +230,14 @@ def _fit(scene, table, record):
 
 
 def _map(scene, table, progress, store):
-    with cells_bar("map", not progress) as report:
+    with _cells_bar(not progress) as report:
         return map_parameters(scene, **table.arguments, store=store, progress=report)
 
 
 @contextmanager
-def cells_bar(name, silent=False):
+def _cells_bar(silent):
     """What is to be called with each `Progress`: a bar on stderr, with rate, time left and what is undecided."""
-    with tqdm(desc=name, unit=" cells", unit_scale=True, mininterval=0.5, disable=silent) as bar:
+    with tqdm(desc="map", unit=" cells", unit_scale=True, mininterval=0.5, disable=silent) as bar:
 
         def report(progress):
             if bar.total is None:

@@ -55,8 +55,8 @@ def lines(data, units="scene"):
     more = {"way": ", each going up and down", "attractor": ", of their attractors"}
     yield "share: of the cells" + "".join(text for name, text in more.items() if name in data.dims)
     listed = [(name, count, f"{100.0 * count / total:.2f} %") for name, count in found.items()]
-    more = [(f"{len(listed) - MOST} more", sum(found.values()) - sum(row[1] for row in listed[:MOST]), "")]
-    yield columns([("label", "count", "share"), *listed[:MOST], *(more if len(listed) > MOST else [])])
+    rest = [(f"{len(listed) - MOST} more", sum(row[1] for row in listed[MOST:]), "")] if len(listed) > MOST else []
+    yield columns([("label", "count", "share"), *listed[:MOST], *rest])
     for name, text in NUMBERS.items():
         if name in data and np.isfinite(data[name].values).any():
             unit, size = told(data[name].attrs.get("units", ""), scales)

@@ -9,6 +9,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
+import jaxvibro as jv
+
 from ..output.atomic_write import refuse_folder, whole
 from ..output.checksums import netcdf
 from ..output.units import require_system
@@ -16,7 +18,6 @@ from ..scene.check import SceneError, host
 from ..scene.scales import require_scales
 from ..scene.scene_table import SceneTable
 from ..stores.engines import Engine, LocalEngine
-from ..stores.zarr_store import Store
 from . import map_report, report, scene_file
 from .compute import study
 from .csv_tables import asked_for, csv_tables
@@ -98,9 +99,9 @@ def run(
 
 
 def _store(out, name, engine):
-    """The store of a [map], whose folder is there."""
+    """The store of a [map], whose folder is there; what it needs is loaded for it alone."""
     out.mkdir(parents=True, exist_ok=True)
-    return Store(out / (name + STORE), engine or LocalEngine())
+    return jv.Store(out / (name + STORE), engine or LocalEngine())
 
 
 def _full(change):

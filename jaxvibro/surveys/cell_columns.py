@@ -2,23 +2,21 @@
 
 from collections.abc import Mapping
 
-import jax
 import numpy as np
 
+from ..attractors.sweep import MEANING
 from ..attractors.tangent import LAPS
 from ..compiled.compiler_hints import WIDTH
-from ..maps.long_run import padded
+from ..maps.long_run import padded, some
 from ..maps.wall_loads import COLUMNS as LOADS
 from ..maps.wall_loads import wall_loads
 from ..output import label_codes
 from ..output.units import LENGTH, SPEED
 from ..scene import check
-from ..scene.codes import Status
 from ..stores.study import Column
 from .motions import CHAOTIC, UNDECIDED, Motions
 
 MOST = 8  # attractors of a cell that are told, the largest shares first
-STATUS = {"flag_values": [int(one) for one in Status], "flag_meanings": " ".join(one.word for one in Status)}
 RATE = {"units": "per drive period"}
 LABEL, STATUS_OF, PERIOD, ATTRACTORS = "label", "status", "period", "attractors"
 NAMES = (LABEL, PERIOD, "exponent", "state", "loads", ATTRACTORS)
@@ -44,7 +42,7 @@ def columns(scene, quantities, carried, starts) -> Mapping[str, Column]:
     real = np.dtype(scene.dtype)
     found = {
         LABEL: Column(np.dtype(np.int32), label_codes.NOT_DONE, {"long_name": label_codes.RULE}, each),
-        STATUS_OF: Column(np.dtype(np.int8), -1, {"long_name": "worst status, -1 not done", **STATUS}, more),
+        STATUS_OF: Column(np.dtype(np.int8), -1, {"long_name": "worst status, -1 not done", **MEANING}, more),
     }
     if starts:
         found["share"] = Column(real, np.nan, {"long_name": "share of the starts", "units": "1"}, each)
@@ -86,24 +84,17 @@ def of_motions(scene, found: Motions, asked: Mapping[str, Column]) -> dict[str, 
     return {name: each for name, each in columns.items() if name in asked}
 
 
-def some(scene, found: Motions, lanes):
+def of_lanes(scene, found: Motions, lanes):
     """(the scene, the motions) of some of the lanes, those of one again where it is asked for again."""
-    state, hits, points = _at(found.state, lanes), found.hits[:, lanes], found.points[:, lanes]
+    state, hits, points = some(found.state, lanes), found.hits[:, lanes], found.points[:, lanes]
     flat = {name: getattr(found, name)[lanes] for name in ("status", "periods", "endless", "exponent", "error")}
-    return _at(scene, lanes), Motions(state=state, hits=hits, points=points, **flat)
-
-
-def _at(tree, lanes):
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[lanes] if np.ndim(leaf) else leaf, tree)
+    return some(scene, lanes), Motions(state=state, hits=hits, points=points, **flat)
 
 
 def labels(found: Motions):
     """The codes of the motions' labels, (lanes,)."""
-    left, right = (
-        np.where(found.endless & bit, label_codes.ENDLESS, np.minimum(hits, label_codes.ENDLESS - 1))
-        for bit, hits in zip((1, 2), found.hits, strict=True)
-    )
-    orbit = label_codes.PERIODS * found.periods + label_codes.LEFT * left + right
+    left, right = found.hits
+    orbit = label_codes.codes(found.periods, left, right, found.endless)
     other = np.where(found.periods == CHAOTIC, label_codes.CHAOTIC, label_codes.UNDECIDED)
     return np.where(found.periods > 0, orbit, other).astype(np.int32)
 
@@ -116,8 +107,8 @@ def _loads(scene, found):
     for n in np.unique(periods[periods > 0]).tolist():
         lanes = np.flatnonzero(periods == n)
         for first in range(0, len(lanes), WIDTH):
-            some = lanes[first : first + WIDTH]
-            loads = wall_loads(*padded(_at((scene, found.state), some), 0, WIDTH), n)
+            block = lanes[first : first + WIDTH]
+            loads = wall_loads(*padded(some((scene, found.state), block), 0, WIDTH), n)
             for name, column in columns.items():
-                column[some] = loads[name].values[: len(some)]
+                column[block] = loads[name].values[: len(block)]
     return columns

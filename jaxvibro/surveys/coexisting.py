@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..orbits.orbit_comparison import is_same_set
+from ..stores.study import blank
 from . import cell_columns
 from .motions import CHAOTIC, UNDECIDED, Motions
 
@@ -10,7 +11,7 @@ from .motions import CHAOTIC, UNDECIDED, Motions
 def of_starts(scene, found: Motions, starts: int, asked) -> dict[str, np.ndarray]:
     """{name: numbers}, the cells first, from the motions of so many starts of each cell, one after the other."""
     cells, codes = len(found.periods) // starts, cell_columns.labels(found)
-    columns = {name: np.full((cells, *(one.more.values())), one.blank, one.dtype) for name, one in asked.items()}
+    columns = blank(asked, (cells,))
     told: list[tuple[int, int, int]] = []  # cell, place, lane of each attractor that is told
     columns["label"][:], columns["share"][:] = 0, 0.0
     for cell in range(cells):
@@ -25,7 +26,7 @@ def of_starts(scene, found: Motions, starts: int, asked) -> dict[str, np.ndarray
             told.append((cell, place, group[0]))
     if told:
         cell, place, lane = np.array(told).T
-        here, these = cell_columns.some(scene, found, lane)
+        here, these = cell_columns.of_lanes(scene, found, lane)
         own = cell_columns.of_motions(here, these, asked)
         for name, each in own.items():
             if name != "status":

@@ -22,7 +22,7 @@ from ..attractors.recurrence import returns, settled_periods
 from ..attractors.tangent import LAPS, TangentLanes, begin, run, worse, worse_on_host
 from ..compiled.compiler_hints import OPTIONS, WIDTH
 from ..maps.initial_conditions import box
-from ..maps.long_run import padded
+from ..maps.long_run import padded, some
 from ..maps.rests import rests
 from ..maps.strobe import strobe
 from ..scene.check import MOST_PERIODS
@@ -99,10 +99,10 @@ def _run_on(scene, state, periods):
 
 def _look(scene, found, lanes, settle, patience):
     """Runs lanes on until they recur or patience ends, and puts into `found` what is seen of them."""
-    here, passed = _some(scene, lanes), settle
+    here, passed = some(scene, lanes), settle
     if not len(lanes):
         return
-    now, laps = run(here, begin(_some(found.state, lanes)), LAPS)
+    now, laps = run(here, begin(some(found.state, lanes)), LAPS)
     scale, status = _scale(here, laps), laps.status
     before, passed, growth = _returns(laps.points, scale), passed + LAPS, []
     while len(lanes):
@@ -115,7 +115,7 @@ def _look(scene, found, lanes, settle, patience):
         periods = settled_periods(back, before, LAPS, scale, scene.dtype)
         ended = (status >= Status.CAP) | (periods > 0) | (passed >= patience)
         well = (periods > 0) & (status < Status.CAP)
-        _put(found, lanes[ended], _ends(now, ended), status[ended])
+        _put(found, lanes[ended], some(now, ended), status[ended])
         found.points[:, lanes[ended]] = np.roll(found.points[:, lanes[ended]], -turn - LAPS, axis=0)
         _orbits(scene, found, lanes[well], periods[well], laps, np.flatnonzero(well))
         _chaos(found, lanes, np.flatnonzero(ended & ~well & (status < Status.CAP)), growth)
@@ -123,12 +123,12 @@ def _look(scene, found, lanes, settle, patience):
         order = order[np.argsort(laps.count[:, order].sum(axis=0), kind="stable")]
         lanes, here, scale, status, before = (
             lanes[order],
-            _some(here, order),
+            some(here, order),
             scale[order],
             status[order],
             back[:, order],
         )
-        now, growth = _ends(now, order), [part[order] for part in growth]
+        now, growth = some(now, order), [part[order] for part in growth]
 
 
 def _returns(points, scale):
@@ -138,15 +138,6 @@ def _returns(points, scale):
     found = np.full((MOST_PERIODS, points.shape[1]), np.inf)
     found[:, near] = returns(points[:, near])
     return found
-
-
-def _some(tree, chosen):
-    """The tree of some lanes; a number that all lanes share stays one."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[chosen] if np.ndim(leaf) else np.asarray(leaf), tree)
-
-
-def _ends(lanes, chosen):
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[chosen], lanes)
 
 
 def _scale(scene, laps):
@@ -165,16 +156,16 @@ def _put(found, lanes, ends: TangentLanes, status):
 def _orbits(scene, found, lanes, periods, laps, places):
     """Puts periodic orbits into `found`, those that draw in; places: of the lanes among those of the laps."""
     for n in np.unique(periods).tolist():
-        some = periods == n
-        here, at = lanes[some], places[some]
-        rates = of_orbits(_some(scene, here), _some(found.state, here), periods[some])
+        alike = periods == n
+        here, at = lanes[alike], places[alike]
+        rates = of_orbits(some(scene, here), some(found.state, here), periods[alike])
         found.hits[:, here] = [np.rint(each[-n:, at].sum(axis=0)) for each in (laps.left, laps.right)]
         found.exponent[here] = [one.exponent[0] for one in rates]
         found.error[here] = [one.error[0] for one in rates]
         good = np.array([not (np.isnan(one.exponent[0]) or one.repels) for one in rates])
         found.periods[here[good]] = n
     for lane in lanes[np.isneginf(found.exponent[lanes])].tolist():
-        one = _some(scene, lane), jax.tree.map(lambda leaf, lane=lane: leaf[lane], found.state)
+        one = some(scene, lane), jax.tree.map(lambda leaf, lane=lane: leaf[lane], found.state)
         letters = rests(*one, int(found.periods[lane])).endless if found.periods[lane] > 0 else ""
         found.endless[lane] = ("L" in letters) + 2 * ("R" in letters)
 

@@ -9,7 +9,7 @@ from jaxtyping import Float
 
 from ..attractors import free_and_mirrored
 from ..attractors.classify import Evidence, chaotic, periodic, read_set, roam
-from ..attractors.transients import orbit_of, settle_lanes
+from ..attractors.transients import is_turned, orbit_of, settle_lanes
 from ..compiled.compiler_hints import WIDTH
 from ..flight.wall_positions import fit
 from ..maps.initial_conditions import box
@@ -163,11 +163,6 @@ def _among_orbits(seen, points, scale):
         if one.numbers["periods"] == len(points) and is_turned(points, known, near):
             return place
     return -1
-
-
-def is_turned(points, others, near):
-    """Whether points of an orbit (periods, 2) are others, begun anywhere along it."""
-    return any(abs(np.roll(points, k, axis=0) - others).max() <= near for k in range(len(points)))
 
 
 def _among(seen, one):
