@@ -3,8 +3,9 @@ devices SIDE | workers SIDE`.
 
 map: (omega, A) of figure 4, SIDE x SIDE cells, label and exponent, kept in FOLDER/map.zarr: time and memory. cells: so
 many of them against single runs by `spectrum`. basins: figure 5's, 1e5 to 1e8 starts: what it takes, the slope of the
-cost, set-up taken off and printed. devices: two against one of jax's local devices, in processes of their own; workers:
-two Dask workers against one; in turn, medians.
+cost, set-up taken off and printed. devices: two of jax's local devices, as many threads as is usual, against one and
+its thread, and, as what the machine itself allows, two processes at once against one; workers: two Dask workers
+against one; in turn, medians.
 """
 
 import os
@@ -117,7 +118,8 @@ import jaxvibro as jv
 from tests.map_proof import figure_4, grid
 if __name__ == "__main__":
     kind, count, side = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
-    engine = jv.LocalEngine(count, count) if kind == "devices" else jv.DaskEngine(workers=count)
+    local = jv.LocalEngine(None if count == 2 else 1, count)
+    engine = jv.DaskEngine(workers=count) if kind == "workers" else local
     with tempfile.TemporaryDirectory() as folder:
         seen = []
         store = jv.Store(folder + "/map", engine)
@@ -130,23 +132,32 @@ if __name__ == "__main__":
 
 def ratio(kind, side):
     """How much faster two are than one: seconds of the cells after the first chunks, in turn."""
-    known = {1: [], 2: []}
+    known = {1: [], 2: [], "apart": []}
     for _ in range(ROUNDS):
         for count in (1, 2):
-            flags = f"--xla_force_host_platform_device_count={count}" if kind == "devices" else ""
-            env = {**os.environ, "PYTHONPATH": str(ROOT), "XLA_FLAGS": flags}
-            script = ROOT / "out" / "engines.py"
-            script.parent.mkdir(exist_ok=True)
-            script.write_text(ONE)
-            told = subprocess.run(
-                [sys.executable, str(script), kind, str(count), str(side)], env=env, capture_output=True, text=True
-            )
-            known[count].append(float(told.stdout.split()[-1]))
+            known[count].append(seconds_of(begun(kind, count, side)))
             print(kind, count, f"{known[count][-1]:.2f} s", flush=True)
-    one, two = (np.array(known[count]) for count in (1, 2))
-    print(
-        f"two {kind} against one: {np.median(one) / np.median(two):.2f} ({min(one / two):.2f} to {max(one / two):.2f})"
-    )
+        both = [begun(kind, 1, side) for _ in range(2)]
+        known["apart"].append(np.mean([seconds_of(one) for one in both]) / 2.0)
+    one, two, apart = (np.array(known[count]) for count in known)
+    for name, other in ((f"two {kind}", two), ("two processes at once", apart)):
+        ratios = one / other
+        print(f"{name} against one: {np.median(ratios):.2f} ({min(ratios):.2f} to {max(ratios):.2f})")
+
+
+def begun(kind, count, side):
+    """A process that works a map out."""
+    flags = f"--xla_force_host_platform_device_count={count}" if kind == "devices" else ""
+    env = {**os.environ, "PYTHONPATH": str(ROOT), "XLA_FLAGS": flags}
+    script = ROOT / "out" / "engines.py"
+    script.parent.mkdir(exist_ok=True)
+    script.write_text(ONE)
+    told = [sys.executable, str(script), kind, str(count), str(side)]
+    return subprocess.Popen(told, env=env, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+
+
+def seconds_of(process):
+    return float(process.communicate()[0].split()[-1])
 
 
 if __name__ == "__main__":

@@ -89,7 +89,8 @@ def test_long_runs(walls):
             lowered(run, wide[0], wide[1], 0.0, 2, 1)
         unit = np.ones_like(LANES.x)
         lanes = tangent.TangentLanes(LANES, unit, 0.0 * unit)
-        lowered(lambda lanes: tangent._run.__wrapped__(one, lanes, 2), lanes)
+        lanes = long_run.padded(lanes, 0, tangent.STRIP * compiler_hints.WIDTH)
+        lowered(lambda lanes: tangent._run.__wrapped__(one, lanes, 2, 2), lanes)
 
 
 def _single():

@@ -7,7 +7,7 @@ it gives the second multiplier, however much smaller than the first. Within a so
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import ArrayLike, Bool, Float, Int
 
 from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES
@@ -19,28 +19,28 @@ ROUNDS = 5  # of Newton's method on the strobe: the last two are rounding apart
 
 
 class Rates(NamedTuple):
-    """What is known of one motion. exponent, error: (2,), a period, the larger first; impacts: a period, of all, left,
-    right, (3,); within: the time within each wall, a period, left, right, (2,); periods: of the orbit, 0 for none;
-    status: see `tangent.run`; count: periods averaged."""
+    """What is known of one motion, or of many, lanes first. exponent, error: (2,), a period, the larger first; impacts:
+    a period, of all, left, right, (3,); within: the time within each wall, a period, left, right, (2,); periods: of the
+    orbit, 0 for none; status: see `tangent.run`; count: periods averaged."""
 
-    exponent: Float[np.ndarray, "2"]
-    error: Float[np.ndarray, "2"]
-    impacts: Float[np.ndarray, "3"]
-    within: Float[np.ndarray, "2"]
-    periods: int
-    status: int
-    count: int  # type: ignore[assignment]  # hides tuple's method
+    exponent: Float[np.ndarray, "*lanes 2"]
+    error: Float[np.ndarray, "*lanes 2"]
+    impacts: Float[np.ndarray, "*lanes 3"]
+    within: Float[np.ndarray, "*lanes 2"]
+    periods: Int[ArrayLike, " *lanes"]
+    status: Int[ArrayLike, " *lanes"]
+    count: Int[ArrayLike, " *lanes"]  # type: ignore[assignment]  # hides tuple's method
 
     @property
-    def repels(self) -> bool:
+    def repels(self) -> Bool[ArrayLike, " *lanes"]:
         """Whether motions near it certainly leave it."""
-        return bool(self.exponent[0] > NEUTRAL)
+        return self.exponent[..., 0] > NEUTRAL
 
 
 def lost(status):
     """The `Rates` of a motion that has none."""
     none = np.full(2, np.nan)
-    return Rates(none, none, np.full(3, np.nan), none, 0, int(status), 0)
+    return Rates(none, none, np.full(3, np.nan), none, *np.array([0, status, 0]))
 
 
 def areas(scene, laps):
@@ -72,7 +72,7 @@ def shrinkage(scene, left, right, count, area):
 
 
 def of_orbits(scene, state, periods):
-    """A list of `Rates`, of the periodic orbits that states are near to.
+    """`Rates` of the periodic orbits that states are near to, (lanes,).
 
     scene: a single one or a lane of a batch each; state: leaves (lanes,); periods: of the orbits, (lanes,), at most
     LAPS. Newton's method on the strobe brings the states to rounding; the best of its steps gives the exponents, how
@@ -90,9 +90,9 @@ def of_orbits(scene, state, periods):
         seen.append((away, logs / periods[:, None], np.stack([hits, left, right, *within], -1), laps.status))
         state = _nearer(state, matrix, size, off)
     away, logs, hits, status = map(np.stack, zip(*seen, strict=True))
-    order = np.argsort(away, axis=0, kind="stable")[:2]
-    lanes = zip(range(len(periods)), order.T, periods.tolist(), strict=True)
-    return [_told(logs[two, k], hits[two[0], k] / n, int(status[two[0], k]), n) for k, two, n in lanes]
+    best, second = np.argsort(away, axis=0, kind="stable")[:2]
+    lane = np.arange(len(periods))
+    return _told(logs[best, lane], logs[second, lane], hits[best, lane], status[best, lane], periods)
 
 
 def _until(rows, periods):
@@ -139,11 +139,12 @@ def _nearer(state, matrix, size, off):
     return State(state.x + x, state.v + v, state.phase, np.where(good, 0.0, state.contact).astype(off.dtype))
 
 
-def _told(rates, counts, status, periods):
+def _told(rates, second, hits, status, periods):
     """`Rates` from the exponents of the best and of the second best step."""
-    if np.isnan(rates[0]).any() or np.isposinf(rates[0]).any() or status >= Status.CAP:
-        return lost(status or Status.NONFINITE)
+    bad = (np.isnan(rates) | np.isposinf(rates)).any(axis=1) | (status >= Status.CAP)
     with np.errstate(invalid="ignore"):
-        apart = abs(rates[0] - rates[1]) + 4.0 * np.finfo(rates.dtype).eps * abs(rates[0])
-    error = np.where(np.isneginf(rates[0]), 0.0, np.where(np.isnan(apart), np.inf, apart))
-    return Rates(rates[0], error, counts[:3], counts[3:], periods, status, periods)
+        apart = abs(rates - second) + 4.0 * np.finfo(rates.dtype).eps * abs(rates)
+    error = np.where(np.isneginf(rates), 0.0, np.where(np.isnan(apart), np.inf, apart))
+    rates, error, hits = (np.where(bad[:, None], np.nan, each) for each in (rates, error, hits / periods[:, None]))
+    periods, status = np.where(bad, 0, periods), np.where(bad & (status == 0), Status.NONFINITE, status)
+    return Rates(rates, error, hits[:, :3], hits[:, 3:], periods, status, periods)

@@ -42,7 +42,9 @@ def settled_periods(now, before, passed, scale, dtype):
     settled = still | (remaining(now, before, passed) <= near)
     first = np.where(settled.any(axis=0), settled.argmax(axis=0) + 1, 0)
     recurs = now <= 10.0 * near
-    return np.array([_least_divisor(n, recurs[:, lane]) for lane, n in enumerate(first)], dtype=int)
+    for lane in np.flatnonzero(first):
+        first[lane] = _least_divisor(first[lane], recurs[:, lane])
+    return first
 
 
 def _least_divisor(n, recurs):

@@ -167,7 +167,8 @@ def _in_order(pool, function, items):
 
 def _orbits(pool, orbits, index):
     """{value: `Rates`} of those that are on a periodic orbit which does not repel."""
-    rates = [one for block in _in_blocks(pool, orbits, np.array(index, int)) for one in block]
+    blocks = _in_blocks(pool, orbits, np.array(index, int))
+    rates = [some(block, k) for block in blocks for k in range(len(block.periods))]
     return {k: one for k, one in zip(index, rates, strict=True) if not one.repels}
 
 

@@ -25,6 +25,7 @@ from ..scene.scene import SIDES
 from ..scene.state import State
 
 LAPS = 64  # periods recorded, of however many are run
+STRIP = 4  # blocks of a call: what the host does about each call would keep other threads waiting
 MATRIX = slice(6, 10)  # of the numbers recorded of a period
 
 
@@ -81,13 +82,12 @@ def run(scene, lanes, periods):
     """(TangentLanes, Laps) so many periods later.
 
     scene: a single one or a lane of a batch each, which is compiled on its own; lanes: any number, run in blocks of
-    WIDTH; periods: whole number >= 1, no compilation of its own. The status of a lane is `Impacts.status`; FULL where a
-    period had more than `one_period.SLOTS` impacts, NONFINITE where the derivative is none, as at an impact without
-    speed.
+    WIDTH, STRIP of them a call; periods: whole number >= 1, no compilation of its own. The status of a lane is
+    `Impacts.status`; FULL where a period had more than `one_period.SLOTS` impacts, NONFINITE where the derivative is
+    none, as at an impact without speed.
     """
-    size = len(lanes.state.x)
-    blocks = [padded((scene, lanes), first, WIDTH) for first in range(0, size, WIDTH)]
-    runs = [_run(*block, periods) for block in blocks]
+    size, width = len(lanes.state.x), STRIP * WIDTH
+    runs = [_run(*padded((scene, lanes), first, width), size - first, periods) for first in range(0, size, width)]
     ends, rows, worst = jax.tree.map(_put_together, *runs)
     rows = rows[..., :size][:periods]
     if periods > LAPS:
@@ -100,12 +100,30 @@ def run(scene, lanes, periods):
 
 
 def _put_together(*parts):
-    """Lanes, the last axis, one block after the other; a copy costs, so a single block is left as it is."""
+    """Lanes, the last axis, one strip after the other; a copy costs, so a single strip is left as it is."""
     return np.asarray(parts[0]) if len(parts) == 1 else np.concatenate(parts, axis=-1)
 
 
 @persistent_jit(compiler_options=OPTIONS)
-def _run(scene, lanes, periods):
+def _run(scene, lanes, due, periods):
+    """As `_block`, of a strip's first so many lanes, all where it has fewer; 0 of the others."""
+    size, dtype = STRIP * WIDTH, lanes.state.x.dtype
+
+    def one(k, out):
+        def cut(leaf):
+            return lax.dynamic_slice_in_dim(leaf, k * WIDTH, WIDTH) if jnp.ndim(leaf) else leaf
+
+        def put(whole, part):
+            return lax.dynamic_update_slice_in_dim(whole, part, k * WIDTH, -1)
+
+        return jax.tree.map(put, out, _block(*jax.tree.map(cut, (scene, lanes)), periods))
+
+    rows = jnp.zeros((LAPS, MATRIX.stop + len(scene.soft_sides), size), dtype)
+    blank = jax.tree.map(jnp.zeros_like, lanes), rows, jnp.zeros(size, jnp.int32)
+    return lax.fori_loop(0, jnp.minimum(STRIP, -(-due // WIDTH)), one, blank)
+
+
+def _block(scene, lanes, periods):
     """(lanes, the last periods as a ring (LAPS, numbers, lanes): period i is row i modulo LAPS, the worst status)."""
     size = lanes.state.x.shape
 

@@ -58,14 +58,8 @@ def _blocks(scene, state, begun, periods, slots, width, lean, kept):
 
 def padded(lanes, first, width):
     """So many of a tree's lanes, the last one again where there are fewer; numbers that all share stay."""
-
-    def part(leaf):
-        if not np.shape(leaf):
-            return leaf
-        some = leaf[first : first + width]
-        return some if len(some) == width else np.pad(some, (0, width - len(some)), mode="edge")
-
-    return jax.tree.map(part, lanes)
+    places = np.arange(first, first + width)
+    return jax.tree.map(lambda leaf: np.asarray(leaf).take(places, 0, mode="clip") if np.ndim(leaf) else leaf, lanes)
 
 
 def some(tree, lanes):

@@ -34,7 +34,8 @@ class Engine(Protocol):
 class LocalEngine:
     """Works chunks out in this process, on all of jax's devices.
 
-    workers: chunks at a time; None: one for each device, on a processor one for each of its cores that may be used.
+    workers: chunks at a time; None: one for each device, on a processor three for every two of its cores that may be
+    used: while some wait for Python, which one thread at a time can run, others compute.
     devices: how many of jax's local devices take part, None for all. Raises ArgumentError for numbers that cannot be.
     """
 
@@ -49,7 +50,7 @@ class LocalEngine:
     def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
         """What work(number) returns for each of some numbers, as it comes in."""
         devices, double = jax.local_devices()[: self.devices], jax.config.read("jax_enable_x64")
-        workers = self.workers or max(len(devices), cores() if devices[0].platform == "cpu" else 1)
+        workers = self.workers or max(len(devices), 3 * cores() // 2 if devices[0].platform == "cpu" else 1)
         free: SimpleQueue = SimpleQueue()
         for device in islice(cycle(devices), workers):
             free.put(device if len(devices) > 1 else None)

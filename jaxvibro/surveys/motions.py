@@ -160,10 +160,8 @@ def _orbits(scene, found, lanes, periods, laps, places):
         here, at = lanes[alike], places[alike]
         rates = of_orbits(some(scene, here), some(found.state, here), periods[alike])
         found.hits[:, here] = [np.rint(each[-n:, at].sum(axis=0)) for each in (laps.left, laps.right)]
-        found.exponent[here] = [one.exponent[0] for one in rates]
-        found.error[here] = [one.error[0] for one in rates]
-        good = np.array([not (np.isnan(one.exponent[0]) or one.repels) for one in rates])
-        found.periods[here[good]] = n
+        found.exponent[here], found.error[here] = rates.exponent[:, 0], rates.error[:, 0]
+        found.periods[here[~(np.isnan(found.exponent[here]) | rates.repels)]] = n
     for lane in lanes[np.isneginf(found.exponent[lanes])].tolist():
         one = some(scene, lane), jax.tree.map(lambda leaf, lane=lane: leaf[lane], found.state)
         letters = rests(*one, int(found.periods[lane])).endless if found.periods[lane] > 0 else ""
