@@ -106,6 +106,7 @@ _HOMES = {
     "Progress": "stores.filling",
     "least_shock": "surveys.least_shock",
     "LeastShock": "surveys.least_shock",
+    "view": "explorer.view",
     "run": "studies.run",
     "show": "studies.show",
     "paper": "reproduction.run",

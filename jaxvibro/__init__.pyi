@@ -51,6 +51,7 @@ from .design.records import record_from_physical as record_from_physical
 from .design.search import Search as Search
 from .design.search import search as search
 from .design.sensitivity import sensitivity as sensitivity
+from .explorer.view import view as view
 from .loci.family import family as family
 from .loci.locus import Locus as Locus
 from .loci.locus import locus as locus

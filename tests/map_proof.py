@@ -124,7 +124,7 @@ if __name__ == "__main__":
         seen = []
         store = jv.Store(folder + "/map", engine)
         note = lambda one: seen.append((time.perf_counter(), one.done))
-        jv.map_parameters(figure_4(), grid(side), chunk=512, store=store, progress=note)
+        jv.map_parameters(figure_4(), grid(side), store=store, progress=note)
     (start, some), (end, whole) = seen[4], seen[-1]  # all workers have compiled by then
     print((end - start) / (whole - some) * whole)
 """

@@ -12,7 +12,7 @@ FILES = sorted(path for package in ("jaxvibro", "continuation") for path in (ROO
 # A file imports only from its own room and from those before it.
 ROOMS = [
     *("scene", "output", "compiled", "stores", "flight", "maps", "orbits", "attractors", "problem", "branches", "loci"),
-    *("design", "surveys", "plot", "studies", "reproduction"),
+    *("design", "surveys", "plot", "studies", "explorer", "reproduction"),
 ]
 FACE = ("plot", "reproduction")  # rooms whose own file names what stands in them
 

@@ -27,6 +27,7 @@ PAGES = {
     "design": "Design and fits",
     "plot": "Pictures: `jv.plot`",
     "studies": "Scene files and runs",
+    "explorer": "The explorer",
     "reproduction": "The paper, recomputed",
     "continuation": "The package `continuation`",
 }
@@ -42,6 +43,7 @@ RECORDS = {
     ),
     "loci": ("loci.locus.Codim2",),
     "studies": ("studies.run.Done", "studies.warm.Warmed"),
+    "explorer": ("explorer.view.View",),
     "reproduction": ("reproduction.run.Report", "reproduction.claim.Claim"),
 }
 

@@ -46,7 +46,7 @@ def curves(branch, variable):
     """The `Curves` of one variable of a branch. Raises ArgumentError for other variables."""
     if not isinstance(variable, str) or variable not in VARIABLES:
         raise check.ArgumentError("variable", f"must be one of {', '.join(VARIABLES)}", variable)
-    columns = _columns_of(branch, variable)
+    columns = columns_of(branch, variable)
     values, rows, stable = _lines(branch, variable, columns)
     pieces = tuple(
         Piece(values[first : last + 1], rows[first : last + 1], bool(stable[first])) for first, last in runs(stable)
@@ -81,7 +81,7 @@ def _lines(branch, variable, columns):
     )
 
 
-def _columns_of(branch, variable):
+def columns_of(branch, variable):
     """One variable at each point, shape (points, columns); nan where there is none."""
     data = branch.data
     if variable in ("x", "v"):

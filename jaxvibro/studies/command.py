@@ -5,6 +5,7 @@ import json
 import os
 import signal
 import sys
+import webbrowser
 
 import jaxvibro as jv
 
@@ -14,6 +15,7 @@ from . import jax_settings, scene_template
 
 BAD, INTERRUPTED = 2, 130
 LONGEST = 300  # characters of a complaint
+EXTRAS = {"distributed": "cluster", "cloudpickle": "cluster", "tornado": "view"}  # modules: what brings them
 MOST_WORKERS = 4  # of `paper`: each takes a gigabyte and more
 
 _RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
@@ -29,6 +31,9 @@ that move, and judges every claim by numbers. Writes DIR/report.html, DIR/report
 claims) and, where there are such, NAME.png and NAME.nc. What an earlier run has done is kept: an interrupted one goes
 on where it stopped."""
 _SHOW = """Shows a [map] that is kept, as far as it is done: prints its table and draws its picture."""
+_VIEW = """Shows a scene on a page in the browser: its branches, what is clicked, the attractor as sliders move. What
+the file asks for is looked at first; a scene file that the page gave is gone on with. The page is served to this
+machine alone, to whoever has the address that is printed; ends with Ctrl-C."""
 _WARM = """Asks of a scene what is asked first (a strobe, an orbit, its branch, those that leave it, loci), all of it
 compiled, so that later processes compile nothing for scenes with the same kinds of walls. It takes half a minute and
 more, a minute and more with soft walls; a session in Python finds what is kept with the settings that are printed."""
@@ -52,9 +57,9 @@ def main(arguments=None):
     try:
         given.does(given)
     except ModuleNotFoundError as error:
-        if error.name not in ("distributed", "cloudpickle"):
+        if error.name not in EXTRAS:
             raise
-        return _told(f"{error.name} is not installed: pip install 'jaxvibro[cluster]'", BAD)
+        return _told(f"{error.name} is not installed: pip install 'jaxvibro[{EXTRAS[error.name]}]'", BAD)
     except KeyboardInterrupt:
         return _told("interrupted", INTERRUPTED)
     except MemoryError:
@@ -111,6 +116,16 @@ def _parser():
     paper.add_argument("--workers", metavar="N", type=int, default=min(MOST_WORKERS, os.cpu_count() or 1), help=told)
     paper.set_defaults(does=_paper)
 
+    view = commands.add_parser("view", help="explore a scene in the browser", description=_VIEW, allow_abbrev=False)
+    view.add_argument("scene", metavar="SCENE", help="a scene file")
+    view.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET)
+    told = "of this machine's own, default: 127.0.0.1"
+    view.add_argument("--address", metavar="ADDRESS", default="127.0.0.1", help=told)
+    told = "default: the first free one of 8420 to 8439; the same one again lets a page of before go on"
+    view.add_argument("--port", metavar="N", type=int, help=told)
+    view.add_argument("--no-browser", action="store_true", help="print the address, and open nothing")
+    view.set_defaults(does=_view)
+
     warm = commands.add_parser("warm", help="fill the compile cache", description=_WARM, allow_abbrev=False)
     warm.add_argument("scene", metavar="SCENE", nargs="?", help="a scene file; default: the README's scene")
     warm.set_defaults(does=_warm)
@@ -151,6 +166,18 @@ def _show(given):
     for kind, path in (("picture", picture), ("data", given.data)):
         if path:
             print(f"{kind:8}{path}")
+
+
+def _view(given):
+    jax_settings.prepare()
+    page = _loaded("view")(given.scene, given.port, given.address, given.changes, jax_settings.token())
+    print(page.url, flush=True)
+    if not given.no_browser:
+        webbrowser.open(page.url)
+    try:
+        page.wait()
+    except KeyboardInterrupt:
+        page.stop()
 
 
 def _paper(given):

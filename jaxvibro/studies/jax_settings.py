@@ -7,8 +7,11 @@ own, one for each kind. Where there is no such folder the command runs without.
 import hashlib
 import os
 import platform
+import re
+import secrets
 import sys
 import warnings
+from contextlib import suppress
 from pathlib import Path
 
 NAMES = ("vendor_id", "model name", "flags", "Features", "CPU implementer", "CPU part")  # of /proc/cpuinfo
@@ -53,6 +56,24 @@ def folder():
     except (OSError, RuntimeError):
         return None
     return place if os.access(place, os.W_OK | os.X_OK) else None
+
+
+def token():
+    """What the address of the explorer's page must hold, the same each time, so that a page outlives its server; None
+    where there is no folder for it. None but the user can read it."""
+    place = folder()
+    if place is None:
+        return None
+    place = place.parent / "view.token"
+    with suppress(OSError):
+        descriptor = os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with open(descriptor, "w") as file:
+            file.write(secrets.token_urlsafe(32))
+    try:
+        found = place.read_text()
+    except (OSError, UnicodeDecodeError):
+        return None
+    return found if re.fullmatch(r"[\w-]{43}", found) else None
 
 
 def processor():

@@ -42,6 +42,7 @@ _KINDS = {
     "spectrum": schema.SpectrumTable,
     "spectrum.start": schema.StartTable,
     "basins": schema.BasinsTable,
+    "view": schema.ViewTable,
 }
 _WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
 
@@ -70,12 +71,17 @@ def read(path, changes=()):
     Raises SceneError and OSError as `load_scene` does.
     """
     path = Path(path)
+    return of_content(path.name, content(path), changes)
+
+
+def of_content(name, content, changes=()):
+    """The same of the bytes of a file of this name."""
     try:
-        found = parsed(path.name, content(path).decode("utf-8-sig"))
+        found = parsed(name, content.decode("utf-8-sig"))
     except ArgumentError:
         raise
     except (ValueError, RecursionError) as error:
-        raise SceneError(path.name, "must be a TOML file", str(error)) from None
+        raise SceneError(name, "must be a TOML file", str(error)) from None
     for change in changes:
         found = apply(found, change)
     return understood(found)

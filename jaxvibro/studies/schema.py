@@ -192,6 +192,15 @@ class MapTable(Table, frozen=True, kw_only=True):
         return {"grid": grid, "start": start, **{name: getattr(self, name) for name in alike}}
 
 
+class ViewTable(Table, frozen=True, kw_only=True):
+    """[[view]]: what was asked on the page of `jaxvibro view`, a table a line of Python, name = call(of, arguments)."""
+
+    name: Name
+    call: Name
+    of: str
+    arguments: dict[str, Any] = field(default_factory=dict)
+
+
 class SceneFile(Table, frozen=True):
     """All that a scene file says: the scene, and the studies that it asks for."""
 
@@ -208,6 +217,7 @@ class SceneFile(Table, frozen=True):
     spectrum: SpectrumTable | None = None
     basins: BasinsTable | None = None
     panels: dict[str, list[float]] = field(default_factory=dict)
+    view: Annotated[list[ViewTable], Meta(max_length=1000)] = field(default_factory=list)
 
     @property
     def followed(self) -> BranchTable | ExploreTable | None:
@@ -217,7 +227,7 @@ class SceneFile(Table, frozen=True):
     @property
     def is_map_alone(self) -> bool:
         """Whether a [map] is all that is asked for."""
-        others = (name for name in self.__struct_fields__ if name not in ("scene", "map", "panels"))
+        others = (name for name in self.__struct_fields__ if name not in ("scene", "map", "panels", "view"))
         return self.map is not None and not any(getattr(self, name) for name in others)
 
     @property

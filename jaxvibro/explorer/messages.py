@@ -1,0 +1,147 @@
+"""What a page may send: each message a record, read strictly."""
+
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from ..scene.check import ArgumentError, short
+
+Panel = Literal["diagram", "plane", "portrait", "trace"]
+Pair = tuple[float, float]
+Text = Annotated[str, Meta(max_length=200)]
+Count = Annotated[int, Meta(ge=1, le=100_000)]
+
+
+class Message(Struct, tag_field="do", forbid_unknown_fields=True, kw_only=True):
+    """A message; number: its own, told back once it has been seen to."""
+
+    number: int = 0
+
+    @property
+    def replaces(self) -> tuple[Any, ...] | None:
+        """Of two messages in a row with one key the later one alone counts; None: each counts."""
+        return None
+
+
+class Hello(Message, tag="hello"):
+    """The page is there; text: the scene file that it had of a server before, if any."""
+
+    text: str = ""
+
+
+class Resize(Message, tag="size"):
+    """A panel has another size, pixels of the page; ratio: pixels of the screen to one of them."""
+
+    panel: Panel
+    width: float
+    height: float
+    ratio: float = 1.0
+
+    @property
+    def replaces(self) -> tuple[Any, ...]:
+        return "size", self.panel
+
+
+class Zoom(Message, tag="zoom"):
+    """Other limits of a panel's axes, None: all of it."""
+
+    panel: Panel
+    x: Pair | None = None
+    y: Pair | None = None
+
+    @property
+    def replaces(self) -> tuple[Any, ...]:
+        return "zoom", self.panel
+
+
+class Pick(Message, tag="pick"):
+    """A click into the diagram, or into the plane of two parameters: the nearest point there."""
+
+    panel: Literal["diagram", "plane"]
+    x: float
+    y: float
+
+    @property
+    def replaces(self) -> tuple[Any, ...]:
+        return "pick", self.panel
+
+
+class Begin(Message, tag="start"):
+    """A new start: position and velocity at phase 0."""
+
+    x: float
+    v: float
+
+    @property
+    def replaces(self) -> tuple[Any, ...]:
+        return ("start",)
+
+
+class Put(Message, tag="set"):
+    """A number of the scene; last: the slider has been let go of."""
+
+    name: Text
+    value: float
+    last: bool = True
+
+    @property
+    def replaces(self) -> tuple[Any, ...]:
+        return "set", self.name
+
+
+class Choose(Message, tag="choose"):
+    """A special point, an orbit or a line, by its reference."""
+
+    of: Text
+
+
+class Move(Message, tag="move"):
+    """Along the branch by so many points; branch: to another branch, so many on."""
+
+    by: int = 0
+    branch: int = 0
+
+
+class Along(Message, tag="along"):
+    """The parameter of the diagram and its range, and the second one of the plane; variable: what is drawn."""
+
+    parameter: Text
+    bounds: Pair
+    second: Text
+    second_bounds: Pair
+    variable: Text
+
+
+class Ask(Message, tag="ask"):
+    """A call on what is chosen. count: of a grid's side, or of a sweep's values; max_period: of `explore`."""
+
+    call: Literal["follow", "switch", "explore", "locus", "margin", "basins", "map", "sweep", "attractors"]
+    count: Count = 128
+    max_period: Annotated[int, Meta(ge=1, le=32)] = 2
+
+
+class Stop(Message, tag="stop"):
+    """Ends the long work."""
+
+
+class Undo(Message, tag="undo"):
+    """Takes the last thing that was asked back."""
+
+
+class Load(Message, tag="load"):
+    """A scene file's text in place of all that is there."""
+
+    text: str
+
+
+Sent = Hello | Resize | Zoom | Pick | Begin | Put | Choose | Move | Along | Ask | Stop | Undo | Load
+_decoder = msgspec.json.Decoder(Sent)
+
+
+def read(text: str | bytes) -> Sent:
+    """The message of a text. Raises ArgumentError for what is none."""
+    try:
+        return _decoder.decode(text)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+        raise ArgumentError("message", f"must be one that the page knows ({short(error)})", short(text)) from None

@@ -1,0 +1,150 @@
+"""The pictures of the page, by `jv.plot`: each a PNG, and where its axes lie in it."""
+
+import base64
+import io
+import threading
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import xarray as xr
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from .. import plot
+from ..branches.branch import Branch
+from ..design.margin import Margin
+from ..loci.locus import Locus
+from ..maps.simulate import simulate
+from ..orbits.orbit import Orbit
+from ..plot.style import VARIABLES, label
+from ..scene.scene import Scene
+
+DPI = 100
+LEAST, MOST = 120, 4000  # pixels of a side
+SAMPLES = 200  # of a drive period
+AT_MOST = 12  # entries of a legend
+MARGINS = {"left": 62, "right": 12, "bottom": 46, "top": 24}  # pixels at a ratio of 1
+_drawing = threading.Lock()  # matplotlib reads formulas in one thread at a time
+
+
+class Size(NamedTuple):
+    """Of a panel: width and height in pixels of the page, and how many pixels of the screen one of them is."""
+
+    width: float
+    height: float
+    ratio: float
+
+
+class Limits(NamedTuple):
+    """Of the axes of a panel, None: as the picture has them."""
+
+    x: tuple[float, float] | None = None
+    y: tuple[float, float] | None = None
+
+
+def picture(draw: Any, size: Size, limits: Limits) -> dict[str, Any]:
+    """What the page is told of a panel: png, a text; box, the axes' left, top, width and height as parts of the
+    picture's; x, y: their limits. draw: is given the Axes."""
+    ratio = min(max(size.ratio, 0.5), 4.0)
+    width, height = (min(max(side, LEAST), MOST / ratio) for side in (size.width, size.height))
+    with _drawing:
+        figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI * ratio)
+        canvas = FigureCanvasAgg(figure)
+        left, right = MARGINS["left"] / width, 1.0 - MARGINS["right"] / width
+        bottom, top = MARGINS["bottom"] / height, 1.0 - MARGINS["top"] / height
+        ax = figure.add_axes((left, bottom, right - left, top - bottom))
+        draw(ax)
+        if limits.x is not None:
+            ax.set_xlim(limits.x)
+        if limits.y is not None:
+            ax.set_ylim(limits.y)
+        content = io.BytesIO()
+        canvas.print_png(content, pil_kwargs={"compress_level": 1})
+        box = ax.get_position()
+        found = {
+            "box": [box.x0, 1.0 - box.y1, box.width, box.height],
+            "x": list(map(float, ax.get_xlim())),
+            "y": list(map(float, ax.get_ylim())),
+        }
+    return {"png": base64.b64encode(content.getvalue()).decode(), **found}
+
+
+def exported(draw: Any, limits: Limits, kind: str) -> bytes:
+    """The picture as a file of a kind: "png", "svg" or "pdf"."""
+    with _drawing:
+        figure = Figure(figsize=(7.0, 5.0), dpi=200, layout="constrained")
+        FigureCanvasAgg(figure)
+        ax = figure.add_subplot()
+        draw(ax)
+        if limits.x is not None:
+            ax.set_xlim(limits.x)
+        if limits.y is not None:
+            ax.set_ylim(limits.y)
+        content = io.BytesIO()
+        figure.savefig(content, format=kind)
+    return content.getvalue()
+
+
+def diagram(
+    ax: Axes,
+    branches: Sequence[Branch],
+    swept: Sequence[xr.Dataset],
+    name: str,
+    bounds: Sequence[float],
+    variable: str,
+) -> None:
+    """Branches along a parameter, over what was swept."""
+    for one in swept if variable in ("x", "v") else ():
+        plot.diagram(one, variable, ax, faint=bool(branches))
+    for curve in branches:
+        plot.branch(curve, variable, ax)
+    if not branches:
+        ax.set(xlabel=label(name), ylabel=VARIABLES[variable])
+    ax.set_xlim(*bounds)
+    _legend(ax)
+
+
+def plane(
+    ax: Axes,
+    loci: Sequence[Locus],
+    mapped: xr.Dataset | None,
+    near: Margin | None,
+    names: Sequence[str],
+    bounds: Sequence[Sequence[float]],
+) -> None:
+    """Loci in two parameters, over a map."""
+    if mapped is not None:
+        plot.map(mapped, ax, legend=False)
+    for one in loci:
+        plot.locus(one, ax)
+    if near is not None:
+        plot.margin(near, ax)
+    if not loci and mapped is None and near is None:
+        ax.set(xlabel=label(names[0]), ylabel=label(names[1]))
+    ax.set_xlim(*bounds[0])
+    ax.set_ylim(*bounds[1])
+    _legend(ax)
+
+
+def portrait(ax: Axes, one: Orbit | xr.Dataset, scene: Scene, stable: bool, basins: xr.Dataset | None) -> None:
+    """An orbit, or a motion that is none, in the phase plane, over basins."""
+    if basins is not None:
+        plot.basins(basins, ax, legend=False)
+    plot.portrait(motion_of(one), scene, ax, stable)
+
+
+def trace(ax: Axes, one: Orbit | xr.Dataset, scene: Scene) -> None:
+    """The same against time."""
+    plot.trace(motion_of(one), scene, ax)
+
+
+def motion_of(one: Orbit | xr.Dataset) -> xr.Dataset:
+    """The trajectory that is drawn."""
+    return simulate(one.scene, one.state, one.periods, SAMPLES) if isinstance(one, Orbit) else one
+
+
+def _legend(ax):
+    handles, labels = ax.get_legend_handles_labels()
+    if labels:
+        ax.legend(handles[:AT_MOST], labels[:AT_MOST], frameon=False, fontsize="x-small", loc="best")

@@ -1,0 +1,103 @@
+"""What a page has on its screen: the sizes and limits of its panels, and which pictures are there already."""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..branches.branch import Branch, Special
+from ..branches.curves import columns_of
+from ..orbits.orbit import Orbit
+from . import panels, shown
+from .lines import resolved
+from .panels import Limits, Size
+from .shown import Shown
+
+ORDER = ("portrait", "trace", "diagram", "plane")
+FAST = ("portrait",)  # drawn while a slider moves
+
+
+class Screen:
+    """The panels of one page."""
+
+    def __init__(self) -> None:
+        self.sizes: dict[str, Size] = {}
+        self.limits: dict[str, Limits] = {}
+        self.boxes: dict[str, tuple[list[float], list[float]]] = {}
+        self.drawn: dict[str, Any] = {}
+
+    def forget(self) -> None:
+        """All is to be drawn anew."""
+        self.limits.clear()
+        self.drawn.clear()
+
+    def box(self, panel: str, now: Shown) -> tuple[Any, Any]:
+        """The limits of a panel's axes, across and up; before it has been drawn what is asked for."""
+        return self.boxes.get(panel, (now.bounds, now.second_bounds))
+
+    def pictures(self, now: Shown, results: Mapping[str, Any], fast: bool) -> list[dict[str, Any]]:
+        """What the page is to be told of the panels that are to look otherwise. fast: of the portrait alone."""
+        found = []
+        for panel in FAST if fast else ORDER:
+            if panel not in self.sizes:
+                continue
+            parts = parts_of(panel, now, results)
+            limits = self.limits.get(panel, Limits())
+            key = parts and (*map(_key, parts), self.sizes[panel], limits)
+            if parts is None or key == self.drawn.get(panel):
+                continue
+            told = panels.picture(
+                lambda ax, parts=parts, panel=panel: DRAW[panel](ax, *parts), self.sizes[panel], limits
+            )
+            self.boxes[panel], self.drawn[panel] = (told["x"], told["y"]), key
+            found.append({"kind": "picture", "panel": panel, **told})
+        return found
+
+
+DRAW: dict[str, Callable[..., None]] = {
+    "portrait": panels.portrait,
+    "trace": panels.trace,
+    "diagram": panels.diagram,
+    "plane": panels.plane,
+}
+
+
+def parts_of(panel: str, now: Shown, results: Mapping[str, Any]) -> tuple[Any, ...] | None:
+    """What a panel's picture is made of, None where there is nothing to draw."""
+    if panel == "diagram":
+        curves = tuple(one for _, one in shown.branches(now, results))
+        return curves, tuple(shown.swept(now, results)), now.parameter, now.bounds, now.variable
+    if panel == "plane":
+        loci = tuple(one for _, one in shown.loci(now, results))
+        names, bounds = (now.parameter, now.second), (now.bounds, now.second_bounds)
+        return loci, shown.mapped(now, results), shown.near(now, results), names, bounds
+    one = results.get(now.current)
+    if one is None:
+        return None
+    scene = one.scene if isinstance(one, Orbit) else results[now.scene]
+    if panel == "trace":
+        return one, scene
+    return one, scene, isinstance(one, Orbit) and one.stable, shown.latest(now, results, "basins")
+
+
+def marks(now: Shown, results: Mapping[str, Any]) -> dict[str, list[list[float]]]:
+    """Where in the diagram and in the plane what is shown lies: {panel: [[across, up], ...]}."""
+    scene, one = results[now.scene], results.get(now.current)
+    here = [float(scene.parameter(name)) for name in (now.parameter, now.second)]
+    chosen = resolved(now.chosen, results) if now.chosen else None
+    up: list[float] = []
+    if isinstance(chosen, Special):
+        curve = resolved(now.chosen.rpartition(".special")[0], results)
+        up = columns_of(curve, now.variable)[chosen.place].tolist()
+    elif isinstance(chosen, Branch) and now.place is not None:
+        up = columns_of(chosen, now.variable)[now.place].tolist()
+    elif isinstance(one, Orbit) and now.variable in ("x", "v") and not one.state.phase:
+        up = [float(getattr(one.state, now.variable))]
+    return {"diagram": [[here[0], each] for each in up if np.isfinite(each)], "plane": [here]}
+
+
+def _key(part):
+    """Equal where a part would be drawn alike: results are never changed."""
+    if isinstance(part, tuple):
+        return tuple(map(_key, part))
+    return part if isinstance(part, str | float | int | bool | None) else id(part)

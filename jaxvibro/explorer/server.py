@@ -1,0 +1,275 @@
+"""The page's server: HTTP and a socket on this machine alone, for whoever has the token."""
+
+import asyncio
+import hmac
+import ipaddress
+import json
+import queue
+import secrets
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import jax
+import numpy as np
+from tornado import httpserver, netutil, web, websocket
+
+from ..scene.check import ArgumentError, short
+from ..scene.scene import Scene
+from ..studies.schema import SceneFile
+from ..studies.text_limits import LARGEST
+from . import files, messages
+from .page_text import program, text_of
+from .session import Session
+
+PAGE = Path(__file__).with_name("page")
+PORTS = range(8420, 8440)
+MOST_WAITING = 500  # messages of a page
+MOST_PAGES = 16
+HEADERS = {
+    "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
+    "frame-ancestors 'self' http://localhost:* http://127.0.0.1:*",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "Cache-Control": "no-store",
+}
+
+
+def is_loopback(host: str) -> bool:
+    """Whether a host's name or address is this machine's own."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False
+
+
+class Line:
+    """A thread of a page's own, which sees to its messages in turn: of several that replace each other the last."""
+
+    def __init__(self, double: bool) -> None:
+        self._waiting: queue.SimpleQueue = queue.SimpleQueue()
+        self._double = double
+        self._held: list[tuple[Callable[[], None] | None, Any]] = []
+        threading.Thread(target=self._run, daemon=True).start()
+
+    def add(self, does: Callable[[], None] | None, replaces: Any = None) -> bool:
+        """Sees to something when its turn comes; None: ends. Whether there was room for it."""
+        if does is not None and self._waiting.qsize() > MOST_WAITING:
+            return False
+        self._waiting.put((does, replaces))
+        return True
+
+    def _run(self) -> None:
+        with jax.enable_x64(self._double):
+            while (does := self._next()) is not None:
+                does()
+
+    def _next(self):
+        does, replaces = self._held.pop() if self._held else self._waiting.get()
+        while replaces is not None:
+            with suppress(queue.Empty):
+                later = self._waiting.get_nowait()
+                if later[1] == replaces:
+                    does = later[0]
+                    continue
+                self._held.append(later)
+            break
+        return does
+
+
+class Explorer:
+    """A server of pages about one scene.
+
+    scene: that of the file, or one that has none. address: of this machine's own; port: None for the first free one of
+    8420 to 8439, 0 for any. Raises ArgumentError for an address that is not loopback, OSError where no port is free.
+    """
+
+    def __init__(
+        self, scene: Scene, file: SceneFile | None, address: str, port: int | None, token: str | None = None
+    ) -> None:
+        if not is_loopback(address):
+            raise ArgumentError("address", "must be this machine's own, as 127.0.0.1", address)
+        self.scene, self.file, self.token = scene, file, token or secrets.token_urlsafe(32)
+        self.pages: dict[str, Socket] = {}
+        self._sockets = _bound(address, port)
+        self.port = self._sockets[0].getsockname()[1]
+        host = f"[{address}]" if ":" in address else address
+        self.url = f"http://{host}:{self.port}/?token={self.token}"
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._end: asyncio.Event | None = None
+
+    async def serve(self) -> None:
+        """Serves until `stop`."""
+        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        given = {"explorer": self}
+        routes = [
+            (r"/", Page, given),
+            (r"/(page\.js|page\.css)", Asset, given),
+            (r"/socket", Socket, given),
+            (r"/take/([\w-]+)/([\w.]+)", Take, given),
+        ]
+        limits: dict[str, Any] = {"websocket_max_message_size": LARGEST + 4096, "websocket_ping_interval": 20}
+        server = httpserver.HTTPServer(web.Application(routes, **limits), max_body_size=4096, max_header_size=65536)
+        server.add_sockets(self._sockets)
+        try:
+            await self._end.wait()
+        finally:
+            for page in list(self.pages.values()):
+                page.close()
+            server.stop()
+
+    def stop(self) -> None:
+        """Ends serving, from any thread; pages see that the server has gone."""
+        if self._loop is not None and self._end is not None:
+            self._loop.call_soon_threadsafe(self._end.set)
+
+    def allows(self, request: Any) -> bool:
+        """Whether a request comes from this machine under its own name, and has the token."""
+        given = request.query_arguments.get("token", [b""])[-1]
+        return is_loopback(urlsplit(f"//{request.host}").hostname or "") and hmac.compare_digest(
+            given, self.token.encode()
+        )
+
+
+def _bound(address, port):
+    for one in PORTS if port is None else [port]:
+        try:
+            return netutil.bind_sockets(one, address)
+        except OSError as error:
+            last = error
+    raise OSError(last.errno, f"no port is free at {address} ({last.strerror})")
+
+
+class Guarded(web.RequestHandler):
+    """Refuses what has no token, or comes under another name than this machine's."""
+
+    def initialize(self, explorer: Explorer) -> None:
+        self.explorer = explorer
+
+    def set_default_headers(self) -> None:
+        for name, value in HEADERS.items():
+            self.set_header(name, value)
+
+    def prepare(self) -> None:
+        if not self.explorer.allows(self.request):
+            raise web.HTTPError(403)
+
+    def write_error(self, status_code: int, **given: Any) -> None:
+        self.set_header("Content-Type", "text/plain; charset=utf-8")
+        told = {403: "this page needs the address with its token, which jaxvibro view prints"}
+        self.finish(f"{status_code}: {told.get(status_code, self._reason)}\n")
+
+
+class Page(Guarded):
+    """The page itself."""
+
+    def get(self) -> None:
+        self.set_header("Content-Type", "text/html; charset=utf-8")
+        self.finish((PAGE / "index.html").read_text().replace("TOKEN", self.explorer.token))
+
+
+class Asset(Guarded):
+    """What the page is made of."""
+
+    def get(self, name: str) -> None:
+        kind = "text/css" if name.endswith("css") else "text/javascript"
+        self.set_header("Content-Type", f"{kind}; charset=utf-8")
+        self.finish((PAGE / name).read_bytes())
+
+
+class Take(Guarded):
+    """A file of what a page shows: scene.toml, lines.py, data.zip, or a panel's picture."""
+
+    async def get(self, page: str, name: str) -> None:
+        socket = self.explorer.pages.get(page)
+        if socket is None or socket.session is None:
+            raise web.HTTPError(404)
+        session = socket.session
+        loop, done = asyncio.get_running_loop(), asyncio.get_running_loop().create_future()
+
+        def work():
+            try:
+                found = content(name, session), None
+            except (ArgumentError, OSError) as error:
+                found = None, error
+            loop.call_soon_threadsafe(done.set_result, found)
+
+        socket.line.add(work)
+        found, error = await done
+        if error is not None:
+            self.set_status(400)
+            self.finish(f"{short(error, 300)}\n")
+            return
+        self.set_header("Content-Type", "application/octet-stream")
+        self.set_header("Content-Disposition", f'attachment; filename="{name}"')
+        self.finish(found)
+
+
+def content(name: str, session: Session) -> bytes:
+    """The content of a file that can be taken. Raises ArgumentError for others."""
+    now, results = session.shown, session.results
+    if name == "scene.toml":
+        if session.file is None:
+            raise ArgumentError("scene.toml", "must be of a scene that can be written: its force has no name", name)
+        return text_of(now, session.file).encode()
+    if name == "lines.py":
+        return program(now, results).encode()
+    if name == "data.zip":
+        return files.archive(now, results)
+    panel, _, kind = name.partition(".")
+    return files.picture(panel, kind, now, results, session.screen)
+
+
+class Socket(websocket.WebSocketHandler):
+    """A page's socket: JSON both ways. When it closes, the page's work ends."""
+
+    def initialize(self, explorer: Explorer) -> None:
+        self.explorer, self.name = explorer, secrets.token_urlsafe(9)
+        self.session: Session | None = None
+
+    def prepare(self) -> None:
+        if not self.explorer.allows(self.request):
+            raise web.HTTPError(403)
+        if len(self.explorer.pages) >= MOST_PAGES:
+            raise web.HTTPError(503)
+
+    def check_origin(self, origin: str) -> bool:
+        """A page of this server alone."""
+        return urlsplit(origin).netloc == self.request.host
+
+    def open(self) -> None:
+        self.set_nodelay(True)
+        loop, double = asyncio.get_running_loop(), bool(self.explorer.scene.dtype == np.float64)
+
+        def push(record):
+            with suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(self._send, json.dumps(record))
+
+        self.line = Line(double)
+        self.session = Session(self.explorer.file, self.explorer.scene, push, self.line.add)
+        self.explorer.pages[self.name] = self
+        self._send(json.dumps({"kind": "page", "name": self.name}))
+
+    def _send(self, text):
+        with suppress(websocket.WebSocketClosedError):
+            self.write_message(text)
+
+    def on_message(self, text: str | bytes) -> None:
+        try:
+            message = messages.read(text)
+        except ArgumentError as error:
+            self._send(json.dumps({"kind": "told", "text": short(error, 300), "bad": True}))
+            return
+        session = self.session
+        if session is not None and not self.line.add(lambda: session.receive(message), message.replaces):
+            self._send(json.dumps({"kind": "told", "text": "too much at once: the last was left out", "bad": True}))
+            self._send(json.dumps({"kind": "answer", "number": message.number}))
+
+    def on_close(self) -> None:
+        self.explorer.pages.pop(self.name, None)
+        if self.session is not None:
+            self.session.close()
+            self.line.add(None)
