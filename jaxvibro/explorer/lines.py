@@ -29,7 +29,7 @@ from ..surveys.map import map_parameters
 from .scene_code import scales_code, scene_code
 
 SCENE = "scene_1"  # that of the file
-SETTLE = 300  # drive periods before a motion that is no orbit is shown
+SETTLE = 300  # drive periods after which a motion is shown
 LOOKS = ("find_orbit", "motion", "orbit", "special")  # calls whose result the portrait shows
 NAME = re.compile(r"[a-z]+_[1-9]\d{0,5}")
 REFERENCE = re.compile(rf"({NAME.pattern})((?:(?:\.branches|\.special)?\[\d{{1,6}}\])*)")
@@ -57,18 +57,27 @@ def _replace(of, changes):
 
 
 def _find_orbit(of, x, v, phase=0.0):
+    """That on which a start settles: strobed in one compiled run, which takes no time beside what `find_orbit` does."""
+    start = _settled(of, x, v, phase)
     return Call(
-        f"jv.find_orbit({of.text}, jv.State({x!r}, {v!r}, {phase!r}))",
-        lambda told: find_orbit(of.value, State(x, v, phase)),
+        f"jv.find_orbit({of.text}, {start.text}, settle=1)",
+        lambda told: find_orbit(of.value, start.run(told), settle=1),
     )
 
 
 def _motion(of, x, v, periods, phase=0.0):
-    def run(told):
-        return simulate(of.value, strobe(of.value, State(x, v, phase), SETTLE, 0)[0], periods)
+    start = _settled(of, x, v, phase)
+    return Call(
+        f"jv.simulate({of.text}, {start.text}, {periods!r})",
+        lambda told: simulate(of.value, start.run(told), periods),
+    )
 
-    start = f"jv.strobe({of.text}, jv.State({x!r}, {v!r}, {phase!r}), {SETTLE}, 0)[0]"
-    return Call(f"jv.simulate({of.text}, {start}, {periods!r})", run)
+
+def _settled(of, x, v, phase):
+    return Call(
+        f"jv.strobe({of.text}, jv.State({x!r}, {v!r}, {phase!r}), {SETTLE}, 0)[0]",
+        lambda told: strobe(of.value, State(x, v, phase), SETTLE, 0)[0],
+    )
 
 
 def _orbit(of, place):

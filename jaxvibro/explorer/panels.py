@@ -3,13 +3,15 @@
 import base64
 import io
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from PIL import Image
 
 from .. import plot
 from ..branches.branch import Branch
@@ -24,7 +26,8 @@ DPI = 100
 LEAST, MOST = 120, 4000  # pixels of a side
 SAMPLES = 200  # of a drive period
 AT_MOST = 12  # entries of a legend
-MARGINS = {"left": 62, "right": 12, "bottom": 46, "top": 24}  # pixels at a ratio of 1
+MARGINS = {"left": 74, "right": 12, "bottom": 46, "top": 24}  # pixels at a ratio of 1
+Draw = Callable[[Axes], object]
 _drawing = threading.Lock()  # matplotlib reads formulas in one thread at a time
 
 
@@ -43,34 +46,90 @@ class Limits(NamedTuple):
     y: tuple[float, float] | None = None
 
 
-def picture(draw: Any, size: Size, limits: Limits) -> dict[str, Any]:
-    """What the page is told of a panel: png, a text; box, the axes' left, top, width and height as parts of the
-    picture's; x, y: their limits. draw: is given the Axes."""
-    ratio = min(max(size.ratio, 0.5), 4.0)
-    width, height = (min(max(side, LEAST), MOST / ratio) for side in (size.width, size.height))
-    with _drawing:
-        figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI * ratio)
-        canvas = FigureCanvasAgg(figure)
+class Panel:
+    """The figure of one panel, kept from picture to picture: making axes anew takes longer than all that is in them."""
+
+    def __init__(self, size: Size) -> None:
+        self.size = size
+        ratio = min(max(size.ratio, 0.5), 4.0)
+        width, height = (min(max(side, LEAST), MOST / ratio) for side in (size.width, size.height))
+        self._figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI * ratio)
+        self._canvas = FigureCanvasAgg(self._figure)
         left, right = MARGINS["left"] / width, 1.0 - MARGINS["right"] / width
         bottom, top = MARGINS["bottom"] / height, 1.0 - MARGINS["top"] / height
-        ax = figure.add_axes((left, bottom, right - left, top - bottom))
-        draw(ax)
+        self._ax = self._figure.add_axes((left, bottom, right - left, top - bottom))
+        self._empty: Any = None  # the axes without what is in them, and their limits
+
+    def picture(self, draw: Draw, limits: Limits, same: bool = False) -> dict[str, Any]:
+        """What the page is told: png, a text; box, the axes' left, top, width and height as parts of the picture's; x,
+        y: their limits. draw: is given the Axes. same: with the limits of the last picture, if all keeps within them.
+        """
+        with _drawing:
+            self._clear()
+            draw(self._ax)
+            known = self._empty
+            if same and known is not None and self._keeps_within(known):
+                self._ax.set(xlim=known[1], ylim=known[2])
+                self._canvas.restore_region(known[0])
+                self._draw_inner()
+            else:
+                self._limit(limits)
+                inner = self._inner()
+                for artist in inner:
+                    artist.set_visible(False)
+                self._canvas.draw()
+                box = self._canvas.copy_from_bbox(self._figure.bbox)
+                self._empty = box, self._ax.get_xlim(), self._ax.get_ylim()
+                for artist in inner:
+                    artist.set_visible(True)
+                self._draw_inner()
+            content = io.BytesIO()
+            Image.fromarray(np.asarray(self._canvas.buffer_rgba())).convert("RGB").save(
+                content, "png", compress_level=1
+            )
+            box = self._ax.get_position()
+            return {
+                "png": base64.b64encode(content.getvalue()).decode(),
+                "box": [box.x0, 1.0 - box.y1, box.width, box.height],
+                "x": list(map(float, self._ax.get_xlim())),
+                "y": list(map(float, self._ax.get_ylim())),
+            }
+
+    def _clear(self):
+        """Takes all out of the axes, and lets their limits follow what comes."""
+        ax = self._ax
+        legend = ax.get_legend()
+        for artist in (*self._inner(), *([legend] if legend else ())):
+            artist.remove()
+        for child in ax.child_axes[:]:
+            child.remove()
+        ax.set_prop_cycle(None)
+        ax.set_title("")
+        ax.relim()
+        ax.margins(0.05)
+        ax.autoscale(True)
+
+    def _inner(self):
+        ax = self._ax
+        return [*ax.images, *ax.collections, *ax.patches, *ax.lines, *ax.texts]
+
+    def _draw_inner(self):
+        legend = self._ax.get_legend()
+        for artist in sorted((*self._inner(), *([legend] if legend else ())), key=lambda one: one.get_zorder()):
+            self._ax.draw_artist(artist)
+
+    def _limit(self, limits):
         if limits.x is not None:
-            ax.set_xlim(limits.x)
+            self._ax.set_xlim(limits.x)
         if limits.y is not None:
-            ax.set_ylim(limits.y)
-        content = io.BytesIO()
-        canvas.print_png(content, pil_kwargs={"compress_level": 1})
-        box = ax.get_position()
-        found = {
-            "box": [box.x0, 1.0 - box.y1, box.width, box.height],
-            "x": list(map(float, ax.get_xlim())),
-            "y": list(map(float, ax.get_ylim())),
-        }
-    return {"png": base64.b64encode(content.getvalue()).decode(), **found}
+            self._ax.set_ylim(limits.y)
+
+    def _keeps_within(self, known):
+        (_, across, up), found = known, self._ax.dataLim
+        return across[0] <= found.x0 and found.x1 <= across[1] and up[0] <= found.y0 and found.y1 <= up[1]
 
 
-def exported(draw: Any, limits: Limits, kind: str) -> bytes:
+def exported(draw: Draw, limits: Limits, kind: str) -> bytes:
     """The picture as a file of a kind: "png", "svg" or "pdf"."""
     with _drawing:
         figure = Figure(figsize=(7.0, 5.0), dpi=200, layout="constrained")

@@ -10,7 +10,7 @@ from ..branches.curves import columns_of
 from ..orbits.orbit import Orbit
 from . import panels, shown
 from .lines import resolved
-from .panels import Limits, Size
+from .panels import Limits, Panel
 from .shown import Shown
 
 ORDER = ("portrait", "trace", "diagram", "plane")
@@ -21,7 +21,7 @@ class Screen:
     """The panels of one page."""
 
     def __init__(self) -> None:
-        self.sizes: dict[str, Size] = {}
+        self.panels: dict[str, Panel] = {}
         self.limits: dict[str, Limits] = {}
         self.boxes: dict[str, tuple[list[float], list[float]]] = {}
         self.drawn: dict[str, Any] = {}
@@ -39,15 +39,15 @@ class Screen:
         """What the page is to be told of the panels that are to look otherwise. fast: of the portrait alone."""
         found = []
         for panel in FAST if fast else ORDER:
-            if panel not in self.sizes:
+            if panel not in self.panels:
                 continue
             parts = parts_of(panel, now, results)
             limits = self.limits.get(panel, Limits())
-            key = parts and (*map(_key, parts), self.sizes[panel], limits)
+            key = parts and (*map(_key, parts), self.panels[panel].size, limits)
             if parts is None or key == self.drawn.get(panel):
                 continue
-            told = panels.picture(
-                lambda ax, parts=parts, panel=panel: DRAW[panel](ax, *parts), self.sizes[panel], limits
+            told = self.panels[panel].picture(
+                lambda ax, panel=panel, parts=parts: DRAW[panel](ax, *parts), limits, fast
             )
             self.boxes[panel], self.drawn[panel] = (told["x"], told["y"]), key
             found.append({"kind": "picture", "panel": panel, **told})

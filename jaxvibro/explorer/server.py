@@ -4,9 +4,9 @@ import asyncio
 import hmac
 import ipaddress
 import json
-import queue
 import secrets
 import threading
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -47,19 +47,23 @@ def is_loopback(host: str) -> bool:
 
 
 class Line:
-    """A thread of a page's own, which sees to its messages in turn: of several that replace each other the last."""
+    """A thread of a page's own, which sees to its messages in turn: of several in a row that replace each other to the
+    last alone."""
 
     def __init__(self, double: bool) -> None:
-        self._waiting: queue.SimpleQueue = queue.SimpleQueue()
-        self._double = double
-        self._held: list[tuple[Callable[[], None] | None, Any]] = []
+        self._waiting: deque[tuple[Callable[[], None] | None, Any]] = deque()
+        self._changed, self._double = threading.Condition(), double
         threading.Thread(target=self._run, daemon=True).start()
 
     def add(self, does: Callable[[], None] | None, replaces: Any = None) -> bool:
         """Sees to something when its turn comes; None: ends. Whether there was room for it."""
-        if does is not None and self._waiting.qsize() > MOST_WAITING:
-            return False
-        self._waiting.put((does, replaces))
+        with self._changed:
+            if replaces is not None and self._waiting and self._waiting[-1][1] == replaces:
+                self._waiting.pop()
+            elif does is not None and len(self._waiting) >= MOST_WAITING:
+                return False
+            self._waiting.append((does, replaces))
+            self._changed.notify()
         return True
 
     def _run(self) -> None:
@@ -68,16 +72,9 @@ class Line:
                 does()
 
     def _next(self):
-        does, replaces = self._held.pop() if self._held else self._waiting.get()
-        while replaces is not None:
-            with suppress(queue.Empty):
-                later = self._waiting.get_nowait()
-                if later[1] == replaces:
-                    does = later[0]
-                    continue
-                self._held.append(later)
-            break
-        return does
+        with self._changed:
+            self._changed.wait_for(lambda: self._waiting)
+            return self._waiting.popleft()[0]
 
 
 class Explorer:

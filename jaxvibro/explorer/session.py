@@ -16,10 +16,12 @@ from ..scene.state import State
 from ..stores.filling import Progress
 from ..studies import scene_file
 from ..studies.schema import SceneFile, ViewTable
+from ..studies.text_limits import LARGEST
 from . import asks, messages, screen, shown, told
 from .lines import SCENE, evaluated, resolved
 from .nearest import nearest
 from .page_text import rest_of, state_of
+from .panels import Limits, Panel, Size
 from .replay import replayed, shown_again
 from .shown import Shown
 from .work import Works
@@ -99,13 +101,15 @@ class Session:
 
     @_do.register
     def _(self, message: messages.Resize) -> None:
-        self.screen.sizes[message.panel] = screen.Size(message.width, message.height, message.ratio)
+        size = Size(message.width, message.height, message.ratio)
+        if message.panel not in self.screen.panels or self.screen.panels[message.panel].size != size:
+            self.screen.panels[message.panel] = Panel(size)
 
     @_do.register
     def _(self, message: messages.Zoom) -> None:
         for pair in (message.x, message.y):
             _rising("zoom", pair)
-        self.screen.limits[message.panel] = screen.Limits(message.x, message.y)
+        self.screen.limits[message.panel] = Limits(message.x, message.y)
 
     @_do.register
     def _(self, message: messages.Pick) -> None:
@@ -157,11 +161,11 @@ class Session:
     def _(self, message: messages.Along) -> None:
         names = self.results[self.shown.scene].names
         for name, pair in ((message.parameter, message.bounds), (message.second, message.second_bounds)):
-            check.require_known("parameter", names, name)
+            check.require_known(name, names, name)
             _rising("bounds", pair)
         if message.parameter == message.second:
             raise ArgumentError("second", "must be another parameter than the diagram's", message.second)
-        check.require_known("variable", VARIABLES, message.variable)
+        check.require_known(message.variable, VARIABLES, message.variable)
         keys = ("parameter", "bounds", "second", "second_bounds", "variable")
         self.screen.limits.clear()
         self._show(self.shown.having(**{key: getattr(message, key) for key in keys}))
@@ -184,6 +188,8 @@ class Session:
 
     @_do.register
     def _(self, message: messages.Load) -> None:
+        if len(message.text) > LARGEST:
+            raise ArgumentError("scene file", f"must be at most {LARGEST:,} bytes long", "more")
         file = scene_file.of_content("scene file", message.text.encode())
         scene = file.scene.make(self.results[SCENE].dtype)
         self.close()
