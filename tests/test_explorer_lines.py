@@ -9,7 +9,7 @@ import pytest
 import jaxvibro as jv
 from jaxvibro.explorer.lines import CALLS, SCENE, call_of, evaluated, python, resolved, tidy
 from jaxvibro.explorer.scene_code import scales_code, scene_code
-from jaxvibro.scene.scene_table import scene_text, table_of
+from jaxvibro.scene.scene_table import table_of
 from jaxvibro.studies.schema import ViewTable
 
 from .explorer_pages import two_walls
@@ -150,5 +150,5 @@ def test_the_python_of_a_scene_makes_it(name):
     found = eval(scene_code(table), {"jv": jv})
     if scales_code(table):
         found = dataclasses.replace(found, scales=eval(scales_code(table), {"jv": jv}))
-    assert scene_text(found) == scene_text(scene)
+    assert table_of(found) == table
     assert jax.tree.structure(found) == jax.tree.structure(scene)

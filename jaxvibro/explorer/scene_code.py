@@ -11,9 +11,8 @@ def scene_code(table: SceneTable) -> str:
         told.append(f"walls=({_wall(table.left)}, {_wall(table.right)})")
     if table.force is not None:
         force = table.force
-        told.append(
-            f"force=jv.Force({force.name!r}, {force.numbers!r}, tolerance={force.tolerance!r}, solver={force.solver!r})"
-        )
+        how = f"tolerance={force.tolerance!r}, solver={force.solver!r}"
+        told.append(f"force=jv.Force({force.name!r}, {force.numbers!r}, {how})")
     if table.drive:
         told.append(f"drive=[{', '.join(map(_motion, table.drive))}]")
     return f"jv.make_scene({', '.join(told)})"

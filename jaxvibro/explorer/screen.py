@@ -1,6 +1,7 @@
 """What a page has on its screen: the sizes and limits of its panels, and which pictures are there already."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -46,9 +47,7 @@ class Screen:
             key = parts and (*map(_key, parts), self.panels[panel].size, limits)
             if parts is None or key == self.drawn.get(panel):
                 continue
-            told = self.panels[panel].picture(
-                lambda ax, panel=panel, parts=parts: DRAW[panel](ax, *parts), limits, fast
-            )
+            told = self.panels[panel].picture(partial(_draw, DRAW[panel], parts), limits, fast)
             self.boxes[panel], self.drawn[panel] = (told["x"], told["y"]), key
             found.append({"kind": "picture", "panel": panel, **told})
         return found
@@ -94,6 +93,10 @@ def marks(now: Shown, results: Mapping[str, Any]) -> dict[str, list[list[float]]
     elif isinstance(one, Orbit) and now.variable in ("x", "v") and not one.state.phase:
         up = [float(getattr(one.state, now.variable))]
     return {"diagram": [[here[0], each] for each in up if np.isfinite(each)], "plane": [here]}
+
+
+def _draw(draw, parts, ax):
+    draw(ax, *parts)
 
 
 def _key(part):

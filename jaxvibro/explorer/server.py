@@ -95,12 +95,12 @@ class Explorer:
         self.port = self._sockets[0].getsockname()[1]
         host = f"[{address}]" if ":" in address else address
         self.url = f"http://{host}:{self.port}/?token={self.token}"
-        self._loop: asyncio.AbstractEventLoop | None = None
-        self._end: asyncio.Event | None = None
+        self._begun = threading.Event()
 
     async def serve(self) -> None:
         """Serves until `stop`."""
         self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
+        self._begun.set()
         given = {"explorer": self}
         routes = [
             (r"/", Page, given),
@@ -120,8 +120,8 @@ class Explorer:
 
     def stop(self) -> None:
         """Ends serving, from any thread; pages see that the server has gone."""
-        if self._loop is not None and self._end is not None:
-            self._loop.call_soon_threadsafe(self._end.set)
+        self._begun.wait()
+        self._loop.call_soon_threadsafe(self._end.set)
 
     def allows(self, request: Any) -> bool:
         """Whether a request comes from this machine under its own name, and has the token."""
