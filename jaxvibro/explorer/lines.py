@@ -136,7 +136,7 @@ def _sweep(of, parameter, first, last, count, x, v):
     values = _even(first, last, count)
     return Call(
         f"jv.sweep({of.text}, {parameter!r}, {values.text}, jv.State({x!r}, {v!r}))",
-        lambda told: sweep(of.value, parameter, values.value, State(x, v)),
+        lambda told: sweep(of.value, parameter, values.value, State(x, v), progress=told),
     )
 
 
