@@ -136,7 +136,7 @@ class Seen:
 
     def take(self, name):
         """A file of the page: its bytes."""
-        if not self.page.get_attribute("#files", "open") == "":
+        if self.page.get_attribute("#files", "open") is None:
             self.page.click("#files summary")
         with self.page.expect_download() as told:
             self.page.click(f"[data-take='{name}']")
