@@ -18,6 +18,12 @@ function say(message) {
   else send(message);
 }
 
+function wait() {  // tells of an answer that lets one wait
+  if (socket.readyState === 1) $("status").textContent = Object.values(begun).some(isLate) ? "one moment" : "";
+}
+
+function isLate(since) { return performance.now() - since >= 399; }
+
 function pass() {
   const message = held;
   held = null;
@@ -28,6 +34,7 @@ function send(message) {
   message.number = ++sent;
   begun[sent] = performance.now();
   socket.send(JSON.stringify(message));
+  setTimeout(wait, 400);
 }
 
 function tell(text, bad) {
@@ -42,7 +49,7 @@ function connect() {
     document.body.classList.remove("lost");
     $("status").textContent = "";
     answered = sent;
-    held = null;
+    [held, begun] = [null, {}];
     Object.values(panels).forEach((one) => one.size());
     say({ do: "hello", text: sessionStorage.getItem("jaxvibro") || "" });
   };
@@ -60,6 +67,7 @@ function hear(record) {
     answered = Math.max(answered, record.number);
     window.jaxvibro.latest = { number: record.number, ms: performance.now() - begun[record.number] };
     for (const key of Object.keys(begun)) if (key <= record.number) delete begun[key];
+    wait();
     if (sent === answered) pass();
     if (menu && answered >= menu.number) popup();
   } else if (record.kind === "told") { tell(record.text, record.bad); pass(); }
@@ -222,12 +230,20 @@ $("load").onchange = async () => {
   $("load").value = "";
 };
 document.onkeydown = (event) => {
-  if (event.key === "Escape") { hide(); say({ do: "stop" }); return; }
+  if (event.key === "Escape") {
+    if ($("popup").hidden && !$("files").open) say({ do: "stop" });
+    hide();
+    $("files").open = false;
+    return;
+  }
   const isField = event.target.matches("input:not([type=range]), select");
   if (isField || event.ctrlKey || event.metaKey || event.altKey) return;
   const calls = { f: "follow", w: "switch", l: "locus", m: "margin", e: "explore" };
   if (event.key === "u") say({ do: "undo" });
   else if (calls[event.key]) ask(calls[event.key]);
 };
-document.addEventListener("pointerdown", (event) => { if (!$("popup").contains(event.target)) hide(); });
+document.addEventListener("pointerdown", (event) => {
+  if (!$("popup").contains(event.target)) hide();
+  if (!$("files").contains(event.target)) $("files").open = false;
+});
 connect();
