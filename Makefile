@@ -31,7 +31,7 @@ THIS := $(INSTALL) --no-deps --no-build-isolation --editable .
 COMPILE := $(UV) pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-annotate \
 	--no-emit-index-url --no-emit-find-links --custom-compile-command "make lock"
 
-.PHONY: help run paper test test-slow test-long mutate bench reliability notebooks docs format lock clean
+.PHONY: help run paper test test-slow test-long test-browser mutate bench reliability notebooks docs format lock clean
 .DELETE_ON_ERROR:
 
 help: ## list the targets
@@ -47,13 +47,16 @@ test: $(VENV)/.dev ## lint, types and the tests that take seconds
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
-	$(PYTEST) -m "not slow and not long"
+	$(PYTEST) -m "not slow and not long and not browser"
 
 test-slow: $(VENV)/.dev ## the tests that take minutes
-	$(PYTEST) -m "slow and not long"
+	$(PYTEST) -m "slow and not long and not browser"
 
 test-long: $(VENV)/.dev ## what takes minutes a test
-	$(PYTEST) -m long
+	$(PYTEST) -m "long and not browser"
+
+test-browser: $(VENV)/.dev ## the explorer in a real headless Chromium
+	$(BIN)/python -m pytest -m browser tests/browser
 
 mutate: $(VENV)/.dev ## break guards one by one, each against a fast test that ought to notice
 	$(BIN)/python -m tests.mutate

@@ -104,7 +104,7 @@ class Explorer:
         given = {"explorer": self}
         routes = [
             (r"/", Page, given),
-            (r"/(page\.js|page\.css)", Asset, given),
+            (r"/(panel\.js|page\.js|page\.css)", Asset, given),
             (r"/socket", Socket, given),
             (r"/take/([\w-]+)/([\w.]+)", Take, given),
         ]

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from ..attractors.shares import share_text
-from ..branches.branch import MEANINGS, Branch, Special
+from ..branches.branch import MEANINGS, Branch, Special, labels_of
 from ..branches.switch import KINDS as LEAVING
 from ..loci.first_point import KINDS, RESTS
 from ..orbits.orbit import Orbit
@@ -30,7 +30,8 @@ def facts(shown: Shown, results: Mapping[str, Any]) -> str:
     if isinstance(chosen, Special):
         form = chosen.normal_form
         more = f", {form.consequence}: {form}" if form else ""
-        told.append(f"{chosen.kind} ({MEANINGS.get(chosen.kind, 'a monitor')}) at {chosen.value:.12g}{more}")
+        meets = f", where {' and '.join(labels_of(chosen))} meet" if chosen.joins else ""
+        told.append(f"{chosen.kind} ({MEANINGS.get(chosen.kind, 'a monitor')}) at {chosen.value:.12g}{meets}{more}")
     elif shown.place is not None and isinstance(chosen, Branch):
         told.append(f"point {shown.place} of {len(chosen)} at {chosen.name} {chosen.values[shown.place]:.12g}")
     one = results.get(shown.current)

@@ -6,14 +6,35 @@ const token = new URLSearchParams(location.search).get("token");
 const state = {};
 const pictures = {};
 const far = {};
-let socket = null, page = "", sent = 0, answered = 0, begun = {};
-window.jaxvibro = { state, pictures, get idle() { return sent === answered; }, latest: {} };
+const REPLACED = ["pick", "start", "set"];  // of two in a row of one kind the later one alone counts
+let socket = null, page = "", sent = 0, answered = 0, begun = {}, held = null;
+window.jaxvibro = { state, pictures, get idle() { return sent === answered && !held; }, latest: {} };
 
 function say(message) {
   if (!socket || socket.readyState !== 1) return;
+  const kind = (one) => `${one.do} ${one.panel} ${one.name}`;
+  if (held && kind(held) !== kind(message)) pass();
+  if (REPLACED.includes(message.do) && sent > answered) held = message;
+  else send(message);
+}
+
+function wait() {  // tells of an answer that lets one wait
+  if (socket.readyState === 1) $("status").textContent = Object.values(begun).some(isLate) ? "one moment" : "";
+}
+
+function isLate(since) { return performance.now() - since >= 399; }
+
+function pass() {
+  const message = held;
+  held = null;
+  if (message) send(message);
+}
+
+function send(message) {
   message.number = ++sent;
   begun[sent] = performance.now();
   socket.send(JSON.stringify(message));
+  setTimeout(wait, 400);
 }
 
 function tell(text, bad) {
@@ -28,6 +49,7 @@ function connect() {
     document.body.classList.remove("lost");
     $("status").textContent = "";
     answered = sent;
+    [held, begun] = [null, {}];
     Object.values(panels).forEach((one) => one.size());
     say({ do: "hello", text: sessionStorage.getItem("jaxvibro") || "" });
   };
@@ -45,7 +67,10 @@ function hear(record) {
     answered = Math.max(answered, record.number);
     window.jaxvibro.latest = { number: record.number, ms: performance.now() - begun[record.number] };
     for (const key of Object.keys(begun)) if (key <= record.number) delete begun[key];
-  } else if (record.kind === "told") tell(record.text, record.bad);
+    wait();
+    if (sent === answered) pass();
+    if (menu && answered >= menu.number) popup();
+  } else if (record.kind === "told") { tell(record.text, record.bad); pass(); }
   else if (record.kind === "progress") { far[record.work] = record.far; works(); }
   else if (record.kind === "picture") panels[record.panel].show(record);
   else if (record.kind === "state") show(record);
@@ -92,13 +117,16 @@ function show(record) {
   if (has("title")) document.title = `${state.title || "jaxvibro"} - jaxvibro`;
 }
 
+function listed(text, does) {  // an item of a list, a button
+  const item = document.createElement("li");
+  item.append(Object.assign(document.createElement("button"), { textContent: text, onclick: does }));
+  return item;
+}
+
 function actions() {
   return state.actions.map(({ call, label }) => {
-    const item = document.createElement("li"), button = document.createElement("button");
-    button.textContent = label;
-    button.dataset.call = call;
-    button.onclick = () => { hide(); ask(call); };
-    item.append(button);
+    const item = listed(label, () => { hide(); ask(call); });
+    item.firstChild.dataset.call = call;
     return item;
   });
 }
@@ -110,11 +138,9 @@ function ask(call) {
 
 function points() {
   const found = state.points.map((one) => {
-    const item = document.createElement("li"), button = document.createElement("button");
-    button.textContent = `${one.kind} ${one.value.toPrecision(9)}  ${one.label}: ${one.meaning}`;
-    button.setAttribute("aria-current", one.of === state.chosen);
-    button.onclick = () => say({ do: "choose", of: one.of });
-    item.append(button);
+    const told = `${one.kind} ${one.value.toPrecision(9)}  ${one.label}: ${one.meaning}`;
+    const item = listed(told, () => say({ do: "choose", of: one.of }));
+    item.firstChild.setAttribute("aria-current", one.of === state.chosen);
     return item;
   });
   const kept = document.activeElement && $("points").contains(document.activeElement)
@@ -151,141 +177,27 @@ function numbers() {
   }
 }
 
-const SVG = "http://www.w3.org/2000/svg";
-
-class Panel {
-  constructor(name) {
-    this.name = name;
-    this.at = $(name);
-    this.img = document.createElement("img");
-    this.img.alt = "";
-    this.img.draggable = false;
-    this.svg = document.createElementNS(SVG, "svg");
-    this.at.append(this.img, this.svg);
-    this.points = [];
-    this.at.onpointerdown = (event) => this.down(event);
-    this.at.onpointermove = (event) => this.move(event);
-    this.at.onpointerup = (event) => this.up(event);
-    this.at.ondblclick = () => say({ do: "zoom", panel: name });
-    this.at.onkeydown = (event) => this.key(event);
-    this.at.oncontextmenu = (event) => { event.preventDefault(); this.click(event); popup(event); };
-    new ResizeObserver(() => this.size()).observe(this.at);
-  }
-
-  size() {
-    const { width, height } = this.at.getBoundingClientRect();
-    clearTimeout(this.later);
-    const send = () => say({ do: "size", panel: this.name, width, height, ratio: window.devicePixelRatio || 1 });
-    if (this.box) this.later = setTimeout(send, 150);
-    else if (width > 0) send();
-  }
-
-  show(record) {
-    this.box = record.box;
-    this.x = record.x;
-    this.y = record.y;
-    this.img.src = `data:image/png;base64,${record.png}`;
-    pictures[this.name] = (pictures[this.name] || 0) + 1;
-    this.mark(this.points);
-  }
-
-  place(event) {
-    const area = this.at.getBoundingClientRect();
-    return [(event.clientX - area.left) / area.width, (event.clientY - area.top) / area.height];
-  }
-
-  data([across, down]) {
-    const [left, top, width, height] = this.box;
-    const x = this.x[0] + ((across - left) / width) * (this.x[1] - this.x[0]);
-    const y = this.y[1] - ((down - top) / height) * (this.y[1] - this.y[0]);
-    return [x, y];
-  }
-
-  pixel([x, y]) {
-    const [left, top, width, height] = this.box;
-    return [left + (width * (x - this.x[0])) / (this.x[1] - this.x[0]),
-      top + (height * (this.y[1] - y)) / (this.y[1] - this.y[0])];
-  }
-
-  inside([across, down]) {
-    if (!this.box) return false;
-    const [left, top, width, height] = this.box;
-    return across >= left && across <= left + width && down >= top && down <= top + height;
-  }
-
-  mark(points) {
-    this.points = points;
-    if (!this.box) return;
-    const found = points.map((point) => this.pixel(point)).filter((one) => this.inside(one)).map(([across, down]) => {
-      const circle = document.createElementNS(SVG, "circle");
-      for (const [key, value] of [["cx", `${100 * across}%`], ["cy", `${100 * down}%`], ["r", 6]])
-        circle.setAttribute(key, value);
-      return circle;
-    });
-    this.svg.replaceChildren(...found);
-  }
-
-  down(event) {
-    if (event.button !== 0 || !this.box) return;
-    hide();
-    this.from = this.place(event);
-    this.at.setPointerCapture(event.pointerId);
-  }
-
-  move(event) {
-    if (!this.from) return;
-    const here = this.place(event), area = this.at.getBoundingClientRect();
-    this.rect ??= this.svg.appendChild(document.createElementNS(SVG, "rect"));
-    const low = [0, 1].map((k) => Math.min(here[k], this.from[k])), wide = [0, 1].map((k) => Math.abs(here[k] - this.from[k]));
-    const given = { x: low[0] * area.width, y: low[1] * area.height, width: wide[0] * area.width, height: wide[1] * area.height };
-    for (const [key, value] of Object.entries(given)) this.rect.setAttribute(key, value);
-  }
-
-  up(event) {
-    if (!this.from) return;
-    const area = this.at.getBoundingClientRect(), here = this.place(event), from = this.from;
-    this.from = null;
-    this.rect?.remove();
-    this.rect = null;
-    const wide = [Math.abs(here[0] - from[0]) * area.width, Math.abs(here[1] - from[1]) * area.height];
-    if (wide[0] < 5 && wide[1] < 5) this.click(event);
-    else if (wide[0] >= 5 && wide[1] >= 5) {
-      const [a, b] = [this.data(from), this.data(here)];
-      const pair = (k) => [Math.min(a[k], b[k]), Math.max(a[k], b[k])];
-      say({ do: "zoom", panel: this.name, x: pair(0), y: pair(1) });
-    }
-  }
-
-  click(event) {
-    const place = this.place(event);
-    if (!this.inside(place)) return;
-    const [x, y] = this.data(place);
-    tell("", false);
-    if (this.name === "portrait") say({ do: "start", x, v: y });
-    else if (this.name !== "trace") say({ do: "pick", panel: this.name, x, y });
-  }
-
-  key(event) {
-    const moves = { ArrowLeft: { by: -1 }, ArrowRight: { by: 1 }, ArrowUp: { branch: -1 }, ArrowDown: { branch: 1 } };
-    if (this.name === "diagram" && moves[event.key]) say({ do: "move", ...moves[event.key] });
-    else if (event.key === "Home") say({ do: "zoom", panel: this.name });
-    else return;
-    event.preventDefault();
-  }
-}
-
 const panels = Object.fromEntries(["diagram", "plane", "portrait", "trace"].map((name) => [name, new Panel(name)]));
 
-function popup(event) {
-  setTimeout(() => {  // what can be done is told once the click has been seen to
-    $("popup").replaceChildren(...actions());
-    Object.assign($("popup").style, { left: `${event.pageX}px`, top: `${event.pageY}px` });
-    $("popup").hidden = false;
-    $("popup").querySelector("button")?.focus();
-  }, 300);
+let menu = null;  // a menu that was asked for: where, and the message that says what is in it
+
+function ordered(event) {
+  pass();
+  menu = { left: event.pageX, top: event.pageY, number: sent };
+  if (sent === answered) popup();
 }
 
-function hide() { $("popup").hidden = true; }
+function popup() {
+  const at = $("popup"), wide = document.documentElement.clientWidth;
+  at.replaceChildren(...actions());
+  at.hidden = false;
+  const left = Math.max(0, Math.min(menu.left, wide - at.offsetWidth - 4));
+  Object.assign(at.style, { left: `${left}px`, top: `${menu.top}px` });
+  menu = null;
+  at.querySelector("button")?.focus();
+}
+
+function hide() { menu = null; $("popup").hidden = true; }
 
 async function take(name) {
   const answer = await fetch(`/take/${page}/${name}?token=${encodeURIComponent(token)}`);
@@ -318,11 +230,20 @@ $("load").onchange = async () => {
   $("load").value = "";
 };
 document.onkeydown = (event) => {
-  if (event.key === "Escape") { hide(); say({ do: "stop" }); return; }
-  if (/INPUT|SELECT|TEXTAREA/.test(event.target.tagName) || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === "Escape") {
+    if ($("popup").hidden && !$("files").open) say({ do: "stop" });
+    hide();
+    $("files").open = false;
+    return;
+  }
+  const isField = event.target.matches("input:not([type=range]), select");
+  if (isField || event.ctrlKey || event.metaKey || event.altKey) return;
   const calls = { f: "follow", w: "switch", l: "locus", m: "margin", e: "explore" };
   if (event.key === "u") say({ do: "undo" });
   else if (calls[event.key]) ask(calls[event.key]);
 };
-document.addEventListener("pointerdown", (event) => { if (!$("popup").contains(event.target)) hide(); });
+document.addEventListener("pointerdown", (event) => {
+  if (!$("popup").contains(event.target)) hide();
+  if (!$("files").contains(event.target)) $("files").open = false;
+});
 connect();

@@ -1,0 +1,95 @@
+"""How long the page lets a user wait, measured within Chromium: `python -m tests.browser.times [--count N]`."""
+
+import argparse
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from .served import ROOT, Seen, chromium, served
+
+SCENE = ROOT / "scenes" / "fig4.toml"
+# Waits until a panel's picture is another one and decoded: milliseconds since what `begin` does.
+WATCH = """([panel, begin]) => new Promise((done) => {
+    const img = document.querySelector(`#${panel} img`), before = img.src;
+    const watch = new MutationObserver(async () => {
+        if (img.src === before) return;
+        watch.disconnect();
+        await img.decode();
+        done(performance.now() - start);
+    });
+    watch.observe(img, { attributes: true, attributeFilter: ["src"] });
+    const start = performance.now();
+    const at = document.getElementById(begin.at);
+    if (begin.value !== undefined) { at.value = begin.value; at.dispatchEvent(new Event("input")); }
+    else if (begin.call) document.querySelector(`[data-call=${begin.call}]`).click();
+    else for (const kind of ["pointerdown", "pointerup"])
+        at.dispatchEvent(new PointerEvent(kind, { pointerId: 1, button: 0, clientX: begin.x, clientY: begin.y }));
+})"""
+
+
+def clicks(seen, count):
+    """Clicks at points of the branch P111, no two of them the same."""
+    seen.page.mouse.move(*seen.pixel("diagram", 3.0, 0.7))
+    for amplitude in np.random.default_rng(0).permutation(np.linspace(0.7, 3.3, count)):
+        x, y = seen.pixel("diagram", amplitude, 0.72)
+        yield seen.page.evaluate(WATCH, ["portrait", {"at": "diagram", "x": x, "y": y}])
+        seen.at_rest()
+
+
+def slides(seen, count):
+    """Moves the slider of the damping on and on."""
+    for damping in np.linspace(0.051, 0.09, count):
+        yield seen.page.evaluate(WATCH, ["portrait", {"at": "slider_damping", "value": damping}])
+        seen.at_rest()
+    seen.page.dispatch_event("#slider_damping", "change")
+    seen.at_rest()
+
+
+def branches(seen, count):
+    """Follows the branch of an orbit at one damping after another: each scene has none yet."""
+    for damping in np.linspace(0.0505, 0.0895, count):
+        seen.page.fill("#number_damping", f"{damping:.6f}")
+        seen.page.dispatch_event("#number_damping", "change")
+        seen.at_rest()
+        yield seen.page.evaluate(WATCH, ["diagram", {"call": "follow"}])
+        seen.at_rest()
+
+
+WAITS = {
+    "click in the diagram to its portrait": clicks,
+    "slider to the portrait": slides,
+    "branch of an orbit to the diagram": branches,
+}
+
+
+def started(browser, home):
+    """Seconds from the start of the command to a page that shows an orbit."""
+    begun = time.perf_counter()
+    with served(SCENE, home) as server:
+        seen = Seen(browser, server.url, wait=False)
+        seen.until("document.querySelector('#portrait img').naturalWidth")
+        wait = time.perf_counter() - begun
+        seen.context.close()
+    return wait
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=50, help="of each; default: 50")
+    count = parser.parse_args().count
+    with chromium() as browser, tempfile.TemporaryDirectory() as home:
+        starts = [started(browser, Path(home)) for _ in range(2)]
+        print(f"{'start to a portrait':40}{starts[1]:8.2f} s, with nothing kept by jax {starts[0]:.2f} s", flush=True)
+        with served(SCENE, Path(home)) as server:
+            seen = Seen(browser, server.url)
+            for told, waits in WAITS.items():
+                found = list(waits(seen, count + 2))[2:]  # the first compile
+                low, middle, high = np.percentile(found, [25, 50, 75])
+                print(f"{told:40}{middle:8.0f} ms (quartiles {low:.0f} and {high:.0f}, {count} of them)", flush=True)
+            seen.ends()
+
+
+if __name__ == "__main__":
+    main()
