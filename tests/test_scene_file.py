@@ -51,7 +51,7 @@ BAD = [
         "scen = 3",
         "scen",
         "is not a key here, perhaps scene (scene, sweep, attractors, orbits, branch, explore, locus, margin, fit, "
-        "map, spectrum, basins, panels); got 3",
+        "map, spectrum, basins, panels, view); got 3",
     ),
     (
         "scene.left.stifness = 3",

@@ -8,7 +8,7 @@ import msgspec
 from ..branches.curves import VARIABLES
 from ..scene.scene_table import scene_text_or_none, table_of
 from ..studies.schema import SceneFile
-from . import screen, shown, told
+from . import descriptions, screen, shown
 from .lines import SCENE, python
 from .shown import Shown
 
@@ -19,10 +19,10 @@ def state_of(now: Shown, results: Mapping[str, Any], is_undoable: bool, works: M
     numbers = {name: float(scene.parameter(name)) for name in scene.names}
     return {
         "numbers": numbers,
-        "facts": told.facts(now, results),
-        "title": told.title(now, results),
+        "facts": descriptions.facts(now, results),
+        "title": descriptions.title(now, results),
         "marks": screen.marks(now, results),
-        "actions": told.actions(now, results),
+        "actions": descriptions.actions(now, results),
         "undo": is_undoable,
         "works": [{"work": number, "label": label} for number, label in works.items()],
     }
@@ -35,7 +35,7 @@ def rest_of(now: Shown, results: Mapping[str, Any], file: SceneFile | None) -> d
         "sliders": [_slider(scene, name) for name in scene.names],
         "along": {name: getattr(now, name) for name in ("parameter", "bounds", "second", "second_bounds", "variable")},
         "variables": list(VARIABLES),
-        "points": told.points(now, results),
+        "points": descriptions.points(now, results),
         "chosen": now.chosen,
         "python": program(now, results),
         "file": "" if file is None else text_of(now, file),

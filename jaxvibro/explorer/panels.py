@@ -26,7 +26,7 @@ DPI = 100
 LEAST, MOST = 120, 4000  # pixels of a side
 SAMPLES = 200  # of a drive period
 AT_MOST = 12  # entries of a legend
-MARGINS = {"left": 74, "right": 12, "bottom": 46, "top": 24}  # pixels at a ratio of 1
+MARGINS = {"left": 74, "right": 12, "bottom": 52, "top": 24}  # pixels at a ratio of 1
 Draw = Callable[[Axes], object]
 _drawing = threading.Lock()  # matplotlib reads formulas in one thread at a time
 

@@ -17,7 +17,7 @@ from ..stores.filling import Progress
 from ..studies import scene_file
 from ..studies.schema import SceneFile, ViewTable
 from ..studies.text_limits import LARGEST
-from . import asks, messages, screen, shown, told
+from . import asks, descriptions, messages, screen, shown
 from .lines import SCENE, evaluated, resolved
 from .nearest import nearest
 from .page_text import rest_of, state_of
@@ -173,7 +173,7 @@ class Session:
     @_do.register
     def _(self, message: messages.Ask) -> None:
         rounds = list(asks.asked(message, self.shown, self.results, self._name))
-        self._long(told.label_of(message.call, self.shown, self.results), rounds)
+        self._long(descriptions.label_of(message.call, self.shown, self.results), rounds)
 
     @_do.register
     def _(self, message: messages.Stop) -> None:
