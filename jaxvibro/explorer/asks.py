@@ -78,6 +78,7 @@ def asked(message: Ask, now: Shown, results: Mapping[str, Any], name: Name) -> I
         if not isinstance(one, Orbit):
             raise ArgumentError(message.call, "must be asked of an orbit: this motion is none", now.current)
         if message.call == "follow":
+            _refuse_known(now, results)
             low, high = _holding({now.parameter: now.bounds}, one.scene)[now.parameter]
             yield [line(now.current, **along | {"low": low, "high": high})]
         else:
@@ -92,6 +93,13 @@ def asked(message: Ask, now: Shown, results: Mapping[str, Any], name: Name) -> I
         yield [line(now.scene)]
     else:
         yield from _grids(message, now, scene, line)
+
+
+def _refuse_known(now, results):
+    """Refuses to follow a point of a branch along the parameter that it is along already."""
+    chosen = resolved(now.chosen, results) if now.chosen else None
+    if isinstance(chosen, Branch) and chosen.name == now.parameter and chosen.bounds == now.bounds:
+        raise ArgumentError("follow", "must be asked of an orbit that is on no branch yet", now.chosen)
 
 
 def _grids(message, now, scene, line):

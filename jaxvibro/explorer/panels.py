@@ -58,31 +58,21 @@ class Panel:
         left, right = MARGINS["left"] / width, 1.0 - MARGINS["right"] / width
         bottom, top = MARGINS["bottom"] / height, 1.0 - MARGINS["top"] / height
         self._ax = self._figure.add_axes((left, bottom, right - left, top - bottom))
-        self._empty: Any = None  # the axes without what is in them, and their limits
+        self._empty: Any = None  # the axes' picture without what is in them, and their limits
 
-    def picture(self, draw: Draw, limits: Limits, same: bool = False) -> dict[str, Any]:
+    def picture(self, draw: Draw, limits: Limits, moving: bool = False) -> dict[str, Any]:
         """What the page is told: png, a text; box, the axes' left, top, width and height as parts of the picture's; x,
-        y: their limits. draw: is given the Axes. same: with the limits of the last picture, if all keeps within them.
+        y: their limits. draw: is given the Axes. moving: with the axes of the last picture, if all keeps within them.
         """
         with _drawing:
             self._clear()
             draw(self._ax)
-            known = self._empty
-            if same and known is not None and self._keeps_within(known):
-                self._ax.set(xlim=known[1], ylim=known[2])
-                self._canvas.restore_region(known[0])
-                self._draw_inner()
-            else:
+            if not moving:
                 self._limit(limits)
-                inner = self._inner()
-                for artist in inner:
-                    artist.set_visible(False)
                 self._canvas.draw()
-                box = self._canvas.copy_from_bbox(self._figure.bbox)
-                self._empty = box, self._ax.get_xlim(), self._ax.get_ylim()
-                for artist in inner:
-                    artist.set_visible(True)
-                self._draw_inner()
+                self._empty = None
+            else:
+                self._draw_moving(limits)
             content = io.BytesIO()
             Image.fromarray(np.asarray(self._canvas.buffer_rgba())).convert("RGB").save(
                 content, "png", compress_level=1
@@ -94,6 +84,27 @@ class Panel:
                 "x": list(map(float, self._ax.get_xlim())),
                 "y": list(map(float, self._ax.get_ylim())),
             }
+
+    def _draw_moving(self, limits):
+        """Draws what is in the axes over their picture without it, which is kept as long as all keeps within them."""
+        if self._empty is None or not self._keeps_within(self._empty):
+            self._limit(limits)
+            inner = self._inner()
+            for artist in inner:
+                artist.set_visible(False)
+            self._canvas.draw()
+            self._empty = (
+                self._canvas.copy_from_bbox(self._figure.bbox),
+                self._ax.get_xlim(),
+                self._ax.get_ylim(),
+            )
+            for artist in inner:
+                artist.set_visible(True)
+        region, across, up = self._empty
+        self._ax.set(xlim=across, ylim=up)
+        self._canvas.restore_region(region)
+        for artist in sorted(self._inner(), key=lambda one: one.get_zorder()):
+            self._ax.draw_artist(artist)
 
     def _clear(self):
         """Takes all out of the axes, and lets their limits follow what comes."""
@@ -112,11 +123,6 @@ class Panel:
     def _inner(self):
         ax = self._ax
         return [*ax.images, *ax.collections, *ax.patches, *ax.lines, *ax.texts]
-
-    def _draw_inner(self):
-        legend = self._ax.get_legend()
-        for artist in sorted((*self._inner(), *([legend] if legend else ())), key=lambda one: one.get_zorder()):
-            self._ax.draw_artist(artist)
 
     def _limit(self, limits):
         if limits.x is not None:
@@ -206,4 +212,4 @@ def motion_of(one: Orbit | xr.Dataset) -> xr.Dataset:
 def _legend(ax):
     handles, labels = ax.get_legend_handles_labels()
     if labels:
-        ax.legend(handles[:AT_MOST], labels[:AT_MOST], frameon=False, fontsize="x-small", loc="best")
+        ax.legend(handles[:AT_MOST], labels[:AT_MOST], fontsize="x-small", loc="upper left", framealpha=0.7)
