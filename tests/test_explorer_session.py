@@ -124,6 +124,7 @@ def test_what_cannot_be_is_one_line_and_changes_nothing(desk, message, rule):
     assert desk.session.shown == before
 
 
+@pytest.mark.slow
 def test_parameters_and_ranges_of_the_axes(desk):
     given = {"parameter": "frequency", "bounds": (2.0, 2.2), "second": "damping", "second_bounds": (0.0, 0.1)}
     desk.say(messages.Along(**given, variable="speed"))
@@ -134,6 +135,7 @@ def test_parameters_and_ranges_of_the_axes(desk):
     assert desk.session.shown.variable == "speed"
 
 
+@pytest.mark.slow
 def test_what_is_found_after_it_was_undone_has_all_that_it_refers_to(desk):
     desk.say(messages.Put(name="damping", value=0.06))
     desk.say(messages.Ask(call="follow"))
@@ -146,6 +148,7 @@ def test_what_is_found_after_it_was_undone_has_all_that_it_refers_to(desk):
     assert names[-1].startswith("branch_")
 
 
+@pytest.mark.slow
 def test_a_grid_is_refined_in_place(desk):
     told = desk.ask("basins", count=32)
     grids = [line for line in desk.session.shown.lines if line.call == "basins"]
