@@ -3,7 +3,8 @@
 COUNT attractors of scenes with several: some at amplitudes of figure 4, most random. Of each, SHOCKS random shocks
 below the size found: does one leave? Half of them are even over the disc, half over its radius; of a chaotic attractor
 they strike states of a run of its own. The least one found, one 1 % larger and one just below are run on alone as well,
-by `strobe`, without the traps that basins are told by. By turns dv alone and both.
+by `strobe`, without the traps that basins are told by; where the one 1 % larger does not leave, SHOCKS others of just
+that size are tried. By turns dv alone and both.
 """
 
 import sys
@@ -43,8 +44,8 @@ def scenes(first):
             yield f"{kind} {place}", scene
 
 
-def tried(scene, attractors, place, phase, plane, size, shocks, rng):
-    """(sizes, labels) of random shocks below a size."""
+def tried(scene, attractors, place, phase, plane, size, shocks, rng, just=False):
+    """(sizes, labels) of random shocks below a size, or of just this one."""
     left, right, fast = (float(edge) for edge in box(scene))
     homes = homes_of(scene, attractors, phase, max(abs(left), abs(right), fast))
     points = homes[place].points
@@ -55,11 +56,18 @@ def tried(scene, attractors, place, phase, plane, size, shocks, rng):
     start = points[rng.integers(len(points), size=shocks)]
     share = rng.random(shocks)
     share[::2] **= 0.5
+    share = np.ones(shocks) if just else share
     turn = 2.0 * np.pi * rng.random(shocks)
     way = np.stack([np.cos(turn), np.sin(turn)], -1) if plane else np.stack([0.0 * turn, np.sign(turn - np.pi)], -1)
     z = start + size * share[:, None] * way
     label, _ = assign_labels(scene, *z.T, phase, homes, 2000)
     return size * share, label
+
+
+def some_way(scene, attractors, place, phase, plane, size, shocks, rng):
+    """Whether one of many shocks of just this size leaves."""
+    _, label = tried(scene, attractors, place, phase, plane, size, shocks, rng, just=True)
+    return bool(((label >= 0) & (label != place)).any())
 
 
 def alone(scene, attractors, z, phase):
@@ -95,6 +103,8 @@ def judged(name, scene, attractors, place, phase, direction, shocks, seed):
         known = attractors[found.to].kind == "periodic"
         counts["leaves alone"] = int(ends[0] == found.to or not known)
         counts["1 % more leaves"] = int(found.until >= 1.01 * size)
+        given = scene, attractors, place, phase, direction == "xv", 1.01 * size, shocks, rng
+        counts["1 % more leaves some way"] = int(counts["1 % more leaves"] or some_way(*given))
         counts["1 % more leaves alone"] = int(ends[1] not in (place, -1) or not known)
         stays = ends[2] == (place if attractors[place].kind == "periodic" else -1)
         counts["just below stays alone"] = int(stays)
