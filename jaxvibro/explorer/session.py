@@ -157,11 +157,12 @@ class Session:
     def _(self, message: messages.Along) -> None:
         names = self.results[self.shown.scene].names
         for name, pair in ((message.parameter, message.bounds), (message.second, message.second_bounds)):
-            check.require_known("parameter", names, name)
+            check.require_known(name, names, name)
             _rising("bounds", pair)
         if message.parameter == message.second:
             raise ArgumentError("second", "must be another parameter than the diagram's", message.second)
-        check.require_known("variable", VARIABLES, message.variable)
+        if message.variable not in VARIABLES:
+            raise ArgumentError("variable", f"must be one of {', '.join(VARIABLES)}", message.variable)
         keys = ("parameter", "bounds", "second", "second_bounds", "variable")
         self.screen.limits.clear()
         self._show(self.shown.having(**{key: getattr(message, key) for key in keys}))
