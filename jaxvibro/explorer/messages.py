@@ -139,9 +139,24 @@ Sent = Hello | Resize | Zoom | Pick | Begin | Put | Choose | Move | Along | Ask 
 _decoder = msgspec.json.Decoder(Sent)
 
 
+class _Numbered(Struct):
+    number: int = 0
+
+
+_numbers = msgspec.json.Decoder(_Numbered)
+
+
 def read(text: str | bytes) -> Sent:
     """The message of a text. Raises ArgumentError for what is none."""
     try:
         return _decoder.decode(text)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
         raise ArgumentError("message", f"must be one that the page knows ({short(error)})", short(text)) from None
+
+
+def number_of(text: str | bytes) -> int:
+    """The number of a message that may be none the page knows, 0 without."""
+    try:
+        return _numbers.decode(text).number
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return 0

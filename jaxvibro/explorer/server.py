@@ -259,6 +259,7 @@ class Socket(websocket.WebSocketHandler):
             message = messages.read(text)
         except ArgumentError as error:
             self._send(json.dumps({"kind": "told", "text": short(error, 300), "bad": True}))
+            self._send(json.dumps({"kind": "answer", "number": messages.number_of(text)}))
             return
         session = self.session
         if session is not None and not self.line.add(lambda: session.receive(message), message.replaces):

@@ -165,7 +165,8 @@ class Session:
             _rising("bounds", pair)
         if message.parameter == message.second:
             raise ArgumentError("second", "must be another parameter than the diagram's", message.second)
-        check.require_known(message.variable, VARIABLES, message.variable)
+        if message.variable not in VARIABLES:
+            raise ArgumentError("variable", f"must be one of {', '.join(VARIABLES)}", message.variable)
         keys = ("parameter", "bounds", "second", "second_bounds", "variable")
         self.screen.limits.clear()
         self._show(self.shown.having(**{key: getattr(message, key) for key in keys}))

@@ -182,6 +182,35 @@ def test_a_thousand_clicks_in_a_second_end_with_the_last(seen):
     assert orbit_told(seen).label == "P111"
 
 
+def test_other_axes(seen):
+    seen.page.fill("#low", "1")
+    seen.page.select_option("#variable", "v")
+    seen.page.click("#along button")
+    seen.until("jaxvibro.idle && panels.diagram.x[0] === 1")
+    assert seen.state("along")["bounds"] == [1.0, 6.0] and seen.state("along")["variable"] == "v"
+    facts = seen.state("facts")
+    (mark,) = seen.state("marks")["diagram"]
+    np.testing.assert_allclose(mark, [2.0, float(re.search(rf", v ({NUMBER})", facts)[1])], rtol=1e-9)
+
+
+def test_what_cannot_be_is_told_in_a_line_and_the_page_goes_on(seen):
+    seen.page.evaluate("() => send({ do: 'ask', call: 'map', count: 0 })")
+    seen.until("document.getElementById('told').textContent.startsWith('message:')")
+    seen.page.fill("#low", "7")
+    seen.page.click("#along button")
+    seen.until("document.getElementById('told').textContent.startsWith('bounds:')")
+    assert seen.page.get_attribute("#told", "class") == "bad"
+    seen.page.fill("#low", "")
+    seen.page.click("#along button")
+    assert seen.page.evaluate("() => document.activeElement.id") == "low"
+    seen.page.fill("#number_left\\.position", "3")
+    seen.page.keyboard.press("Enter")
+    seen.until("jaxvibro.idle && !document.getElementById('told').textContent.startsWith('bounds:')")
+    assert seen.state("numbers")["left.position"] == -1.0
+    seen.click("diagram", 2.75, 0.72)
+    assert orbit_told(seen).label == "P111" and seen.page.inner_text("#told") == ""
+
+
 @pytest.mark.parametrize("width", [400, 800])
 def test_nothing_stands_out_of_a_narrow_window(browser, server, width):
     seen = Seen(browser, server.url, viewport={"width": width, "height": 800})

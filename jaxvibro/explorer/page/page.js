@@ -132,6 +132,7 @@ function actions() {
 }
 
 function ask(call) {
+  if (!$("count").reportValidity() || !$("max_period").reportValidity()) return;
   tell("", false);
   say({ do: "ask", call, count: Number($("count").value), max_period: Number($("max_period").value) });
 }
