@@ -1,4 +1,4 @@
-"""Stores that are killed: `python -m tests.stores_proof [kill COUNT] [workers COUNT CHUNKS]`.
+"""Stores that are killed: `python -m tests.stores_proof [kill COUNT [KIND ...]] [workers COUNT CHUNKS]`.
 
 kill: a map worked out over and over, its process, a Dask worker, the scheduler or the client killed (-9) at random
 moments; after each the next run goes on. The store must end bit for bit as one that was never killed, and no chunk
@@ -28,6 +28,7 @@ from .counted_study import Counted, counts
 from .test_stores import bits
 
 ROOT = Path(__file__).parents[1]
+KINDS = ("local", "worker", "scheduler", "client")
 MAP = """
 import sys
 import numpy as np
@@ -63,7 +64,7 @@ def ended(process):
     return process.wait() == 0
 
 
-def kill(count, rng):
+def kill(count, rng, kinds):
     """Kills runs of a map, in turn local, a Dask worker, the scheduler, the client."""
     with tempfile.TemporaryDirectory() as where:
         script = Path(where) / "work.py"
@@ -73,7 +74,7 @@ def kill(count, rng):
         whole = bits(Path(where) / "whole")
         seconds = time.perf_counter() - began
         print(f"never killed: {len(marks(Path(where) / 'whole'))} chunks, {seconds:.1f} s", flush=True)
-        for kind in ("local", "worker", "scheduler", "client"):
+        for kind in kinds:
             kills = again = 0
             while kills < count:
                 folder = Path(where) / kind
@@ -183,6 +184,6 @@ def lose(ends, lost, rng):
 if __name__ == "__main__":
     asked = sys.argv[1:] or ["kill", "20"]
     if asked[0] == "kill":
-        kill(int(asked[1]), random.Random(25))
+        kill(int(asked[1]), random.Random(25), asked[2:] or KINDS)
     else:
         workers(int(asked[1]), int(asked[2]), random.Random(25))
