@@ -35,6 +35,7 @@ def rest_of(now: Shown, results: Mapping[str, Any], file: SceneFile | None) -> d
         "sliders": [_slider(scene, name) for name in scene.names],
         "along": {name: getattr(now, name) for name in ("parameter", "bounds", "second", "second_bounds", "variable")},
         "variables": list(VARIABLES),
+        "max_period": file.explore.max_period if file and file.explore else 2,
         "points": descriptions.points(now, results),
         "chosen": now.chosen,
         "python": program(now, results),

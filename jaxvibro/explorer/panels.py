@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from .. import plot
+from ..attractors.find import Attractor
 from ..branches.branch import Branch
 from ..design.margin import Margin
 from ..loci.locus import Locus
@@ -155,17 +156,23 @@ def diagram(
     ax: Axes,
     branches: Sequence[Branch],
     swept: Sequence[xr.Dataset],
+    attractors: tuple[Attractor, ...],
+    value: float,
     name: str,
     bounds: Sequence[float],
     variable: str,
 ) -> None:
-    """Branches along a parameter, over what was swept."""
+    """Branches along a parameter, over what was swept, and attractors at its value."""
     for one in swept if variable in ("x", "v") else ():
         plot.diagram(one, variable, ax, faint=bool(branches))
     for curve in branches:
         plot.branch(curve, variable, ax)
+    if attractors and variable in ("x", "v"):
+        plot.mark(attractors, value, variable, ax)
     if not branches:
         ax.set(xlabel=label(name), ylabel=VARIABLES[variable])
+    if not branches and not swept:
+        ax.text(0.5, 0.5, "no branch of this scene yet", transform=ax.transAxes, ha="center", color="0.4")
     ax.set_xlim(*bounds)
     _legend(ax)
 
@@ -180,7 +187,8 @@ def plane(
 ) -> None:
     """Loci in two parameters, over a map."""
     if mapped is not None:
-        plot.map(mapped, ax, legend=False)
+        plot.map(mapped, ax)
+    cells = _entries(ax)
     for one in loci:
         plot.locus(one, ax)
     if near is not None:
@@ -189,14 +197,17 @@ def plane(
         ax.set(xlabel=label(names[0]), ylabel=label(names[1]))
     ax.set_xlim(*bounds[0])
     ax.set_ylim(*bounds[1])
-    _legend(ax)
+    _legend(ax, cells)
 
 
 def portrait(ax: Axes, one: Orbit | xr.Dataset, scene: Scene, stable: bool, basins: xr.Dataset | None) -> None:
     """An orbit, or a motion that is none, in the phase plane, over basins."""
     if basins is not None:
-        plot.basins(basins, ax, legend=False)
+        plot.basins(basins, ax)
+    cells = _entries(ax)
     plot.portrait(motion_of(one), scene, ax, stable)
+    if basins is not None:
+        _legend(ax, cells)
 
 
 def trace(ax: Axes, one: Orbit | xr.Dataset, scene: Scene) -> None:
@@ -209,7 +220,15 @@ def motion_of(one: Orbit | xr.Dataset) -> xr.Dataset:
     return simulate(one.scene, one.state, one.periods, SAMPLES) if isinstance(one, Orbit) else one
 
 
-def _legend(ax):
-    handles, labels = ax.get_legend_handles_labels()
+def _entries(ax):
+    """(handles, labels) of the legend that a picture has made below its axes, where the page has no room for it."""
+    made = ax.get_legend()
+    return ([], []) if made is None else (made.legend_handles, [text.get_text() for text in made.get_texts()])
+
+
+def _legend(ax, more=((), ())):
+    handles, labels = ([*own, *others] for own, others in zip(ax.get_legend_handles_labels(), more, strict=True))
+    if len(labels) > AT_MOST:
+        handles, labels = handles[:AT_MOST], [*labels[: AT_MOST - 1], f"and {len(labels) - AT_MOST + 1} more"]
     if labels:
-        ax.legend(handles[:AT_MOST], labels[:AT_MOST], fontsize="x-small", loc="upper left", framealpha=0.7)
+        ax.legend(handles, labels, fontsize="x-small", loc="upper left", framealpha=0.7)

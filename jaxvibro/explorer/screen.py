@@ -25,7 +25,7 @@ class Screen:
         self.panels: dict[str, Panel] = {}
         self.limits: dict[str, Limits] = {}
         self.boxes: dict[str, tuple[list[float], list[float]]] = {}
-        self.drawn: dict[str, Any] = {}
+        self.drawn: dict[str, Any] = {}  # (key, parts) of each panel: what a key names is not to be lost
 
     def forget(self) -> None:
         """All is to be drawn anew."""
@@ -45,10 +45,10 @@ class Screen:
             parts = parts_of(panel, now, results)
             limits = self.limits.get(panel, Limits())
             key = parts and (*map(_key, parts), self.panels[panel].size, limits)
-            if parts is None or key == self.drawn.get(panel):
+            if parts is None or key == self.drawn.get(panel, (None,))[0]:
                 continue
             told = self.panels[panel].picture(partial(_draw, DRAW[panel], parts), limits, fast)
-            self.boxes[panel], self.drawn[panel] = (told["x"], told["y"]), key
+            self.boxes[panel], self.drawn[panel] = (told["x"], told["y"]), (key, parts)
             found.append({"kind": "picture", "panel": panel, **told})
         return found
 
@@ -65,7 +65,9 @@ def parts_of(panel: str, now: Shown, results: Mapping[str, Any]) -> tuple[Any, .
     """What a panel's picture is made of, None where there is nothing to draw."""
     if panel == "diagram":
         curves = tuple(one for _, one in shown.branches(now, results))
-        return curves, tuple(shown.swept(now, results)), now.parameter, now.bounds, now.variable
+        value, found = float(results[now.scene].parameter(now.parameter)), shown.latest(now, results, "attractors")
+        swept = tuple(shown.swept(now, results))
+        return curves, swept, found or (), value if found else 0.0, now.parameter, now.bounds, now.variable
     if panel == "plane":
         loci = tuple(one for _, one in shown.loci(now, results))
         names, bounds = (now.parameter, now.second), (now.bounds, now.second_bounds)

@@ -105,6 +105,7 @@ function show(record) {
     [$("low").value, $("high").value] = along.bounds;
     [$("second_low").value, $("second_high").value] = along.second_bounds;
   }
+  if (has("max_period")) $("max_period").value = state.max_period;
   if (has("facts")) $("facts").textContent = state.facts;
   if (has("title")) $("title").textContent = state.title;
   if (has("python")) $("python").textContent = state.python;
