@@ -28,6 +28,7 @@ class Desk:
         file = SceneFile(scene=table_of(scene)) if file is None else file
         self.told, self.turns = [], queue.Queue()
         self.session = Session(file, scene, self.told.append, self.turns.put)
+        self.session.greeted = True
 
     def say(self, message):
         """Sends a message: what the page is told because of it."""

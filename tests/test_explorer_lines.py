@@ -28,6 +28,7 @@ def line(name, call, of=SCENE, **arguments):
 LINES = [
     line("scene_2", "replace", changes={"amplitude": 2.1, "left.restitution": 0.6}),
     line("orbit_1", "find_orbit", **STATE),
+    line("orbit_4", "moved", **STATE),
     line("motion_1", "motion", "scene_2", **STATE, periods=3, phase=0.5),
     line("branch_1", "follow", "orbit_1", **ALONG, low=0.0, high=4.0),
     line("orbit_2", "orbit", "branch_1", place=7),
@@ -116,7 +117,7 @@ def test_what_no_page_can_have_asked_is_refused(change, rule):
 
 def test_lines_that_nothing_needs_are_left_out():
     kept = [one.name for one in tidy(LINES, ("orbit_3", SCENE))]
-    assert kept == [one.name for one in LINES if one.name not in ("scene_2", "motion_1", "orbit_2")]
+    assert kept == [one.name for one in LINES if one.name not in ("scene_2", "orbit_4", "motion_1", "orbit_2")]
 
 
 SCENES = {

@@ -30,7 +30,7 @@ from .scene_code import scales_code, scene_code
 
 SCENE = "scene_1"  # that of the file
 SETTLE = 300  # drive periods after which a motion is shown
-LOOKS = ("find_orbit", "motion", "orbit", "special")  # calls whose result the portrait shows
+LOOKS = ("find_orbit", "moved", "motion", "orbit", "special")  # calls whose result the portrait shows
 NAME = re.compile(r"[a-z]+_[1-9]\d{0,5}")
 REFERENCE = re.compile(rf"({NAME.pattern})((?:(?:\.branches|\.special)?\[\d{{1,6}}\])*)")
 STEP = re.compile(r"(?:\.(branches|special))?\[(\d+)\]")
@@ -57,7 +57,14 @@ def _replace(of, changes):
 
 
 def _find_orbit(of, x, v, phase=0.0):
-    """That on which a start settles: strobed in one compiled run, which takes no time beside what `find_orbit` does."""
+    return Call(
+        f"jv.find_orbit({of.text}, jv.State({x!r}, {v!r}, {phase!r}))",
+        lambda told: find_orbit(of.value, State(x, v, phase)),
+    )
+
+
+def _moved(of, x, v, phase=0.0):
+    """The same while a slider moves: settled in one compiled run, which takes a fortieth of the time."""
     start = _settled(of, x, v, phase)
     return Call(
         f"jv.find_orbit({of.text}, {start.text}, settle=1)",
@@ -151,6 +158,7 @@ def _even(first, last, count):
 CALLS: dict[str, Callable[..., Call]] = {
     "replace": _replace,
     "find_orbit": _find_orbit,
+    "moved": _moved,
     "motion": _motion,
     "orbit": _orbit,
     "special": _special,

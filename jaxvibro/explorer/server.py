@@ -17,12 +17,19 @@ import jax
 import numpy as np
 from tornado import httpserver, netutil, web, websocket
 
+from ..maps.simulate import simulate
+from ..maps.strobe import strobe
+from ..orbits.find import find_orbit
+from ..orbits.orbit import OrbitError
 from ..scene.check import ArgumentError, short
 from ..scene.scene import Scene
+from ..scene.state import State
 from ..studies.schema import SceneFile
 from ..studies.text_limits import LARGEST
 from . import files, messages
+from .lines import SETTLE
 from .page_text import program, text_of
+from .panels import SAMPLES
 from .session import Session
 
 PAGE = Path(__file__).with_name("page")
@@ -51,11 +58,11 @@ class Line:
     last alone."""
 
     def __init__(self, double: bool) -> None:
-        self._waiting: deque[tuple[Callable[[], None] | None, Any]] = deque()
+        self._waiting: deque[tuple[Callable[[], object] | None, Any]] = deque()
         self._changed, self._double = threading.Condition(), double
         threading.Thread(target=self._run, daemon=True).start()
 
-    def add(self, does: Callable[[], None] | None, replaces: Any = None) -> bool:
+    def add(self, does: Callable[[], object] | None, replaces: Any = None) -> bool:
         """Sees to something when its turn comes; None: ends. Whether there was room for it."""
         with self._changed:
             if replaces is not None and self._waiting and self._waiting[-1][1] == replaces:
@@ -96,6 +103,8 @@ class Explorer:
         host = f"[{address}]" if ":" in address else address
         self.url = f"http://{host}:{self.port}/?token={self.token}"
         self._begun = threading.Event()
+        self.ready = threading.Event()
+        threading.Thread(target=_first_answers, args=(scene, self.ready), daemon=True).start()
 
     async def serve(self) -> None:
         """Serves until `stop`."""
@@ -129,6 +138,20 @@ class Explorer:
         return is_loopback(urlsplit(f"//{request.host}").hostname or "") and hmac.compare_digest(
             given, self.token.encode()
         )
+
+
+def _first_answers(scene, ready):
+    """Asks what a page asks first, while the browser is on its way: what is compiled for it is then there."""
+    with jax.enable_x64(bool(scene.dtype == np.float64)):
+        try:
+            one = find_orbit(scene, State(0.0, 0.0))
+            simulate(scene, one.state, one.periods, SAMPLES)
+        except (ArgumentError, OrbitError, ArithmeticError):
+            pass  # the page will say so
+        finally:
+            ready.set()
+        with suppress(ArgumentError):
+            strobe(scene, State(0.0, 0.0), SETTLE, 0)
 
 
 def _bound(address, port):
@@ -247,6 +270,7 @@ class Socket(websocket.WebSocketHandler):
 
         self.line = Line(double)
         self.session = Session(self.explorer.file, self.explorer.scene, push, self.line.add)
+        self.line.add(self.explorer.ready.wait)
         self.explorer.pages[self.name] = self
         self._send(json.dumps({"kind": "page", "name": self.name}))
 

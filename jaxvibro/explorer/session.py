@@ -42,7 +42,7 @@ class Session:
     """
 
     def __init__(self, file: SceneFile | None, scene: Scene, push: Push, later: Later) -> None:
-        self.push, self.later, self.screen = push, later, screen.Screen()
+        self.push, self.later, self.screen, self.greeted = push, later, screen.Screen(), False
         self._open(file, scene)
 
     def _open(self, file: SceneFile | None, scene: Scene) -> None:
@@ -94,6 +94,7 @@ class Session:
 
     @_do.register
     def _(self, message: messages.Hello) -> None:
+        self.greeted = True
         if message.text:
             self._do(messages.Load(text=message.text))
         else:
@@ -220,7 +221,9 @@ class Session:
             self._do(messages.Ask(call="follow"))
 
     def tell(self) -> None:
-        """Tells the page what is other than it knows."""
+        """Tells the page what is other than it knows, once it has said that it is there."""
+        if not self.greeted:
+            return
         moving = self.taken is not None
         for record in self.screen.pictures(self.shown, self.results, moving):
             self.push(record)
@@ -272,7 +275,7 @@ class Session:
         """The line of the orbit, or motion, that a start settles on; its result is kept."""
         x, v, phase = (float(np.asarray(each)) for each in (state.x, state.v, state.phase))
         start = {"x": x, "v": v} | ({"phase": phase} if phase else {})
-        line = ViewTable(name=names[1], call="find_orbit", of=scene, arguments=start)
+        line = ViewTable(name=names[1], call="moved" if periods else "find_orbit", of=scene, arguments=start)
         try:
             self.results[line.name] = evaluated(line, self.results)
         except OrbitError:
