@@ -30,9 +30,9 @@ WATCH = """([panel, begin]) => new Promise((done) => {
 
 
 def clicks(seen, count):
-    """Clicks at points of the branch P111, no two of them the same."""
+    """Clicks along the branch P111, no two in a row near each other: at one point the picture would stay."""
     seen.page.mouse.move(*seen.pixel("diagram", 3.0, 0.7))
-    for amplitude in np.random.default_rng(0).permutation(np.linspace(0.7, 3.3, count)):
+    for amplitude in 0.7 + 2.6 * (0.618034 * np.arange(count) % 1.0):
         x, y = seen.pixel("diagram", amplitude, 0.72)
         yield seen.page.evaluate(WATCH, ["portrait", {"at": "diagram", "x": x, "y": y}])
         seen.at_rest()
