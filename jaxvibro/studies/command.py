@@ -25,7 +25,8 @@ it, or all branches are found by themselves ([explore]); a [locus] follows their
 file; a [map] tells what each cell of a grid over two parameters settles on, and goes on where it was interrupted; a
 scene with none of these is followed from rest. Walls are rigid or soft. Writes DIR/NAME.png, NAME.nc and NAME.txt, for
 a scene file NAME.toml, with a [locus] NAME.loci.png, with a [margin] NAME.margin.png, with a [map] NAME.map.png and
-NAME.zarr, for a [map] alone no other picture. The tables [spectrum], [basins] and [panels] are for paper."""
+NAME.zarr, for a [map] alone no other picture. The tables [spectrum], [basins] and [panels] are for paper,
+[[view]] for view."""
 _PAPER = """Recomputes figures 2 to 12 of Cheng and Xu (2007), its formulas and what it says of one wall and of walls
 that move, and judges every claim by numbers. Writes DIR/report.html, DIR/report.md and, for each NAME, NAME.json (the
 claims) and, where there are such, NAME.png and NAME.nc. What an earlier run has done is kept: an interrupted one goes
