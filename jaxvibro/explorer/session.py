@@ -79,6 +79,7 @@ class Session:
 
     def receive(self, message: messages.Sent) -> None:
         """Does what a message asks, and tells the page; a complaint is one line."""
+        self.greeted |= not isinstance(message, messages.Resize)
         try:
             if self.taken is not None and not isinstance(message, messages.Put | messages.Resize):
                 self._let_go()
@@ -94,7 +95,6 @@ class Session:
 
     @_do.register
     def _(self, message: messages.Hello) -> None:
-        self.greeted = True
         if message.text:
             self._do(messages.Load(text=message.text))
         else:
@@ -221,7 +221,7 @@ class Session:
             self._do(messages.Ask(call="follow"))
 
     def tell(self) -> None:
-        """Tells the page what is other than it knows, once it has said that it is there."""
+        """Tells the page what is other than it knows, once it has said more than how large its panels are."""
         if not self.greeted:
             return
         moving = self.taken is not None
