@@ -38,7 +38,7 @@ LINES = [
     line("map_1", "map", **GRID),
     line("basins_1", "basins", x=[-1.0, 1.0], v=[-2.0, 2.0], count=6),
     line("attractors_1", "attractors"),
-    line("locus_1", "locus", "branch_1.special[1]", bounds=BOX | {"amplitude": [0.4, 0.7]}),
+    line("locus_1", "locus", "branch_1.special[2]", bounds=BOX | {"amplitude": [0.4, 0.7]}),
 ]
 
 

@@ -132,12 +132,11 @@ def _averaged(scene, sums, status):
         return lost(status if status else Status.NONFINITE)
     first, both = growth.sum() / count, shrinkage(scene, left.sum(), right.sum(), count, area.sum()) / count
     impacts, within = (np.array([part.sum() for part in each]) / count for each in ((hits, left, right), within))
-    told = np.array([0, status, count])
     if np.isneginf(first):
-        return Rates(np.full(2, -np.inf), np.zeros(2), impacts, within, *told)
+        return Rates(np.full(2, -np.inf), np.zeros(2), impacts, within, 0, status, count)
     error = np.array([standard_error(growth, BLOCK), 0.0])
     if np.isfinite(both):
         error[1] = standard_error(shrinkage(scene, left, right, BLOCK, area) - growth, BLOCK)
     if abs(first) < SLOWEST:
         error = np.maximum(error, 1.0 / (len(growth) * BLOCK))  # a shear alone grows like ln(time), which looks steady
-    return Rates(np.array([first, both - first]), error, impacts, within, *told)
+    return Rates(np.array([first, both - first]), error, impacts, within, 0, status, count)

@@ -6,7 +6,6 @@ from typing import Any
 import msgspec
 
 from ..branches.curves import VARIABLES
-from ..scene.scene_table import scene_text_or_none, table_of
 from ..studies.schema import SceneFile
 from . import descriptions, screen, shown
 from .lines import SCENE, python
@@ -38,7 +37,7 @@ def rest_of(now: Shown, results: Mapping[str, Any], file: SceneFile | None) -> d
         "max_period": file.explore.max_period if file and file.explore else 2,
         "points": descriptions.points(now, results),
         "chosen": now.chosen,
-        "python": program(now, results),
+        "python": program(now, results, file),
         "file": "" if file is None else text_of(now, file),
     }
 
@@ -48,10 +47,9 @@ def _slider(scene, name):
     return {"name": name, "low": low, "high": high}
 
 
-def program(now: Shown, results: Mapping[str, Any]) -> str:
+def program(now: Shown, results: Mapping[str, Any], file: SceneFile | None) -> str:
     """What was asked, as Python."""
-    scene = results[SCENE]
-    return python(table_of(scene) if scene_text_or_none(scene) else None, now.lines, results)
+    return python(None if file is None else file.scene, now.lines, results)
 
 
 def text_of(now: Shown, file: SceneFile) -> str:

@@ -69,7 +69,7 @@ class Panel:
             self._clear()
             draw(self._ax)
             if not moving:
-                self._limit(limits)
+                _limit(self._ax, limits)
                 self._canvas.draw()
                 self._empty = None
             else:
@@ -89,7 +89,7 @@ class Panel:
     def _draw_moving(self, limits):
         """Draws what is in the axes over their picture without it, which is kept as long as all keeps within them."""
         if self._empty is None or not self._keeps_within(self._empty):
-            self._limit(limits)
+            _limit(self._ax, limits)
             inner = self._inner()
             for artist in inner:
                 artist.set_visible(False)
@@ -125,15 +125,16 @@ class Panel:
         ax = self._ax
         return [*ax.images, *ax.collections, *ax.patches, *ax.lines, *ax.texts]
 
-    def _limit(self, limits):
-        if limits.x is not None:
-            self._ax.set_xlim(limits.x)
-        if limits.y is not None:
-            self._ax.set_ylim(limits.y)
-
     def _keeps_within(self, known):
         (_, across, up), found = known, self._ax.dataLim
         return across[0] <= found.x0 and found.x1 <= across[1] and up[0] <= found.y0 and found.y1 <= up[1]
+
+
+def _limit(ax, limits):
+    if limits.x is not None:
+        ax.set_xlim(limits.x)
+    if limits.y is not None:
+        ax.set_ylim(limits.y)
 
 
 def exported(draw: Draw, limits: Limits, kind: str) -> bytes:
@@ -143,10 +144,7 @@ def exported(draw: Draw, limits: Limits, kind: str) -> bytes:
         FigureCanvasAgg(figure)
         ax = figure.add_subplot()
         draw(ax)
-        if limits.x is not None:
-            ax.set_xlim(limits.x)
-        if limits.y is not None:
-            ax.set_ylim(limits.y)
+        _limit(ax, limits)
         content = io.BytesIO()
         figure.savefig(content, format=kind)
     return content.getvalue()

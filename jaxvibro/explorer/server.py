@@ -6,6 +6,7 @@ import ipaddress
 import json
 import secrets
 import threading
+import traceback
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
@@ -76,7 +77,10 @@ class Line:
     def _run(self) -> None:
         with jax.enable_x64(self._double):
             while (does := self._next()) is not None:
-                does()
+                try:
+                    does()
+                except Exception:  # of the program's own: the page goes on
+                    traceback.print_exc()
 
     def _next(self):
         with self._changed:
@@ -236,7 +240,7 @@ def content(name: str, session: Session) -> bytes:
             raise ArgumentError("scene.toml", "must be of a scene that can be written: its force has no name", name)
         return text_of(now, session.file).encode()
     if name == "lines.py":
-        return program(now, results).encode()
+        return program(now, results, session.file).encode()
     if name == "data.zip":
         return files.archive(now, results)
     panel, _, kind = name.partition(".")

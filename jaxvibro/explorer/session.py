@@ -56,6 +56,7 @@ class Session:
         self.screen.forget()
         self.works = Works(self._tell_far, self.later, bool(scene.dtype == np.float64))
         self.told: dict[str, Any] = {}  # what the page knows
+        self.rested: Shown | None = None  # of which it knows the rest
 
     def _again(self, results: dict[str, Any] | None, error: Exception | None) -> None:
         """Shows what the file's [[view]] asked, once that is done."""
@@ -75,8 +76,6 @@ class Session:
         """Ends all work: the page has gone, or has asked for it."""
         self.works.stop()
 
-    # What each message does.
-
     def receive(self, message: messages.Sent) -> None:
         """Does what a message asks, and tells the page; a complaint is one line."""
         self.greeted |= not isinstance(message, messages.Resize)
@@ -86,8 +85,9 @@ class Session:
             self._do(message)
         except EXPECTED as error:
             self._complain(error)
-        self.tell()
-        self.push({"kind": "answer", "number": message.number})
+        finally:
+            self.tell()
+            self.push({"kind": "answer", "number": message.number})
 
     @singledispatchmethod
     def _do(self, message: Any) -> None:
@@ -205,7 +205,6 @@ class Session:
         if self.file is not None and self.file.view:
             lines, scene = tuple(self.file.view), self.results[SCENE]
             self.works.begin("what was asked before", lambda tell: replayed(lines, scene, tell), self._again)
-            self.tell()
             return
         table = self.file and self.file.branch
         try:
@@ -228,7 +227,9 @@ class Session:
         for record in self.screen.pictures(self.shown, self.results, moving):
             self.push(record)
         state = state_of(self.shown, self.results, bool(self.past), self.works.labels)
-        state |= {} if moving else rest_of(self.shown, self.results, self.file)
+        if not moving and self.shown is not self.rested:
+            state |= rest_of(self.shown, self.results, self.file)
+            self.rested = self.shown
         new = {key: value for key, value in state.items() if self.told.get(key, ...) != value}
         if new:
             self.told |= new

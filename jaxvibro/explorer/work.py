@@ -15,8 +15,9 @@ EVERY = 0.1  # s between two tellings
 MOST = 4  # at a time
 
 
-class Stopped(BaseException):
-    """Work was stopped by the user. No Exception, so that nothing on the way takes it for an error of its own."""
+class Stopped(SystemExit):
+    """Work was stopped by the user. No Exception, so that nothing on the way takes it for an error of its own; a thread
+    that ends by it tells nobody."""
 
 
 class Work(threading.Thread):
