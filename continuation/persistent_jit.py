@@ -13,7 +13,7 @@ import os
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import lru_cache, partial, reduce, wraps
 from pathlib import Path
@@ -36,6 +36,7 @@ NUMBER = "number"
 SOON = {"xla_backend_optimization_level": 0}  # for what the host calls a few times: compiled in half the time
 HOSTS = {np.ndarray, np.float64, np.float32, np.int32, np.int64, np.bool_, bool, int, float}  # types of no tracer
 _ours = {__name__.split(".")[0]}  # packages whose sources decide what a traced function is
+_evaluated: dict[Any, Callable[[], None]] = {}  # of each function and kind of arguments that NumPy has met: compiles it
 
 Given = ParamSpec("Given")
 Found = TypeVar("Found")
@@ -78,6 +79,15 @@ def persistent_jit(
     return call
 
 
+def compile_evaluated() -> Iterator[int]:
+    """Compiles what NumPy evaluates in this process, one function for one kind of arguments at each step, and tells how
+    many are left. For a process that goes on: a compiled function takes a tenth of the time and less. What is called
+    meanwhile, by other threads, is still evaluated."""
+    while _evaluated:
+        _evaluated.pop(next(iter(_evaluated)))()
+        yield len(_evaluated)
+
+
 def _called(plain, traced, options):
     stored = jax.jit(traced, **options)
 
@@ -103,6 +113,14 @@ def _from_host(function, numpy_first, plain, traced, options):
 
         return PackedCall(of_leaves, leaves, further)
 
+    def ahead(args, leaves, kind):
+        own = packed(args, kind[0], leaves)
+        with jax.enable_x64(kind[-1]):
+            own(leaves)
+        compiled[kind] = own
+
+    met = set()  # kinds of arguments that NumPy has evaluated it for
+
     def call(*args):
         leaves, kind = in_numpy.kind_of(args, static)
         if not HOSTS.issuperset(map(type, leaves)) and _numbers(leaves):
@@ -111,6 +129,9 @@ def _from_host(function, numpy_first, plain, traced, options):
         if own is None:
             found = tried.of_kind(args, leaves, kind)
             if found is not None:
+                if kind not in met:
+                    met.add(kind)
+                    _evaluated[function, kind] = partial(ahead, args, leaves, kind)
                 return found
             own = compiled[kind] = packed(args, kind[0], leaves)
         return own(leaves)

@@ -66,12 +66,14 @@ def test_the_python_that_is_shown_has_the_numbers_of_the_page():
     known = {}
     exec(compile(text, "lines.py", "exec"), known)
     for one in LINES:
-        np.testing.assert_array_equal(numbers(known[one.name]), numbers(results[one.name]), err_msg=one.name)
+        np.testing.assert_allclose(
+            numbers(known[one.name]), numbers(results[one.name]), rtol=1e-11, atol=1e-12, err_msg=one.name
+        )  # not to the bit: some answers are NumPy's until the compiled ones are there
     assert {one.call for one in LINES} == set(CALLS) - {"explore", "margin"}  # of many minutes; their texts below
 
 
 def test_texts_of_what_takes_long():
-    results = {SCENE: two_walls(), "orbit_1": "an orbit"}
+    results = {SCENE: two_walls(), "orbit_1": jv.find_orbit(two_walls(), jv.State(**STATE))}
     given = {"parameter": "amplitude", "low": 0.0, "high": 6.0, "max_period": 3}
     explored = ViewTable(name="diagram_1", call="explore", of=SCENE, arguments=given)
     assert call_of(explored, results).text == "jv.explore(scene_1, 'amplitude', (0.0, 6.0), max_period=3)"

@@ -7,7 +7,7 @@ import jaxvibro as jv
 from jaxvibro.explorer import messages
 from jaxvibro.studies import scene_file
 
-from .explorer_pages import SIZES, Desk, complaints, two_walls
+from .explorer_pages import PATIENCE, SIZES, Desk, complaints, two_walls
 
 
 @pytest.fixture(scope="module")
@@ -165,6 +165,16 @@ def test_work_that_is_stopped_ends_and_finds_nothing(desk):
     work.join(30.0)
     assert not work.is_alive()
     assert desk.session.works.labels == {} and desk.lines == lines
+
+
+def test_what_was_found_but_not_shown_before_it_was_stopped_is_not_shown(desk):
+    desk.say(messages.Put(name="damping", value=0.06))
+    lines = desk.lines
+    desk.say(messages.Ask(call="follow"))
+    found = desk.turns.get(timeout=PATIENCE)
+    desk.say(messages.Stop())
+    found()
+    assert desk.lines == lines
 
 
 def test_the_page_as_a_file_is_the_page_again(desk):

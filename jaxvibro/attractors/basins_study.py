@@ -5,9 +5,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy
 import xarray as xr
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from ..output.units import LENGTH, SPEED
 from ..scene.scene import Scene
@@ -93,5 +93,5 @@ def _home(frame, k):
     if f"lengths_{k}" in frame:
         return Home(points, Trap(points, frame[f"lengths_{k}"].values))
     if f"sample_{k}" in frame:
-        return Home(points, Cloud(cKDTree(frame[f"sample_{k}"].values), float(frame[f"near_{k}"])))
+        return Home(points, Cloud(scipy.spatial.cKDTree(frame[f"sample_{k}"].values), float(frame[f"near_{k}"])))
     return Home(points, None)

@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy.special import xlogy
 
 BOX = 5  # labels along the side of a box of the entropies: 25 in it, as the source takes
 LARGEST = 8  # boxes of the largest size lie across the picture, at least
@@ -43,7 +43,7 @@ def _in_boxes(labels, columns, box):
     counts = np.array([(cut == one).sum(axis=1) for one in np.unique(cut) if one >= 0]).reshape(-1, len(cut))
     counts = counts[:, counts.any(axis=0)]
     shares = counts / counts.sum(axis=0)
-    return -xlogy(shares, shares).sum(axis=0), (counts > 0).sum(axis=0) > 1
+    return -scipy.special.xlogy(shares, shares).sum(axis=0), (counts > 0).sum(axis=0) > 1
 
 
 def dimension(labels):

@@ -1,6 +1,6 @@
 """Shares of random starts, and how well they are known."""
 
-from scipy.special import betaincinv
+import scipy
 
 LEVEL = 0.05  # how often the bounds may be wrong
 
@@ -12,8 +12,8 @@ def share_bounds(count, starts):
     """
     one_sided = count in (0, starts)
     tail = LEVEL if one_sided else 0.5 * LEVEL
-    low = float(betaincinv(count, starts - count + 1, tail)) if count else 0.0
-    high = float(betaincinv(count + 1, starts - count, 1.0 - tail)) if count < starts else 1.0
+    low = float(scipy.special.betaincinv(count, starts - count + 1, tail)) if count else 0.0
+    high = float(scipy.special.betaincinv(count + 1, starts - count, 1.0 - tail)) if count < starts else 1.0
     return low, high
 
 

@@ -9,9 +9,8 @@ its place.
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Bool, Float
-from scipy.linalg import cholesky, solve_discrete_lyapunov
-from scipy.spatial import cKDTree
 
 from ..maps.iterate import KEEP, ends, iterate
 from ..maps.monodromy import monodromy
@@ -42,7 +41,7 @@ class Trap(NamedTuple):
 class Cloud(NamedTuple):
     """Of a chaotic attractor: a tree of sampled points, and how near to one of them a state counts as on it."""
 
-    tree: cKDTree
+    tree: "scipy.spatial.cKDTree"
     near: float
 
     def holds(self, z: Float[np.ndarray, "lanes 2"]) -> Bool[np.ndarray, " lanes"]:
@@ -62,7 +61,7 @@ def trap(scene, points, phase, scale):
         if not np.isfinite(derivative).all() or (grip := max(abs(np.linalg.eigvals(derivative)))) >= 1.0:
             return None
         rate = 0.5 * (1.0 + grip)
-        length = cholesky(solve_discrete_lyapunov(derivative.T / rate, np.eye(2)))
+        length = scipy.linalg.cholesky(scipy.linalg.solve_discrete_lyapunov(derivative.T / rate, np.eye(2)))
         radius = _radius(scene, np.roll(points, -place, axis=0), phase, length, 0.5 * (1.0 + rate), scale)
         if not radius:
             return None
@@ -97,8 +96,8 @@ def cloud(scene, points, phase):
     sample = np.concatenate(sample[1:])  # in the first round the lanes part from each other
     half = sample.shape[1] // 2
     first, second = (part.reshape(-1, 2) for part in (sample[:, :half], sample[:, half:]))
-    near = np.quantile(cKDTree(first).query(second)[0], 0.99)
-    return Cloud(cKDTree(sample.reshape(-1, 2)), LOOSE * near)
+    near = np.quantile(scipy.spatial.cKDTree(first).query(second)[0], 0.99)
+    return Cloud(scipy.spatial.cKDTree(sample.reshape(-1, 2)), LOOSE * near)
 
 
 def states(scene, points, phase):

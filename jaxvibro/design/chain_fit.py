@@ -4,8 +4,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float, Int
-from scipy import sparse
 
 from ..scene.scene import Scene
 from . import least_squares
@@ -42,12 +42,12 @@ def _felt(scene, phase, seen, free, nodes, numbers):
     rows = np.repeat(np.arange(2 * flights), 4)
     columns = np.repeat(2 * np.arange(flights), 8) + np.tile(np.arange(4), 2 * flights)
     by_number = found.by[:, :, 4 : 4 + len(numbers)].reshape(2 * flights, -1) * free.scales
-    by_node = sparse.csr_array((own.ravel(), (rows, columns)), (2 * flights, 2 * count))
-    open_by = sparse.hstack([by_node, by_number], format="csr")
+    by_node = scipy.sparse.csr_array((own.ravel(), (rows, columns)), (2 * flights, 2 * count))
+    open_by = scipy.sparse.hstack([by_node, by_number], format="csr")
     unknowns, seen_count = np.stack([nodes.first, nodes.second], 1), len(seen.node)
     residuals = (unknowns[seen.node, seen.slot] - seen.value) / seen.sigma
     places = np.arange(seen_count), 2 * seen.node + seen.slot
-    residuals_by = sparse.csr_array((1.0 / seen.sigma, places), (seen_count, open_by.shape[1]))
+    residuals_by = scipy.sparse.csr_array((1.0 / seen.sigma, places), (seen_count, open_by.shape[1]))
     return Felt(found.values.ravel(), open_by, residuals, residuals_by)
 
 

@@ -9,7 +9,7 @@ is where the mass enters it; the flight begins where it comes out, which is look
 from typing import NamedTuple
 
 import numpy as np
-from scipy import linalg
+import scipy
 
 from ..scene.scene import SIDES
 
@@ -132,7 +132,7 @@ class Motion:
 
     def _powers(self, count):
         """The matrices of so many steps, from none on."""
-        one = linalg.expm(self.matrix * self.step) if len(self.power) < 2 else self.power[1]
+        one = scipy.linalg.expm(self.matrix * self.step) if len(self.power) < 2 else self.power[1]
         self.power = _powers(self.power, one, max(count + 1, 2))
         return self.power[: count + 1]
 
@@ -233,7 +233,7 @@ class Motion:
             matrix[3, 4], matrix[4, 3] = -wall.rate, wall.rate
             matrix, rates = _driven(matrix, self.drive, 5), [term.rate for term in self.drive]
             step = STEP / max(np.sqrt(wall.stiffness), 2.0 * wall.damping, *rates, abs(wall.rate))
-            one = linalg.expm(self.way * matrix * step)
+            one = scipy.linalg.expm(self.way * matrix * step)
             self.stays[wall.sign] = self.way * matrix, step, _powers(np.eye(size)[None], one, SWING)
         return self.stays[wall.sign]
 

@@ -10,9 +10,8 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import sparse, special
-from scipy.sparse import linalg
 
 from ..scene.scene import Scene, changed
 
@@ -62,9 +61,9 @@ class Felt(NamedTuple):
     scales; the residuals in errors, and their derivative."""
 
     open: Float[np.ndarray, " equations"]
-    open_by: sparse.csr_array
+    open_by: "scipy.sparse.csr_array"
     residuals: Float[np.ndarray, " seen"]
-    residuals_by: sparse.csr_array
+    residuals_by: "scipy.sparse.csr_array"
 
 
 class Problem(NamedTuple):
@@ -87,7 +86,7 @@ class Solved(NamedTuple):
     chi2: float
     moved: float
     open: float
-    parts: linalg.SuperLU | None
+    parts: "scipy.sparse.linalg.SuperLU | None"
     inner: int
     met: bool
 
@@ -136,7 +135,7 @@ def solved(problem: Problem, nodes, free: Free, numbers, rounds=ROUNDS, short=SH
 
 def largest_chi2(dof: int) -> float:
     """What noise makes larger too seldom."""
-    return float(special.chdtri(max(1, dof), RARE))
+    return float(scipy.special.chdtri(max(1, dof), RARE))
 
 
 def _left_open(now):
@@ -160,8 +159,8 @@ def _system(now, free):
     slope = felt.residuals_by.T @ felt.residuals
     slope[inner:] += free.known @ _away(now, free)
     least = WEAKEST * np.max(normal.diagonal()[:inner], initial=1.0)
-    normal = normal + sparse.block_diag([least * sparse.eye_array(inner), free.known])
-    return sparse.block_array([[normal, felt.open_by.T], [felt.open_by, None]], format="csc"), slope
+    normal = normal + scipy.sparse.block_diag([least * scipy.sparse.eye_array(inner), free.known])
+    return scipy.sparse.block_array([[normal, felt.open_by.T], [felt.open_by, None]], format="csc"), slope
 
 
 def _factors(matrix):
@@ -169,7 +168,7 @@ def _factors(matrix):
     if not np.isfinite(matrix.data).all():
         return None
     try:
-        return linalg.splu(matrix)
+        return scipy.sparse.linalg.splu(matrix)
     except RuntimeError:  # it is singular
         return None
 
@@ -191,7 +190,7 @@ def _step(now, free):
         if not past.any():
             return found[:size], found[size:], parts
         rows = np.isin(np.arange(len(right)), inner + np.flatnonzero(past)).astype(float)
-        matrix = (sparse.diags_array(1.0 - rows) @ matrix + sparse.diags_array(rows)).tocsc()
+        matrix = (scipy.sparse.diags_array(1.0 - rows) @ matrix + scipy.sparse.diags_array(rows)).tocsc()
         right[inner + np.flatnonzero(past)] = np.where(step < low, low, high)[past]
         held |= past
     return None

@@ -9,8 +9,8 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy import sparse
 
 from ..scene.scene import Scene, changed
 from . import least_squares
@@ -154,8 +154,8 @@ def _felt(samples, shots, states, numbers):
     by = found.by[..., : 2 + count] * np.append([1.0, 1.0], samples.free.scales)
     node, every = np.repeat(np.arange(nodes), 2 * width)[:, None], np.arange(2 + count)
     columns = np.where(every < 2, 2 * node + every, 2 * nodes - 2 + every)
-    by = sparse.csr_array((by.ravel(), columns.ravel(), np.arange(0, by.size + 1, 2 + count)))
-    own = sparse.eye_array(2 * nodes, 2 * nodes + count, format="csr")
+    by = scipy.sparse.csr_array((by.ravel(), columns.ravel(), np.arange(0, by.size + 1, 2 + count)))
+    own = scipy.sparse.eye_array(2 * nodes, 2 * nodes + count, format="csr")
     inner, ends = np.arange(nodes - 1), shots.length[:-1] - 1
     left, left_by = found.values[inner, ends] - states[1:], by[_pairs(inner * width + ends)] - own[2:]
     within = np.arange(width) < shots.length[:, None] - (np.arange(nodes) < nodes - 1)[:, None]
@@ -163,9 +163,9 @@ def _felt(samples, shots, states, numbers):
     order = np.argsort(places)  # that of the record
     values = np.concatenate([states, found.values[within]])[order, :channels]
     rows = np.concatenate([np.arange(nodes), nodes + np.flatnonzero(within)])[order]
-    values_by = sparse.vstack([own, by], format="csr")[_pairs(rows, channels)]
+    values_by = scipy.sparse.vstack([own, by], format="csr")[_pairs(rows, channels)]
     residuals = (values - samples.measured[places[order]]) / samples.sigma
-    errors = sparse.diags_array(np.tile(1.0 / samples.sigma, len(values)))
+    errors = scipy.sparse.diags_array(np.tile(1.0 / samples.sigma, len(values)))
     return Felt(left.ravel(), left_by, residuals.ravel(), errors @ values_by)
 
 

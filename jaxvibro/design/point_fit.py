@@ -13,9 +13,11 @@ from .located import located
 from .located_point import Located
 
 ROUNDS, LEAST = 60, 1e-12  # of Newton's steps; one as short, in scales, is the last
+SMALL = 1e-8  # scales: of steps that are shorter, one that is no shorter than the one before is the last: rounding
 FAR = 2.0  # scales: the longest step
 NEARER = 0.25  # of the way to a bound is kept
 SHORTEST = 1.0 / 64.0  # of a step
+ROUNDING = 1e-12  # of the squares' sum
 TINY = 1e-300
 WEAKEST = 1e-9  # of the strongest combination: a weaker one is not felt by the points, and held
 
@@ -62,9 +64,11 @@ def met(points, numbers):
     now = _there(points, np.mean(own, 0), numbers)
     if now is None:
         return None
+    before = SMALL
     for _ in range(ROUNDS):
         step = -np.linalg.lstsq(now.by, now.residuals, rcond=WEAKEST)[0]
-        short = bool(abs(step).max() <= LEAST)
+        size = float(abs(step).max())
+        short, before = size <= LEAST or before <= size < SMALL, size
         new = _stepped(points, now, _longest(points, now.numbers, step) * step)
         if new is None:
             return now
@@ -86,12 +90,11 @@ def _there(points, own, numbers):
 
 
 def _stepped(points, now, step):
-    """The `Met` after as much of a step as makes it better; None where none does."""
-    share, before = 1.0, now.residuals @ now.residuals
+    """The `Met` after as much of a step as makes it no worse; None where none does."""
+    share, most = 1.0, (1.0 + ROUNDING) * (now.residuals @ now.residuals)
     while share >= SHORTEST:
         found = _felt(points, now.numbers + share * step * points.scales)
-        better = found is not None and (found.residuals @ found.residuals <= before or abs(step).max() <= 1e-8)
-        if better:
+        if found is not None and (found.residuals @ found.residuals <= most or abs(step).max() <= SMALL):
             return found
         share *= 0.5
     return None

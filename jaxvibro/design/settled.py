@@ -1,7 +1,7 @@
 """Whether a record is of a settled motion, which repeats: it then holds what one round does, and no more."""
 
 import numpy as np
-from scipy import special
+import scipy
 
 from .records import SampleRecord
 
@@ -41,7 +41,7 @@ def samples_hold(data: SampleRecord, frequency: float) -> int | None:
             continue
         means = np.stack([np.bincount(which, one) / often for one in measured.T], 1)
         left = (measured - means[which]) / sigma
-        if np.sum(left**2) <= special.chdtri(left.size - means.size, RARE):
+        if np.sum(left**2) <= scipy.special.chdtri(left.size - means.size, RARE):
             return int(means.size)
     return None
 
@@ -55,4 +55,4 @@ def _repeats(times, impacts, span, sigma):
         design = np.column_stack([design, turn])
     found = np.linalg.lstsq(design, given, rcond=None)[0]
     left = (given - design @ found) / sigma
-    return bool(left @ left <= special.chdtri(max(1, len(times) - design.shape[1]), RARE))
+    return bool(left @ left <= scipy.special.chdtri(max(1, len(times) - design.shape[1]), RARE))

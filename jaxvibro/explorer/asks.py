@@ -129,6 +129,12 @@ def _unit(scene, name):
     return UNITS * (abs(float(scene.parameter(name))) or high - low)
 
 
+def require_rising(key: str, pair: Sequence[float] | None) -> None:
+    """Raises ArgumentError for bounds that do not go from a smaller number to a larger one; there may be none."""
+    if pair is not None and not (np.isfinite(pair).all() and pair[0] < pair[1]):
+        raise ArgumentError(key, "must go from a smaller number to a larger one", pair)
+
+
 def closure(line: ViewTable, lines: Mapping[str, ViewTable]) -> list[ViewTable]:
     """The lines that a line refers to, directly or not, in order."""
     found: list[ViewTable] = []

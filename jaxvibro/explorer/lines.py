@@ -13,6 +13,7 @@ import numpy as np
 from ..attractors.basins import basins
 from ..attractors.find import find_attractors
 from ..attractors.sweep import sweep
+from ..branches.branch import Branch, Special
 from ..branches.explore import explore
 from ..branches.follow import follow
 from ..design.margin import margin
@@ -21,12 +22,15 @@ from ..loci.switch import switch
 from ..maps.simulate import simulate
 from ..maps.strobe import strobe
 from ..orbits.find import find_orbit
+from ..orbits.orbit import Orbit
 from ..scene.check import ArgumentError, among, short
+from ..scene.scene import Scene
 from ..scene.scene_table import SceneTable
 from ..scene.state import State
 from ..studies.schema import ViewTable
 from ..surveys.map import map_parameters
 from .scene_code import scales_code, scene_code
+from .work import Tell
 
 SCENE = "scene_1"  # that of the file
 SETTLE = 300  # drive periods after which a motion is shown
@@ -34,14 +38,21 @@ LOOKS = ("find_orbit", "moved", "motion", "orbit", "special")  # calls whose res
 NAME = re.compile(r"[a-z]+_[1-9]\d{0,5}")
 REFERENCE = re.compile(rf"({NAME.pattern})((?:(?:\.branches|\.special)?\[\d{{1,6}}\])*)")
 STEP = re.compile(r"(?:\.(branches|special))?\[(\d+)\]")
-Told = Callable[[Any], object]
+KINDS: dict[type, str] = {Scene: "a Scene", Orbit: "an Orbit", Branch: "a Branch", Special: "a special point"}
 
 
 class Call(NamedTuple):
     """A call. text: as Python; run: does it; what it is given is called with how far it is, if the call tells that."""
 
     text: str
-    run: Callable[[Told], Any]
+    run: Callable[[Tell], Any]
+
+
+class Form(NamedTuple):
+    """What calls of a name are of, and what makes one, of what it is of and its arguments."""
+
+    kind: type
+    make: Callable[..., Call]
 
 
 class Given(NamedTuple):
@@ -155,22 +166,22 @@ def _even(first, last, count):
     return Given(np.linspace(first, last, count), f"np.linspace({first!r}, {last!r}, {count!r})")
 
 
-CALLS: dict[str, Callable[..., Call]] = {
-    "replace": _replace,
-    "find_orbit": _find_orbit,
-    "moved": _moved,
-    "motion": _motion,
-    "orbit": _orbit,
-    "special": _special,
-    "follow": _follow,
-    "switch": _switch,
-    "explore": _explore,
-    "locus": _locus,
-    "margin": _margin,
-    "basins": _basins,
-    "map": _map,
-    "sweep": _sweep,
-    "attractors": _attractors,
+CALLS: dict[str, Form] = {
+    "replace": Form(Scene, _replace),
+    "find_orbit": Form(Scene, _find_orbit),
+    "moved": Form(Scene, _moved),
+    "motion": Form(Scene, _motion),
+    "orbit": Form(Branch, _orbit),
+    "special": Form(Special, _special),
+    "follow": Form(Orbit, _follow),
+    "switch": Form(Special, _switch),
+    "explore": Form(Scene, _explore),
+    "locus": Form(Special, _locus),
+    "margin": Form(Orbit, _margin),
+    "basins": Form(Scene, _basins),
+    "map": Form(Scene, _map),
+    "sweep": Form(Scene, _sweep),
+    "attractors": Form(Scene, _attractors),
 }
 
 
@@ -181,21 +192,20 @@ def call_of(line: ViewTable, results: Mapping[str, Any]) -> Call:
     if not NAME.fullmatch(line.name):
         raise ArgumentError("view.name", "must be a word and a number, as branch_1", short(line.name))
     of = Given(resolved(line.of, results), line.of)
+    kind, make = CALLS[line.call]
+    if not isinstance(of.value, kind):
+        raise ArgumentError("view.of", f"must be {KINDS[kind]}, for {line.call}", line.of)
     try:
-        return CALLS[line.call](of, **line.arguments)
+        return make(of, **line.arguments)
     except ArgumentError:
         raise
     except (TypeError, ValueError, AttributeError) as error:
         raise ArgumentError("view.arguments", f"must be those of {line.call} ({short(error)})", line.name) from None
 
 
-def evaluated(line: ViewTable, results: Mapping[str, Any], told: Told = lambda far: None) -> Any:
+def evaluated(line: ViewTable, results: Mapping[str, Any], told: Tell = lambda far: None) -> Any:
     """The result of a line. Raises ArgumentError for one that no page can have asked, and what the call raises."""
-    call = call_of(line, results)
-    try:
-        return call.run(told)
-    except (TypeError, AttributeError) as error:  # of another's result, as a margin of a branch
-        raise ArgumentError("view.of", f"must be what {line.call} takes ({short(error)})", line.of) from None
+    return call_of(line, results).run(told)
 
 
 def resolved(reference: str, results: Mapping[str, Any]) -> Any:

@@ -1,6 +1,6 @@
 """What a file's [[view]] asked, done again."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from ..scene.check import ArgumentError
@@ -8,9 +8,10 @@ from ..scene.scene import Scene
 from ..studies.schema import ViewTable
 from .lines import LOOKS, SCENE, evaluated
 from .shown import Shown
+from .work import Tell
 
 
-def replayed(lines: Sequence[ViewTable], scene: Scene, tell: Callable[[Any], None]) -> dict[str, Any]:
+def replayed(lines: Sequence[ViewTable], scene: Scene, tell: Tell) -> dict[str, Any]:
     """{name: result} of lines. Raises ArgumentError for one that no page can have asked, and what its call raises."""
     results: dict[str, Any] = {SCENE: scene}
     for place, line in enumerate(lines, 1):

@@ -1,6 +1,6 @@
 """What a page has on its screen: the sizes and limits of its panels, and which pictures are there already."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -36,9 +36,8 @@ class Screen:
         """The limits of a panel's axes, across and up; before it has been drawn what is asked for."""
         return self.boxes.get(panel, (now.bounds, now.second_bounds))
 
-    def pictures(self, now: Shown, results: Mapping[str, Any], fast: bool) -> list[dict[str, Any]]:
-        """What the page is to be told of the panels that are to look otherwise. fast: of the portrait alone."""
-        found = []
+    def pictures(self, now: Shown, results: Mapping[str, Any], fast: bool) -> Iterator[dict[str, Any]]:
+        """What the page is to be told of each panel that is to look otherwise. fast: of the portrait alone."""
         for panel in FAST if fast else ORDER:
             if panel not in self.panels:
                 continue
@@ -49,8 +48,7 @@ class Screen:
                 continue
             told = self.panels[panel].picture(partial(_draw, DRAW[panel], parts), limits, fast)
             self.boxes[panel], self.drawn[panel] = (told["x"], told["y"]), (key, parts)
-            found.append({"kind": "picture", "panel": panel, **told})
-        return found
+            yield {"kind": "picture", "panel": panel, **told}
 
 
 DRAW: dict[str, Callable[..., None]] = {

@@ -6,6 +6,7 @@ import ipaddress
 import json
 import secrets
 import threading
+import time
 import traceback
 from collections import deque
 from collections.abc import Callable
@@ -18,25 +19,20 @@ import jax
 import numpy as np
 from tornado import httpserver, netutil, web, websocket
 
-from ..maps.simulate import simulate
-from ..maps.strobe import strobe
-from ..orbits.find import find_orbit
-from ..orbits.orbit import OrbitError
 from ..scene.check import ArgumentError, short
 from ..scene.scene import Scene
-from ..scene.state import State
 from ..studies.schema import SceneFile
 from ..studies.text_limits import LARGEST
 from . import files, messages
-from .lines import SETTLE
+from .ahead import Ahead
 from .page_text import program, text_of
-from .panels import SAMPLES
 from .session import Session
 
 PAGE = Path(__file__).with_name("page")
 PORTS = range(8420, 8440)
 MOST_WAITING = 500  # messages of a page
 MOST_PAGES = 16
+QUIET = 1.0  # s after a message: as long nothing is done that no page has asked for
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
     "frame-ancestors 'self' http://localhost:* http://127.0.0.1:*",
@@ -107,8 +103,8 @@ class Explorer:
         host = f"[{address}]" if ":" in address else address
         self.url = f"http://{host}:{self.port}/?token={self.token}"
         self._begun = threading.Event()
-        self.ready = threading.Event()
-        threading.Thread(target=_first_answers, args=(scene, self.ready), daemon=True).start()
+        self.last = 0.0  # s: when a page last asked anything
+        self.ahead = Ahead(scene, self._is_quiet)
 
     async def serve(self) -> None:
         """Serves until `stop`."""
@@ -136,26 +132,15 @@ class Explorer:
         self._begun.wait()
         self._loop.call_soon_threadsafe(self._end.set)
 
+    def _is_quiet(self):
+        return time.monotonic() - self.last > QUIET
+
     def allows(self, request: Any) -> bool:
         """Whether a request comes from this machine under its own name, and has the token."""
         given = request.query_arguments.get("token", [b""])[-1]
         return is_loopback(urlsplit(f"//{request.host}").hostname or "") and hmac.compare_digest(
             given, self.token.encode()
         )
-
-
-def _first_answers(scene, ready):
-    """Asks what a page asks first, while the browser is on its way: what is compiled for it is then there."""
-    with jax.enable_x64(bool(scene.dtype == np.float64)):
-        try:
-            one = find_orbit(scene, State(0.0, 0.0))
-            simulate(scene, one.state, one.periods, SAMPLES)
-        except (ArgumentError, OrbitError, ArithmeticError):
-            pass  # the page will say so
-        finally:
-            ready.set()
-        with suppress(ArgumentError):
-            strobe(scene, State(0.0, 0.0), SETTLE, 0)
 
 
 def _bound(address, port):
@@ -273,8 +258,8 @@ class Socket(websocket.WebSocketHandler):
                 loop.call_soon_threadsafe(self._send, json.dumps(record))
 
         self.line = Line(double)
-        self.session = Session(self.explorer.file, self.explorer.scene, push, self.line.add)
-        self.line.add(self.explorer.ready.wait)
+        given = self.explorer.file, self.explorer.scene, push, self.line.add
+        self.session = Session(*given, self.explorer.ahead.ready.wait)
         self.explorer.pages[self.name] = self
         self._send(json.dumps({"kind": "page", "name": self.name}))
 
@@ -289,7 +274,7 @@ class Socket(websocket.WebSocketHandler):
             self._send(json.dumps({"kind": "told", "text": short(error, 300), "bad": True}))
             self._send(json.dumps({"kind": "answer", "number": messages.number_of(text)}))
             return
-        session = self.session
+        session, self.explorer.last = self.session, time.monotonic()
         if session is not None and not self.line.add(lambda: session.receive(message), message.replaces):
             self._send(json.dumps({"kind": "told", "text": "too much at once: the last was left out", "bad": True}))
             self._send(json.dumps({"kind": "answer", "number": message.number}))

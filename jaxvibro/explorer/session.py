@@ -13,7 +13,6 @@ from ..scene import check
 from ..scene.check import ArgumentError, short
 from ..scene.scene import Scene
 from ..scene.state import State
-from ..stores.filling import Progress
 from ..studies import scene_file
 from ..studies.schema import SceneFile, ViewTable
 from ..studies.text_limits import LARGEST
@@ -24,25 +23,28 @@ from .page_text import rest_of, state_of
 from .panels import Limits, Panel, Size
 from .replay import replayed, shown_again
 from .shown import Shown
-from .work import Works
+from .work import Later, Works, text_of_far
 
 MOST_PAST = 200  # steps that can be taken back
 MOVED = 16  # periods of a motion that is shown while a slider moves
 EXPECTED = (ArgumentError, OrbitError, ArithmeticError, MemoryError)
 
 Push = Callable[[dict[str, Any]], object]
-Later = Callable[[Callable[[], None]], object]
+Wait = Callable[[], object]
 
 
 class Session:
     """What one page is about. Its methods are called by one thread.
 
     file: of the scene, its tables say what is looked at first; None of a scene that has no text. push: called with each
-    record that the page is to be told, from any thread; later: called with what this session's thread is to do.
+    record that the page is to be told, from any thread; later: called with what this session's thread is to do; wait:
+    called once the page knows what there is to ask, before anything is.
     """
 
-    def __init__(self, file: SceneFile | None, scene: Scene, push: Push, later: Later) -> None:
-        self.push, self.later, self.screen, self.greeted = push, later, screen.Screen(), False
+    def __init__(
+        self, file: SceneFile | None, scene: Scene, push: Push, later: Later, wait: Wait = lambda: None
+    ) -> None:
+        self.push, self.later, self.wait, self.screen, self.greeted = push, later, wait, screen.Screen(), False
         self._open(file, scene)
 
     def _open(self, file: SceneFile | None, scene: Scene) -> None:
@@ -109,7 +111,7 @@ class Session:
     @_do.register
     def _(self, message: messages.Zoom) -> None:
         for pair in (message.x, message.y):
-            _rising("zoom", pair)
+            asks.require_rising("zoom", pair)
         self.screen.limits[message.panel] = Limits(message.x, message.y)
 
     @_do.register
@@ -163,7 +165,7 @@ class Session:
         names = self.results[self.shown.scene].names
         for name, pair in ((message.parameter, message.bounds), (message.second, message.second_bounds)):
             check.require_known(name, names, name)
-            _rising("bounds", pair)
+            asks.require_rising("bounds", pair)
         if message.parameter == message.second:
             raise ArgumentError("second", "must be another parameter than the diagram's", message.second)
         if message.variable not in VARIABLES:
@@ -202,9 +204,11 @@ class Session:
 
     def _begin(self) -> None:
         """Does again what the file's [[view]] asked; else what it asks for first: its orbit, then its branches."""
+        self._tell_texts()
+        self.wait()
         if self.file is not None and self.file.view:
             lines, scene = tuple(self.file.view), self.results[SCENE]
-            self.works.begin("what was asked before", lambda tell: replayed(lines, scene, tell), self._again)
+            self.works.begin("what was asked before", lambda tell, later: replayed(lines, scene, tell), self._again)
             return
         table = self.file and self.file.branch
         try:
@@ -226,6 +230,10 @@ class Session:
         moving = self.taken is not None
         for record in self.screen.pictures(self.shown, self.results, moving):
             self.push(record)
+        self._tell_texts(moving)
+
+    def _tell_texts(self, moving: bool = False) -> None:
+        """Tells what is other than the page knows besides pictures. moving: what changes as a slider moves alone."""
         state = state_of(self.shown, self.results, bool(self.past), self.works.labels)
         if not moving and self.shown is not self.rested:
             state |= rest_of(self.shown, self.results, self.file)
@@ -236,7 +244,7 @@ class Session:
             self.push({"kind": "state", **new})
 
     def _tell_far(self, number: int, far: Any) -> None:
-        self.push({"kind": "progress", "work": number, "far": _far(far)})
+        self.push({"kind": "progress", "work": number, "far": text_of_far(far)})
 
     def _complain(self, error: BaseException) -> None:
         self.push({"kind": "told", "text": short(str(error) or type(error).__name__, 300), "bad": True})
@@ -312,13 +320,13 @@ class Session:
         """Evaluates rounds of lines, each in place of the one before, and shows each as it is there."""
         then, results = self.shown, dict(self.results)
 
-        def run(tell):
+        def run(tell, later):
             before: list[ViewTable] = []
             for place, lines in enumerate(rounds, 1):
                 part = f"{place} of {len(rounds)}: " if len(rounds) > 1 else ""
                 for line in lines:
-                    results[line.name] = evaluated(line, results, lambda far, part=part: tell(part + _far(far)))
-                self.later(lambda found=(lines, before, then, dict(results)): self._found(*found))
+                    results[line.name] = evaluated(line, results, lambda far, part=part: tell(part + text_of_far(far)))
+                later(lambda found=(lines, before, then, dict(results)): self._found(*found))
                 before = lines
 
         self.works.begin(label, run, lambda value, error: self._ended(error))
@@ -337,14 +345,3 @@ class Session:
         if error is not None:
             self._complain(error)
         self.tell()
-
-
-def _far(far: Any) -> str:
-    if isinstance(far, Progress):
-        return f"{far.done} of {far.total}"
-    return "" if far is None else str(far)
-
-
-def _rising(key, pair):
-    if pair is not None and not (np.isfinite(pair).all() and pair[0] < pair[1]):
-        raise ArgumentError(key, "must go from a smaller number to a larger one", pair)

@@ -10,9 +10,20 @@ from typing import Any
 import jax
 
 from ..scene.check import ArgumentError
+from ..stores.filling import Progress
 
 EVERY = 0.1  # s between two tellings
 MOST = 4  # at a time
+
+Tell = Callable[[Any], object]
+Later = Callable[[Callable[[], None]], object]
+
+
+def text_of_far(far: Any) -> str:
+    """How far work is, as a text."""
+    if isinstance(far, Progress):
+        return f"{far.done} of {far.total}"
+    return "" if far is None else str(far)
 
 
 class Stopped(SystemExit):
@@ -30,9 +41,9 @@ class Work(threading.Thread):
 
     def __init__(
         self,
-        run: Callable[[Callable[[Any], None]], Any],
+        run: Callable[[Tell], Any],
         done: Callable[[Any, Exception | None], None],
-        tell: Callable[[Any], object],
+        tell: Tell,
         double: bool,
     ) -> None:
         super().__init__(daemon=True)
@@ -80,7 +91,7 @@ class Works:
     def __init__(
         self,
         tell: Callable[[int, Any], object],
-        later: Callable[[Callable[[], None]], object],
+        later: Later,
         double: bool,
     ) -> None:
         self._tell, self._later, self._double = tell, later, double
@@ -92,22 +103,29 @@ class Works:
         return {number: label for number, (label, _) in self._known.items()}
 
     def begin(
-        self, label: str, run: Callable[[Callable[[Any], None]], Any], ended: Callable[[Any, Exception | None], None]
+        self, label: str, run: Callable[[Tell, Later], Any], ended: Callable[[Any, Exception | None], None]
     ) -> None:
-        """Begins work; ended: called by the page's thread with (value, error), unless it was stopped. Raises
-        ArgumentError where there is too much already."""
+        """Begins work. run: is given what tells how far it is, and a `later` that does nothing once this is stopped;
+        ended: called by the page's thread with (value, error), unless it was stopped. Raises ArgumentError where there
+        is too much already."""
         if len(self._known) >= MOST:
             raise ArgumentError("work", f"must be at most {MOST} things at a time: stop what is under way", label)
         number = next(self._numbers)
 
+        def later(does):
+            self._later(lambda: does() if number in self._known else None)
+
         def over(value, error):
-            if self._known.pop(number, None) is not None:
-                ended(value, error)
+            del self._known[number]
+            ended(value, error)
 
-        def done(value, error):
-            self._later(lambda: over(value, error))
-
-        self._known[number] = label, Work(run, done, lambda far: self._tell(number, far), self._double)
+        work = Work(
+            lambda tell: run(tell, later),
+            lambda value, error: later(lambda: over(value, error)),
+            lambda far: self._tell(number, far),
+            self._double,
+        )
+        self._known[number] = label, work
 
     def stop(self) -> None:
         """Ends all that is under way."""

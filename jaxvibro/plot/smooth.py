@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 
 FEW = 200  # points of a line: with more it is smooth as it is
 BETWEEN = 8  # points put between two
@@ -35,4 +35,4 @@ def _bent(line, chords):
     if len(steps) < 2:
         return line[:, :-1]
     share, way = np.arange(BETWEEN) / BETWEEN, np.append(0.0, np.cumsum(steps))
-    return CubicSpline(way, line, axis=1)((way[:-1, None] + share * steps[:, None]).ravel())
+    return scipy.interpolate.CubicSpline(way, line, axis=1)((way[:-1, None] + share * steps[:, None]).ravel())

@@ -1,7 +1,7 @@
 """Figure 5: which start settles on what, and the manifolds of the saddles between the basins."""
 
 import numpy as np
-from scipy.ndimage import binary_dilation
+import scipy
 from tqdm import tqdm
 
 from .. import plot
@@ -117,7 +117,7 @@ def beyond(held, curves):
     near = np.zeros(label.shape, bool)
     for curve in curves:
         near[tuple(_cells(held, curve))] = True
-    near = binary_dilation(near, np.ones((3, 3), bool))
+    near = scipy.ndimage.binary_dilation(near, np.ones((3, 3), bool))
     return float((edge & ~near).sum() / max(1, edge.sum())), int(edge.sum())
 
 

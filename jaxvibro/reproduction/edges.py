@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
-from scipy.interpolate import CubicSpline
+import scipy
 from tqdm import tqdm
 
 from .. import plot
@@ -108,7 +108,7 @@ def _between(fold, graze):
     (low, high), total = _span(fold), 0.0
     for sign, one in ((-1.0, fold), (1.0, graze)):
         across, up = one[np.argsort(one[:, 1])].T
-        total += sign * float(CubicSpline(up, across).integrate(max(low, up[0]), min(high, up[-1])))
+        total += sign * float(scipy.interpolate.CubicSpline(up, across).integrate(max(low, up[0]), min(high, up[-1])))
     return total
 
 

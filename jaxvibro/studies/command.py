@@ -1,6 +1,7 @@
 """The command line. Nothing heavy is loaded before there is work: `jaxvibro --help` answers at once."""
 
 import argparse
+import gc
 import json
 import os
 import signal
@@ -204,11 +205,15 @@ def _warm(given):
 
 def _loaded(name):
     """A function of the package, once all that it needs is loaded. Until then an interrupt ends the process at once:
-    one in the middle of loading compiled modules would end in a crash."""
+    one in the middle of loading compiled modules would end in a crash. What is loaded stays: Python's collector of
+    circles need not look at it, now or later."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    gc.disable()
     try:
         return getattr(jv, name)
     finally:
+        gc.freeze()
+        gc.enable()
         signal.signal(signal.SIGINT, before)
 
 

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import jax
 import numpy as np
+import scipy
 from jaxtyping import Float
-from scipy.spatial import cKDTree
 
 from ..attractors.assign import OUTSIDE, UNRESOLVED, Home, assign_labels
 from ..attractors.trapping_region import Cloud, Trap
@@ -87,7 +87,7 @@ class _Trial:
     def __init__(self, ground, reach, rng, count):
         self.ground, self.rng, self.count = ground, rng, count
         self.points = between(ground.scene, ground.phase, base(ground.homes[ground.place]))
-        self.tree = cKDTree(self.points)
+        self.tree = scipy.spatial.cKDTree(self.points)
         self.least = np.finfo(ground.scene.dtype).eps * abs(self.points).max()  # smaller ones are lost in rounding
         self.size, self.start, self.change, self.to = reach, -1, np.full(2, np.nan), -1
         self.sizes, self.lost = [], []

@@ -10,6 +10,8 @@ import numpy as np
 from .served import ROOT, Seen, chromium, served
 
 SCENE = ROOT / "scenes" / "fig4.toml"
+STARTS = 5
+FIRST, PAUSE = 2, 20_000  # uses of each kind before a pause, ms, in which the server compiles what they have evaluated
 # Waits until a panel's picture is another one and decoded: milliseconds since what `begin` does.
 WATCH = """([panel, begin]) => new Promise((done) => {
     const img = document.querySelector(`#${panel} img`), before = img.src;
@@ -64,15 +66,31 @@ WAITS = {
 }
 
 
+STARTED = {
+    "start to controls": "jaxvibro.state.sliders",
+    "start to a portrait": "document.querySelector('#portrait img').naturalWidth",
+}
+
+
 def started(browser, home):
-    """Seconds from the start of the command to a page that shows an orbit."""
+    """Seconds from the start of the command to a page with controls, and to one that shows an orbit."""
     begun = time.perf_counter()
     with served(SCENE, home) as server:
-        seen = Seen(browser, server.url, wait=False)
-        seen.until("document.querySelector('#portrait img').naturalWidth")
-        wait = time.perf_counter() - begun
+        seen, waits = Seen(browser, server.url, wait=False), []
+        for condition in STARTED.values():
+            seen.until(condition)
+            waits.append(time.perf_counter() - begun)
         seen.context.close()
-    return wait
+    return waits
+
+
+def timed(seen, waits, count):
+    """Milliseconds of so many waits, warm."""
+    each = waits(seen, FIRST + count)
+    for _ in range(FIRST):
+        next(each)
+    seen.page.wait_for_timeout(PAUSE)
+    return list(each)
 
 
 def main():
@@ -80,12 +98,14 @@ def main():
     parser.add_argument("--count", type=int, default=50, help="of each; default: 50")
     count = parser.parse_args().count
     with chromium() as browser, tempfile.TemporaryDirectory() as home:
-        starts = [started(browser, Path(home)) for _ in range(2)]
-        print(f"{'start to a portrait':40}{starts[1]:8.2f} s, with nothing kept by jax {starts[0]:.2f} s", flush=True)
+        first, *others = [started(browser, Path(home)) for _ in range(1 + STARTS)]
+        for told, cold, *waits in zip(STARTED, first, *others, strict=True):
+            middle = np.median(waits)
+            print(f"{told:40}{middle:8.2f} s ({min(waits):.2f} to {max(waits):.2f}), at first {cold:.2f} s", flush=True)
         with served(SCENE, Path(home)) as server:
             seen = Seen(browser, server.url)
             for told, waits in WAITS.items():
-                found = list(waits(seen, count + 2))[2:]  # the first compile
+                found = timed(seen, waits, count)
                 low, middle, high = np.percentile(found, [25, 50, 75])
                 print(f"{told:40}{middle:8.0f} ms (quartiles {low:.0f} and {high:.0f}, {count} of them)", flush=True)
             seen.ends()
