@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections import Counter
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,5 +61,4 @@ class Counted:
 def counts(log):
     """How often each chunk was computed: {number: times}."""
     with open(log) as file:
-        numbers = [int(line) for line in file]
-    return {number: numbers.count(number) for number in set(numbers)}
+        return Counter(int(line) for line in file)

@@ -9,12 +9,12 @@ only sleep.
 import os
 import random
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
 import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from .test_stores import bits
 
 ROOT = Path(__file__).parents[1]
 KINDS = ("local", "worker", "scheduler", "client")
+EVERY = 5.0  # s between two losses, on average: a new worker loads for two on a core
 MAP = """
 import sys
 import numpy as np
@@ -115,9 +116,8 @@ def killed(kind, folder, script, after):
     if not well:
         below = psutil.Process(process.pid).children(recursive=True)
         if kind == "worker":
-            workers = [one for one in below if "spawn_main" in " ".join(one.cmdline())]
-            if workers:
-                random.Random(after).choice(workers).send_signal(signal.SIGKILL)
+            if found := workers_of(psutil.Process(process.pid)):
+                random.Random(after).choice(found).kill()
             process.wait(timeout=600)  # the nanny begins another, and the run ends well
         elif kind == "scheduler":
             for one in psutil.Process(scheduler.pid).children(recursive=True):
@@ -157,7 +157,7 @@ def workers(count, chunks, rng):
         study, place = Counted(chunks, nap, log), Path(where) / "store"
         kept = jv.Store(place, jv.DaskEngine(workers=count))
         began, ends, lost = time.perf_counter(), threading.Event(), []
-        killer = threading.Thread(target=lose, args=(ends, lost, rng))
+        killer = threading.Thread(target=lose, args=(log, ends, lost, rng))
         killer.start()
         found = done(study, kept, None)
         ends.set()
@@ -172,13 +172,23 @@ def workers(count, chunks, rng):
         print(f"{1e3 * seconds / chunks:.2f} ms a chunk in all, {over:.2f} ms more than naps on as many workers take")
 
 
-def lose(ends, lost, rng):
-    """Kills a worker of this process every second, until told to end."""
-    while not ends.wait(1.0):
-        found = [one for one in psutil.Process().children() if "spawn_main" in " ".join(one.cmdline())]
-        if len(found) > 8:
+def lose(log, ends, lost, rng):
+    """Kills a worker of this process every few seconds, from the first chunk that is done until told to end."""
+    while not ends.wait(rng.uniform(0.0, 2.0 * EVERY)):
+        found = workers_of(psutil.Process())
+        if found and os.path.exists(log):
             rng.choice(found).kill()
             lost.append(1)
+
+
+def workers_of(process):
+    """The Dask workers below a process that are there."""
+    found = []
+    for one in process.children(recursive=True):
+        with suppress(psutil.Error):
+            if "spawn_main" in " ".join(one.cmdline()):
+                found.append(one)
+    return found
 
 
 if __name__ == "__main__":

@@ -3,7 +3,10 @@
 import asyncio
 import io
 import json
+import math
+import queue
 import socket
+import threading
 import zipfile
 
 import pytest
@@ -11,6 +14,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClosedError, websocket_connect
 
 import jaxvibro as jv
+from jaxvibro.explorer import ahead, server
 from jaxvibro.explorer.server import is_loopback
 
 from .explorer_pages import PATIENCE, Page, two_walls
@@ -18,9 +22,25 @@ from .explorer_pages import PATIENCE, Page, two_walls
 
 @pytest.fixture(scope="module")
 def served():
-    shown = jv.view(two_walls(), 0)
-    yield shown
-    shown.stop()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(server, "QUIET", math.inf)  # nothing is compiled that other tests have evaluated
+        shown = jv.view(two_walls(), 0)
+        yield shown
+        shown.stop()
+
+
+def test_what_was_evaluated_is_compiled_while_nobody_waits(monkeypatch):
+    done, quiet = queue.Queue(), threading.Event()
+    monkeypatch.setattr(ahead, "compile_evaluated", lambda: iter([done.put(1)]))
+    monkeypatch.setattr(ahead, "SOON", 0.0)
+    one = ahead.Ahead(two_walls(), quiet.is_set)
+    assert one.ready.wait(PATIENCE)
+    with pytest.raises(queue.Empty):
+        done.get(timeout=1.0)
+    quiet.set()
+    done.get(timeout=PATIENCE)
+    one.end()
+    assert not one.is_alive()
 
 
 def run(coroutine):

@@ -7,9 +7,10 @@ import pytest
 from jax import lax
 
 import jaxvibro as jv
-from continuation import in_numpy
+from continuation import in_numpy, persistent_jit
 from continuation.in_numpy import Tried
 from continuation.python_program import program
+from jaxvibro.flight.wall_positions import places
 
 rng = np.random.default_rng(0)
 ROW, OTHER = rng.normal(size=(2, 6))
@@ -216,6 +217,18 @@ def test_it_is_compiled_once_it_has_cost_as_much(monkeypatch):
     tried = Tried(lambda x, k: x * k + 1.0, (1,), {})
     assert [tried((ROW, 2)) is None for _ in range(5)] == [False] * 3 + [True] * 2
     assert tried((ROW, 3)) is not None and tried((ROW[:2], 2)) is not None  # of another kind
+
+
+def test_what_was_evaluated_is_compiled_when_there_is_time(monkeypatch):
+    monkeypatch.setattr(persistent_jit, "_evaluated", {})
+    scene, phase = jv.make_scene(1.0, 2.0, 0.1, 0.7, (jv.Wall(-1.0, motion=jv.Motion(0.2, 0.5, 2)), None)), np.ones(13)
+    places(scene, phase)
+    before = places(scene, phase)
+    assert list(persistent_jit.compile_evaluated()) == [0]  # of two calls one kind
+    monkeypatch.setattr(Tried, "of_kind", None)
+    for one, other in zip(jax.tree.leaves(places(scene, phase)), jax.tree.leaves(before), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-14)
+    np.testing.assert_allclose(before[0][0], -1.0 + 0.2 * np.cos(2.5), rtol=1e-14)
 
 
 def told(scene, start):
