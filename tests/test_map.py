@@ -100,6 +100,7 @@ def test_cells_of_random_scenes_are_what_single_runs_find():
     assert seen >= 8
 
 
+@pytest.mark.slow
 def test_complete_chatter_has_its_label():
     scene = jv.make_scene(1.0, 0.2, 0.05, 0.6, (None, jv.Wall(0.2)))
     found = jv.map_parameters(scene, {"frequency": [0.2, 0.22]}, quantities=("label", "period"))
@@ -116,6 +117,7 @@ def test_any_cut_gives_the_same_bits():
         xr.testing.assert_identical(other, one)
 
 
+@pytest.mark.slow
 def test_a_carried_motion_is_the_sweeps():
     scene, values = figure_4().replace(frequency=2.8), np.linspace(3.0, 6.0, 13)
     grid = {"damping": [0.03, 0.05], "amplitude": values}
@@ -136,6 +138,7 @@ def test_a_carried_motion_is_the_sweeps():
     np.testing.assert_array_equal(first["label"].values[:, 0], found["label"].values[0])
 
 
+@pytest.mark.slow
 def test_random_starts_are_those_of_find_attractors():
     scene = figure_4()
     grid = {"amplitude": [4.65, 5.0]}
@@ -160,6 +163,7 @@ def test_random_starts_are_those_of_find_attractors():
         assert found["share"].values[k, len(known) :].tolist() == [0.0] * (8 - len(known))
 
 
+@pytest.mark.slow
 def test_chaotic_starts_on_one_set_are_one_attractor():
     found = jv.map_parameters(figure_4(), {"frequency": [1.6]}, 12, ("attractors",))
     assert int(found["attractors"][0]) == 1

@@ -48,6 +48,7 @@ def test_contact_against_a_matrix_exponential(damping, side):
             assert abs(got[k] - expected[k, 0]) < 1e-60
 
 
+@pytest.mark.slow
 def test_strobe_against_plain_taylor_steps():
     seen = 0
     for seed, drawn, record in fair(range(150)):

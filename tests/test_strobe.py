@@ -267,6 +267,7 @@ def test_complete_chatter_ends_at_rest():
     assert (more.status, more.count) == (1, impacts.count)
 
 
+@pytest.mark.slow
 def test_in_a_narrow_gap_a_mass_is_thrown_from_wall_to_wall_and_comes_to_rest_where_it_is_pressed():
     """What the force does to a flight across the gap is at most its work, 7 times the gap."""
     rng = np.random.default_rng(5)

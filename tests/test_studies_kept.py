@@ -13,6 +13,7 @@ def scene():
     return jv.make_scene(4.65, 2.1, 0.05, 0.7, (jv.Wall(-1.0), jv.Wall(1.0)))
 
 
+@pytest.mark.slow
 def test_basins(tmp_path, monkeypatch):
     monkeypatch.setattr("jaxvibro.attractors.basins.CHUNK", 200)
     here = scene().replace(amplitude=5.0)  # chaos, whose sample is kept too
@@ -45,6 +46,7 @@ def test_spectrum(tmp_path):
         jv.spectrum(scene(), "amplitude", values, jv.State(0.1, 0.0), **asked, store=jv.Store(tmp_path / "spectrum"))
 
 
+@pytest.mark.slow
 def test_sweep(tmp_path):
     values, state = np.linspace(2.0, 4.0, 5), jv.State(np.linspace(-0.5, 0.5, 66).reshape(2, 33), 0.0)
     seen = []

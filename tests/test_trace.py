@@ -318,6 +318,7 @@ def test_hopf_points_and_their_curve():
     assert close(curve.p["b"], 1 + curve.p["a"] ** 2, 1e-11)
 
 
+@pytest.mark.slow
 def test_bogdanov_takens_and_double_hopf_points_of_lorenz_84():
     found = co.trace(co.equilibria(lorenz84), [1.0, 0.0, 0.0, 0.0], {"F": 1.0, "T": 0.04}, "F", (0.5, 4.0))
     curve = co.curve(found.points("HB")[0], ("F", "T"), {"F": (0.0, 4.0), "T": (-0.5, 0.5)}, largest_step=0.05)

@@ -132,6 +132,7 @@ def test_a_branch_s_work_rate_is_the_same_by_its_data():
     np.testing.assert_allclose(found["largest_speed"].max("wall")[sure], told["largest_speed"][sure], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_mass_that_comes_to_rest_leaves_all_its_energy():
     """Without a drive between still walls: what is lost is the energy at the start, less that of the pressed spring."""
     scene = jv.make_scene(0.0, 1.0, 0.0, 0.4, (0.5, None))
