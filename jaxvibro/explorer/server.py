@@ -32,7 +32,7 @@ PAGE = Path(__file__).with_name("page")
 PORTS = range(8420, 8440)
 MOST_WAITING = 500  # messages of a page
 MOST_PAGES = 16
-QUIET = 1.0  # s after a message: as long nothing is done that no page has asked for
+QUIET = 3.0  # s after a message: as long nothing is compiled that no page waits for
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
     "frame-ancestors 'self' http://localhost:* http://127.0.0.1:*",

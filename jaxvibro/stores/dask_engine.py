@@ -21,7 +21,7 @@ Found = TypeVar("Found")
 AHEAD = 2  # chunks of a worker's thread that are handed out before the first is back
 LOST = 5  # times that a chunk's workers may be lost, each as many of them as the cluster allows
 FIRST = 64  # chunks that are handed out while no worker is known
-WAIT = 30.0  # seconds for a scheduler to answer
+WAIT, LOADING = 30.0, 600.0  # seconds for a scheduler to answer, and beside workers of its own that all load
 KEPT = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")  # settings that workers share
 
 
@@ -79,14 +79,15 @@ class DaskEngine:
                 ask(islice(left, max(0, _ahead(client) - len(asked))))
 
     def _client(self, stack):
-        place = self.address
+        place, wait = self.address, WAIT
         if place is None:
             shared = {name.upper(): str(value) for name in KEPT if (value := getattr(jax.config, name)) is not None}
             size = {"n_workers": self.workers or cores(), "threads_per_worker": 1, "memory_limit": 0}
             quiet = {"dashboard_address": None, "silence_logs": CRITICAL}
             place = stack.enter_context(LocalCluster(**size, **quiet, processes=True, env=shared))
+            wait = LOADING
         try:
-            return stack.enter_context(Client(place, timeout=WAIT, set_as_default=False))
+            return stack.enter_context(Client(place, timeout=wait, set_as_default=False))
         except (OSError, ValueError) as error:
             raise OSError(f"no scheduler answers at {place}: {check.short(error)}") from None
 
