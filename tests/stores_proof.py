@@ -29,7 +29,7 @@ from .test_stores import bits
 
 ROOT = Path(__file__).parents[1]
 KINDS = ("local", "worker", "scheduler", "client")
-EVERY = 5.0  # s between two losses, on average: a new worker loads for two on a core
+EVERY = 20.0  # s between two losses, on average: a new worker takes a core for three
 MAP = """
 import sys
 import numpy as np
@@ -159,9 +159,11 @@ def workers(count, chunks, rng):
         began, ends, lost = time.perf_counter(), threading.Event(), []
         killer = threading.Thread(target=lose, args=(log, ends, lost, rng))
         killer.start()
-        found = done(study, kept, None)
-        ends.set()
-        killer.join()
+        try:
+            found = done(study, kept, None)
+        finally:
+            ends.set()
+            killer.join()
         seconds = time.perf_counter() - began
         times = counts(log)
         assert (found["label"].values[:, 0] == np.arange(chunks)).all()
