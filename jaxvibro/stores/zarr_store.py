@@ -149,12 +149,16 @@ class Kept:
         return {number: int(counts[number]) for number in there.tolist()}
 
     def _entries(self, name):
-        """An array with an entry a chunk; what cannot be read is as good as not there."""
-        entries = self.arrays[name]
+        """An array with an entry a chunk, looked for where there is a file; what cannot be read is not there either."""
+        entries, folder = self.arrays[name], Path(self.path, name, CHUNKS)
+        found = np.full(entries.shape, NOT_DONE, entries.dtype)
+        files = [int(file) for file in os.listdir(folder) if file.isdecimal()] if folder.is_dir() else []
+        there = sorted(number for number in files if number < len(found))
         try:
-            return np.asarray(entries[:])
+            found[there] = entries.get_orthogonal_selection(there) if there else []
         except Exception:  # a damaged file, whatever Zarr's codecs fall over
-            return np.array([self._entry(name, number) for number in range(entries.shape[0])], entries.dtype)
+            found[there] = [self._entry(name, number) for number in there]
+        return found
 
     def _entry(self, name, number):
         try:
