@@ -80,11 +80,12 @@ def persistent_jit(
 
 
 def compile_evaluated() -> Iterator[int]:
-    """Compiles what NumPy evaluates in this process, one function for one kind of arguments at each step, and tells how
-    many are left. For a process that goes on: a compiled function takes a tenth of the time and less. What is called
-    meanwhile, by other threads, is still evaluated."""
+    """Compiles what NumPy evaluates in this process, one function for one kind of arguments at each step, what was met
+    last first, and tells how many are left. For a process that goes on: a compiled function takes a tenth of the time
+    and less. What is called meanwhile, by other threads, is still evaluated."""
     while _evaluated:
-        _evaluated.pop(next(iter(_evaluated)))()
+        _, compile_it = _evaluated.popitem()
+        compile_it()
         yield len(_evaluated)
 
 
