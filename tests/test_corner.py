@@ -18,7 +18,7 @@ PAIRS = {
 }
 
 
-LENGTHS = {"two restitutions": (), "a soft and a rigid wall": pytest.mark.long}  # the others are slow
+LENGTHS = {"a soft and a rigid wall": pytest.mark.long}  # the others are slow
 
 
 def amplitude(frequency, damping, far, swing=0j):

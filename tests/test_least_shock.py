@@ -44,7 +44,8 @@ def stays(change, periods=40):
     return apart < 0.05
 
 
-@pytest.mark.parametrize("direction", ["v", pytest.param("xv", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("direction", ["v", "xv"])
 def test_the_free_response_leaves_at_that_size_and_at_none_smaller_in_flights_by_numpy(direction):
     scene, attractors = known("uneven")
     place = next(k for k, one in enumerate(attractors) if one.label == "P100")

@@ -109,6 +109,7 @@ def test_complete_chatter_has_its_label():
     assert found["period"].values.tolist() == [1, 1]
 
 
+@pytest.mark.slow
 def test_any_cut_gives_the_same_bits():
     grid = {"frequency": np.linspace(1.6, 3.0, 7), "amplitude": np.linspace(4.0, 6.0, 5)}
     one = jv.map_parameters(figure_4(), grid, quantities=("exponent", "state"))
@@ -170,6 +171,7 @@ def test_chaotic_starts_on_one_set_are_one_attractor():
     assert int(found["label"][0, 0]) == CHAOTIC and float(found["share"][0, 0]) == 1.0
 
 
+@pytest.mark.slow
 def test_a_store_is_gone_on_with(tmp_path):
     grid, seen = {"frequency": np.linspace(1.6, 3.0, 6)}, []
     whole = jv.map_parameters(figure_4(), grid, chunk=2)

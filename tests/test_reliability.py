@@ -105,6 +105,7 @@ def test_what_is_missed_invented_or_elsewhere_is_counted():
     assert counts.per_million(Count(4, 1, 1, 0)).startswith("**500,000**")
 
 
+@pytest.mark.slow
 def test_counts_by_speed_are_those_of_the_case(monkeypatch):
     case, rival = run.CASES["starts into a wall"], methods.RIVALS[-1]
     monkeypatch.setattr(methods, "RIVALS", (rival,))
@@ -195,6 +196,7 @@ def test_the_true_derivative_next_to_a_grazing_is_that_of_differences_in_80_bit_
     )
 
 
+@pytest.mark.slow
 def test_a_map_judges_what_is_not_chaotic_and_finds_ours_right(monkeypatch):
     monkeypatch.setattr(
         failure_maps,

@@ -122,6 +122,7 @@ def test_no_times_and_no_walls():
     assert state.x[0] == 0.3 and abs(state.x[1] - forced.real) < 1e-8
 
 
+@pytest.mark.slow
 def test_statuses(scene):
     times = jnp.array([[0.5, 1.0], [1.0, 0.5], [-1.0, 2.0], [0.5, np.nan], [0.0, 1e8]])
     state, status = jax.jit(lambda times: jv.sample(scene, jv.State(0.3, 1.0), times))(times)

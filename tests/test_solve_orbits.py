@@ -47,6 +47,7 @@ def test_derivatives_are_those_of_the_root(orbit):
         assert float(gradient.parameter(name)) == pytest.approx(float(slope), abs=3e-10), name
 
 
+@pytest.mark.slow
 def test_without_impacts_it_is_the_linear_response():
     scene = jv.make_scene(np.linspace(1.0, 5.0, 9), 2.1, 0.05, 0.7, (-1.0, 1.0))
     found = jv.solve_orbits(scene, jv.State(0.0, 0.0), ("",))

@@ -77,6 +77,7 @@ def test_a_wall_that_takes_all_speed():
     assert (found.status == 0).all() and (found.impacts == 2).all() and found.error.max() < 1e-12
 
 
+@pytest.mark.slow
 def test_without_losses_the_exponents_are_opposite():
     """At these amplitudes there is no chaos from this start: a shear alone, which the error allows for."""
     lossless = scene(1.0, damping=0.0)
@@ -174,6 +175,7 @@ def test_what_settles_while_it_is_averaged_is_an_orbit(monkeypatch):
     assert (found.periods == 1).all() and abs(found.exponent - patient.exponent).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_a_motion_without_end_has_no_exponents():
     narrow = scene(amplitude=0.0, damping=0.0, walls=(-0.01, 0.01))
     found = jv.spectrum(narrow, "restitution", [1.0], jv.State(0.0, 10.0), settle=1)

@@ -136,12 +136,14 @@ def test_one_impact_orbits_come_back():
     assert abs(end.v - float(v)) < 1e-13
 
 
+@pytest.mark.slow
 def test_a_batch_of_one_is_its_lane_bit_for_bit(lanes):
     scene, start, end, impacts, run = lanes
     for k in (0, 63, 64, 129):
         assert same(run(at(scene, k), at(start, k)), at((end, impacts), k))
 
 
+@pytest.mark.slow
 def test_chunks_are_the_whole_and_a_bad_lane_harms_no_other(lanes):
     scene, start, end, impacts, run = lanes
     part = jax.tree.map(lambda leaf: leaf[:70] if jnp.ndim(leaf) else leaf, (scene, start, end, impacts))
@@ -157,6 +159,7 @@ def test_chunks_are_the_whole_and_a_bad_lane_harms_no_other(lanes):
     )
 
 
+@pytest.mark.slow
 def test_scalar_and_vmapped_calls_agree_with_the_batch(lanes):
     scene, start, end, impacts, run = lanes
     mapped = jax.jit(jax.vmap(lambda a, s: run(scene.replace(amplitude=a), s)))
@@ -339,6 +342,7 @@ def test_a_clearance_is_asked_for_by_true_or_false(scene):
         jv.strobe(scene, jv.State(0.0, 0.0), clearance=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slots", [0, 4])
 def test_what_is_not_recorded_changes_nothing_else(lanes, slots):
     many, start, end, impacts, _ = lanes

@@ -53,6 +53,7 @@ def test_no_bit_depends_on_the_batch(kind):
     assert wrong == [] and given_up > 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [two_tiers.STRIP * WIDTH + 1, 2 * two_tiers.STRIP * WIDTH - 30])
 def test_lanes_in_strips_are_those_in_blocks(count):
     scene, start = usual(np.random.default_rng(9), count, RIGID[4])
