@@ -90,7 +90,7 @@ def scenes(seed):
         yield jv.make_scene(rng.uniform(1, 5), rng.uniform(1, 3), damping, 0.7, pair)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cells_of_random_scenes_are_what_single_runs_find():
     seen = 0
     for scene in scenes(25):
