@@ -50,7 +50,7 @@ def test_several_numbers_may_be_one(scene, points, values):
 
 @pytest.mark.slow
 def test_more_values_than_numbers_and_a_combination_that_they_do_not_say(scene, points, values):
-    for off in (0.03, 0.04, 0.05, 0.06, 0.07):
+    for off in (0.05, 0.06, 0.07, 0.2, 1.0):
         one = jv.fit(scene, jv.PointRecord(points, [values[0], values[1] + off], 1e-3), {"damping": 0.02})
         assert one.status == jv.FitStatus.MISFIT and one.dof == 1 and one.chi2 > 100.0
     rough = jv.fit(scene, jv.PointRecord(points, values, 0.5), FREE)
