@@ -36,7 +36,7 @@ NUMBER = "number"
 SOON = {"xla_backend_optimization_level": 0}  # for what the host calls a few times: compiled in half the time
 HOSTS = {np.ndarray, np.float64, np.float32, np.int32, np.int64, np.bool_, bool, int, float}  # types of no tracer
 _ours = {__name__.split(".")[0]}  # packages whose sources decide what a traced function is
-_evaluated: dict[Any, Callable[[], None]] = {}  # of each function and kind of arguments that NumPy has met: compiles it
+_evaluated: list[Callable[[], None]] = []  # one for each function and kind of arguments that NumPy has met: compiles it
 
 Given = ParamSpec("Given")
 Found = TypeVar("Found")
@@ -84,8 +84,7 @@ def compile_evaluated() -> Iterator[int]:
     last first, and tells how many are left. For a process that goes on: a compiled function takes a tenth of the time
     and less. What is called meanwhile, by other threads, is still evaluated."""
     while _evaluated:
-        _, compile_it = _evaluated.popitem()
-        compile_it()
+        _evaluated.pop()()
         yield len(_evaluated)
 
 
@@ -115,12 +114,11 @@ def _from_host(function, numpy_first, plain, traced, options):
         return PackedCall(of_leaves, leaves, further)
 
     def ahead(args, leaves, kind):
-        own = packed(args, kind[0], leaves)
-        with jax.enable_x64(kind[-1]):
-            own(leaves)
-        compiled[kind] = own
-
-    met = set()  # kinds of arguments that NumPy has evaluated it for
+        if kind not in compiled:
+            own = packed(args, kind[0], leaves)
+            with jax.enable_x64(kind[-1]):
+                own(leaves)
+            compiled[kind] = own
 
     def call(*args):
         leaves, kind = in_numpy.kind_of(args, static)
@@ -128,11 +126,11 @@ def _from_host(function, numpy_first, plain, traced, options):
             return plain(*args)
         own = compiled.get(kind)
         if own is None:
+            is_new = kind not in tried.known
             found = tried.of_kind(args, leaves, kind)
             if found is not None:
-                if kind not in met:
-                    met.add(kind)
-                    _evaluated[function, kind] = partial(ahead, args, leaves, kind)
+                if is_new:
+                    _evaluated.append(partial(ahead, args, leaves, kind))
                 return found
             own = compiled[kind] = packed(args, kind[0], leaves)
         return own(leaves)

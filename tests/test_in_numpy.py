@@ -220,7 +220,7 @@ def test_it_is_compiled_once_it_has_cost_as_much(monkeypatch):
 
 
 def test_what_was_evaluated_is_compiled_when_there_is_time(monkeypatch):
-    monkeypatch.setattr(persistent_jit, "_evaluated", {})
+    monkeypatch.setattr(persistent_jit, "_evaluated", [])
     scene, phase = jv.make_scene(1.0, 2.0, 0.1, 0.7, (jv.Wall(-1.0, motion=jv.Motion(0.2, 0.5, 2)), None)), np.ones(13)
     places(scene, phase)
     before = places(scene, phase)

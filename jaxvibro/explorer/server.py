@@ -131,6 +131,7 @@ class Explorer:
         """Ends serving, from any thread; pages see that the server has gone."""
         self._begun.wait()
         self._loop.call_soon_threadsafe(self._end.set)
+        self.ahead.end()
 
     def _is_quiet(self):
         return time.monotonic() - self.last > QUIET

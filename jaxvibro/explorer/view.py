@@ -35,7 +35,6 @@ class View:
         """Ends the server, and with it the work of its pages."""
         self._explorer.stop()
         self._thread.join(5.0)
-        self._explorer.ahead.end()
 
     def __repr__(self) -> str:
         return f"View({self.url})"
