@@ -4,6 +4,7 @@ import math
 from functools import reduce
 
 import numpy as np
+from jax import lax
 
 from .numpy_rules import rules
 
@@ -70,6 +71,8 @@ def small(program, name, params, given, fixed, kinds, outs):
         return moved(name, params, given, len(outs))
     if name in PLACED and all(fixed[k] is not None for k in PLACED[name] if k < len(given)):
         return placed(name, params, given, fixed)
+    if name == "gather":
+        return gathered(program, params, *given)
     if name == "select_n":
         return [selected(program, *given)]
     if name == "convert_element_type":
@@ -121,6 +124,19 @@ def placed(name, params, given, fixed):
         params = params | {"fill_value": BEYOND}
     found = np.asarray(rules[name](**params)(*(fixed[k] if k in PLACED[name] else one for k, one in enumerate(given))))
     return None if (found == BEYOND).any() else [found]
+
+
+def gathered(program, params, x, index):
+    """Entries of an array at places that are known later: each is one of those that it may be. None where the places
+    have several coordinates, or may lie beyond the array."""
+    how, sizes = params["dimension_numbers"], params["slice_sizes"]
+    if len(how.start_index_map) != 1 or params["mode"] == lax.GatherScatterMode.FILL_OR_DROP:
+        return None
+    (axis,) = how.start_index_map
+    last, rule = x.shape[axis] - sizes[axis], rules["gather"](**params)
+    cases = [np.asarray(rule(x, np.full(index.shape, place))) for place in range(last + 1)]
+    text = "{0} > 0" if last == 1 else f"min(max({{0}}, 0), {last})"
+    return [selected(program, np.expand_dims(each(program, text, [index[..., 0]]), how.offset_dims), *cases)]
 
 
 def selected(program, which, *cases):

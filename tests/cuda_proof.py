@@ -1,16 +1,19 @@
-"""What a graphics card gives beside the processor: `python -m tests.cuda_proof [states]`.
+"""What a graphics card gives beside the processor: `python -m tests.cuda_proof [maps] [studies] [surveys]`, or all.
 
-Random states of random scenes of each kind of wall are mapped on both, in double precision: how far the ends are apart,
-how many itineraries and statuses differ, nanoseconds a map of each. Then an orbit, its branch and exponents on both.
+maps: a million random states of random scenes of each kind of wall are mapped on both, in double precision: how far the
+ends are apart, how many itineraries and statuses differ, nanoseconds a map of each. studies: an orbit, its branch, its
+special points and basins on both. surveys: a map over two parameters, kept in a store, on both.
 """
 
 import sys
+import tempfile
 import time
 
 import jax
 import numpy as np
 
 import jaxvibro as jv
+from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED
 
 WALLS = {
     "none": (None, None),
@@ -34,7 +37,7 @@ def mapped(device, scene, state, slots):
     return jax.device_get(found), times[0], float(np.median(times[1:]))
 
 
-def maps(card, host, count):
+def maps(card, host, count=1_000_000):
     rng = np.random.default_rng(1)
     for kind, walls in WALLS.items():
         numbers = rng.uniform(0.5, 4.0, count), rng.uniform(0.6, 3.0, count), rng.uniform(0.0, 0.4, count)
@@ -58,7 +61,7 @@ def maps(card, host, count):
 
 def studies(card, host):
     tables = []
-    for device in (card, host):
+    for device in (host, card):
         with jax.default_device(device):
             begun = time.perf_counter()
             scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
@@ -74,9 +77,33 @@ def studies(card, host):
     print(f"{np.sum(left != right)} of {left.size} cells of basins differ")
 
 
+def surveys(card, host, side=64):
+    tables, grid = [], {"amplitude": np.linspace(0.5, 6.0, side), "frequency": np.linspace(1.5, 4.0, side)}
+    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
+    for device in (host, card):
+        with jax.default_device(device), tempfile.TemporaryDirectory() as folder:
+            times = []
+            for name in "ab":
+                begun = time.perf_counter()
+                found = jv.map_parameters(scene, grid, store=jv.Store(f"{folder}/{name}.zarr"))
+                times.append(time.perf_counter() - begun)
+            tables.append((found["label"].values.copy(), found["exponent"].values.copy()))
+        print(
+            f"{device.device_kind}: {side} x {side} cells in {times[1]:.1f} s, the first time {times[0]:.1f} s",
+            flush=True,
+        )
+    (one, first), (two, second) = tables
+    told = (one != UNDECIDED) & (two != UNDECIDED)
+    same = told & (one == two)
+    apart = abs(first - second)[same & (one != CHAOTIC)]
+    print(f"{np.sum(told & ~same)} of {one.size} cells differ, {np.sum(~told)} undecided on one at least")
+    print(f"exponents of the periodic ones {np.nanmedian(apart):.1e} apart (median), {np.nanmax(apart):.1e} (most)")
+
+
 if __name__ == "__main__":
     jax.config.update("jax_enable_x64", True)
     card, host = jax.devices("gpu")[0], jax.devices("cpu")[0]
     print(f"{card.device_kind}, jax {jax.__version__}")
-    maps(card, host, int(sys.argv[1]) if len(sys.argv) > 1 else 1_000_000)
-    studies(card, host)
+    for part in (maps, studies, surveys):
+        if len(sys.argv) == 1 or part.__name__ in sys.argv[1:]:
+            part(card, host)

@@ -32,11 +32,11 @@ class Engine(Protocol):
 
 @dataclass(frozen=True)
 class LocalEngine:
-    """Works chunks out in this process, on all of jax's devices.
+    """Works chunks out in this process, on all of jax's devices or that of `jax.default_device`.
 
     workers: chunks at a time; None: one for each device, on a processor three for every two of its cores that may be
     used: while some wait for Python, which one thread at a time can run, others compute.
-    devices: how many of jax's local devices take part, None for all. Raises ArgumentError for numbers that cannot be.
+    devices: how many of these take part, None for all. Raises ArgumentError for numbers that cannot be.
     """
 
     workers: int | None = None
@@ -49,11 +49,12 @@ class LocalEngine:
 
     def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
         """What work(number) returns for each of some numbers, as it comes in."""
-        devices, double = jax.local_devices()[: self.devices], jax.config.read("jax_enable_x64")
+        named, double = jax.config.jax_default_device, jax.config.read("jax_enable_x64")
+        devices = [named] if isinstance(named, jax.Device) else jax.local_devices(backend=named)[: self.devices]
         workers = self.workers or max(len(devices), 3 * cores() // 2 if devices[0].platform == "cpu" else 1)
         free: SimpleQueue = SimpleQueue()
         for device in islice(cycle(devices), workers):
-            free.put(device if len(devices) > 1 else None)
+            free.put(device if len(devices) > 1 else named)
 
         def on_device(number):
             device = free.get()
