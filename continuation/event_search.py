@@ -18,6 +18,7 @@ LOST = 1e-13  # of the largest determinant: as small is rounding
 FINE = 1e-4  # a length: a step as short is no jump to another branch
 HALVINGS, TRIED = 25, 6  # of an interval with a change of sign; after every so many Newton's method is tried
 SAME = 1e-6  # of the scaled lengths: two points as near are one
+REACH = 10.0  # of the way to the point beyond an event: so far Newton's method may come from its guess
 BEGUN = 1e-8  # of the scaled lengths: a special point as near to a start is the start
 
 
@@ -235,11 +236,12 @@ def _located(problem, kind, points, after, values, control, args, halvings=HALVI
 
 def _event(problem, kind, here, after, between, near, guess, control, args):
     """The event to which Newton's method leads from a guess, None where that is not between two lengths."""
+    low, high = between
     z = near.z if near.met else here.z + guess * here.tangent
-    found = _polished(problem, kind, z, args)
+    with np.errstate(divide="ignore"):
+        found = _polished(problem, kind, z, args, REACH * high / control.scale)
     if found.z is None:
         return None
-    low, high = between
     along = float(np.sum(control.scale**2 * here.tangent * (found.z - here.z)))
     spare = 0.05 * (high - low)
     if not low - spare <= along <= high + spare:
@@ -255,20 +257,20 @@ def _signed(problem, kind, point, args):
     return np.linalg.slogdet(locate.matrices(problem, test, point.z, args)[0])[0]
 
 
-def _polished(problem, kind, z, args):
+def _polished(problem, kind, z, args, reach):
     """The event to which Newton's method leads: `locate.Located`, without a z where it is none."""
     if kind == "SN":
-        found = locate.fold(problem, z, args)
+        found = locate.fold(problem, z, args, reach)
     elif kind == "BP":
-        found = locate.branch_point(problem, z, args)
+        found = locate.branch_point(problem, z, args, reach)
     else:
-        found = _tested(problem, kind, z, args)
+        found = _tested(problem, kind, z, args, reach)
     return found if found.z is None or problem.holds(found.z, args) else locate.Located(None, np.nan)
 
 
-def _tested(problem, kind, z, args):
+def _tested(problem, kind, z, args, reach):
     (test,) = (test for test in problem.tests if test.label == kind)
-    found = locate.singular(problem, test, z, args)
+    found = locate.singular(problem, test, z, args, reach)
     if found.z is None or test.holds(found.z, args):
         return found
     return locate.Located(None, np.nan)

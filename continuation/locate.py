@@ -112,8 +112,8 @@ def matrices(problem, test, z, args):
     return found[0], np.moveaxis(found[1 : size + 1] - found[size + 1 :], 0, -1) / (2.0 * np.diag(steps))
 
 
-def fold(problem, z, args):
-    """The fold near a point, where the branch turns back in the parameter: `Located`."""
+def fold(problem, z, args, reach=np.inf):
+    """The fold near a point, where the branch turns back in the parameter: `Located`. reach: as of `newton`, of z."""
 
     def system(z):
         value, slopes = _plain(problem, z, args)
@@ -122,11 +122,11 @@ def fold(problem, z, args):
         return np.append(value, gap), np.vstack([slopes, -more])
 
     border = _border(_plain(problem, z, args)[1][:, :-1])
-    return newton(system, z)
+    return newton(system, z, reach)
 
 
-def branch_point(problem, z, args):
-    """The point near where two branches meet: `Located`.
+def branch_point(problem, z, args, reach=np.inf):
+    """The point near where two branches meet: `Located`. reach: as of `newton`, of z.
 
     Unknowns are z and a misfit mu, zero at the end: F + mu b, g and w F_p are zero. This is regular at pitchforks too.
     """
@@ -143,13 +143,13 @@ def branch_point(problem, z, args):
         return np.concatenate([value + y[-1] * border[0], [gap, left @ slopes[:, -1]]]), matrix
 
     border = _border(_plain(problem, z, args)[1][:, :-1])
-    found = newton(system, np.append(z, 0.0))
+    found = newton(system, np.append(z, 0.0), np.append(np.broadcast_to(reach, z.shape), np.inf))
     met = found.z is not None and abs(found.z[-1]) <= SMALL * (1.0 + abs(found.z).max())
     return Located(found.z[:-1], found.residual) if met else Located(None, np.nan)
 
 
-def singular(problem, test, z, args):
-    """The point near where the matrix of a `problem.Test` is singular: `Located`."""
+def singular(problem, test, z, args, reach=np.inf):
+    """The point near where the matrix of a `problem.Test` is singular: `Located`. reach: as of `newton`, of z."""
 
     def system(z):
         value, slopes = _plain(problem, z, args)
@@ -158,11 +158,12 @@ def singular(problem, test, z, args):
         return np.append(value, gap), np.vstack([slopes, -np.einsum("i,ijk,j->k", left, changes, right)])
 
     border = _border(matrices(problem, test, z, args)[0])
-    return newton(system, z)
+    return newton(system, z, reach)
 
 
-def newton(system, start):
-    """The zero near a start of a function y -> (value, its derivative): `Located`."""
+def newton(system, start, reach=np.inf):
+    """The zero near a start of a function y -> (value, its derivative): `Located`. reach: how far from the start each
+    unknown may come; a zero beyond is not looked for."""
     y, before = start, np.inf
     for _ in range(ROUNDS):
         try:
@@ -171,7 +172,7 @@ def newton(system, start):
         except np.linalg.LinAlgError:  # singular, be it within the system's own equations
             break
         y, step = y - change, abs(change).max()
-        if not np.isfinite(step):
+        if not np.isfinite(step) or (abs(y - start) > reach).any():
             break
         if before <= SMALL * (1.0 + abs(y).max()):
             return Located(y, float(abs(value).max()))

@@ -1,9 +1,9 @@
 """Annotations of both packages held at run time: jaxtyping's shapes and dtypes, beartype's types.
 
-A file's annotated functions and its records are checked as soon as the file has been imported. A function is checked at
-every call, what it returns alone where it refuses arguments itself ("Raises" in its docstring), and not at all where it
-warns, as a warning names the caller's line. A record is checked where a file of ours makes one by its name: what jax
-puts together from the leaves of a tree (lanes, placeholders) is not.
+A file's annotated functions and its records are checked as soon as the file has been imported. A function is checked in
+its first calls in a process and then in some, what it returns alone where it refuses arguments itself ("Raises" in its
+docstring), and not at all where it warns, as a warning names the caller's line. A record is checked where one of our files
+makes one by its name, as often: what jax puts together from the leaves of a tree (lanes, placeholders) is not.
 """
 
 import sys
@@ -12,6 +12,7 @@ from functools import wraps
 from importlib.abc import MetaPathFinder
 from importlib.machinery import PathFinder
 from inspect import isclass, isfunction, signature
+from itertools import count
 from typing import get_type_hints
 
 from beartype import beartype
@@ -19,6 +20,7 @@ from beartype.door import is_bearable
 from jaxtyping import jaxtyped
 
 PACKAGES = ("jaxvibro", "continuation")
+FIRST, EVERY = 100, 16  # calls that are all checked; of those after them one in so many
 PLACEHOLDERS = (type(None), bool, int)  # of in_axes, static marks and the like, where a record has arrays
 
 
@@ -46,22 +48,32 @@ def check(module):
             setattr(module, name, checked(one))
 
 
-def checked(one):
+def checked(function):
     """The function, or property, held to its annotations."""
-    function = one.fget if isinstance(one, property) else one
+    if isinstance(function, property):
+        return property(checked(function.fget), doc=function.__doc__)
+    looked_at, calls = function, count()
     if "Raises" in (function.__doc__ or ""):
         plain = signature(function)
 
         @wraps(function)
-        def one(*args, **named):
+        def looked_at(*args, **named):
             return function(*args, **named)
 
         free = [each.replace(annotation=each.empty) for each in plain.parameters.values()]
-        one.__signature__ = plain.replace(parameters=free)
-    found = jaxtyped(one, typechecker=beartype)
-    if not isinstance(found, property):
-        found.__signature__ = signature(function)
+        looked_at.__signature__ = plain.replace(parameters=free)
+    held = jaxtyped(looked_at, typechecker=beartype)
+
+    @wraps(function)
+    def found(*args, **named):
+        return (held if is_checked(next(calls)) else function)(*args, **named)
+
     return found
+
+
+def is_checked(call):
+    """Whether the call of this number is."""
+    return call < FIRST or call % EVERY == 0
 
 
 def is_record(one):
@@ -71,13 +83,13 @@ def is_record(one):
 
 def check_record(record):
     """Have a record's fields and methods checked."""
-    make, hints = ("__init__" if is_dataclass(record) else "__new__"), {}
+    make, hints, calls = ("__init__" if is_dataclass(record) else "__new__"), {}, count()
     original = getattr(record, make)
 
     @wraps(original)
     def made(first, /, *args, **named):
         found = original(first, *args, **named)
-        maker = sys._getframe(1).f_globals.get("__name__", "")
+        maker = sys._getframe(1).f_globals.get("__name__", "") if is_checked(next(calls)) else ""
         if maker.split(".")[0] in PACKAGES and maker != "continuation.persistent_jit":
             _check_fields(record, first if found is None else found, hints)
         return found

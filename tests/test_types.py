@@ -103,3 +103,16 @@ def test_functions_are_held_to_their_types():
         checked_types.checked(refuse)("a")
     with pytest.raises(TypeError, match="return"):
         checked_types.checked(refuse)(1.5)
+
+
+def test_of_many_calls_some_are_held():
+    function, kept = checked_types.checked(half), 0
+    for _ in range(checked_types.FIRST):
+        with pytest.raises(TypeError, match="rows"):
+            function(np.ones((2, 2)))
+    for _ in range(2 * checked_types.EVERY):
+        try:
+            function(np.ones((2, 2)))
+        except TypeError:
+            kept += 1
+    assert kept == 2
