@@ -2,8 +2,8 @@
 
 A file's annotated functions and its records are checked as soon as the file has been imported. A function is checked in
 its first calls in a process and then in some, what it returns alone where it refuses arguments itself ("Raises" in its
-docstring), and not at all where it warns, as a warning names the caller's line. A record is checked where one of our files
-makes one by its name, as often: what jax puts together from the leaves of a tree (lanes, placeholders) is not.
+docstring), and not at all where it warns, as a warning names the caller's line. A record is checked where one of our
+files makes one by its name, as often: what jax puts together from the leaves of a tree (lanes, placeholders) is not.
 """
 
 import sys
