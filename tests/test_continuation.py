@@ -304,6 +304,20 @@ def test_no_crossing_is_located_off_the_branch():
     assert found.z is None or found.residual > 1e-4
 
 
+def test_a_zero_out_of_reach_is_not_looked_for():
+    """Of the parabola's two zeros the nearer one is 0.3 away, and the first step from beside its turning point 3.3."""
+    asked = []
+
+    def parabola(y):
+        asked.append(y)
+        return y**2 - 1.0, 2.0 * np.diag(y)
+
+    assert close(locate.newton(parabola, np.array([0.7]), 0.4).z, [1.0], 1e-14)
+    assert close(locate.newton(parabola, np.array([0.15])).z, [1.0], 1e-14)
+    asked.clear()
+    assert locate.newton(parabola, np.array([0.15]), 1.0).z is None and len(asked) == 1
+
+
 def row_of(what, zs, args, step):
     """Points so far apart as if in a row, each with the tangent towards greater parameters; (points, control)."""
     control = control_of(2)

@@ -131,6 +131,20 @@ CASES = {
         ROW,
         PLACES,
     ),
+    "one of two": (
+        lambda x, y, k, far: (
+            x[:2].at[k % 2].get(mode="promise_in_bounds"),
+            x[:2].at[far].get(mode="clip"),
+            x.at[far].get(mode="clip"),
+            y.at[:, k % 2].get(mode="promise_in_bounds"),
+            jax.vmap(lambda x, k: x.at[k].get(mode="clip"))(y.T, far[:2]),
+            lax.gather(y, far[:, :1], lax.GatherDimensionNumbers((1, 2), (), (1,)), (2, 1), mode="clip"),
+        ),
+        ROW,
+        SQUARE[:2, :2],
+        PLACES,
+        FAR,
+    ),
     "few beyond": (lambda x: (x.at[jnp.array([7, 1])].get(mode="fill"), x.at[jnp.array([7, 1])].get(mode="clip")), ROW),
     "what is no number": (
         lambda x, y: (
