@@ -159,7 +159,7 @@ def taylor_orbit(u, period, b):
     return u, period, np.linalg.det(monodromy)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_brusselator_from_its_hopf_point_and_back():
     at, orbits = {"a": 1.0, "b": 1.0}, periodic_orbits(brusselator, segments=4)
     (hopf,) = co.trace(co.equilibria(brusselator), [1.0, 1.0], at, "b", (0.5, 3.0)).points("HB")

@@ -67,7 +67,7 @@ def well(t, x, v, p):
     return x - x**3 - 2.0 * p["damping"] * v
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_out_of_a_well_the_least_shock_just_comes_to_the_separatrix_by_scipy():
     damping = 0.1
     scene = jv.make_scene(0.0, 1.0, restitution=0.7, walls=(-3.0, 3.0), force=jv.Force(well, {"damping": damping}))

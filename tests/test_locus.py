@@ -189,7 +189,7 @@ def test_a_locus_from_its_other_end_in_other_steps(loci):
                 assert error(locus, place, 20, near=(first, int(np.argmin(gap)))) < 1e-11
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_steps_and_order_do_not_matter(loci, points):
     for name in ("SB of P111", "GR of P112"):
         for names, steps in ((PAIR, (0.02, 0.02, 1e-9)), (PAIR[::-1], (0.5, 0.5)), (PAIR[::-1], (0.02, 0.3, 1e-13))):

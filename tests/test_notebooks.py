@@ -9,7 +9,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
-LONGEST = ("04", "06", "08", "09", "10", "11")
+LONGEST = ("04", "06", "08", "09", "10", "11", "12")
 MARKED = [
     pytest.param(path, id=path.name, marks=pytest.mark.long if path.name.startswith(LONGEST) else pytest.mark.slow)
     for path in NOTEBOOKS

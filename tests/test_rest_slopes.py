@@ -82,7 +82,7 @@ def test_two_rests_of_a_period():
             assert np.allclose([times[k], speeds[k]], true[:, columns], rtol=1e-10, atol=1e-14)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_periods_with_rests_are_two_strobes():
     first, (end, impacts) = sloped(BOTH)
     after = BOTH._replace(x=float(end.x), v=float(end.v))

@@ -119,7 +119,7 @@ def test_a_complete_chatter_is_followed_in_two_parameters(from_rest):
         assert spot.value == pytest.approx(just, abs=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_release_within_a_rest_is_followed_in_two_parameters(letting_go):
     (point,) = letting_go.points("RL")
     names = "drive.0.amplitude", "right.position"
@@ -129,7 +129,7 @@ def test_a_release_within_a_rest_is_followed_in_two_parameters(letting_go):
     assert found.values @ [-1.0, 1.0] == pytest.approx(np.full(len(found), 1.5), abs=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_a_grazing_meets_a_complete_chatter_its_locus_ends():
     grazing = followed(0.6, (0.5, 0.7), walls=(-0.2, 0.5)).points("GR")[-1]
     names = "amplitude", "left.position"
@@ -169,7 +169,7 @@ def degenerate(wall, frequency, damping, start):
     return found[2:]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_locus_of_grazings_ends_where_the_touch_has_no_acceleration():
     amplitude, second = degenerate(0.5, 0.4, 0.03, (3.0, 12.7, 1.36, 0.0))
     drive = (jv.Motion(second - 0.02, harmonic=2, phase=0.5 * np.pi),)

@@ -149,7 +149,7 @@ def test_multipliers_of_orbits_are_those_of_the_product_and_of_autodiff(resonanc
         assert min(abs(roots - one).min() for one in orbit.multipliers) < 1e-11
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_branch_goes_through_the_grazings_of_soft_walls(resonance):
     _, branch = resonance
     meets = np.sqrt(np.roots([1.0, 4 * 0.05**2 - 2.0, 1.0 - 0.3**2]))  # A = sqrt(D), (8)

@@ -26,7 +26,7 @@ def pull(t, x, v, p):
     return -x - 0.1 * v
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_reference_agrees_with_the_strobe():
     scene = jv.make_scene(2.0, 1.7, 0.1, 0.7, MIXED)
     walls = [Wall(-1, -0.9, None, 10.0, 0.2, 0.1, 2, 0.4), Wall(1, 1.0, 0.6)]

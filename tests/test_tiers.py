@@ -45,9 +45,8 @@ def test_masses_that_hop_and_rest_end_as_by_full_steps():
     assert after[~given_up & (impacts.count > 0)].min() > 2e-3  # a slower impact is not theirs to decide
 
 
-@pytest.mark.parametrize(
-    "kind", (pytest.param(RIGID[1], marks=pytest.mark.slow), pytest.param(RIGID[4], marks=pytest.mark.long))
-)
+@pytest.mark.long
+@pytest.mark.parametrize("kind", (RIGID[1], RIGID[4]))
 def test_no_bit_depends_on_the_batch(kind):
     wrong, given_up = bits(np.random.default_rng(8), 400, kind)
     assert wrong == [] and given_up > 0
@@ -67,7 +66,7 @@ def test_lanes_in_strips_are_those_in_blocks(count):
         assert same(lean(*part(lanes)), jax.tree.map(lambda leaf, lanes=lanes: leaf[lanes], whole))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_turning_points_are_those_of_a_motion_sampled_densely():
     """Of walls that move, and of one that does beside one that stands still; full steps lose some of these."""
     for kind in ((False, 2), (False, 3)), ((False, 0), (False, 1)):

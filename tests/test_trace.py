@@ -340,7 +340,7 @@ def test_henon_to_period_sixteen():
         (found,) = co.switch(doubling, stop=["PD"])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_bratu():
     found = co.trace(co.equilibria(bratu), np.zeros(99), {"p": 0.0}, "p", (-0.1, 4.0), stop=["SN"], largest_step=2.0)
     assert close(found.points("SN")[0].p["p"], 3.51364790397, 1e-10)

@@ -83,8 +83,9 @@ SCENES = {
 }
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", SCENES)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(one, marks=pytest.mark.long if one == "soft" else pytest.mark.slow) for one in SCENES]
+)
 def test_what_walls_bear_is_what_scipy_integrates(kind):
     scene = SCENES[kind]()
     borne, span = flown(scene, 4)
