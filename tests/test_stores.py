@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -214,6 +215,13 @@ def test_unfinished_files_are_swept_up(tmp_path):
     (path / "label" / "c" / "0" / "0.abc.partial").write_text("half")
     done(Counted(3), jv.Store(path), None)
     assert bits(path) == before
+
+
+def test_threads_work_on_the_device_that_is_named():
+    (one, *_) = jax.devices("cpu")
+    with jax.default_device(one):
+        assert list(jv.LocalEngine(2).each(lambda number: jax.config.jax_default_device, range(3))) == [one] * 3
+    assert list(jv.LocalEngine(2).each(lambda number: jax.config.jax_default_device, range(3))) == [None] * 3
 
 
 def test_engines_refuse_what_cannot_be():

@@ -49,7 +49,7 @@ class LocalEngine:
 
     def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
         """What work(number) returns for each of some numbers, as it comes in."""
-        named, double = jax.config.jax_default_device, jax.config.read("jax_enable_x64")
+        named, double = default_device(), jax.config.read("jax_enable_x64")
         devices = [named] if isinstance(named, jax.Device) else jax.local_devices(backend=named)[: self.devices]
         workers = self.workers or max(len(devices), 3 * cores() // 2 if devices[0].platform == "cpu" else 1)
         free: SimpleQueue = SimpleQueue()
@@ -88,6 +88,11 @@ def in_flight(begin, numbers, most):
     finally:
         for future in going:
             future.cancel()
+
+
+def default_device():
+    """That of `jax.default_device`, or the name of its kind; None where jax may choose."""
+    return jax.config.jax_default_device
 
 
 def cores():
