@@ -238,8 +238,9 @@ def _event(problem, kind, here, after, between, near, guess, control, args):
     """The event to which Newton's method leads from a guess, None where that is not between two lengths."""
     low, high = between
     z = near.z if near.met else here.z + guess * here.tangent
-    with np.errstate(divide="ignore"):
-        found = _polished(problem, kind, z, args, REACH * high / control.scale)
+    with np.errstate(divide="ignore"):  # what has no weight may come as far as it likes
+        reach = REACH * high / control.scale
+    found = _polished(problem, kind, z, args, reach)
     if found.z is None:
         return None
     along = float(np.sum(control.scale**2 * here.tangent * (found.z - here.z)))
