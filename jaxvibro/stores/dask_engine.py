@@ -91,8 +91,9 @@ class DaskEngine:
             shared = {name.upper(): str(value) for name in KEPT if (value := getattr(jax.config, name)) is not None}
             size = {"n_workers": self.workers or cores(), "threads_per_worker": 1, "memory_limit": 0}
             quiet = {"dashboard_address": None, "silence_logs": CRITICAL}
-            with config.set(SETTINGS):
-                place = stack.enter_context(LocalCluster(**size, **quiet, processes=True, env=shared))
+            with config.set(SETTINGS):  # for what is here; config= for the workers, those that come later too
+                cluster = LocalCluster(**size, **quiet, processes=True, env=shared, config=SETTINGS)
+            place = stack.enter_context(cluster)
             wait = LOADING
         try:
             return stack.enter_context(Client(place, timeout=wait, set_as_default=False))
