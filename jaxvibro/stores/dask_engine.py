@@ -71,18 +71,21 @@ class DaskEngine:
                     going.add(future)
 
             ask(islice(left, _ahead(client)))
-            for future in going:
-                number = asked.pop(future.key)
-                try:
-                    yield future.result()
-                except KilledWorker:
-                    lost[number] += 1
-                    if lost[number] == LOST:
-                        raise OSError(f"chunk {number} has ended each worker that it was given to") from None
-                    ask([number])
-                except (CancelledError, CommClosedError):
-                    told = f"the scheduler at {client.scheduler.address if client.scheduler else self.address} is lost"
-                    raise OSError(f"{told}; what is done is kept: run it again") from None
+            for batch in going.batches():
+                found = _gathered(client, batch)
+                for place, future in enumerate(batch):
+                    number = asked.pop(future.key)
+                    try:
+                        yield future.result() if found is None else found[place]
+                    except KilledWorker:
+                        lost[number] += 1
+                        if lost[number] == LOST:
+                            raise OSError(f"chunk {number} has ended each worker that it was given to") from None
+                        ask([number])
+                    except (CancelledError, CommClosedError):
+                        address = client.scheduler.address if client.scheduler else self.address
+                        told = f"the scheduler at {address} is lost; what is done is kept: run it again"
+                        raise OSError(told) from None
                 ask(islice(left, max(0, _ahead(client) - len(asked))))
 
     def _client(self, stack):
@@ -99,6 +102,14 @@ class DaskEngine:
             return stack.enter_context(Client(place, timeout=wait, set_as_default=False))
         except (OSError, ValueError) as error:
             raise OSError(f"no scheduler answers at {place}: {check.short(error)}") from None
+
+
+def _gathered(client, futures):
+    """What futures that have ended return, asked for at one go; None where one has failed."""
+    try:
+        return client.gather(futures)
+    except Exception:  # each tells its own when it is asked
+        return None
 
 
 def _ahead(client):
