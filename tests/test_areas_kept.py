@@ -15,7 +15,7 @@ def test_resonances_of_the_motion_without_impacts():
     assert [one.value for one in branch.special] == pytest.approx([2.5, 3.0, 4.0, 4.5], abs=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_resonances_of_orbits_with_impacts():
     scene = jv.make_scene(1.5, 2.7, walls=(None, 0.5), **KEPT)
     found = next(
@@ -43,7 +43,7 @@ def elliptic():
     return orbit
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_twist_is_what_rotation_numbers_say(elliptic):
     told = jv.twist(elliptic)
     angle = abs(np.angle(elliptic.multipliers[0]))

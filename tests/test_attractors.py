@@ -185,7 +185,7 @@ def test_too_many_impacts_are_told():
     assert np.isfinite(one.state.x) and abs(one.state.x) <= 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mass_that_sticks():
     """No rebound: what lands leaves with the wall's speed; at phase 0 it still rests on the right wall, pressed on."""
     sticky = scene(2.0, 0.4, 0.05, 0.0)
@@ -293,7 +293,7 @@ def test_points_at_the_walls():
     assert is_same_set(part, sets[0]) and is_same_set(sets[0], part)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_states_run_one_by_one_are_those_of_a_block_but_for_a_rounding():
     rng = np.random.default_rng(4)
     start = jv.State(rng.uniform(-1, 1, 9), rng.uniform(-3, 3, 9), np.full(9, 0.4), np.zeros(9))

@@ -119,7 +119,7 @@ MOVING = (jv.Wall(-0.4, 0.6), jv.Wall(0.7, motion=jv.Motion(0.15, 2.0)))
         ((1.5, 0.5, 0.05, 0.5, (None, 0.5)), "P1-0-inf"),
         pytest.param((1.5, 0.5, 0.05, 0.5, (-0.2, 0.5)), "P1-inf-inf", marks=pytest.mark.slow),
         pytest.param((1.5, 0.5, 0.1, 0.0, (None, 0.3)), "P102", marks=pytest.mark.slow),
-        pytest.param((2.5, 0.4, 0.2, 0.5, MOVING), "P1-inf-inf", marks=pytest.mark.slow),
+        pytest.param((2.5, 0.4, 0.2, 0.5, MOVING), "P1-inf-inf", marks=pytest.mark.long),
     ],
 )
 def test_an_orbit_that_rests_is_told_from_release_to_release(scene, label):

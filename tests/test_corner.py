@@ -18,7 +18,7 @@ PAIRS = {
 }
 
 
-LENGTHS = {"a soft and a rigid wall": pytest.mark.long}  # the others are slow
+LENGTHS = dict.fromkeys(("a soft and a rigid wall", "two soft walls"), pytest.mark.long)  # the others are slow
 
 
 def amplitude(frequency, damping, far, swing=0j):

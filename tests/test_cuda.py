@@ -54,7 +54,7 @@ def strobes(state, walls):
 
 
 @pytest.mark.parametrize(
-    "walls", [pytest.param(one, marks=pytest.mark.slow) if one == "soft" else one for one in WALLS]
+    "walls", [pytest.param(one, marks=pytest.mark.long) if one == "soft" else one for one in WALLS]
 )
 def test_the_map_and_its_derivatives(walls):
     for function in (

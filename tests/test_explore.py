@@ -88,7 +88,7 @@ def test_the_motion_that_meets_no_wall_is_there_where_no_start_settles_on_it():
     assert grazing.label == "P100" and abs(grazing.value - 0.3 * size) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_around_a_resonance_the_motion_that_meets_no_wall_is_there_on_both_sides():
     scene = jv.make_scene(0.2, 1.0, 0.02, 0.3, (-1.0, 1.0))
     diagram = jv.explore(scene, "frequency", (0.5, 1.6), max_period=1)

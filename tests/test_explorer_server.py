@@ -29,6 +29,7 @@ def served():
         shown.stop()
 
 
+@pytest.mark.slow
 def test_what_was_evaluated_is_compiled_while_nobody_waits(monkeypatch):
     done, quiet = queue.Queue(), threading.Event()
     monkeypatch.setattr(ahead, "compile_evaluated", lambda: iter([done.put(1)]))

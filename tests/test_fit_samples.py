@@ -47,7 +47,7 @@ def free_numbers(names, begun):
     return Free(names, np.full(len(names), 0.1), begun, -ends, ends, 0.0 * np.eye(len(names)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("velocities", [False, True])
 def test_derivatives_are_those_of_differences(velocities):
     """Of what shots leave open and of residuals, by every node and number, the phase too; a wall moves."""

@@ -28,14 +28,17 @@ def uneven():
     return jv.follow(orbit, "amplitude", (5.0, 8.0))
 
 
-@pytest.mark.parametrize("kind, wall", [("SN", None), ("SB", None), ("GR", "left"), ("GR", "right")])
+@pytest.mark.parametrize(
+    "kind, wall",
+    [*(pytest.param(kind, None, marks=pytest.mark.slow) for kind in ("SN", "SB")), ("GR", "left"), ("GR", "right")],
+)
 def test_gradients_between_still_walls(branch, kind, wall):
     (point,) = branch.points(kind)
     errors = located_proof.gradient_errors(point, wall)
     assert len(errors) >= 4 and max(errors.values()) < 1e-12, errors
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_gradients_between_unlike_walls_one_of_which_moves(uneven):
     point = uneven.points("PD")[0]
     errors = located_proof.gradient_errors(point)

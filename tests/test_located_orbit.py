@@ -44,7 +44,7 @@ def test_speeds_and_multipliers_are_those_of_the_closed_form(scene, orbit):
     assert speeds.solve(moved).status == OK
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_peak_of_a_motion_without_impacts(scene):
     free = jv.find_orbit(scene, jv.State(-0.585, 0.03))
     peak = jv.located(free, "peak")
@@ -61,7 +61,7 @@ def test_the_peak_of_a_motion_without_impacts(scene):
     assert np.array(jax.grad(mine, (0, 1))(*at)) == pytest.approx(slopes, rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "wall, names",
     [

@@ -36,10 +36,7 @@ def points(data):
     return np.stack([data["x"].values, data["v"].values], -1)
 
 
-OTHERS = [
-    pytest.param("moving wall", marks=pytest.mark.slow),
-    *(pytest.param(name, marks=pytest.mark.long) for name in ("one wall", "uneven walls", "a restitution each")),
-]
+OTHERS = [pytest.param(name, marks=pytest.mark.long) for name in SCENES if name != "figure 5"]
 
 
 @pytest.mark.parametrize("name", ["figure 5", *OTHERS])
@@ -164,15 +161,7 @@ def test_a_saddle_that_flips_has_two_sides_too():
     assert distance(other, z[:1])[0] < 1e-8
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("one wall", marks=pytest.mark.long),
-        pytest.param("uneven walls", marks=pytest.mark.long),
-        pytest.param("moving wall", marks=pytest.mark.slow),
-        pytest.param("a restitution each", marks=pytest.mark.long),
-    ],
-)
+@pytest.mark.parametrize("name", OTHERS)
 def test_other_scenes_have_manifolds(name):
     orbits = jv.find_orbits(jv.make_scene(**SCENES[name]), 2)
     saddles = [one for one in orbits if abs(one.multipliers[0]) > 1 > abs(one.multipliers[1]) > 0]

@@ -100,7 +100,7 @@ def test_cells_of_random_scenes_are_what_single_runs_find():
     assert seen >= 8
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_complete_chatter_has_its_label():
     scene = jv.make_scene(1.0, 0.2, 0.05, 0.6, (None, jv.Wall(0.2)))
     found = jv.map_parameters(scene, {"frequency": [0.2, 0.22]}, quantities=("label", "period"))

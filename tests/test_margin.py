@@ -49,6 +49,7 @@ def test_the_nearest_fold_is_that_of_the_closed_form(near):
     )
 
 
+@pytest.mark.slow
 def test_the_kinds_come_in_order_and_their_directions_are_units(near):
     assert [one.kind for one in near.points] == ["SB", "SN"] and near.distance == near.points[0].distance
     for one in near.points:

@@ -9,9 +9,9 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
-LONGEST = ("04", "06", "08", "09", "10", "11", "12")
+QUICK = ("00", "03")
 MARKED = [
-    pytest.param(path, id=path.name, marks=pytest.mark.long if path.name.startswith(LONGEST) else pytest.mark.slow)
+    pytest.param(path, id=path.name, marks=pytest.mark.slow if path.name.startswith(QUICK) else pytest.mark.long)
     for path in NOTEBOOKS
 ]
 

@@ -201,7 +201,8 @@ def test_the_papers_method_comes_near_the_strobe():
     assert np.median(gaps) < 1e-7
 
 
-@pytest.mark.parametrize(("damping", "bounce"), [pytest.param(0.05, 0.7, marks=pytest.mark.slow), (0.65, 0.4)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("damping", "bounce"), [(0.05, 0.7), (0.65, 0.4)])
 def test_area_and_its_derivatives_are_those_of_quadrature(damping, bounce):
     def width(w, damping, bounce):
         with mp.workdps(20):

@@ -275,11 +275,11 @@ def reversal(kind, rows):
     close(keep, bound, (again.x, state.x), (-again.v, state.v))
 
 
-FAST = [(shift, "moving"), (order, "moving"), (areas, "moving"), (reversal, "moving")]
+FAST = [(order, "moving"), (areas, "moving"), (reversal, "moving")]
 SLOW = [(each, "soft") for each in (scaling, shift, areas, reversal, semigroup)]
-SLOW += [(scaling, "moving"), (semigroup, "one"), (chunks, "moving"), (derivative, "moving")]
+SLOW += [(scaling, "moving"), (shift, "moving"), (semigroup, "one"), (chunks, "moving"), (derivative, "moving")]
 SLOW += [(sampled, "one"), (mirror, "two"), (mirror, "moving"), (derivative, "one")]
-LONG = (shift, "soft"), (chunks, "moving")
+LONG = (shift, "soft"), (chunks, "moving"), (areas, "soft"), (semigroup, "soft"), (scaling, "moving")
 
 
 def hold(check, kind, examples):

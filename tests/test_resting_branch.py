@@ -26,7 +26,7 @@ def from_rest():
     return followed(1.5, (1.35, 1.6))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_branch_goes_on_where_a_chatter_just_does_not_complete(from_rest):
     (point,) = from_rest.points("CH")
     assert point.label == "P1-0-inf"
@@ -82,7 +82,7 @@ def letting_go():
     return followed(1.5, (-1.4, -0.9), "drive.0.amplitude", **numbers)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_wall_that_lets_go_within_a_rest_is_a_point_of_its_own(letting_go):
     (point,), branch = letting_go.points("RL"), letting_go
     assert point.value == pytest.approx(-1.2, abs=1e-10)

@@ -92,7 +92,7 @@ def test_residuals_are_drawn_at_their_impacts(done):
         jv.plot.fit(record, record)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_samples_are_fitted_told_and_drawn(tmp_path):
     """Of x(t) at an unknown phase: the numbers and the phase that made the file, and its residuals in order."""
     ran = jv.run(SCENES / "fit_samples.toml", tmp_path)

@@ -29,6 +29,7 @@ def done(folder):
     return jv.run(folder / "map.toml", folder / "out")
 
 
+@pytest.mark.slow
 def test_what_is_written(folder, done):
     assert sorted(one.name for one in (folder / "out").iterdir()) == ["map.map.png", "map.txt", "map.zarr"]
     assert set(done.summary["files"]) == {"table", "map", "store"}
@@ -109,7 +110,7 @@ def test_engines_that_cannot_be(folder, tmp_path, capsys):
     assert main([*asked, "--engine", "slurm"]) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_other_kinds_of_maps(folder, tmp_path):
     changes = ['map.along="amplitude"', 'map.quantities=["label", "loads"]', "map.count=[5, 2]"]
     table = jv.run(folder / "map.toml", tmp_path, changes).table

@@ -27,7 +27,7 @@ def test_soft_walls_against_exact_motions():
     assert errors.max() < 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_whole_periods_are_strobes_whatever_times_lie_between(scene):
     x = np.linspace(-1.1, 0.9, 5)[:, None]
     start, period = jv.State(x, np.linspace(-2, 2, 4), 0.4), 2 * np.pi / 2.1
@@ -42,7 +42,7 @@ def test_whole_periods_are_strobes_whatever_times_lie_between(scene):
     assert np.allclose(state.phase, 0.4 + 2.1 * times, rtol=1e-15)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_long_way_in_one_stretch_is_as_many_strobes(scene):
     # damped much, so that an attractor is reached: 40 periods have far more impacts than one of 32
     far = scene.replace(damping=0.3, amplitude=4.0)
@@ -90,7 +90,7 @@ def test_a_mass_at_rest_goes_with_its_wall_at_any_time():
         assert np.allclose(each, true, rtol=0, atol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_second_derivatives(scene):
     def x(z):
         return jv.sample(scene.replace(amplitude=z[0]), jv.State(0.9, z[1]), jnp.stack([z[2], 2.0 + z[2]]))[0].x

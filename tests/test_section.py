@@ -13,7 +13,7 @@ def scene():
     return jv.make_scene(4.65, 2.1, 0.05, 0.7, (-1.0, 1.0))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.long)])
 def test_an_orbit_comes_back_and_its_multipliers_are_those_of_the_map(scene, side):
     orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))

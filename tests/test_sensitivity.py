@@ -52,6 +52,7 @@ def test_slopes_are_the_gradient_of_the_located_point(points):
     assert np.allclose(table, [by.damping, by.frequency], rtol=1e-11, atol=0)
 
 
+@pytest.mark.slow
 def test_several_that_are_one_keep_an_sb(points):
     assert jv.sensitivity(points["SB"])["number"].values.tolist() == ["frequency", "damping", "restitution"]
     both = jv.sensitivity(points["SB"], [("left.restitution", "right.restitution"), "damping"])

@@ -131,7 +131,7 @@ def test_symmetry_breaking_while_both_walls_get_harder():
         assert by_branch(locus, place, -0.02) < 1e-10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("damping", [None, pytest.param(0.3, marks=pytest.mark.long)])  # smooth there; with a root
 def test_the_grazing_of_a_wall_that_moves(damping):
     wall = soft(1.0, 30.0, damping, motion=jv.Motion(0.1))

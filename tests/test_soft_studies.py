@@ -90,8 +90,7 @@ WALLS = {
 }
 
 
-SLOW, LONG = pytest.mark.slow, pytest.mark.long
-NAMES = [pytest.param("soft", marks=SLOW), *(pytest.param(name, marks=LONG) for name in ("stiff", "moving"))]
+NAMES = [pytest.param(name, marks=pytest.mark.long) for name in ("soft", "stiff", "moving")]
 
 
 @pytest.mark.parametrize("name", NAMES)

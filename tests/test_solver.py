@@ -54,7 +54,7 @@ def norm(scene):
     return np.linalg.norm(np.asarray(jv.monodromy(scene, STARTS)).reshape(COUNT, -1), axis=1)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_loop_is_flown_by_dopri8_as_the_exact_flow_of_its_spring_has_it():
     end, impacts = jv.strobe(scene(looped), STARTS)
     true, told = jv.strobe(linear(), STARTS)
@@ -185,7 +185,7 @@ def test_derivatives_through_a_solver_are_those_of_taylor_steps():
     np.testing.assert_allclose(forward, found, rtol=0, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_kvaerno5_rests_and_flies_in_thick_oil_as_the_exact_flow_does():
     """Damping 500: boundary layers of 1e-3, and long stays on the walls, which take no more steps than the press."""
     thick = scene("duffing", {"cubic": 0.0, "damping": 500.0}, 1e-9, "Kvaerno5", amplitude=2000.0)

@@ -133,6 +133,7 @@ def many():
     return jv.spectrum(scene(), "amplitude", np.full(24, 10.0), starts, error=1.0, most=30_000)
 
 
+@pytest.mark.slow
 def test_error_bars_are_honest(many):
     for k in range(2):
         rates, errors = many.exponent[:, k].values, many.error[:, k].values

@@ -63,7 +63,7 @@ def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
 
 
 @pytest.mark.parametrize(
-    "kind", [(FIXED, None), (None, MOVING), (SOFT, None), pytest.param((None, SOFT_MOVING), marks=pytest.mark.slow)]
+    "kind", [(FIXED, None), (None, MOVING), (SOFT, None), pytest.param((None, SOFT_MOVING), marks=pytest.mark.long)]
 )
 def test_a_slow_start_on_a_wall_goes_as_one_without_speed(kind):
     rng, count = np.random.default_rng(8), 4096

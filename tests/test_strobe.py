@@ -82,7 +82,7 @@ def test_a_flight_that_stops_bending_before_a_wall_does_not_land_early():
     assert (impacts.least_clearance > 0.25).all()
 
 
-@pytest.mark.parametrize("swing", [None, pytest.param(0.2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("swing", [None, pytest.param(0.2, marks=pytest.mark.long)])
 def test_the_least_clearance_of_a_flight_that_turns_back_from_both_walls_within_a_step(swing):
     rng = np.random.default_rng(1)
     phase, pull, far = rng.uniform((1.0, 0.2, 1.0), (2.1, 0.6, 2.0), (60, 3)).T
@@ -172,6 +172,7 @@ def test_scalar_and_vmapped_calls_agree_with_the_batch(lanes):
     assert abs(one.v - end.v[5]) < 1e-11
 
 
+@pytest.mark.slow
 def test_scaling_by_a_power_of_two_changes_no_digit(lanes):
     scene, start, end, impacts, run = lanes
     for power in (-30, 7):
@@ -356,7 +357,7 @@ def test_what_is_not_recorded_changes_nothing_else(lanes, slots):
     np.testing.assert_array_equal(told.status, impacts.count > slots)  # FULL is 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_clearances_of_a_users_own_vmap_and_beside_derivatives(lanes):
     many, start, *_ = lanes
     base, expected = many.replace(amplitude=1.0), measured(many, start)[1].least_clearance

@@ -46,7 +46,7 @@ def test_spectrum(tmp_path):
         jv.spectrum(scene(), "amplitude", values, jv.State(0.1, 0.0), **asked, store=jv.Store(tmp_path / "spectrum"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sweep(tmp_path):
     values, state = np.linspace(2.0, 4.0, 5), jv.State(np.linspace(-0.5, 0.5, 66).reshape(2, 33), 0.0)
     seen = []

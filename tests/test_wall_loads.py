@@ -84,7 +84,7 @@ SCENES = {
 
 
 @pytest.mark.parametrize(
-    "kind", [pytest.param(one, marks=pytest.mark.long if one == "soft" else pytest.mark.slow) for one in SCENES]
+    "kind", [pytest.param(one, marks=pytest.mark.slow if one == "rigid" else pytest.mark.long) for one in SCENES]
 )
 def test_what_walls_bear_is_what_scipy_integrates(kind):
     scene = SCENES[kind]()
