@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import dask
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -254,6 +255,21 @@ def test_workers_that_are_there_compute_in_the_precision_that_is_asked(tmp_path)
 def test_an_error_of_a_worker_is_told(tmp_path):
     with pytest.raises(ArithmeticError, match="chunk 2"):
         done(Counted(4, fails=2), jv.Store(tmp_path / "store", jv.DaskEngine(workers=1)), None)
+
+
+def test_workers_of_ones_own_sample_nothing_and_one_that_is_lost_is_waited_for():
+    """Also the worker that takes a lost one's place; what Dask is told is taken back in the end."""
+    before = dask.config.get("distributed.deploy.lost-worker-timeout")
+    told = jv.DaskEngine(workers=1).each(
+        lambda number: (os.getpid(), dask.config.get("distributed.worker.profile.enabled")), range(80)
+    )
+    first, _ = next(told)
+    assert dask.config.get("distributed.deploy.lost-worker-timeout") == "600.0 s" != before
+    os.kill(first, signal.SIGKILL)
+    rest = list(told)
+    assert len(rest) == 79 and len({process for process, _ in rest} - {first}) == 1
+    assert not any(sampled for _, sampled in rest)
+    assert dask.config.get("distributed.deploy.lost-worker-timeout") == before
 
 
 def test_told_is_json(tmp_path):

@@ -23,11 +23,13 @@ AHEAD = 2  # chunks of a worker's thread that are handed out before the first is
 LOST = 5  # times that a chunk's workers may be lost, each as many of them as the cluster allows
 FIRST = 64  # chunks that are handed out while no worker is known
 WAIT, LOADING = 30.0, 600.0  # seconds for a scheduler to answer, and beside workers of its own that all load
-# A worker that waits takes 0.5 % of a core with these: what it samples and counts, which nobody sees, took 6.
+# A worker that waits takes 0.5 % of a core with these: what it samples and counts, which nobody sees, took 6. One that
+# takes a lost one's place is waited for: it may load for long, and was given up after 15 s.
 SETTINGS = {
     "distributed.worker.profile.enabled": False,
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
+    "distributed.deploy.lost-worker-timeout": f"{LOADING} s",
 }
 KEPT = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs")  # settings that workers share
 
@@ -94,9 +96,8 @@ class DaskEngine:
             shared = {name.upper(): str(value) for name in KEPT if (value := getattr(jax.config, name)) is not None}
             size = {"n_workers": self.workers or cores(), "threads_per_worker": 1, "memory_limit": 0}
             quiet = {"dashboard_address": None, "silence_logs": CRITICAL}
-            with config.set(SETTINGS):  # for what is here; config= for the workers, those that come later too
-                cluster = LocalCluster(**size, **quiet, processes=True, env=shared, config=SETTINGS)
-            place = stack.enter_context(cluster)
+            stack.enter_context(config.set(SETTINGS))
+            place = stack.enter_context(LocalCluster(**size, **quiet, processes=True, env=shared))
             wait = LOADING
         try:
             return stack.enter_context(Client(place, timeout=wait, set_as_default=False))
