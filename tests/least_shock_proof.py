@@ -109,6 +109,7 @@ def judged(name, scene, attractors, place, phase, direction, shocks, seed):
         stays = ends[2] == (place if attractors[place].kind == "periodic" else -1)
         counts["just below stays alone"] = int(stays)
         told = f"to {attractors[found.to].label}, alone {ends.tolist()}, until {found.until / size:.4f}"
+        told += f", 1 % more leaves some way: {bool(counts['1 % more leaves some way'])}"
     print(
         f"{name}, phase {phase}: {attractors[place].label}, {direction}: {found.size:.9g} in {spent:.1f} s,"
         f" safe {found.safe / size:.3f}, {found.below} smaller tried, {found.undecided} undecided {told};"
