@@ -66,7 +66,7 @@ def test_the_peak_of_a_motion_without_impacts(scene):
     "wall, names",
     [
         (jv.Wall(0.3), ("damping", "frequency")),
-        pytest.param(jv.Wall(0.3, stiffness=40.0, damping=0.5), ("damping",), marks=pytest.mark.long),
+        (jv.Wall(0.3, stiffness=40.0, damping=0.5), ("damping",)),
     ],
 )
 def test_a_peak_moves_as_that_of_orbits_found_again(wall, names):

@@ -14,7 +14,7 @@ def scene():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.long)])
+@pytest.mark.parametrize("side", ["left", "right"])
 def test_an_orbit_comes_back_and_its_multipliers_are_those_of_the_map(scene, side):
     orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
     sign = -1 if side == "left" else 1

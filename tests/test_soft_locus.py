@@ -132,7 +132,7 @@ def test_symmetry_breaking_while_both_walls_get_harder():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("damping", [None, pytest.param(0.3, marks=pytest.mark.long)])  # smooth there; with a root
+@pytest.mark.parametrize("damping", [None, 0.3])  # smooth there; with a root
 def test_the_grazing_of_a_wall_that_moves(damping):
     wall = soft(1.0, 30.0, damping, motion=jv.Motion(0.1))
     scene = jv.make_scene(1.0, 1.7, GAMMA, 0.7, (None, wall))
