@@ -2,6 +2,7 @@
 shared by the processes that tests start, and let go where it has grown large."""
 
 import ctypes
+import gc
 import os
 import platform
 from pathlib import Path
@@ -23,6 +24,7 @@ CACHE = {
 os.environ.update({name: value for name, value in CACHE.items() if name not in os.environ})  # of processes begun here
 
 jax.config.update("jax_enable_x64", True)
+gc.set_threshold(50_000, 20, 50)  # tracing makes many objects that stay: a twentieth of the time went to their rounds
 checked_types.install()
 matplotlib.use("Agg")
 settings.register_profile("same", deadline=None, derandomize=True, print_blob=True)

@@ -73,7 +73,7 @@ def test_the_mirrored_picture_half_a_period_later_has_the_twins_swapped():
     np.testing.assert_allclose(after["point_x"].values[twins], -before["point_x"].values, atol=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_chaotic_attractor_takes_the_starts_that_stay_on_it():
     scene = jv.make_scene(5.24, 2.1, 0.05, 0.7, (-1.0, 1.0))
     attractors = jv.find_attractors(scene, starts=100)

@@ -189,6 +189,7 @@ def test_at_equal_error_the_cheapest_of_ours_that_is_as_exact_is_what_counts():
     assert scipy.kept and not diffrax.kept and heyoka.remark == own_force.UNLIKE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("work", [kernel.Work(8), kernel.Work(8, walls=1), kernel.Work(8, moving=True)])
 def test_work_is_what_it_is_called(work):
     scene, state = work.given

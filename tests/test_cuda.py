@@ -24,6 +24,7 @@ from jaxvibro.problem.equations import problem
 from jaxvibro.problem.orbit_on_branch import OrbitPoint
 from tests.cuda_proof import WALLS
 
+OTHERS = [one for one in WALLS if one != "two"]
 LANES = jv.State(*(np.linspace(-0.5, 0.5, 16) * k for k in (1.0, 2.0, 0.0, 0.0)))
 
 
@@ -54,7 +55,8 @@ def strobes(state, walls):
 
 
 @pytest.mark.parametrize(
-    "walls", [pytest.param(one, marks=pytest.mark.long) if one == "soft" else one for one in WALLS]
+    "walls",
+    ["two", *(pytest.param(one, marks=pytest.mark.long if one == "soft" else pytest.mark.slow) for one in OTHERS)],
 )
 def test_the_map_and_its_derivatives(walls):
     for function in (
@@ -103,7 +105,7 @@ def spot():
     return OrbitPoint(2.0, *np.array([[0.4, 1.9], [1.5, 1.4], [1.0, -1.0]]), 1, 0.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize("walls", ["two", "soft"])
+@pytest.mark.parametrize("walls", ["two", pytest.param("soft", marks=pytest.mark.slow)])
 def test_orbits_and_branches(walls):
     one = scene(walls)
     guess = by_impacts.padded(one, *spot()[1:4], 0.0, 1)
@@ -127,7 +129,9 @@ def carried(along, z):
     lowered(lambda z: locate.evaluated.__wrapped__(task, z, along), z)
 
 
-@pytest.mark.parametrize(("kind", "walls"), [("SN", "two"), ("PD", "two"), ("SN", "soft")])
+@pytest.mark.parametrize(
+    ("kind", "walls"), [("SN", "two"), ("PD", "two"), pytest.param("SN", "soft", marks=pytest.mark.slow)]
+)
 def test_loci(kind, walls):
     start = LocusStart(kind, "amplitude", scene(walls), spot())
     ((curve, z),) = equations(start, ("amplitude", "left.position"))

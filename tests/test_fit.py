@@ -160,6 +160,7 @@ def test_what_a_record_does_not_say_is_named():
     assert abs(found.values["damping"] - 0.05) < 4 * found.sigma["damping"]
 
 
+@pytest.mark.slow
 def test_a_phase_that_is_not_known_is_found():
     _times, _sides, _ = motion()
     data = noisy(3)
@@ -181,7 +182,7 @@ def test_a_number_goes_no_further_than_its_bound():
     assert found.values["damping"] == pytest.approx(alone.values["damping"], rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_settled_record_holds_its_phases_alone():
     one = jv.make_scene(1.0, 1.2, 0.1, 0.8, (jv.Wall(-0.6, 0.8), jv.Wall(0.6, 0.8)))
     settled, _ = jv.strobe(one, jv.State(0.1, 1.0), periods=400)

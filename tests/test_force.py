@@ -175,6 +175,7 @@ def test_rest_and_release_and_chatter_are_those_of_the_spring():
     assert np.allclose(end.x, other.x, rtol=0, atol=1e-12) and np.allclose(end.v, other.v, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_mass_at_rest_at_a_wall_at_0_stays():
     force = jv.Force("duffing", {"cubic": 0.5, "damping": 0.05})
     scene = jv.make_scene(0.0, OMEGA, restitution=R, walls=(0.0, None), force=force)

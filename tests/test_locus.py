@@ -311,7 +311,9 @@ PAIRS = {
 }
 
 
-@pytest.mark.parametrize("names", [pytest.param(one, marks=pytest.mark.slow) for one in PAIRS])
+@pytest.mark.parametrize(
+    "names", [pytest.param(one, marks=pytest.mark.long if "restitution" in one else pytest.mark.slow) for one in PAIRS]
+)
 def test_other_parameters(points, names):
     bounds = dict(zip(names, PAIRS[names], strict=True))
     for name in ("PD of P112", "GR of P112"):

@@ -51,16 +51,7 @@ def counted(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "kind, patience",
-    [
-        ("chatter", 0),
-        *(pytest.param(kind, 0, marks=pytest.mark.slow) for kind in SCENES if kind != "chatter"),  # compile both tiers
-        ("chatter", np.inf),
-        *(pytest.param(kind, np.inf, marks=pytest.mark.slow) for kind in SCENES if kind != "chatter"),
-        *(pytest.param(*each, marks=pytest.mark.slow) for each in MIXED),
-    ],
-)
+@pytest.mark.parametrize("kind, patience", [*((kind, patience) for kind in SCENES for patience in (0, np.inf)), *MIXED])
 def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, counted, monkeypatch):
     """By both tiers, by the host, and by one after the other."""
     monkeypatch.setattr(long_run, "PATIENCE", patience)

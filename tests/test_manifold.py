@@ -72,7 +72,7 @@ def test_a_manifold_begins_along_the_eigenvector(kind):
     assert ways[0] * ways[1] < 0
 
 
-@pytest.mark.parametrize("back", [False, True])
+@pytest.mark.parametrize("back", [pytest.param(False, marks=pytest.mark.slow), True])
 def test_a_germ_is_led_into_itself(back):
     orbit = saddle()
     state = orbit.state
@@ -99,7 +99,10 @@ def stays(data, scene, given, back):
     assert np.quantile(apart - error, 0.99) <= 0.0 and apart.max() < 1e-4
 
 
-@pytest.mark.parametrize(("kind", "label"), [("stable", "P111"), ("unstable", "P111"), ("stable", "P112")])
+@pytest.mark.parametrize(
+    ("kind", "label"),
+    [("stable", "P112"), *(pytest.param(kind, "P111", marks=pytest.mark.slow) for kind in ("stable", "unstable"))],
+)
 def test_what_is_on_a_manifold_stays_on_it(kind, label):
     data = curve(kind, label)
     some = np.flatnonzero((data["image"].values > 0) & (abs(data["v"].values) < 4.0))[::7]

@@ -49,7 +49,7 @@ def test_the_nearest_fold_is_that_of_the_closed_form(near):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_kinds_come_in_order_and_their_directions_are_units(near):
     assert [one.kind for one in near.points] == ["SB", "SN"] and near.distance == near.points[0].distance
     for one in near.points:
@@ -60,6 +60,7 @@ def test_the_kinds_come_in_order_and_their_directions_are_units(near):
     assert lines[0].split() == ["kind", "distance", *FREE, "status"] and lines[1].startswith("SB    9.1")
 
 
+@pytest.mark.slow
 def test_a_bound_holds_the_nearest_point(orbit):
     free = {"amplitude": 0.1, "frequency": 0.05}
     loose = jv.margin(orbit, free, kinds="SN").points[0]

@@ -9,6 +9,7 @@ from reliability import met_by_others
 CASES = met_by_others.cases()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
 def test_ours_is_right(case):
     told = case.ours()

@@ -197,7 +197,7 @@ def test_a_soft_wall():
         assert form.rate == pytest.approx(slope, rel=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_soft_wall_that_moves_and_pushes_at_once():
     """Where the motion without impacts touches it, as it would a rigid one: a period that begins there with a depth, by
     certified flights, brought back to its begin without the wall."""

@@ -241,7 +241,7 @@ def test_orbits_of_two_periods_against_a_search_on_a_grid(scene):
 
 
 @pytest.mark.parametrize("right", (1.1, jv.Wall(1.1, restitution=0.6, motion=jv.Motion(0.1, 0.4))))
-@pytest.mark.parametrize("which", (0, 1))
+@pytest.mark.parametrize("which", (0, pytest.param(1, marks=pytest.mark.slow)))
 def test_a_round_that_begins_on_a_wall_ends_with_the_impact_there(right, which):
     """Rounding, or an error of the start, decides whether that impact is before the end: the orbit is the same."""
     rng, labels = np.random.default_rng(11), []

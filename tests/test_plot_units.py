@@ -38,7 +38,6 @@ PICTURES = {
     "portrait": (lambda one, **more: plot.portrait(one, SCENE, **more), motion, ("(mm)", LENGTH), ("(m/s)", PACE)),
     "trace": (lambda one, **more: plot.trace(one, SCENE, **more), motion, ("(s)", SECONDS / TURNS), ("(mm)", LENGTH)),
     "orbit": (plot.orbit, orbit, ("(mm)", LENGTH), ("(m/s)", PACE)),
-    "sigma": (plot.section, lambda: jv.sections(SCENE, PLAIN, 20, 5), ("(mm)", LENGTH), ("(m/s)", PACE)),
     "right": (
         partial(plot.section, which="right"),
         lambda: jv.sections(SCENE, PLAIN, 20, 5),
@@ -47,6 +46,7 @@ PICTURES = {
     ),
 }
 SLOW = {
+    "sigma": (plot.section, lambda: jv.sections(SCENE, PLAIN, 20, 5), ("(mm)", LENGTH), ("(m/s)", PACE)),
     "spectrum": (plot.spectrum, exponents, ("(Hz)", HERTZ), ("period", 1.0)),
     "basins": (
         plot.basins,

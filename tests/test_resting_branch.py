@@ -40,7 +40,7 @@ def test_a_branch_goes_on_where_a_chatter_just_does_not_complete(from_rest):
     assert [one.label for one in point.meets] == [labels[-2]]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_it_comes_to_the_same_point_from_the_other_side(from_rest):
     back = followed(1.37, (1.35, 1.6))
     assert back.segments[-1].label == "P1-0-inf"
@@ -218,7 +218,7 @@ def test_a_branch_with_r_0_goes_on_where_the_press_begins_at_an_impact(tmp_path)
         assert max(abs(end.x - orbit.state.x), abs(end.v - orbit.state.v)) < 1e-13
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_branch_with_r_0_goes_on_where_a_rest_comes_to_no_length():
     """From orbits that rest to such that do not, and back: the impact is at the release there."""
     walls = (-0.554009691, jv.Wall(1.230039735, motion=jv.Motion(0.215097563, 1.033105633)))

@@ -27,6 +27,7 @@ def done(tmp_path_factory):
     return jv.run(SCENES / "fit.toml", out), out
 
 
+@pytest.mark.slow
 def test_the_numbers_that_made_the_record_are_told(done):
     ran, out = done
     told = ran.summary["fit"]

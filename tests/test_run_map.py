@@ -46,6 +46,7 @@ def test_what_is_written(folder, done):
     np.testing.assert_array_equal(direct["label"], found["label"])
 
 
+@pytest.mark.slow
 def test_a_run_that_was_killed_goes_on(folder, done):
     with pytest.raises(FileExistsError, match=r"map\.map\.png is there already|map\.txt is there already"):
         jv.run(folder / "map.toml", folder / "out")

@@ -71,7 +71,7 @@ def test_at_an_impact_it_is_the_state_after_it_and_no_slope(scene):
     assert np.all(np.isnan(slopes[:-1])) and np.isfinite(slopes[-1])
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mass_at_rest_goes_with_its_wall_at_any_time():
     # the spring presses it on the left wall, where it sticks at once: x = x_b, v = v_b from then on
     times = jnp.array([1.0, 2.0, 50.0])
@@ -102,7 +102,7 @@ def test_second_derivatives(scene):
     assert np.allclose(second, np.stack(apart, -1), rtol=1e-7, atol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_vmap_changes_nothing(scene):
     def total(v, times):
         return jnp.sum(jv.sample(scene, jv.State(0.5, v), times)[0].x)

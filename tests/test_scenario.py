@@ -227,7 +227,7 @@ def test_powers_of_soft_walls():
     assert np.isnan(exponent_of(law(lambda d, r, p: p["k"] * np.exp(-1 / d), k=5.0)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_multipliers_bend_like_a_root_at_a_soft_wall():
     """The map's correction goes as depth^1.5, so its derivative as depth^0.5."""
     scene = jv.make_scene(0.1, 0.7, 0.05, 0.7, (None, jv.Wall(1.0, stiffness=10.0, damping=0.1)))

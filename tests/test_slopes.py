@@ -31,7 +31,7 @@ def test_forward_and_reverse_agree_with_the_product(scene):
     assert np.allclose(jax.jacrev(end_of(scene))(z), product, rtol=0, atol=1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_caller_s_vmap_and_jit_change_nothing(scene):
     z = jnp.array([[0.9, -1.1], [0.1, 2.0], [-0.5, 0.3]])
     slopes = jax.jit(jax.vmap(jax.jacrev(end_of(scene))))(z)

@@ -63,6 +63,7 @@ def test_slopes_against_ball_arithmetic(kind):
         assert errors.max() < 1e-11 and np.median(errors[:, 0]) < 1e-15
 
 
+@pytest.mark.slow
 def test_a_short_stay_has_its_own_digits():
     scene = jv.make_scene(0.0, 0.05, 0.0, 0.7, (None, jv.Wall(0.0, stiffness=1e10 - 1.0, damping=0.0)))
     none, one = jnp.zeros(1), jnp.ones(1)
@@ -95,6 +96,7 @@ def test_single_precision():
     assert matrix.dtype == jnp.float32 and abs(matrix - product).max() < 1e-3 * abs(product).max()
 
 
+@pytest.mark.slow
 def test_a_start_within_a_wall_needs_no_contact():
     scene = soft(50.0, 0.3)
     beyond = jv.strobe(scene, jv.State(1.1, 0.4))
@@ -209,7 +211,7 @@ def test_where_a_contact_loses_its_speed_is_known():
     assert soft_grazing.lost(along, zs).tolist() == [False, False, True, False]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_folds_and_doublings_close_to_a_grazing_are_told_from_it():
     walls = (jv.Wall(-1.2, stiffness=20.0, damping=0.3), jv.Wall(0.8, stiffness=50.0, damping=0.2))
     scene = jv.make_scene(amplitude=0.4, frequency=1.8, damping=0.1, restitution=0.7, walls=walls)

@@ -59,6 +59,7 @@ def test_strobe_against_plain_taylor_steps():
     assert seen > 8
 
 
+@pytest.mark.slow
 def test_stiff_strobe_against_scipy():
     """Piece by piece between the reference's events: each piece keeps to its side and ends on the wall."""
     seen = 0

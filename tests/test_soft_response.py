@@ -68,6 +68,7 @@ def test_the_largest_x_within_a_wall_is_the_reference(branches, k2):
         assert jv.peak(branch.orbit(place)) == pytest.approx(found[place], rel=1e-12)
 
 
+@pytest.mark.slow
 def test_the_largest_x_between_rigid_walls_is_theirs():
     walls = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.5, 1.0))
     orbit = jv.find_orbit(walls, jv.State(0.9, -1.1))

@@ -28,6 +28,7 @@ WALLS = {
 }
 FAST = 40.0, 9.0  # the drive turns within a step: the mass may be out and in again at its end
 LANES = 40
+SOME = ["fast", *(pytest.param(kind, marks=pytest.mark.slow) for kind in WALLS if kind != "fast")]
 
 
 def entries(kind, seed=5):
@@ -95,7 +96,7 @@ def in_numpy(function, *args):
     return Tried(function, (), {})(args)
 
 
-@pytest.mark.parametrize("kind", WALLS)
+@pytest.mark.parametrize("kind", SOME)
 def test_first_returns_are_those_of_certified_flight(kind):
     given = entries(kind)
     found, true = in_numpy(returned, *given), in_numpy(certified, *given)

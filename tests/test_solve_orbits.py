@@ -18,7 +18,7 @@ def orbit():
     return jv.find_orbit(scene, jv.State(0.3, -1.1, 0.7))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_they_are_the_orbits_that_are_found_alone(orbit):
     amplitudes = np.linspace(3.2, 3.52, 5)
     scenes = orbit.scene.replace(amplitude=amplitudes)

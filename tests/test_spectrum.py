@@ -86,6 +86,7 @@ def test_without_losses_the_exponents_are_opposite():
     assert (abs(found.exponent[:2, 0]) < 3 * found.error[:2, 0]).all() and found.exponent[2, 0] > 0.3
 
 
+@pytest.mark.slow
 def test_a_mass_that_rests_forgets_all():
     chatter = jv.make_scene(0.3, 0.5, 0.1, 0.6, (None, -1.0))
     found = jv.spectrum(chatter, "amplitude", [0.3, 0.2], jv.State(-1.2, 0.3))
@@ -142,6 +143,7 @@ def test_error_bars_are_honest(many):
         assert errors.max() < 2 * errors.min()
 
 
+@pytest.mark.slow
 def test_it_stops_by_its_errors_or_by_most(many):
     coarse = jv.spectrum(scene(), "amplitude", [10.0], START, error=8e-3)
     fine = jv.spectrum(scene(), "amplitude", [10.0], START, error=4e-3, most=2**20)

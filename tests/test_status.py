@@ -37,7 +37,7 @@ def capped(kind, count, periods):
 
 
 @pytest.mark.parametrize(
-    ("kind", "periods"), [((FIXED, MOVING), 1), pytest.param((SOFT, FIXED), 2, marks=pytest.mark.slow)]
+    ("kind", "periods"), [((FIXED, MOVING), 1), pytest.param((SOFT, FIXED), 2, marks=pytest.mark.long)]
 )
 def test_a_lane_that_is_given_up_has_no_state(kind, periods):
     status = capped(kind, 2048, periods)[2]
@@ -63,7 +63,13 @@ def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
 
 
 @pytest.mark.parametrize(
-    "kind", [(FIXED, None), (None, MOVING), (SOFT, None), pytest.param((None, SOFT_MOVING), marks=pytest.mark.long)]
+    "kind",
+    [
+        pytest.param((FIXED, None), marks=pytest.mark.slow),
+        (None, MOVING),
+        pytest.param((SOFT, None), marks=pytest.mark.slow),
+        pytest.param((None, SOFT_MOVING), marks=pytest.mark.long),
+    ],
 )
 def test_a_slow_start_on_a_wall_goes_as_one_without_speed(kind):
     rng, count = np.random.default_rng(8), 4096
@@ -81,6 +87,7 @@ def test_a_slow_start_on_a_wall_goes_as_one_without_speed(kind):
     assert far[status < Status.CAP].max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_start_that_is_tiny_beside_the_scene_ends_with_a_state():
     # one wall at 0 and no drive: what is left of the motion falls below all that can be squared
     scene = jv.make_scene(0.0, 1.0, 0.1, 0.5, (0.0, 1.0))

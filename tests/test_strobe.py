@@ -159,7 +159,7 @@ def test_chunks_are_the_whole_and_a_bad_lane_harms_no_other(lanes):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_scalar_and_vmapped_calls_agree_with_the_batch(lanes):
     scene, start, end, impacts, run = lanes
     mapped = jax.jit(jax.vmap(lambda a, s: run(scene.replace(amplitude=a), s)))
@@ -172,7 +172,7 @@ def test_scalar_and_vmapped_calls_agree_with_the_batch(lanes):
     assert abs(one.v - end.v[5]) < 1e-11
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_scaling_by_a_power_of_two_changes_no_digit(lanes):
     scene, start, end, impacts, run = lanes
     for power in (-30, 7):
@@ -182,6 +182,7 @@ def test_scaling_by_a_power_of_two_changes_no_digit(lanes):
         assert same((grown.x / k, grown.v / k, told.time, told.side), (end.x, end.v, impacts.time, impacts.side))
 
 
+@pytest.mark.slow
 def test_mirror_image_with_half_a_period(lanes):
     scene, start, end, impacts, run = lanes
     image, told = run(scene, jv.State(-start.x, -start.v, jnp.pi))
@@ -238,7 +239,7 @@ def test_sticks_through_the_end_of_a_period():
     assert again.contact == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_periods_are_one_after_the_other(lanes):
     scene, start, end, impacts, run = lanes
     twice, told = run(scene, start, periods=2)
@@ -374,12 +375,12 @@ def test_clearances_of_a_users_own_vmap_and_beside_derivatives(lanes):
     "walls",
     [
         (None, None),
-        (None, 1.0),
+        pytest.param((None, 1.0), marks=pytest.mark.slow),
         (jv.Wall(-1.0, 0.6), jv.Wall(1.0, 0.8)),
         pytest.param((-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.1))), marks=pytest.mark.slow),
         pytest.param(
             (jv.Wall(-1.0, stiffness=50.0, damping=0.5), jv.Wall(1.0, stiffness=9.0, motion=jv.Motion(0.1))),
-            marks=pytest.mark.slow,
+            marks=pytest.mark.long,
         ),
     ],
 )

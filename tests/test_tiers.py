@@ -120,6 +120,7 @@ def test_a_few_lanes_strobed_from_the_host_are_those_of_the_compiled_run(scene, 
     assert (found[0].status == (1 if scene.left is not None and scene.frequency < 1 else 0)).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["anywhere", "middle"])
 def test_a_start_without_speed_goes_as_its_mirror_image(place):
     """Full steps aim at one of two walls: of the mirror image at the other one."""

@@ -392,6 +392,7 @@ def test_nothing_is_followed_within_jit():
         jax.jit(lambda at: co.trace(PARABOLA, [1.0], {"p": at}, "p", (-5.0, 3.0)).u)(1.0)
 
 
+@pytest.mark.slow
 def test_a_table_has_a_norm_and_no_more_than_some_numbers():
     def many(u, p, args):
         return jnp.concatenate([p["p"] - u[:1] ** 2, u[1:] - 2.0])

@@ -165,6 +165,7 @@ def test_why_a_branch_ends_is_told_in_another_unit():
         assert ("6" in scaled(reason, 3.0)) == ("2" in reason)
 
 
+@pytest.mark.slow
 def test_the_work_rate_is_what_drive_and_damper_leave(followed):
     """Over a period the drive's work is what the damper and the impacts take."""
     branch, frame = followed[1], followed[1].to_frame()

@@ -101,7 +101,7 @@ def test_what_walls_bear_is_what_scipy_integrates(kind):
     assert int(found["status"]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lanes_are_single_runs_and_units_are_told():
     scene, x = SCENES["soft"](), np.array([[0.3, -0.5, 0.9], [0.0, 0.1, -1.05]])  # two of them begin within a wall
     many = jv.wall_loads(scene, jv.State(x, 0.6), 2)

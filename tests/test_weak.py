@@ -26,6 +26,7 @@ def test_weak_chaos_is_an_attractor():
     assert abs(weak.exponent - 0.0633) < 0.01 and weak.share > 0.3
 
 
+@pytest.mark.slow
 def test_where_the_first_look_decides_nothing_the_estimator_does(monkeypatch):
     """Two chaotic attractors, mirror images, and two orbits: the same starts on each as with the first look."""
     given = scene(5.0, left=-1.0)
