@@ -195,7 +195,7 @@ def test_sizes_are_looked_at_before_anything_is_made(tmp_path, monkeypatch):
 
 def test_what_is_done_is_a_sample_of_the_whole():
     for chunks in (1, 2, 3, 6, 9, 100, 245, 1000):
-        order = list(filling.spread(chunks))
+        order = filling.spread(chunks)
         assert sorted(order) == list(range(chunks))
         for count in range(8, chunks, 7):
             quarters = np.bincount(np.array(order[:count]) * 4 // chunks, minlength=4)
