@@ -7,6 +7,7 @@ static of a scene, its walls and harmonics, is of a few kinds, as each is compil
 import math
 import sys
 from collections import Counter, defaultdict
+from functools import partial
 from multiprocessing import get_context
 from typing import NamedTuple
 
@@ -104,15 +105,21 @@ def gather(count, workers=1, seed=0):
     return found, refused
 
 
-def rows(members):
-    """The `Row`s of draws of one kind; some at a time, so that what is compiled is the same for any number of them."""
-    return [row for first in range(0, len(members), WIDE) for row in _rows(members[first : first + WIDE])]
+measured = partial(jv.strobe, slots=SLOTS, clearance=True)
 
 
-def _rows(members):
+def rows(members, run=measured):
+    """The `Row`s of draws of one kind; some at a time, so that what is compiled is the same for any number of them.
+
+    run: how a batch is strobed.
+    """
+    return [row for first in range(0, len(members), WIDE) for row in _rows(members[first : first + WIDE], run)]
+
+
+def _rows(members, run):
     drawn, records = zip(*members, strict=True)
     filled = [drawn[k % len(drawn)] for k in range(WIDE)]
-    end, impacts = jax.tree.map(np.asarray, jv.strobe(*batch(filled), slots=SLOTS, clearance=True))
+    end, impacts = jax.tree.map(np.asarray, run(*batch(filled)))
     found = []
     for k, true in enumerate(records):
         bound, sides = 1e-12 * true["scale"] * (1 + true["norm"]), [int(side) for side in impacts.side[k] if side]

@@ -2,6 +2,7 @@
 
 import sys
 from collections import defaultdict
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,7 @@ import numpy as np
 import jaxvibro as jv
 from jaxvibro.flight import flow
 from jaxvibro.maps import one_period
+from tests.lanes import at
 from tests.reference import ball, draws, flights, orbit
 from tests.reference.scene import Soft
 from tests.reference.search import Discard
@@ -84,13 +86,17 @@ def strobe_errors(count, seed=0):
     return np.array([row for members in groups for row in _compare(*zip(*members, strict=True))]), discarded
 
 
-def monodromy_errors(count, seed=0, kinds=None):
-    """For the same draws (of some structures only): error of M over the product of its factors' norms."""
+product = partial(jv.monodromy, slots=SLOTS)
+
+
+def monodromy_errors(count, seed=0, kinds=None, run=product):
+    """For the same draws (of some structures only): error of M over the product of its factors' norms; run: how M of a
+    batch is found."""
     groups, _ = gather(count, seed, kinds)
     errors = []
     for members in groups:
         drawn, records = zip(*members, strict=True)
-        found = np.asarray(jv.monodromy(*batch(drawn), slots=SLOTS))
+        found = np.asarray(run(*batch(drawn)))
         true = np.array([record.jacobian for record in records])
         errors += list(np.abs(found - true).max((1, 2)) / [record.product for record in records])
     return np.array(errors)
@@ -111,11 +117,6 @@ def _compare(drawn, records):
         close = max(0.0 if one == record.least_minimum else abs(one - record.least_minimum) for one in least)
         rows.append((error / bound, not wrong, times, paces / bound, close / bound, record.count))
     return rows
-
-
-def at(tree, k):
-    """Lane k of a batch."""
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[k], tree)
 
 
 def _errors(end, impacts, record):

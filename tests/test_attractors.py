@@ -196,7 +196,7 @@ def test_a_mass_that_sticks():
     assert one.exponent == -np.inf
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_many_impacts_in_a_period_are_all_counted():
     found = jv.find_attractors(scene(8.0, 0.25, 0.05, 0.8, (-0.2, 0.2)), starts=16)
     for one in found:

@@ -118,7 +118,7 @@ def test_no_state_of_a_trap_leaves_it():
         assert np.hypot(*after.T).max() < 1.0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_single_precision_has_basins():
     scene = jv.make_scene(**FIG5, dtype=jnp.float32)
     data = jv.basins(scene, np.linspace(-0.9, 0.9, 9), np.linspace(-3.0, 3.0, 9))

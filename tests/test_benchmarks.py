@@ -161,7 +161,7 @@ def test_our_own_sides_map_as_the_reference_does():
         assert verdict.wrong == 0 and verdict.worst < 1e-11 and verdict.judged > 12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_duffings_oscillator_is_mapped_as_the_reference_does():
     states = draw(32)  # a multiple of heyoka's lanes
     true = truth.duffing(states)

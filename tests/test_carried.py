@@ -31,20 +31,9 @@ def _bent(slopes):
     return np.maximum(1.0, abs(slopes).max((1, 2), keepdims=True)) ** 2
 
 
-@pytest.mark.parametrize(
-    ("kind", "periods"),
-    [
-        pytest.param(RIGID[k], count, marks=mark)
-        for k, count, mark in (
-            (1, 1, pytest.mark.slow),
-            (1, 3, pytest.mark.long),
-            (4, 1, pytest.mark.long),
-            (4, 3, pytest.mark.long),
-            (5, 1, pytest.mark.long),
-            (5, 3, pytest.mark.long),
-        )
-    ],
-)
+@pytest.mark.long
+@pytest.mark.parametrize("periods", (1, 3))
+@pytest.mark.parametrize("kind", [RIGID[k] for k in (1, 4, 5)])
 def test_of_random_scenes_they_are_those_of_the_replay(kind, periods, monkeypatch):
     scene, start = usual(np.random.default_rng(3), LANES, kind)
     given_up = np.asarray(lean(scene, start)[1])

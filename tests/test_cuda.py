@@ -24,15 +24,17 @@ from jaxvibro.problem.equations import problem
 from jaxvibro.problem.orbit_on_branch import OrbitPoint
 from tests.cuda_proof import WALLS
 
-OTHERS = [one for one in WALLS if one != "two"]
+MARKS = {"two": (), "moving": pytest.mark.slow}
 LANES = jv.State(*(np.linspace(-0.5, 0.5, 16) * k for k in (1.0, 2.0, 0.0, 0.0)))
 
 
-@pytest.fixture(autouse=True)
-def on_card(monkeypatch):
-    monkeypatch.setattr(compiler_hints, "on_processor", lambda: False)
-    jax.clear_caches()
-    yield
+@pytest.fixture(scope="module", autouse=True)
+def on_card():
+    """What these tests trace they share, and no other test."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiler_hints, "on_processor", lambda: False)
+        jax.clear_caches()
+        yield
     jax.clear_caches()
 
 
@@ -54,10 +56,7 @@ def strobes(state, walls):
     return end.x, end.v, impacts.speed, impacts.least_clearance
 
 
-@pytest.mark.parametrize(
-    "walls",
-    ["two", *(pytest.param(one, marks=pytest.mark.long if one == "soft" else pytest.mark.slow) for one in OTHERS)],
-)
+@pytest.mark.parametrize("walls", [pytest.param(one, marks=MARKS.get(one, pytest.mark.long)) for one in WALLS])
 def test_the_map_and_its_derivatives(walls):
     for function in (
         partial(strobes, walls=walls),
@@ -130,7 +129,7 @@ def carried(along, z):
 
 
 @pytest.mark.parametrize(
-    ("kind", "walls"), [("SN", "two"), ("PD", "two"), pytest.param("SN", "soft", marks=pytest.mark.slow)]
+    ("kind", "walls"), [("PD", "two"), *(pytest.param("SN", one, marks=pytest.mark.long) for one in ("two", "soft"))]
 )
 def test_loci(kind, walls):
     start = LocusStart(kind, "amplitude", scene(walls), spot())

@@ -3,6 +3,7 @@
 import cmath
 import math
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -21,6 +22,7 @@ from jaxvibro.scene.scene_table import table_of
 from jaxvibro.scene.symmetry import is_symmetric, stays_symmetric, symmetric_part
 from jaxvibro.studies.scene_file import parsed, understood
 from tests import harmonics_proof
+from tests.lanes import one_by_one
 from tests.proof import SLOTS
 from tests.reference import orbit, soft
 from tests.reference.scene import Scene, Term, Wall
@@ -77,7 +79,7 @@ def test_random_scenes_against_ball_arithmetic():
     members = [harmonics_proof.referred(seed) for seed in range(0, 60 * kinds, kinds)]
     members = [(drawn, record) for _, drawn, record in members if not isinstance(record, str)][:LANES]
     assert len(members) == LANES
-    rows = harmonics_proof.rows(members)
+    rows = harmonics_proof.rows(members, partial(one_by_one, harmonics_proof.measured))
     assert all(row.right for row in rows) and sum(row.count for row in rows) > LANES / 2
     assert max(row.state for row in rows) < 0.01 and max(row.speeds for row in rows) < 0.01
     assert max(row.clearance for row in rows) < 0.01
@@ -112,7 +114,7 @@ def test_a_constant_force_shifts_the_walls_and_the_motion():
     near(told(driven((force, 0, 0.0)), state), (replace(end, x=end.x + force), hits), 1e-13)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_mass_that_a_constant_force_holds_to_a_wall_rests_and_is_released():
     """By drives that grow, some of which let it go: the press changes its sign."""
     force, strength = 1.75, np.linspace(0.1, 3.0, LANES)
@@ -200,7 +202,7 @@ def test_the_product_of_p_and_q_is_the_derivative():
     assert abs(np.asarray(jv.monodromy(scene, state)) - by).max() < 1e-12 * abs(by).max()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_way_back_leads_back():
     scene, state = driven(*TERMS), starts(1)
     end, hits = jv.strobe(scene, state)

@@ -81,10 +81,10 @@ def is_same(branch, whole):
     return kinds[0] == kinds[1] and np.allclose(*values, rtol=0, atol=1e-9) and set(branch.ends) == set(whole.ends)
 
 
-MARKS = {"two walls": (), "a soft wall": pytest.mark.long}
+MARKS = {"two walls": (), "one wall": pytest.mark.slow}
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, pytest.mark.slow)) for name in WALLS])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, pytest.mark.long)) for name in WALLS])
 def test_a_branch_extended_is_the_one_followed_at_once(name):
     check_extended(name, 2)
 

@@ -15,6 +15,7 @@ SCENES = [
     jv.make_scene(1.3, 0.9, 0.1, 0.8, (SWINGING, jv.Wall(0.6, 0.6))),
     jv.make_scene(9.0, 1.1, 1.4, 0.8, (-0.9, None)),
 ]
+MARKED = [*SCENES[:2], pytest.param(SCENES[2], marks=pytest.mark.long)]
 PHASE = 0.7
 
 
@@ -28,7 +29,7 @@ def motion(scene):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", MARKED)
 def test_impacts_are_those_of_the_strobe_forward_and_backward(scene):
     nodes, _ = motion(scene)
     there = np.array([nodes.sides, nodes.first, nodes.second]).T
@@ -44,7 +45,7 @@ def test_impacts_are_those_of_the_strobe_forward_and_backward(scene):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize("scene", MARKED)
 def test_clearance_is_that_of_the_strobe_and_below_zero_where_an_impact_was_passed_over(scene):
     nodes, clearance = motion(scene)
     short, _, _ = Motion(scene, PHASE).least(nodes)

@@ -30,7 +30,12 @@ def uneven():
 
 @pytest.mark.parametrize(
     "kind, wall",
-    [*(pytest.param(kind, None, marks=pytest.mark.slow) for kind in ("SN", "SB")), ("GR", "left"), ("GR", "right")],
+    [
+        pytest.param("SN", None, marks=pytest.mark.slow),
+        pytest.param("SB", None, marks=pytest.mark.long),
+        ("GR", "left"),
+        ("GR", "right"),
+    ],
 )
 def test_gradients_between_still_walls(branch, kind, wall):
     (point,) = branch.points(kind)

@@ -71,7 +71,7 @@ def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, cou
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lanes_of_a_batch_of_scenes(counted):
     rng = np.random.default_rng(5)
     scene = jv.make_scene(rng.uniform(1.0, 3.0, LANES), 2.6, 0.3, 0.33, (-1.75, 0.21))

@@ -40,7 +40,7 @@ OTHERS = [pytest.param(name, marks=pytest.mark.long) for name in SCENES if name 
 
 
 @pytest.mark.parametrize("name", ["figure 5", *OTHERS])
-@pytest.mark.parametrize("phase", [0.0, pytest.param(1.3, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("phase", [0.0, pytest.param(1.3, marks=pytest.mark.long)])
 def test_the_way_back_is_the_inverse(name, phase):
     scene, rng = jv.make_scene(**SCENES[name]), np.random.default_rng(0)
     given = np.stack([rng.uniform(-0.95, 0.75, 500), rng.uniform(-3.0, 3.0, 500)])
@@ -72,7 +72,9 @@ def test_a_manifold_begins_along_the_eigenvector(kind):
     assert ways[0] * ways[1] < 0
 
 
-@pytest.mark.parametrize("back", [pytest.param(False, marks=pytest.mark.slow), True])
+@pytest.mark.parametrize(
+    "back", [pytest.param(False, marks=pytest.mark.long), pytest.param(True, marks=pytest.mark.slow)]
+)
 def test_a_germ_is_led_into_itself(back):
     orbit = saddle()
     state = orbit.state
@@ -101,7 +103,10 @@ def stays(data, scene, given, back):
 
 @pytest.mark.parametrize(
     ("kind", "label"),
-    [("stable", "P112"), *(pytest.param(kind, "P111", marks=pytest.mark.slow) for kind in ("stable", "unstable"))],
+    [
+        pytest.param("stable", "P112", marks=pytest.mark.slow),
+        *(pytest.param(kind, "P111", marks=pytest.mark.long) for kind in ("stable", "unstable")),
+    ],
 )
 def test_what_is_on_a_manifold_stays_on_it(kind, label):
     data = curve(kind, label)

@@ -70,7 +70,7 @@ def test_a_bound_holds_the_nearest_point(orbit):
     assert float(low.scene.amplitude) == pytest.approx(fold(2.2, GAMMA), abs=1e-12)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_motion_without_impacts_ends_where_it_touches_a_wall():
     scene = jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.5, 1.0))
     orbit = jv.find_orbit(scene, jv.State(-0.58, 0.05))
@@ -161,7 +161,7 @@ def test_a_fold_is_moved_by_the_least_change(fold_point):
     assert abs(normal[0] * change[1] - normal[1] * change[0]) < 1e-8 * np.linalg.norm(normal)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_bound_takes_part_and_what_cannot_be_is_told(fold_point):
     free = {"damping": 0.05, "frequency": 0.1}
     placed = jv.place(fold_point, "amplitude", 0.6, free, {"damping": (0.0, 0.06)})

@@ -181,7 +181,7 @@ def test_the_consequence_of_a_grazing_is_that_of_the_stable_orbits(branch, lopsi
         assert replace(point, joins=joins).normal_form.consequence == told
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_soft_wall():
     walls = [jv.Wall(side, stiffness=10.0, damping=0.1) for side in (-1.0, 1.0)]
     scene = jv.make_scene(0.3, 0.7, 0.05, 0.7, walls)

@@ -9,9 +9,8 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.py"))
-QUICK = ("00", "03")
 MARKED = [
-    pytest.param(path, id=path.name, marks=pytest.mark.slow if path.name.startswith(QUICK) else pytest.mark.long)
+    pytest.param(path, id=path.name, marks=pytest.mark.slow if path.name.startswith("00") else pytest.mark.long)
     for path in NOTEBOOKS
 ]
 

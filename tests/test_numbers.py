@@ -9,7 +9,7 @@ from jaxvibro.scene.codes import Status
 from tests.status_proof import draw
 
 PERIODS = 4
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 
 def eps(dtype):
@@ -26,7 +26,6 @@ def sizes(scene, states):
     return np.maximum(size, np.max([np.maximum(abs(each.x), abs(each.v)) for each in states], axis=0))
 
 
-@pytest.mark.long
 @pytest.mark.parametrize("kind", [((False, 0), (False, 1)), ((True, 0), None)])
 def test_periods_in_one_call_are_one_by_one_but_for_their_roundings(kind):
     scene, state = draw(np.random.default_rng(4), 1024, kind)

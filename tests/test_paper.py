@@ -202,7 +202,7 @@ def test_the_papers_method_comes_near_the_strobe():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("damping", "bounce"), [(0.05, 0.7), (0.65, 0.4)])
+@pytest.mark.parametrize(("damping", "bounce"), [(0.05, 0.7), pytest.param(0.65, 0.4, marks=pytest.mark.long)])
 def test_area_and_its_derivatives_are_those_of_quadrature(damping, bounce):
     def width(w, damping, bounce):
         with mp.workdps(20):
@@ -246,7 +246,7 @@ def test_bad_tables_are_one_clear_error(tables, key):
     assert error.value.key == key
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_ranges_in_which_two_legs_differ():
     swept = jv.sweep(
         jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)),

@@ -41,7 +41,7 @@ def test_an_impact_near_phase_0(crossing, off):
     assert agree(found) == 1 and found[0].label == "P101"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_long_orbits_in_random_scenes():
     seen, rng = [], np.random.default_rng(8)
     for _ in range(6):

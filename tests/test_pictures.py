@@ -6,10 +6,14 @@ from matplotlib.testing.compare import compare_images
 from tests import pictures
 
 NEAR = 3.0  # root mean square of the differences, of 255: other processors round other last digits
+OF_ONE_BRANCH = pictures.PICTURES[: pictures.PICTURES.index(pictures.basins)]
+DRAWN = [
+    pytest.param(draw, id=draw.__name__, marks=pytest.mark.slow if draw in OF_ONE_BRANCH else pytest.mark.long)
+    for draw in pictures.PICTURES
+]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("draw", pictures.PICTURES, ids=lambda draw: draw.__name__)
+@pytest.mark.parametrize("draw", DRAWN)
 def test_a_picture_is_that_of_a_run_before(draw, tmp_path):
     kept, drawn = pictures.KEPT / f"{draw.__name__}.png", tmp_path / "drawn.png"
     pictures.write(draw, drawn, pictures.DOTS)

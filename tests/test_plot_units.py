@@ -54,13 +54,18 @@ SLOW = {
         ("(mm)", LENGTH),
         ("(m/s)", PACE),
     ),
-    "margin": (plot.margin, near, ("(N)", NEWTONS), ("(Hz)", HERTZ)),
 }
+LONG = {"margin": (plot.margin, near, ("(N)", NEWTONS), ("(Hz)", HERTZ))}
+MARKED = [
+    *PICTURES,
+    *(pytest.param(kind, marks=pytest.mark.slow) for kind in SLOW),
+    *(pytest.param(kind, marks=pytest.mark.long) for kind in LONG),
+]
 
 
-@pytest.mark.parametrize("kind", [*PICTURES, *(pytest.param(kind, marks=pytest.mark.slow) for kind in SLOW)])
+@pytest.mark.parametrize("kind", MARKED)
 def test_a_picture_in_physical_units(kind):
-    draw, made, *axes = (PICTURES | SLOW)[kind]
+    draw, made, *axes = (PICTURES | SLOW | LONG)[kind]
     one = made()
     own, physical = (draw(one, ax=Figure().subplots(), units=units) for units in ("scene", "physical"))
     for told, (text, _) in zip((physical.get_xlabel(), physical.get_ylabel()), axes, strict=True):

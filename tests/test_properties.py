@@ -275,12 +275,12 @@ def reversal(kind, rows):
     close(keep, bound, (again.x, state.x), (-again.v, state.v))
 
 
-FAST = [(areas, "moving"), (reversal, "moving")]
+FAST = [(reversal, "moving")]
 SLOW = [(each, "soft") for each in (scaling, shift, areas, reversal, semigroup)]
-SLOW += [(each, "moving") for each in (order, scaling, shift, chunks, derivative, mirror)]
+SLOW += [(each, "moving") for each in (areas, order, scaling, shift, chunks, derivative, mirror)]
 SLOW += [(each, "one") for each in (semigroup, sampled, derivative)] + [(mirror, "two")]
-LONG = [(each, "soft") for each in (shift, areas, semigroup)]
-LONG += [(chunks, "moving"), (scaling, "moving"), (mirror, "two")]
+LONG = [(each, "soft") for each in (scaling, shift, areas, semigroup)]
+LONG += [(chunks, "moving"), (scaling, "moving"), (derivative, "one"), (mirror, "two")]
 
 
 def hold(check, kind, examples):

@@ -138,6 +138,7 @@ def test_the_others_are_right_where_nothing_is_hard(name):
     assert np.median(abs(met.time[good] - easy.time[:40][good])) < 1e-6
 
 
+@pytest.mark.slow
 def test_periods_in_80_bit_floats_and_by_others_against_ball_arithmetic():
     rng, n = np.random.default_rng(1), 12
     given = periods.Scenes(

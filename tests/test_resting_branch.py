@@ -196,7 +196,7 @@ def test_explore_finds_what_rests():
 PLASTIC = {"frequency": 0.451214832, "damping": 0.160099801, "restitution": 0.0, "walls": (None, 0.709703876)}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_branch_with_r_0_goes_on_where_the_press_begins_at_an_impact(tmp_path):
     """Between two RL the mass is drawn off its wall once more before it rests: whichever orbit one starts from."""
     branches = [followed(amplitude, (1.22, 3.0), **PLASTIC) for amplitude in (2.5, 2.0989, 1.95, 1.23)]

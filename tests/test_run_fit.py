@@ -75,7 +75,7 @@ def assert_alike(one, other):
         np.testing.assert_allclose(given, np.asarray(value, float), rtol=1e-14, atol=1e-14)
 
 
-def test_residuals_are_drawn_at_their_impacts(done):
+def test_residuals_are_drawn_at_their_impacts():
     times, sides = np.loadtxt(
         SCENES / "fit.csv", delimiter=",", skiprows=1, converters={1: lambda side: 1 if side == "right" else -1}
     ).T

@@ -21,7 +21,7 @@ def test_states_and_slopes_are_those_of_exact_motions():
     assert max(forward.max(), reverse.max()) < 1e-12
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_soft_walls_against_exact_motions():
     errors, _ = soft_errors(2, seed=3)
     assert errors.max() < 1

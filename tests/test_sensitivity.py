@@ -1,5 +1,7 @@
 """What moves special points: against differences of points found again, and against the gradient of `located`."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -45,7 +47,7 @@ def test_slopes_are_differences_of_points_found_again(points):
         assert slope == pytest.approx((ends[0] - ends[1]) / (2.0 * step), rel=1e-6), name
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_slopes_are_the_gradient_of_the_located_point(points):
     by = jax.grad(jv.located(points["PD"]))(points["PD"].scene)
     table = jv.sensitivity(points["PD"], ["damping", "frequency"])
@@ -77,3 +79,14 @@ def test_the_equations_of_a_locus_are_zero_at_the_point(points, kind):
     assert abs(np.asarray(locate.evaluated(problem(curve), z, curve)[0])).max() < 1e-9
     turned = curve._replace(closing=-curve.closing)
     assert abs(np.asarray(locate.evaluated(problem(turned), z, turned)[0][-1])) > 1e-3
+
+
+@pytest.mark.parametrize("names", [(), ("amplitude",), ("damping", "damping"), ("size",)])
+def test_names_that_cannot_be_are_one_clear_error(points, names):
+    with pytest.raises(jv.ArgumentError, match=r"^names|size"):
+        jv.sensitivity(points["PD"], names)
+
+
+def test_a_point_of_another_kind_is_refused(points):
+    with pytest.raises(jv.ArgumentError, match=r"^special: must be a special point of kind SN, PD, SB, GR; got .bound"):
+        jv.sensitivity(replace(points["PD"], kind="bound"), ("damping",))

@@ -122,7 +122,7 @@ def test_a_release_forgets_the_start_and_keeps_the_scene():
     assert np.allclose(curves, difference(slope, at[0], 1e-5), rtol=1e-6, atol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_end_no_derivative_and_a_status(scene):
     def ends(x):
         end, impacts = jv.strobe(scene, jv.State(x, -1.1), slots=32)

@@ -125,6 +125,7 @@ def test_a_pressed_mass_stays_within_a_very_stiff_wall():
     assert abs((float(end.x) - 1.0) * (1.0 + 1e10) - 2.0) < 1e-2
 
 
+@pytest.mark.slow
 def test_periods_within_a_wall_are_all_flown():
     """A long step may end where a period does: the next is flown all the same."""
     stiffness, damping, amplitude, frequency = 1e6, 0.1, 0.3, 1.3
@@ -164,7 +165,7 @@ def test_a_branch_goes_through_the_grazings_of_soft_walls(resonance):
         assert abs(np.prod(point.multipliers).real - np.exp(-2 * 0.05 * 2 * np.pi / point.value)) < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_period_doubling_just_before_a_grazing_is_found_and_no_fold_is_made_up():
     scene = soft(50.0, 1.0, amplitude=0.5, frequency=0.8511)
     orbit = jv.find_orbit(scene, jv.strobe(scene, jv.State(0.5, 0.3), periods=2000)[0])

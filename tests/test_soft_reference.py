@@ -171,6 +171,7 @@ def test_energy_stays(stiffness):
             assert record.count > 3 and abs(energy(record.x, record.v) - energy(arb(x), arb(0.7))) < 1e-30
 
 
+@pytest.mark.slow
 def test_jacobian_against_differences():
     held, stiff = set(), 0
     for seed, (scene, x, v, phase), record in fair(range(900, 960)):

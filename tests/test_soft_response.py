@@ -149,12 +149,3 @@ def _start(point, k2):
     rows = len(point.along.cycle.sides)
     theta = point.value * point.z[0] + (np.pi if point.along.cycle.sides[0] < 0 else 0.0)
     return theta, point.z[rows], np.pi / np.sqrt(1.0 + k2)
-
-
-@pytest.mark.parametrize("names", [(), ("frequency",), ("damping", "damping"), ("size",)])
-def test_names_that_cannot_be_are_one_clear_error(free, names):
-    (graze,) = free.points("GR")
-    with pytest.raises(jv.ArgumentError):
-        jv.sensitivity(graze, names)
-    with pytest.raises(jv.ArgumentError, match="kind"):
-        jv.sensitivity(free.special[-1], ("damping",))

@@ -71,7 +71,7 @@ def test_statuses(orbit):
     assert jv.solve_orbits(scene, (times + orbit.state.phase / 1.9, speeds), orbit.itinerary).status == OK
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_impacts_may_be_counted_from_any_of_them():
     scene, start = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)), jv.State(0.9, -1.1)
     state = jv.find_orbit(scene, start).state

@@ -236,7 +236,7 @@ def _by_scipy(pull, x, v):
         state, count = [state[0], -R * state[1]], count + 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_force_that_is_lost_on_the_way_is_capped_and_ends():
     def hole(t, x, v, p):
         return jnp.where(x > 0.9999, jnp.nan, -x)

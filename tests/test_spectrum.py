@@ -44,7 +44,7 @@ def test_orbits_have_the_logarithms_of_their_multipliers():
     assert found.error.max() < 1e-12 and (found.status == 0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_longer_orbits():
     """P112 and what it has become after doubling, against the product of the strobe's derivatives."""
     values = [4.8, 5.2]
@@ -94,6 +94,7 @@ def test_a_mass_that_rests_forgets_all():
     assert (found.rests == 0).all() and np.isnan(found.between).all()  # pressed on all the time
 
 
+@pytest.mark.slow
 def test_the_rests_of_a_period_and_the_growth_between_them_are_told():
     """Against the moment of rest by brute force (test_rest)."""
     hopping = jv.make_scene(1.5, 0.5, 0.1, 0.6, (None, -1.0))
@@ -113,7 +114,7 @@ def test_no_wall_any_damping():
     assert abs(found.exponent - true)[1:].max() < 1e-10 and (found.impacts == 0).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_walls_shaken_together_are_another_drive():
     """z = x - x_b feels A - B (1 - omega^2 + 2 i gamma omega) in place of A."""
     swing = 0.2
@@ -156,6 +157,7 @@ def test_it_stops_by_its_errors_or_by_most(many):
     assert many.periods.max() == 0
 
 
+@pytest.mark.slow
 def test_values_do_not_see_each_other():
     done = []
     both = jv.spectrum(scene(), "amplitude", [10.0, 2.0], START, error=0.05, most=1, progress=done.append)

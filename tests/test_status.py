@@ -65,7 +65,7 @@ def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
 @pytest.mark.parametrize(
     "kind",
     [
-        pytest.param((FIXED, None), marks=pytest.mark.slow),
+        pytest.param((FIXED, None), marks=pytest.mark.long),
         (None, MOVING),
         pytest.param((SOFT, None), marks=pytest.mark.slow),
         pytest.param((None, SOFT_MOVING), marks=pytest.mark.long),

@@ -11,14 +11,17 @@ import jaxvibro as jv
 from jaxvibro.flight.flow import fly
 from jaxvibro.maps import one_period
 from jaxvibro.scene.codes import Contact, Status
+from tests.lanes import one_by_one
 from tests.proof import STRUCTURES, first_flights, strobe_errors
 from tests.reference import closed, orbit
 from tests.reference.scene import Motion, Scene, Wall
 from tests.reference.search import Discard
 
 WALLS = (-1.0, 1.0)
+MARKS = dict.fromkeys([(0, None), (1, 2)], pytest.mark.slow)
 recorded = partial(jv.strobe, slots=32)
 measured = partial(recorded, clearance=True)
+RUNS = {"plain": recorded, "measured": measured}
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +31,7 @@ def scene():
 
 @pytest.fixture(
     scope="module",
-    params=[pytest.param(recorded, id="plain", marks=pytest.mark.slow), pytest.param(measured, id="measured")],
+    params=[pytest.param(run, id=name, marks=pytest.mark.slow) for name, run in RUNS.items()],
 )
 def lanes(scene, request):
     """130 states, three blocks of lanes, the last one part full, some of them starting into a wall, which lean steps
@@ -64,8 +67,7 @@ def test_random_scenes_against_ball_arithmetic():
     assert np.mean(clearance < 1) > 0.99
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("walls", STRUCTURES)
+@pytest.mark.parametrize("walls", [pytest.param(one, marks=MARKS.get(one, pytest.mark.long)) for one in STRUCTURES])
 def test_no_contact_is_missed_or_invented(walls):
     assert first_flights(2_000, *walls, 1, seed=9)[1:] == (0, 0, 0)
 
@@ -91,7 +93,7 @@ def test_the_least_clearance_of_a_flight_that_turns_back_from_both_walls_within_
     low, high = x - far, x + far + 0.05 * rng.normal(size=60)
     motion = None if swing is None else jv.Motion(swing * pull, 0.5)
     scene = jv.make_scene(2.0, 1.0, 0.0, 0.8, (jv.Wall(low), jv.Wall(high, motion=motion)))
-    found = np.asarray(jv.strobe(scene, jv.State(x, v, phase), clearance=True)[1].least_clearance)
+    found = one_by_one(partial(jv.strobe, clearance=True), scene, jv.State(x, v, phase))[1].least_clearance
     count = 0
     for k in range(60):
         own = None if swing is None else Motion(swing * pull[k], 0.5, 1)
@@ -249,10 +251,15 @@ def test_two_periods_are_one_after_the_other(lanes):
     assert np.allclose(twice.x[calm], after.x[calm], rtol=0, atol=1e-10)
 
 
-def test_full_slots_leave_the_state_right(lanes):
-    scene, start, end, impacts, run = lanes
-    short, told = run(scene, start, slots=1)
-    assert np.array_equal(told.status == 1, impacts.count > 1)
+def test_full_slots_leave_the_state_right(scene):
+    """Of lanes by lean steps, and of some that start into a wall, by full ones."""
+    rng = np.random.default_rng(1)
+    x, v = rng.uniform(-1, 1, 40), rng.uniform(-3, 3, 40)
+    x[:10] = np.sign(v[:10])
+    many = scene.replace(amplitude=rng.uniform(0, 6, 40)), jv.State(x, v)
+    (end, impacts), (short, told) = (one_by_one(partial(jv.strobe, slots=slots), *many) for slots in (4, 1))
+    assert np.array_equal(told.status == Status.FULL, impacts.count > 1)
+    assert 2 in impacts.count[:10]
     assert same(short, end)
     assert np.array_equal(told.time[:, 0], impacts.time[:, 0])
 
@@ -376,7 +383,7 @@ def test_clearances_of_a_users_own_vmap_and_beside_derivatives(lanes):
     [
         (None, None),
         pytest.param((None, 1.0), marks=pytest.mark.slow),
-        (jv.Wall(-1.0, 0.6), jv.Wall(1.0, 0.8)),
+        pytest.param((jv.Wall(-1.0, 0.6), jv.Wall(1.0, 0.8)), marks=pytest.mark.slow),
         pytest.param((-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.1))), marks=pytest.mark.slow),
         pytest.param(
             (jv.Wall(-1.0, stiffness=50.0, damping=0.5), jv.Wall(1.0, stiffness=9.0, motion=jv.Motion(0.1))),

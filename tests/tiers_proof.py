@@ -131,7 +131,8 @@ def chatter(rng, count):
     """(scene, start): masses that hop on a wall that presses them, or rest there, the press ending in the period."""
     omega, phase = rng.uniform(0.2, 1.0, count), rng.uniform(-2.0, 2.0, count)
     bounce = rng.choice([0.0, 0.2, 0.5, 0.8], count)
-    scene = jv.make_scene(rng.uniform(1.5, 4.0, count), omega, 0.1, bounce, (-1.0, 1.0))
+    walls = (jv.Wall(np.full(count, side), bounce) for side in (-1.0, 1.0))
+    scene = jv.make_scene(rng.uniform(1.5, 4.0, count), omega, np.full(count, 0.1), 0.5, tuple(walls))
     hop = 10.0 ** rng.uniform(-6.0, -0.5, count)
     return scene, jv.State(1.0 - hop * rng.random(count), hop, phase, np.zeros(count))
 
