@@ -276,11 +276,13 @@ def reversal(kind, rows):
 
 
 FAST = [(reversal, "moving")]
-SLOW = [(each, "soft") for each in (scaling, shift, areas, reversal, semigroup)]
-SLOW += [(each, "moving") for each in (areas, order, scaling, shift, chunks, derivative, mirror)]
-SLOW += [(each, "one") for each in (semigroup, sampled, derivative)] + [(mirror, "two")]
-LONG = [(each, "soft") for each in (scaling, shift, areas, semigroup)]
+SLOW = [(each, "moving") for each in (areas, order, shift, derivative, mirror)] + [(semigroup, "one"), (sampled, "one")]
+LONG = [(each, "soft") for each in (scaling, shift, areas, reversal, semigroup)]
 LONG += [(chunks, "moving"), (scaling, "moving"), (derivative, "one"), (mirror, "two")]
+MARKED = [
+    *(pytest.param(*each, marks=pytest.mark.slow) for each in SLOW),
+    *(pytest.param(*each, marks=pytest.mark.long) for each in LONG),
+]
 
 
 def hold(check, kind, examples):
@@ -299,10 +301,7 @@ def test_it_holds_of_any_scene(check, kind):
     hold(check, kind, FEW)
 
 
-@pytest.mark.parametrize(
-    ("check", "kind"),
-    [pytest.param(*each, marks=pytest.mark.long if each in LONG else pytest.mark.slow) for each in SLOW],
-)
+@pytest.mark.parametrize(("check", "kind"), MARKED)
 def test_it_holds_of_many_scenes(check, kind):
     hold(check, kind, MANY)
 

@@ -192,7 +192,7 @@ def test_a_touch_after_a_long_stay_is_where_the_branch_goes_on():
         assert abs(end.x - orbit.state.x) < 1e-10 and impacts.count == orbit.impacts.count
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_branches_from_either_side_of_a_grazing_are_one(resonance):
     _, branch = resonance
     scene = soft(frequency=0.7)
@@ -230,7 +230,7 @@ def test_folds_and_doublings_close_to_a_grazing_are_told_from_it():
         assert min(abs(roots - (1.0 if point.kind == "SN" else -1.0))) < 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_multipliers_change_like_the_root_of_the_distance_to_a_grazing(resonance):
     _, branch = resonance
     (point,) = [one for one in branch.points("GR") if one.value < 1.0]

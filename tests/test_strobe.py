@@ -21,7 +21,6 @@ WALLS = (-1.0, 1.0)
 MARKS = dict.fromkeys([(0, None), (1, 2)], pytest.mark.slow)
 recorded = partial(jv.strobe, slots=32)
 measured = partial(recorded, clearance=True)
-RUNS = {"plain": recorded, "measured": measured}
 
 
 @pytest.fixture(scope="module")
@@ -29,10 +28,7 @@ def scene():
     return jv.make_scene(2.0, 2.1, 0.05, 0.7, WALLS)
 
 
-@pytest.fixture(
-    scope="module",
-    params=[pytest.param(run, id=name, marks=pytest.mark.slow) for name, run in RUNS.items()],
-)
+@pytest.fixture(scope="module", params=[recorded, measured], ids=["plain", "measured"])
 def lanes(scene, request):
     """130 states, three blocks of lanes, the last one part full, some of them starting into a wall, which lean steps
     give up: (scene, start, end, impacts, the function that has run them)."""
