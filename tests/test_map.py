@@ -226,6 +226,7 @@ def test_picture_of_a_map():
     assert told == ["P111", "not done", "undecided", "chaotic", "P100"]
     assert len(np.unique(shown.reshape(-1, 4), axis=0)) == 5
     assert len({label_colour(code_of(f"P{n}{p}{q}")) for n in (1, 2, 3) for p in (0, 1, 2) for q in (0, 1)}) >= 12
+    assert len({label_colour(code_of(f"P22{q}")) for q in range(2, 7)}) == 5
     other = jv.plot.map(drawn(), Figure().subplots(), "exponent")
     assert len(other.figure.axes) == 2
     with pytest.raises(jv.ArgumentError, match="must be one of label, exponent"):

@@ -13,7 +13,7 @@ from .style import axes, edges, is_from, plain, scales_of
 
 # Of orbits of 1, 2, ... periods; Okabe and Ito's, and two that differ from them in lightness. Further ones begin anew.
 HUES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#B5A000", "#7A4B9E")
-WHITE = (0.82, 0.0, 0.35, 0.55, 0.18)  # how much of it there is, by the number of impacts an orbit has a period
+WHITE = (0.75, 0.0, 0.35, 0.55, 0.18)  # how much of it there is, by the number of an orbit's impacts
 ONE_SIDED = 0.1  # more of it where the left wall is hit more often than the right one
 OTHERS = {label_codes.CHAOTIC: "#303030", label_codes.UNDECIDED: "#C9C9C9", label_codes.NOT_DONE: "#FFFFFF"}
 MOST = 12  # labels that the legend tells
@@ -31,7 +31,7 @@ def map(
 
     quantity: the variable that is drawn, with no other dimension than these: of a map with more, first choose, as
     data.sel(way=1), data.isel(attractor=0) or data.sel(wall="left"). A label has its own colour, the same in all maps:
-    a hue for the orbit's periods, paler or deeper by its impacts a period; chaos is nearly black, what is undecided
+    a hue for the orbit's periods, paler or deeper by how many impacts it has; chaos is nearly black, what is undecided
     grey, what is not done white. legend: below the picture the labels, the most frequent first, 12 at most; beside it
     the scale of a number. units: "scene", or "physical" of a scene that has scales. `locus` and `region` draw over it.
 
@@ -80,7 +80,7 @@ def label_colour(code: int) -> str:
         return OTHERS[code]
     n, hits = int(label_codes.period_of(code)), [code // label_codes.LEFT % 1000, code % 1000]
     own = np.array(to_rgb(HUES[(n - 1) % len(HUES)]))
-    white = WHITE[-(-sum(hits) // n) % len(WHITE)] + (ONE_SIDED if hits[0] > hits[1] else 0.0)
+    white = WHITE[sum(hits) % len(WHITE)] + (ONE_SIDED if hits[0] > hits[1] else 0.0)
     return to_hex(tuple(own + (1.0 - own) * white))
 
 
