@@ -24,7 +24,7 @@ import jaxvibro as jv
 from jaxvibro.output.checksums import netcdf
 from jaxvibro.stores import filling, zarr_store
 from jaxvibro.stores.filling import done
-from jaxvibro.stores.study import Grid
+from jaxvibro.stores.study import Grid, axis_text
 
 from .counted_study import Counted, counts
 
@@ -150,6 +150,13 @@ def test_another_study_is_refused(tmp_path):
     with pytest.raises(jv.ArgumentError, match="rows is another there; got '3 there, 4 here'"):
         done(Counted(4), jv.Store(path), None)
     assert bits(path) == before
+
+
+def test_an_axis_is_told_in_plain_numbers():
+    assert axis_text(np.linspace(1.5, 4.0, 10)).startswith("10, 1.5 to 4.0, ")
+    assert axis_text(np.arange(3)[1:]) != axis_text(np.array([1.0, 2.0])) and axis_text(np.empty(0)).startswith(
+        "0, none"
+    )
 
 
 def test_other_versions_are_refused(tmp_path, monkeypatch):

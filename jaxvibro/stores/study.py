@@ -77,7 +77,7 @@ class Study(Protocol):
 
 def axis_text(values: np.ndarray) -> str:
     """Numbers as a text that tells them from others: how many there are, the ends, a digest."""
-    ends = f"{values.flat[0]!r} to {values.flat[-1]!r}" if values.size else "none"
+    ends = f"{values.flat[0].item()!r} to {values.flat[-1].item()!r}" if values.size else "none"
     return f"{values.size}, {ends}, {hashlib.sha256(values.tobytes()).hexdigest()[:16]}"
 
 
