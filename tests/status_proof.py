@@ -13,6 +13,7 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.scene.codes import Status
+from tests.lanes import at
 
 BLOCK = 1 << 16  # lanes of a scene
 ROUNDINGS = 64.0  # of the largest length, by which a state may be beyond a wall
@@ -62,7 +63,7 @@ def draw(rng, count, kind, short=False):
     speed = logarithmic(-2.0, 1.0) * some(1.0, 0.02, 0.0, 1e-100, 1e-300)
     start = jv.State(x, speed * rng.choice([-1.0, 1.0], count), phase, np.zeros(count))
     order = np.argsort(gap * omega / (amplitude + abs(x) + speed))  # lanes of a block wait for each other
-    return jax.tree.map(lambda leaf: np.asarray(leaf)[order] if np.ndim(leaf) else leaf, (scene, start))
+    return at((scene, start), order)
 
 
 def beyond(scene, end):

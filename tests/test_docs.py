@@ -20,8 +20,8 @@ ROOT = Path(__file__).parents[1]
 TEXTS = ["README.md", *sorted(f"docs/{path.name}" for path in (ROOT / "docs").glob("*.md"))]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 
-PAGES = ["branches", "design", "fit", "force", "gradients", "loci", "motions", "resilience", "soft", "units"]
-LONGEST = ["README.md", *(f"docs/{name}.md" for name in PAGES)]
+LONG = ["branches", "design", "fit", "force", "gradients", "loci", "motions", "resilience", "soft", "units"]
+LONGEST = ["README.md", *(f"docs/{name}.md" for name in LONG)]
 
 
 def blocks(name):

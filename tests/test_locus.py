@@ -373,10 +373,10 @@ SCENES = {
 }
 
 
-LENGTHS = {"one wall, much damping": pytest.mark.slow}
+MARKS = {"one wall, much damping": pytest.mark.slow}
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=LENGTHS.get(name, pytest.mark.long)) for name in SCENES])
+@pytest.mark.parametrize("name", [pytest.param(name, marks=MARKS.get(name, pytest.mark.long)) for name in SCENES])
 def test_loci_of_other_scenes(name):
     walls, numbers = SCENES[name]
     numbers = {"frequency": OMEGA, "damping": GAMMA, "restitution": R} | numbers

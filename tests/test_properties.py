@@ -19,6 +19,8 @@ from hypothesis import strategies as st
 import jaxvibro as jv
 from jaxvibro.scene.codes import Status
 
+from .lanes import at
+
 LANES, SLOTS, GRID = 8, 8, 2.0**20
 FEW, MANY = 25, 50  # draws of eight lanes
 TIMES = 2.0 ** np.array([-20, 13, 1, -1, 40, -3, 7, -60])
@@ -111,12 +113,12 @@ def decided(scene, start, end, impacts):
     hits = np.where(np.isfinite(impacts.time), impacts.time, 0.5 * period[:, None])
     keep = (impacts.status < Status.CAP) & (impacts.count <= SLOTS) & (impacts.least_speed > 1e-2)
     keep &= (impacts.least_clearance > 1e-6) & (hits.min(-1) > 1e-3) & (hits.max(-1) < period - 1e-3)
-    for at in (start, end):
+    for state in (start, end):
         for wall in scene.walls.values():
             b, own, m = (
                 (wall.motion.amplitude, wall.motion.phase, wall.motion.harmonic) if wall.motion else (0.0, 0.0, 1)
             )
-            keep &= abs(at.x - wall.position - b * np.cos(m * at.phase + own)) > 1e-6
+            keep &= abs(state.x - wall.position - b * np.cos(m * state.phase + own)) > 1e-6
     slopes = np.asarray(jv.monodromy(scene, start, slots=SLOTS))
     keep &= np.isfinite(slopes).all((1, 2))
     size = sum(abs(each) for each in (start.x, start.v, end.x, end.v, scene.amplitude)) + 5.0
@@ -204,11 +206,11 @@ def order(kind, rows):
     """A batch in another order gives the same bits; single numbers, which are computed as scalars, to rounding."""
     scene, state = made(kind, rows)
     end, told = mapped(scene, state)
-    turned = mapped(*taken((scene, state), slice(None, None, -1)))
-    same(*zip(jax.tree.leaves(taken(turned, slice(None, None, -1))), jax.tree.leaves((end, told)), strict=True))
+    turned = mapped(*at((scene, state), slice(None, None, -1)))
+    same(*zip(jax.tree.leaves(at(turned, slice(None, None, -1))), jax.tree.leaves((end, told)), strict=True))
     keep, bound = decided(scene, state, end, told)
     for lane in range(LANES):
-        alone, heard = mapped(*taken((scene, state), lane))
+        alone, heard = mapped(*at((scene, state), lane))
         if keep[lane]:
             same((heard.side, told.side[lane]), (heard.status, told.status[lane]))
             assert max(abs(alone.x - end.x[lane]), abs(alone.v - end.v[lane])) < 1e-10 * bound[lane]
@@ -219,13 +221,8 @@ def chunks(kind, rows):
     scene, state = made(kind, rows)
     whole = mapped(scene, state)
     for some in (slice(0, LANES // 2), slice(LANES // 2, LANES), *(slice(k, k + 1) for k in range(LANES))):
-        part = mapped(*taken((scene, state), some))
-        same(*zip(jax.tree.leaves(part), jax.tree.leaves(taken(whole, some)), strict=True))
-
-
-def taken(tree, lanes):
-    """Some lanes of a tree; a number that all share stays."""
-    return jax.tree.map(lambda leaf: leaf[lanes] if np.ndim(leaf) else leaf, tree)
+        part = mapped(*at((scene, state), some))
+        same(*zip(jax.tree.leaves(part), jax.tree.leaves(at(whole, some)), strict=True))
 
 
 @jax.jit

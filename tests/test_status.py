@@ -3,7 +3,6 @@
 import subprocess
 import sys
 
-import jax
 import numpy as np
 import pytest
 
@@ -12,6 +11,7 @@ from jaxvibro.attractors import tangent
 from jaxvibro.flight.wall_positions import places
 from jaxvibro.maps.iterate import iterate
 from jaxvibro.scene.codes import Status
+from tests.lanes import at
 from tests.status_proof import draw, judged
 
 FIXED, MOVING, SOFT, SOFT_MOVING = (False, 0), (False, 1), (True, 0), (True, 1)
@@ -57,7 +57,7 @@ def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
         assert np.isnan(x[-1][found >= Status.CAP]).all()
         assert np.isfinite(x[-1][found < Status.CAP]).all()
     lost = np.flatnonzero(status == Status.CAP)[0]
-    one = jax.tree.map(lambda leaf: leaf[lost] if np.ndim(leaf) else leaf, (scene, free))
+    one = at((scene, free), lost)
     with pytest.raises(jv.ArgumentError, match="must have a trajectory"):
         jv.simulate(*one, samples=4)
 

@@ -154,9 +154,8 @@ def test_another_study_is_refused(tmp_path):
 
 def test_an_axis_is_told_in_plain_numbers():
     assert axis_text(np.linspace(1.5, 4.0, 10)).startswith("10, 1.5 to 4.0, ")
-    assert axis_text(np.arange(3)[1:]) != axis_text(np.array([1.0, 2.0])) and axis_text(np.empty(0)).startswith(
-        "0, none"
-    )
+    assert axis_text(np.empty(0)).startswith("0, none")
+    assert axis_text(np.array([1, 2])) != axis_text(np.array([1.0, 2.0]))
 
 
 def test_other_versions_are_refused(tmp_path, monkeypatch):

@@ -9,6 +9,7 @@ import jaxvibro as jv
 from jaxvibro.compiled.compiler_hints import WIDTH
 from jaxvibro.flight.wall_positions import places
 from jaxvibro.maps import iterate, two_tiers
+from tests.lanes import at
 from tests.status_proof import RIGID, draw
 from tests.tiers_proof import bits, chatter, compared, full, grazing, lean, measured, same, usual
 
@@ -56,14 +57,10 @@ def test_no_bit_depends_on_the_batch(kind):
 @pytest.mark.parametrize("count", [two_tiers.STRIP * WIDTH + 1, 2 * two_tiers.STRIP * WIDTH - 30])
 def test_lanes_in_strips_are_those_in_blocks(count):
     scene, start = usual(np.random.default_rng(9), count, RIGID[4])
-
-    def part(lanes):
-        return jax.tree.map(lambda leaf: np.asarray(leaf)[lanes] if np.ndim(leaf) else leaf, (scene, start))
-
     whole = lean(scene, start)
     for first in (0, count // 2, count - WIDTH):
         lanes = slice(first, first + WIDTH)
-        assert same(lean(*part(lanes)), jax.tree.map(lambda leaf, lanes=lanes: leaf[lanes], whole))
+        assert same(lean(*at((scene, start), lanes)), at(whole, lanes))
 
 
 @pytest.mark.long
@@ -75,7 +72,7 @@ def test_turning_points_are_those_of_a_motion_sampled_densely():
         calm = np.flatnonzero(~given_up & (impacts.count == 0))[:12]
         assert len(calm) == 12
         for k in calm:
-            one = jax.tree.map(lambda leaf, k=k: np.asarray(leaf)[k] if np.ndim(leaf) else leaf, (scene, start))
+            one = at((scene, start), k)
             path = jv.simulate(*one, samples=4000)
             x, time, least = np.asarray(path.x), np.asarray(path.time), np.inf
             walls = places(one[0], one[1].phase + one[0].frequency * time)

@@ -18,6 +18,7 @@ import jaxvibro as jv
 from jaxvibro.compiled.blocks import LEAST
 from jaxvibro.compiled.compiler_hints import OPTIONS
 from jaxvibro.maps import one_period, two_tiers
+from tests.lanes import at
 from tests.status_proof import RIGID, draw
 
 BLOCK = 1 << 16  # lanes of a scene
@@ -123,8 +124,7 @@ def grazing(rng, count):
     size = np.max([abs(x), abs(v), amplitude, abs(top)], axis=0)
     ulp = rng.uniform(-64.0, 64.0, count)
     scene = scene.replace(**{"right.position": top - ulp * np.finfo(float).eps * size})
-    some = jax.tree.map(lambda leaf: np.asarray(leaf)[keep] if np.ndim(leaf) else leaf, (scene, start))
-    return some
+    return at((scene, start), keep)
 
 
 def chatter(rng, count):
