@@ -8,7 +8,7 @@ import numpy as np
 import jaxvibro
 from benchmarks import harness, ours, pictures
 from benchmarks.rows import Row, Topic, spread
-from jaxvibro.compiled.compiler_hints import one_kernel
+from jaxvibro.compiled.kernels import one_kernel
 from jaxvibro.orbits import impact_equations
 from jaxvibro.orbits.by_impacts import padded
 

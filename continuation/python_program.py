@@ -206,7 +206,7 @@ class Writer:
     def equation(self, equation: Any, given: list[Value]) -> list[Value]:
         name, params = equation.primitive.name, equation.params
         inner = next((params[key] for key in CALLED if key in params), None)
-        if name in CALLS and isinstance(inner, core.ClosedJaxpr):
+        if isinstance(inner, core.ClosedJaxpr) and (name in CALLS or "call_jaxpr" in params):
             return self.equations(inner, given)
         if name == "while":
             return self.repeated(params, given, _kinds(equation.outvars))

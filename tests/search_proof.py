@@ -17,7 +17,7 @@ from scipy.optimize import minimize
 
 import jaxvibro as jv
 from continuation.implicit import in_turn
-from jaxvibro.compiled.compiler_hints import one_kernel
+from jaxvibro.compiled.kernels import one_kernel
 from jaxvibro.design import search as ours
 from jaxvibro.design.aims import FLIP, FOLD
 from jaxvibro.design.free_numbers import room_of

@@ -14,7 +14,7 @@ from continuation import event_search, locate
 from continuation.arclength import Control, Place
 from jaxvibro.attractors import assign, local_manifold, sweep, tangent
 from jaxvibro.branches.follow import place_orbit
-from jaxvibro.compiled import compiler_hints
+from jaxvibro.compiled import blocks, compiler_hints, kernels
 from jaxvibro.loci import codim2
 from jaxvibro.loci.first_point import LocusStart, equations
 from jaxvibro.maps import long_run, rests, simulate
@@ -32,7 +32,8 @@ LANES = jv.State(*(np.linspace(-0.5, 0.5, 16) * k for k in (1.0, 2.0, 0.0, 0.0))
 def on_card():
     """What these tests trace they share, and no other test."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(compiler_hints, "on_processor", lambda: False)
+        for module in (blocks, compiler_hints, kernels):
+            patch.setattr(module, "on_processor", lambda: False)
         jax.clear_caches()
         yield
     jax.clear_caches()
@@ -90,7 +91,7 @@ def test_long_runs(walls):
             lowered(run, wide[0], wide[1], 0.0, 2, 1)
         unit = np.ones_like(LANES.x)
         lanes = tangent.TangentLanes(LANES, unit, 0.0 * unit)
-        lanes = long_run.padded(lanes, 0, tangent.STRIP * compiler_hints.WIDTH)
+        lanes = long_run.padded(lanes, 0, tangent.STRIP * kernels.WIDTH)
         lowered(lambda lanes: tangent._run.__wrapped__(one, lanes, 2, 2), lanes)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxvibro.compiled.compiler_hints import one_kernel
+from jaxvibro.compiled.kernels import one_kernel
 
 ROWS = 64
 ONES = np.ones(3)

@@ -10,7 +10,7 @@ import pytest
 
 import jaxvibro as jv
 from continuation.in_numpy import Tried
-from jaxvibro.compiled.compiler_hints import one_kernel
+from jaxvibro.compiled.kernels import one_kernel
 from jaxvibro.flight import flow
 from jaxvibro.flight.coefficients import frame
 from jaxvibro.flight.soft_return import first_return

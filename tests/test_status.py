@@ -18,7 +18,7 @@ FIXED, MOVING, SOFT, SOFT_MOVING = (False, 0), (False, 1), (True, 0), (True, 1)
 SPENT = """
 import jax, jax.numpy as jnp
 from jax import lax
-from jaxvibro.compiled.compiler_hints import one_kernel
+from jaxvibro.compiled.kernels import one_kernel
 
 def carried(a, spent):
     turn = lambda carry: (carry[0] + 1, 2.0 * carry[1], carry[2])

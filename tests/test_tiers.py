@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.compiled.compiler_hints import WIDTH
+from jaxvibro.compiled.kernels import WIDTH
 from jaxvibro.flight.wall_positions import places
 from jaxvibro.maps import iterate, two_tiers
 from tests.lanes import at

@@ -12,7 +12,8 @@ from jaxtyping import Float
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.compiler_hints import OPTIONS, WIDTH
+from ..compiled.compiler_hints import OPTIONS
+from ..compiled.kernels import WIDTH
 from ..maps import two_tiers
 from ..maps.iterate import iterate
 from ..maps.phase_shift import shift_phase

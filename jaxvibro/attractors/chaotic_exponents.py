@@ -11,7 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..compiled.compiler_hints import WIDTH
+from ..compiled.kernels import WIDTH
 from ..maps.initial_conditions import box
 from ..scene.codes import Contact, Status
 from ..scene.state import State

@@ -17,7 +17,8 @@ from numpy.polynomial import chebyshev
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.compiler_hints import OPTIONS, WIDTH
+from ..compiled.compiler_hints import OPTIONS
+from ..compiled.kernels import WIDTH
 from ..maps import two_tiers
 from ..maps.inverse import backward
 from ..scene.codes import Status

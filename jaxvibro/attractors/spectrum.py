@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
-from ..compiled.compiler_hints import WIDTH
+from ..compiled.kernels import WIDTH
 from ..maps.long_run import some
 from ..maps.rests import NO_RESTS, rests
 from ..output.units import scales_in, unit_of

@@ -10,7 +10,7 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import WIDTH
+from ..compiled.kernels import WIDTH
 from ..scene.codes import Status
 from ..scene.scene import Scene
 from ..scene.scene_table import scene_text

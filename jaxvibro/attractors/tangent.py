@@ -16,7 +16,8 @@ from jaxtyping import Float, Int
 from continuation.arrays import Array
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.compiler_hints import OPTIONS, WIDTH, choose, one_kernel
+from ..compiled.compiler_hints import OPTIONS, choose
+from ..compiled.kernels import WIDTH, one_kernel
 from ..maps.long_run import padded
 from ..maps.monodromy import passage
 from ..maps.one_period import SLOTS

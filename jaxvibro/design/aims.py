@@ -15,7 +15,7 @@ from jax import lax
 from continuation.implicit import in_turn
 from continuation.persistent_jit import SOON
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight.coefficients import framed
 from ..orbits import impact_equations
 from .rays import at_unknowns, free_response, tests_of

@@ -13,7 +13,7 @@ from continuation.arrays import Array
 from continuation.implicit import JUMPED, LOST, carried, in_turn, smooth
 
 from ..branches.largest_position import of_cycle, of_flight
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight.coefficients import framed
 from ..orbits import solve
 from ..orbits.flight_clearance import without_impacts

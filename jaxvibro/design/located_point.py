@@ -12,7 +12,7 @@ from continuation.arrays import Array
 from continuation.implicit import JUMPED, LOST, carried, in_turn, root
 
 from ..branches.branch import Special
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight.coefficients import framed
 from ..loci.first_point import equations, start_of
 from ..orbits import impact_equations

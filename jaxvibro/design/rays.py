@@ -20,7 +20,7 @@ from continuation.implicit import in_turn
 from continuation.linear import solve
 from continuation.newton import OK, SINGULAR, Solved, newton
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight import drive, flow
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, flight_clearance, impact_equations

@@ -23,7 +23,7 @@ from continuation.linear import solve
 from continuation.persistent_jit import persistent_jit
 from continuation.points import between
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight import drive, flow
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations, saltation

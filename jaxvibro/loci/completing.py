@@ -17,7 +17,7 @@ from continuation.arclength import bordered
 from continuation.arrays import Array
 from continuation.problem import Problem
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations, releases
 from ..orbits.impact_equations import Cycle

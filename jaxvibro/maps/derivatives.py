@@ -16,7 +16,7 @@ import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
 from ..compiled.blocks import batched, in_blocks
-from ..compiled.compiler_hints import WIDTH, one_kernel
+from ..compiled.kernels import WIDTH, one_kernel
 from ..scene import check
 from ..scene.state import State
 from . import two_tiers

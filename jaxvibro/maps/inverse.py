@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 
 from ..compiled.blocks import in_blocks
-from ..compiled.compiler_hints import choose, one_kernel, stage
+from ..compiled.compiler_hints import choose, stage
+from ..compiled.kernels import one_kernel
 from ..flight import integrate, reversed_contact
 from ..flight.coefficients import Stays, frame, is_valid
 from ..flight.entry import enter

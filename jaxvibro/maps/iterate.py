@@ -6,7 +6,7 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..compiled.compiler_hints import WIDTH
+from ..compiled.kernels import WIDTH
 from ..scene.codes import Status
 from ..scene.state import State
 from .long_run import KEEP, in_order, joined, padded, run_on

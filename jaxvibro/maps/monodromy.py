@@ -17,7 +17,8 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.blocks import LEAST, batched, in_blocks
-from ..compiled.compiler_hints import OPTIONS, choose, one_kernel, stage
+from ..compiled.compiler_hints import OPTIONS, choose, stage
+from ..compiled.kernels import one_kernel
 from ..flight.coefficients import Stays, frame
 from ..flight.flows import flow_of
 from ..flight.impact import surface

@@ -10,7 +10,8 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.blocks import in_blocks
-from ..compiled.compiler_hints import choose, one_kernel, positive, stage
+from ..compiled.compiler_hints import choose, positive, stage
+from ..compiled.kernels import one_kernel
 from ..flight import impact_log, integrate
 from ..flight.coefficients import frame
 from ..flight.entry import enter

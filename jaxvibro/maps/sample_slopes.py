@@ -16,7 +16,8 @@ from jax.custom_derivatives import SymbolicZero
 from jaxtyping import Float
 
 from ..compiled.blocks import batched, in_blocks
-from ..compiled.compiler_hints import choose, one_kernel, two_sum
+from ..compiled.compiler_hints import choose, two_sum
+from ..compiled.kernels import one_kernel
 from ..flight import flow, impact_log, integrate
 from ..flight.coefficients import frame, product_error
 from ..flight.entry import enter

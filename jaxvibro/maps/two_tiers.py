@@ -14,7 +14,8 @@ import numpy as np
 from jax import lax
 
 from ..compiled.blocks import in_blocks
-from ..compiled.compiler_hints import choose, narrow_width, one_kernel
+from ..compiled.compiler_hints import choose
+from ..compiled.kernels import narrow_width, one_kernel
 from ..flight import impact_log, lean, lean_numbers, lean_tangent
 from ..flight.coefficients import frame
 from ..flight.entry import enter

@@ -17,7 +17,7 @@ from continuation.arrays import Array
 from continuation.persistent_jit import SOON, persistent_jit
 from continuation.problem import plainly
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight.coefficients import framed
 from ..maps import itinerary as words
 from ..maps.iterate import KEEP, iterate

@@ -8,7 +8,8 @@ from continuation import newton
 from continuation.linear import solve
 from continuation.persistent_jit import SOON, persistent_jit
 
-from ..compiled.compiler_hints import OPTIONS, one_kernel
+from ..compiled.compiler_hints import OPTIONS
+from ..compiled.kernels import one_kernel
 from ..maps import itinerary as words
 from ..maps.monodromy import with_strobe
 from ..maps.one_period import SLOTS

@@ -17,7 +17,7 @@ from jaxtyping import Bool, Float
 from continuation.arrays import Array
 from continuation.persistent_jit import SOON, persistent_jit
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight import flow
 from ..flight.coefficients import framed
 from ..flight.soft_contact import bounce

@@ -14,7 +14,7 @@ from continuation import newton
 from continuation.arrays import Array
 from continuation.implicit import in_turn, root, smooth
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight import response
 from ..flight.coefficients import framed
 from ..maps import itinerary as words

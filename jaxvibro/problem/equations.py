@@ -15,7 +15,7 @@ from jaxtyping import Int
 from continuation.arclength import bordered
 from continuation.problem import Problem, Test
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight import response
 from ..flight.coefficients import framed
 from ..orbits import cyclic_system, impact_equations

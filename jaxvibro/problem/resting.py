@@ -9,7 +9,7 @@ import numpy as np
 
 from continuation.persistent_jit import SOON, persistent_jit
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight.coefficients import framed
 from ..orbits import impact_equations, releases
 from ..orbits.flight_clearance import TOUCH

@@ -9,7 +9,7 @@ from jaxtyping import Float
 from continuation import locate
 from continuation.persistent_jit import SOON, persistent_jit
 
-from ..compiled.compiler_hints import one_kernel
+from ..compiled.kernels import one_kernel
 from ..flight import response
 from ..flight.coefficients import framed
 from ..flight.flows import flow_of

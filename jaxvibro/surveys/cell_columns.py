@@ -6,7 +6,7 @@ import numpy as np
 
 from ..attractors.sweep import MEANING
 from ..attractors.tangent import LAPS
-from ..compiled.compiler_hints import WIDTH
+from ..compiled.kernels import WIDTH
 from ..maps.long_run import padded, some
 from ..maps.wall_loads import COLUMNS as LOADS
 from ..maps.wall_loads import wall_loads

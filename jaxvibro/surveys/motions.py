@@ -20,7 +20,8 @@ from ..attractors.classify import LEAST_EXPONENT
 from ..attractors.orbit_exponents import of_orbits
 from ..attractors.recurrence import returns, settled_periods
 from ..attractors.tangent import LAPS, TangentLanes, begin, run, worse, worse_on_host
-from ..compiled.compiler_hints import OPTIONS, WIDTH
+from ..compiled.compiler_hints import OPTIONS
+from ..compiled.kernels import WIDTH
 from ..maps.initial_conditions import box
 from ..maps.long_run import padded, some
 from ..maps.rests import rests

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from ..attractors import free_and_mirrored
 from ..attractors.classify import Evidence, chaotic, periodic, read_set, roam
 from ..attractors.transients import is_turned, orbit_of, settle_lanes
-from ..compiled.compiler_hints import WIDTH
+from ..compiled.kernels import WIDTH
 from ..flight.wall_positions import fit
 from ..maps.initial_conditions import box
 from ..maps.iterate import iterate

@@ -1,0 +1,155 @@
+"""Programs around a kernel change nothing within it: what XLA's emitter cannot take is never handed to it."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+import jaxvibro as jv
+from jaxvibro.compiled import kernels, parallel_tasks
+from tests.lanes import at
+
+LANES = 4
+
+
+def looped(a, b, c):
+    """A loop that needs a; b stays as it is, and nothing needs c."""
+    return lax.while_loop(lambda s: s[0] < 3, lambda s: (s[0] + 1, jnp.sin(s[1] + b), s[2] * 2.0), (0, a, c))[1]
+
+
+def small_calls(function, *args):
+    """The calls that XLA is asked to compile as one kernel, in the text of a lowered program."""
+    text = jax.jit(function).lower(*args).as_text()
+    return [line for line in text.splitlines() if "xla_cpu_small_call" in line and "call @" in line]
+
+
+def test_operands_are_stacked_behind_a_barrier():
+    """Whatever the operands are, a kernel takes arrays of at least two rows, which constant folding does not see."""
+    lane = np.linspace(0.1, 0.4, LANES)
+    programs = {
+        "operands": (lambda a, b: kernels.one_kernel(looped, a, b, a), lane, 2.0 * lane),
+        "repeated": (lambda a: kernels.one_kernel(looped, a, a, a), lane),
+        "constant": (lambda a: kernels.one_kernel(looped, a, jnp.zeros(LANES), jnp.zeros(LANES)), lane),
+        "scalar": (lambda a: kernels.one_kernel(looped, a, 0.5, a), lane),
+        "all constant": (lambda: kernels.one_kernel(looped, jnp.ones(LANES), jnp.ones(LANES), jnp.ones(LANES)),),
+    }
+    for name, (program, *args) in programs.items():
+        (call,) = small_calls(program, *args)
+        operands = call.split(" : (")[1].split(") ->")[0].split(", ")
+        assert all(int(one.split("<")[1].split("x")[0]) >= 2 for one in operands), (name, call)
+        assert jax.jit(program).lower(*args).as_text().count("optimization_barrier") == 2, name
+        expected = jax.jit(lambda *a, f=program: f(*a))(*args)
+        assert np.all(np.isfinite(expected)), name
+
+
+def test_a_constant_operand_is_a_parameter_with_a_use():
+    """The cause of an abort: constant folding moved a constant array into a kernel, and its parameter had no use."""
+    program = jax.jit(lambda a: kernels.one_kernel(looped, a, jnp.zeros(LANES), 0.5 + jnp.zeros(LANES)))
+    lane = np.linspace(0.1, 0.4, LANES)
+    text = program.lower(lane).compile().as_text()
+    calls = [line for line in text.splitlines() if "xla_cpu_small_call" in line and " call(" in line]
+    assert any('inlineable="false"' in call for call in calls)
+    for call in calls:
+        name = call.split("to_apply=%")[1].split(",")[0]
+        body = text.split(f"\n%{name} ", 1)[1].split("\n}", 1)[0].splitlines()[1:]
+        for parameter in [line.split("=")[0].strip() for line in body if " parameter(" in line]:
+            used = [line for line in body if parameter in line and not line.strip().startswith(parameter)]
+            assert used, (parameter, body)
+    np.testing.assert_allclose(program(lane), np.sin(np.sin(np.sin(lane))), rtol=1e-15)
+
+
+def test_derivatives_and_lanes_of_a_kernel():
+    """Derivatives are compiled without the attribute; a vmap keeps it where a kernel can hold what it becomes."""
+    lane = np.linspace(0.1, 0.4, LANES)
+    run = lambda a: kernels.one_kernel(looped, a, 0.5 * a, a)  # noqa: E731
+    assert len(small_calls(run, lane)) == 1
+    assert not small_calls(lambda a: jax.jvp(run, (a,), (a,))[1], lane)
+    many = np.stack([lane, 2.0 * lane, 3.0 * lane])
+    assert len(small_calls(jax.vmap(run), many)) == 1
+    np.testing.assert_array_equal(jax.jit(jax.vmap(run))(many), np.stack([jax.jit(run)(one) for one in many]))
+    slope = jax.jit(lambda a: jax.jvp(run, (a,), (jnp.ones_like(a),))[1])(lane)
+    step = 1e-6
+    around = [jax.jit(run)(lane + way * step) for way in (1, -1)]
+    np.testing.assert_allclose(slope, (around[0] - around[1]) / (2 * step), rtol=1e-8)
+
+
+@pytest.mark.parametrize("operation", ["gathered", "scattered", "sorted"])
+def test_a_vmap_that_brings_what_a_kernel_cannot_hold(operation):
+    """Lanes that index an array each become a gather or scatter, which is compiled without the attribute."""
+
+    def indexed(values, place):
+        def turn(carry):
+            count, values = carry
+            if operation == "sorted":
+                return count + 1, lax.sort(values)
+            if operation == "gathered":
+                return count + 1, values + lax.dynamic_index_in_dim(values, place, keepdims=False)
+            return count + 1, lax.dynamic_update_index_in_dim(values, values[0] + 1.0, place, 0)
+
+        return lax.while_loop(lambda carry: carry[0] < 2, turn, (0, values))[1]
+
+    values, places = np.random.default_rng(0).normal(size=(5, 7)), np.array([0, 3, 6, 2, 1])
+    found = jax.jit(jax.vmap(lambda v, k: kernels.one_kernel(indexed, v, k)))(values, places)
+    alone = [jax.jit(indexed)(*one) for one in zip(values, places, strict=True)]
+    np.testing.assert_array_equal(found, alone)
+
+
+def test_the_cost_of_an_operation_follows_xla():
+    """Of n lanes, 40 of them read and 400 multiplied and added: (400 + 10 * 8 * 41) n of 200,000, by XLA's model."""
+
+    def polynomial(lanes):
+        total = lanes[0]
+        for k in range(400):
+            total = total * lanes[k % 40]
+        return total
+
+    for n in (1, 32, 64):
+        jaxpr = jax.make_jaxpr(polynomial)([np.ones(n)] * 40).jaxpr
+        expected = 0.0 if n == 1 else (400 + 10 * 8 * 41) * n / 200_000
+        assert parallel_tasks.cost_share(jaxpr) == pytest.approx(expected, rel=1e-12), n
+    jaxpr = jax.make_jaxpr(polynomial)([np.ones(64)] * 40).jaxpr
+    assert parallel_tasks.cost_share(jaxpr) > 1 and not kernels.can_be_kernel(jaxpr)
+
+
+def random(rng, count, low, high):
+    return rng.uniform(low, high, count)
+
+
+def test_derivatives_of_a_batch_of_scenes():
+    """Case A1: every number of the scene as lanes, any derivative; XLA's emitter aborted the process."""
+    rng = np.random.default_rng(0)
+    named = {"A": (1, 6), "w": (1, 3), "g": (0.01, 0.2), "R": (0.3, 0.9), "l": (-1.2, -1), "r": (1, 1.2)}
+    lanes = {name: random(rng, LANES, *bounds) for name, bounds in named.items()}
+    start = np.stack([random(rng, LANES, -0.9, 0.9), random(rng, LANES, -2, 2)], 1)
+
+    def end(z, p):
+        scene = jv.make_scene(p["A"], p["w"], p["g"], p["R"], (p["l"], p["r"]))
+        state, _ = jv.strobe(scene, jv.State(z[0], z[1]))
+        return jnp.stack([state.x, state.v])
+
+    slopes = jax.jit(jax.vmap(jax.jacfwd(end)))(start, lanes)
+    for k in range(LANES):
+        z, p = at((start, lanes), k)
+        scene = jv.make_scene(p["A"], p["w"], p["g"], p["R"], (p["l"], p["r"]))
+        np.testing.assert_allclose(slopes[k], jv.monodromy(scene, jv.State(*z)), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_many_harmonics_with_clearances():
+    """Case A2: a fusion of 37 arrays of 64 lanes was split over threads within a kernel, which did not link."""
+    count, rng = 100, np.random.default_rng(0)
+
+    def u(low, high):
+        return random(rng, count, low, high)
+
+    left = jv.Wall(u(-1.2, -1), restitution=u(0.3, 0.9), motion=jv.Motion(u(0, 0.1), u(-3, 3), 5))
+    right = jv.Wall(u(1, 1.2), restitution=u(0.3, 0.9), motion=jv.Motion(u(0, 0.1), u(-3, 3), 4))
+    drive = ((u(0, 1), 5, u(-3, 3)), (u(0, 1), 5, u(-3, 3)), (u(-1, 1), 0, 0.0))
+    scene = jv.make_scene(u(1, 5), u(1, 3), u(0, 0.2), None, (left, right), drive=drive)
+    state = jv.State(u(-0.8, 0.8), u(-2, 2), u(-3, 3))
+    end, impacts = jv.strobe(scene, state, slots=64, clearance=True)
+    for k in (0, 57, 99):
+        one, alone = jv.strobe(*at((scene, state), k), slots=64, clearance=True)
+        np.testing.assert_allclose([end.x[k], end.v[k]], [one.x, one.v], rtol=1e-12, atol=1e-13)
+        np.testing.assert_allclose(impacts.least_clearance[k], alone.least_clearance, rtol=1e-12, atol=1e-13)
