@@ -1,9 +1,9 @@
-"""Stores that are killed: `python -m tests.stores_proof [kill COUNT [KIND ...]] [workers COUNT CHUNKS]`.
+"""Stores that are killed: `python -m tests.stores_proof [kill COUNT [KIND ...]] [workers COUNT CHUNKS] [race COUNT]`.
 
 kill: a map worked out over and over, its process, a Dask worker, the scheduler or the client killed (-9) at random
 moments; after each the next run goes on. The store must end bit for bit as one that was never killed, and no chunk
 that was done may be done again. workers: a cluster of 64 workers of which some are lost all the time, and chunks that
-only sleep.
+only sleep. race: rounds in which two and four processes create and continue one store at once, some of them killed.
 """
 
 import os
@@ -25,7 +25,8 @@ from jaxvibro.stores.filling import done
 from jaxvibro.stores.zarr_store import Kept
 
 from .counted_study import Counted, counts
-from .test_stores import bits
+from .stored_bits import bits
+from .stores_race import race
 
 ROOT = Path(__file__).parents[1]
 KINDS = ("local", "worker", "scheduler", "client")
@@ -197,5 +198,7 @@ if __name__ == "__main__":
     asked = sys.argv[1:] or ["kill", "20"]
     if asked[0] == "kill":
         kill(int(asked[1]), random.Random(25), asked[2:] or KINDS)
+    elif asked[0] == "race":
+        sys.exit(bool(race(int(asked[1]))))
     else:
         workers(int(asked[1]), int(asked[2]), random.Random(25))

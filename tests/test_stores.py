@@ -1,7 +1,6 @@
 """Studies in chunks: the same bits from any engine, gone on with after any end, and damage told in one line."""
 
 import errno
-import hashlib
 import json
 import os
 import shutil
@@ -27,12 +26,7 @@ from jaxvibro.stores.filling import done
 from jaxvibro.stores.study import Grid, axis_text
 
 from .counted_study import Counted, counts
-
-
-def bits(path):
-    """A digest of a folder: names and contents."""
-    files = sorted(one for one in Path(path).rglob("*") if one.is_file())
-    return {str(one.relative_to(path)): hashlib.sha256(one.read_bytes()).hexdigest() for one in files}
+from .stored_bits import bits
 
 
 def test_chunks_cover_a_grid_once():

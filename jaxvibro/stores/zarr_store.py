@@ -4,6 +4,10 @@ Each chunk is written by one worker, its files beside their places and renamed i
 `done`, which is a digest of these files: it says that the chunk is there, and whether it is what was written. A chunk
 of blanks has no files, so that files alone would tell nothing. The store is made beside its place too, whole or not at
 all, and seals what does not change in it.
+
+Processes may share a store. Of those that create it at once the first to finish wins, and the others use its store once
+they have checked that it is of the same study. Whoever writes a chunk holds a shared lock on the store's metadata file,
+so that unfinished files are removed only while no chunk is being written.
 """
 
 import errno
@@ -25,7 +29,9 @@ import xarray as xr
 import zarr
 
 from .. import __version__
+from ..output.atomic_folder import complete_folder, remove_abandoned
 from ..output.checksums import BLANK, is_sealed, sealed
+from ..output.file_lock import exclusive_lock, shared_lock
 from ..scene import check
 from .engines import Engine, LocalEngine
 from .study import Grid, Study, size_in_bytes
@@ -59,6 +65,7 @@ class Store:
     def open(self, study: Study) -> "Kept":
         """The store, open for a study; made where it is not there. Raises ArgumentError and OSError."""
         path = Path(self.path)
+        remove_abandoned(path)
         if not os.path.lexists(path):
             _make(path, study)
         kept = Kept(str(path))
@@ -139,9 +146,10 @@ class Kept:
                 raise _refused(rule, f"{name} {there.get(name)}, here {mine}")
 
     def sweep_up(self) -> None:
-        """Remove what a killed worker left unfinished."""
-        for part in Path(self.path).rglob(f"*{PARTS}"):
-            part.unlink(missing_ok=True)
+        """Remove what a killed worker left unfinished, unless another process is writing a chunk at this moment."""
+        with exclusive_lock(Path(self.path, METADATA)) as alone:
+            for part in Path(self.path).rglob(f"*{PARTS}") if alone else ():
+                part.unlink(missing_ok=True)
 
     def undecided(self) -> dict[int, int]:
         """{number: undecided cells} of the chunks that are done."""
@@ -174,14 +182,16 @@ class Kept:
         """Keeps a chunk; its entry in `done` is written last. Raises ArgumentError in a process of other versions."""
         self._require_versions()
         cut = self.grid.cut(number)
-        for name in self.told["columns"]:
-            self.arrays[name][cut] = parts[name]
-        self.arrays[UNDECIDED][number : number + 1] = undecided
-        self.arrays[DONE][number : number + 1] = self._digest(number)
+        with shared_lock(Path(self.path, METADATA)):
+            for name in self.told["columns"]:
+                self.arrays[name][cut] = parts[name]
+            self.arrays[UNDECIDED][number : number + 1] = undecided
+            self.arrays[DONE][number : number + 1] = self._digest(number)
 
     def forget(self, number: int) -> None:
         """The chunk is not done."""
-        self.arrays[DONE][number : number + 1] = NOT_DONE
+        with shared_lock(Path(self.path, METADATA)):
+            self.arrays[DONE][number : number + 1] = NOT_DONE
 
     @cached_property
     def grid(self) -> Grid:
@@ -249,9 +259,7 @@ def _make(path, study):
     if size > free:
         told = f"no room for up to {size / 2**30:.3g} GiB, {free / 2**30:.3g} GiB are free"
         raise OSError(errno.ENOSPC, told, str(path))
-    part = path.with_name(f".{path.name}{PARTS}")
-    shutil.rmtree(part, ignore_errors=True)
-    try:
+    with complete_folder(path) as part:
         plain = {name: {"_FillValue": None} for name in study.frame.variables}
         study.frame.to_zarr(part, mode="w-", consolidated=False, zarr_format=3, encoding=plain)
         group, grid = zarr.open_group(str(part), mode="r+", zarr_format=3), study.grid
@@ -271,9 +279,6 @@ def _make(path, study):
         told = _told(study)
         group.attrs.update({OURS: json.dumps(told), BASE: _base(part, told["columns"]), SEAL: BLANK})
         (part / METADATA).write_bytes(sealed((part / METADATA).read_bytes()))
-        os.rename(part, path)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
 
 
 def _base(place, columns):

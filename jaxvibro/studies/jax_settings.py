@@ -65,15 +65,37 @@ def token():
     if place is None:
         return None
     place = place.parent / "view.token"
-    with suppress(OSError):
-        descriptor = os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with open(descriptor, "w") as file:
-            file.write(secrets.token_urlsafe(32))
+    found = _read_token(place)
+    if found is None:
+        _write_token(place)
+        found = _read_token(place)
+    return found
+
+
+def _read_token(place):
+    """The token in a file; None if there is no file, or no token in it."""
     try:
         found = place.read_text()
     except (OSError, UnicodeDecodeError):
         return None
     return found if re.fullmatch(r"[\w-]{43}", found) else None
+
+
+def _write_token(place):
+    """Write a new token. Of several processes that do so at once the first wins; a file without a token is replaced."""
+    part = place.with_name(f".{place.name}.{secrets.token_hex(8)}.part")
+    with suppress(OSError):
+        try:
+            descriptor = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+            with open(descriptor, "w") as file:
+                file.write(secrets.token_urlsafe(32))
+            try:
+                os.link(part, place)
+            except OSError:
+                if _read_token(place) is None:
+                    os.replace(part, place)
+        finally:
+            part.unlink(missing_ok=True)
 
 
 def processor():
