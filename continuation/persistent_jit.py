@@ -2,17 +2,16 @@
 
 jax's cache spares a process compiling, but each traces and lowers anew what it calls, which is most of a cached start.
 Here the lowered module is kept too (jax.export), and called in place of the function's body; and of a function that is
-evaluated without compiling the text of its program (`python_program`). What is kept is trusted like jax's cache, which
-lies beside it, and like the program itself: the folder is to be the user's own.
+evaluated without compiling its program (`python_program`). Both are executed, so `cache_file` reads them only from a
+folder that no one but the user can write to, and only if their digest is right. JAX trusts its own cache beside them.
 """
 
 import dataclasses
 import hashlib
+import importlib.util
 import json
-import os
 import shutil
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from functools import lru_cache, partial, reduce, wraps
@@ -26,12 +25,12 @@ from jax import export
 from jax.api_util import shaped_abstractify
 from jax.core import ShapedArray, Tracer
 
-from . import in_numpy, python_program
+from . import cache_file, in_numpy, python_program
 from .packed_call import PackedCall
 
 FOLDER = "modules"  # within jax's cache
 GENERATIONS = 3  # of sources, whose modules are kept
-DIGEST = hashlib.sha256().digest_size
+PROGRAMS = ".code"  # how the names of programs end, those of modules have no ending
 NUMBER = "number"
 SOON = {"xla_backend_optimization_level": 0}  # for what the host calls a few times: compiled in half the time
 HOSTS = {np.ndarray, np.float64, np.float32, np.int32, np.int64, np.bool_, bool, int, float}  # types of no tracer
@@ -149,38 +148,40 @@ def _module(function, args, named):
         place = _place(function, args, named)
         if place is None:
             return None
-        form, content = _read(place) or _made(function, args, named, place)
+        kept = cache_file.read(place)
+        form, content = _made(function, args, named, place) if kept is None else _parts(kept)
         module, tree = export.deserialize(bytearray(content)), jax.tree.structure(_built(form))
     except Exception:  # a full disk, another's file, what jax cannot export: the function itself does without
         return None
     return lambda *numbers: tree.unflatten(module.call(*numbers))
 
 
-def _text_place(function, static, args):
-    """The file of the text of a function's program for arguments like these; None where nothing is to be kept."""
+def _program_place(function, static, args):
+    """The file of a function's program for arguments like these; None where nothing is to be kept."""
     kinds = (each if k in static else jax.tree.map(shaped_abstractify, each) for k, each in enumerate(args))
     place = _place(function, tuple(kinds), {})
-    return place and place.with_suffix(".py")
+    return place and place.with_suffix(PROGRAMS)
 
 
 def _read_way(function, static, args):
     """The `Way` of a function of the host that is kept, None where there is none."""
     try:
-        place = _text_place(function, static, args)
-        if place is None or not place.is_file():
+        place = _program_place(function, static, args)
+        kept = None if place is None else cache_file.read(place)
+        if kept is None:
             return None
-        program, form = python_program.read(place)
-        return in_numpy.Way(program, jax.tree.structure(_built(form)))
+        form, code = _parts(kept)
+        return in_numpy.Way(python_program.of_code(code), jax.tree.structure(_built(form)))
     except Exception:  # as where a module is read
         return None
 
 
 def _keep_way(function, static, args, way):
     with suppress(Exception):
-        place = _text_place(function, static, args)
+        place = _program_place(function, static, args)
         form = _described(jax.tree.unflatten(way.form, [NUMBER] * way.form.num_leaves))
         if place and way.program.text and jax.tree.structure(_built(form)) == way.form:
-            _write(place, f"{way.program.text}\nform = {form!r}\n".encode())
+            cache_file.write(place, _joined(form, python_program.code_of(way.program.text)))
 
 
 def _place(function, args, named):
@@ -198,24 +199,61 @@ def cache_folder():
     return jax.config.jax_compilation_cache_dir
 
 
+def reason_without_cache() -> str | None:
+    """Explain why traced functions are not kept in the cache folder in this process; None if they are."""
+    return _hindrance() or cache_file.reason_for_distrust(*_folders())
+
+
+def _hindrance():
+    """Why nothing can be kept, whatever folder it is; None if it can."""
+    place = cache_folder()
+    if not place:
+        return "no cache folder is set (JAX_COMPILATION_CACHE_DIR)"
+    if "://" in place:
+        return "it is not a folder of the file system"
+    if jax.default_backend() != "cpu":
+        return f"functions are compiled for {jax.default_backend()}, not for a processor"
+    return "there are several devices" if jax.device_count() > 1 else None
+
+
+def _folders():
+    """jax's cache folder, that of the modules in it, and that of the modules of these sources in that."""
+    top = Path(cache_folder())
+    return top, top / FOLDER, top / FOLDER / _stamp(tuple(sorted(_ours)))
+
+
 def _folder():
     """Where the modules of these sources are, made where it is missing; None where nothing is to be kept."""
-    place = cache_folder()
-    if not place or "://" in place or jax.default_backend() != "cpu" or jax.device_count() > 1:
+    if _hindrance():
         return None
-    folder = Path(place) / FOLDER / _stamp(tuple(sorted(_ours)))
-    if not folder.is_dir():
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        others = sorted((one for one in folder.parent.iterdir() if one != folder), key=lambda one: -one.stat().st_mtime)
-        for one in others[GENERATIONS - 1 :]:
+    top, above, folder = folders = _folders()
+    if _is_distrusted(top, top):
+        return None
+    is_new = not folder.is_dir()
+    for one in folders if is_new else ():
+        one.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if _is_distrusted(top, *folders):
+        return None
+    if is_new:
+        others = [one for one in above.iterdir() if one != folder]
+        for one in sorted(others, key=lambda one: -one.stat().st_mtime)[GENERATIONS - 1 :]:
             shutil.rmtree(one, ignore_errors=True)
     return folder
+
+
+def _is_distrusted(top, *folders):
+    """Whether what lies in folders of a cache is not to be used, which a warning says."""
+    reason = cache_file.reason_for_distrust(*folders)
+    if reason is not None:
+        cache_file.warn_once(top, reason)
+    return reason is not None
 
 
 @lru_cache
 def _stamp(packages):
     """A name for all that a module depends on besides the function and its arguments: sources and versions."""
-    whole = hashlib.sha256(repr((sys.version_info[:2], jax.__version__, jaxlib.__version__, np.__version__)).encode())
+    versions = (sys.version_info[:2], jax.__version__, jaxlib.__version__, np.__version__)
+    whole = hashlib.sha256(repr((*versions, sys.implementation.name, importlib.util.MAGIC_NUMBER)).encode())
     for package in packages:
         origin = Path(sys.modules[package].__file__)
         for path in sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]:
@@ -224,16 +262,15 @@ def _stamp(packages):
     return whole.hexdigest()[:32]
 
 
-def _read(place):
-    """(form of the result, serialized module) of a file; None where there is no file, or not a whole one."""
-    try:
-        content = place.read_bytes()
-    except OSError:
-        return None
-    if hashlib.sha256(content[DIGEST:]).digest() != content[:DIGEST]:
-        return None
-    form, module = content[DIGEST:].split(b"\n", 1)
-    return json.loads(form), module
+def _joined(form, content):
+    """The form of a result and what gives it, as the content of a file."""
+    return json.dumps(form).encode() + b"\n" + content
+
+
+def _parts(content):
+    """(form of the result, what gives it) of a file's content."""
+    form, rest = content.split(b"\n", 1)
+    return json.loads(form), rest
 
 
 def _made(function, args, named, place):
@@ -256,22 +293,8 @@ def _made(function, args, named, place):
     if any(one.weak_type for one in module.out_avals):
         raise Unknown("a number of weak type, which is not written")
     module = bytes(module.serialize())
-    content = json.dumps(*form).encode() + b"\n" + module
-    _write(place, hashlib.sha256(content).digest() + content)
+    cache_file.write(place, _joined(form[0], module))
     return form[0], module
-
-
-def _write(place, content):
-    """A whole file or none: written beside its place and renamed into it; none where the disk is full."""
-    with suppress(OSError):
-        handle, part = tempfile.mkstemp(dir=place.parent)
-        try:
-            with os.fdopen(handle, "wb") as file:
-                file.write(content)
-            os.replace(part, place)
-        except BaseException:
-            os.unlink(part)
-            raise
 
 
 def _described(value):

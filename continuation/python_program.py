@@ -4,12 +4,10 @@ On a few numbers Python's own arithmetic is ten times as fast as NumPy's, and mo
 what jax traces, costs nothing: the rule of a move is asked once, where the numbers stand.
 """
 
+import marshal
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from importlib.machinery import SourceFileLoader
-from pathlib import Path
-from types import ModuleType
 from typing import Any, NamedTuple
 
 import jax
@@ -78,12 +76,17 @@ def program(closed: core.ClosedJaxpr) -> Program:
     return Program(space["run"], space["size"], None if writer.held else writer.text)
 
 
-def read(path: Path) -> tuple[Program, Any]:
-    """(the program, what stands last: `form`) of a file with a text; Python keeps its translation beside it."""
-    module = ModuleType(path.stem)
-    vars(module).update(SPACE)
-    SourceFileLoader(path.stem, str(path)).exec_module(module)
-    return Program(module.run, module.size), module.form
+def code_of(text: str) -> bytes:
+    """Translate a program's text as Python does for its own cache, so that a later process need not."""
+    return marshal.dumps(compile(text, "<program>", "exec", dont_inherit=True))
+
+
+def of_code(content: bytes) -> Program:
+    """The program whose text `code_of` has translated: executed, so the content must come from a source that is trusted
+    and be undamaged (`cache_file`)."""
+    space = dict(SPACE)
+    exec(marshal.loads(content), space)
+    return Program(space["run"], space["size"])
 
 
 class Writer:

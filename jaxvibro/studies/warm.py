@@ -8,6 +8,7 @@ from typing import NamedTuple
 import jax
 
 from continuation import in_numpy
+from continuation.cache_file import reason_for_distrust
 from continuation.persistent_jit import cache_folder
 
 from ..attractors.find import find_attractors
@@ -45,11 +46,14 @@ def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = 
     power of two. jax keeps what took longer to compile than its jax_persistent_cache_min_compile_time_secs, a second: 0
     is meant here.
 
-    Raises ArgumentError for a batch of scenes, and where jax has no compile cache.
+    Raises ArgumentError for a batch of scenes, where jax has no compile cache, and where others can write to it.
     """
     folder = cache_folder()
     if not folder:
         raise check.ArgumentError("jax_compilation_cache_dir", "must be set: there is no cache to fill", folder)
+    if reason := reason_for_distrust(Path(folder)):
+        rule = "must be a folder that no one else can write to, as what lies in it is executed"
+        raise check.ArgumentError("jax_compilation_cache_dir", rule, reason)
     scene = make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)) if scene is None else scene
     check.require_single(scene)
     done, left = [], []

@@ -1,0 +1,112 @@
+"""Files in the cache folder that are executed: read only if no stranger can have written them and they are undamaged.
+
+Whoever can write to the cache folder can have code run as its user, so the folder and its files must belong to the user
+or to root, and no one else may have permission to write to them. The digest, which stands in the file, detects damage.
+It covers the name of the file and of its folder too, so that a file copied from elsewhere is not taken for this one.
+"""
+
+import hashlib
+import os
+import stat
+import tempfile
+import warnings
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+grp: Any
+pwd: Any
+try:
+    import grp
+    import pwd
+except ImportError:  # not on this system
+    grp = pwd = None
+
+DIGEST = hashlib.sha256().digest_size
+_warned: set[tuple[Path, str]] = set()
+
+
+def read(path: Path) -> bytes | None:
+    """Return the content that `write` put into a file, or None if there is none that can be trusted."""
+    try:
+        with open(path, "rb") as file:
+            if distrust_of(os.fstat(file.fileno())):
+                return None
+            content = file.read()
+    except OSError:
+        return None
+    return content[DIGEST:] if _digest(path, content[DIGEST:]) == content[:DIGEST] else None
+
+
+def write(path: Path, content: bytes) -> None:
+    """Write a file completely or not at all, as on a full disk: under a unique name beside its place, then renamed."""
+    with suppress(OSError):
+        handle, part = tempfile.mkstemp(dir=path.parent)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                file.write(_digest(path, content) + content)
+            os.replace(part, path)
+        except BaseException:
+            os.unlink(part)
+            raise
+
+
+def _digest(path, content):
+    return hashlib.sha256(f"{path.parent.name}/{path.name}\n".encode() + content).digest()
+
+
+def reason_for_distrust(*folders: Path) -> str | None:
+    """Explain why the files in some folders cannot be trusted; None if they can.
+
+    Each folder must belong to the user or to root, and no one else may have permission to write to it. A group may, if
+    it is the user's private group: of the same name and without other members. A folder above them must not be writable
+    by everyone, unless its sticky bit protects what lies in it. Folders that do not exist are passed over. On systems
+    without users and modes all folders are trusted.
+    """
+    if not hasattr(os, "geteuid"):
+        return None
+    own = [folder.resolve() for folder in folders]
+    for folder in own:
+        with suppress(FileNotFoundError):
+            if reason := distrust_of(os.stat(folder)):
+                return f"{folder} {reason}"
+    for above in sorted({one for folder in own for one in folder.parents} - set(own)):
+        with suppress(OSError):
+            mode = os.stat(above).st_mode
+            if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
+                return f"everyone can write to {above}"
+    return None
+
+
+def distrust_of(status: os.stat_result) -> str | None:
+    """Explain why a file or folder of this status cannot be trusted; None if it can."""
+    if not hasattr(os, "geteuid"):
+        return None
+    if status.st_uid not in (os.geteuid(), 0):
+        return f"belongs to another user, number {status.st_uid}"
+    if status.st_mode & stat.S_IWOTH:
+        return "can be written to by everyone"
+    if status.st_mode & stat.S_IWGRP and not _is_private(status.st_gid):
+        return f"can be written to by a group, number {status.st_gid}"
+    return None
+
+
+def _is_private(group):
+    """Whether a group is the user's own: of the same name, without other members."""
+    try:
+        name, found = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group)
+    except (KeyError, AttributeError):
+        return False
+    return found.gr_name == name and set(found.gr_mem) <= {name}
+
+
+def warn_once(folder: Path, reason: str) -> None:
+    """Warn that a cache folder is not used, once in this process for each folder and reason."""
+    if (folder, reason) not in _warned:
+        _warned.add((folder, reason))
+        warnings.warn(
+            f"{folder}: traced functions are neither kept in this cache folder nor read from it, because {reason}. "
+            "Anyone who can write to it can have code run as you, as JAX itself executes what it finds there: "
+            "use a folder of your own with mode 700.",
+            stacklevel=2,
+        )
