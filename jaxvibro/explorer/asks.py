@@ -20,6 +20,7 @@ from .shown import Shown, slider
 
 LONGEST = 64  # periods of a motion that is no orbit
 FIRST = 16  # cells of a side of a grid that is drawn first
+FARTHEST = 1e100  # bound of axes and parameters: squares and sums of such numbers are still finite
 UNITS = 0.1  # of a number: the unit of a margin's distances
 WORDS = {"find_orbit": "orbit", "special": "orbit", "switch": "branches", "explore": "diagram", "follow": "branch"}
 
@@ -130,9 +131,12 @@ def _unit(scene, name):
 
 
 def require_rising(key: str, pair: Sequence[float] | None) -> None:
-    """Raises ArgumentError for bounds that do not go from a smaller number to a larger one; there may be none."""
+    """Raises ArgumentError for bounds that do not go from a smaller number to a larger one, or are too far apart to be
+    drawn; there may be none."""
     if pair is not None and not (np.isfinite(pair).all() and pair[0] < pair[1]):
         raise ArgumentError(key, "must go from a smaller number to a larger one", pair)
+    if pair is not None and not max(map(abs, pair)) <= FARTHEST:
+        raise ArgumentError(key, f"must lie within -{FARTHEST:g} and {FARTHEST:g}", pair)
 
 
 def closure(line: ViewTable, lines: Mapping[str, ViewTable]) -> list[ViewTable]:

@@ -1,5 +1,7 @@
-"""What a page may send: each message a record, read strictly."""
+"""What a page may send, each message a record, read strictly; and how what it is told is written."""
 
+import json
+import math
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -150,7 +152,7 @@ def read(text: str | bytes) -> Sent:
     """The message of a text. Raises ArgumentError for what is none."""
     try:
         return _decoder.decode(text)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise ArgumentError("message", f"must be one that the page knows ({short(error)})", short(text)) from None
 
 
@@ -158,5 +160,21 @@ def number_of(text: str | bytes) -> int:
     """The number of a message that may be none the page knows, 0 without."""
     try:
         return _numbers.decode(text).number
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+    except (msgspec.MsgspecError, ValueError, RecursionError):
         return 0
+
+
+def written(record: dict[str, Any]) -> str:
+    """A record as JSON that browsers read: numbers that are not finite become null."""
+    try:
+        return json.dumps(record, allow_nan=False)
+    except ValueError:
+        return json.dumps(_finite(record))
+
+
+def _finite(value):
+    if isinstance(value, dict):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -10,6 +10,7 @@ from ..branches.branch import Branch, Special
 from ..branches.curves import columns_of
 from ..orbits.orbit import Orbit
 from . import panels, shown
+from .complaints import complaint, told
 from .lines import resolved
 from .panels import Limits, Panel
 from .shown import Shown
@@ -42,13 +43,21 @@ class Screen:
             if panel not in self.panels:
                 continue
             parts = parts_of(panel, now, results)
-            limits = self.limits.get(panel, Limits())
-            key = parts and (*map(_key, parts), self.panels[panel].size, limits)
-            if parts is None or key == self.drawn.get(panel, (None,))[0]:
-                continue
-            told = self.panels[panel].picture(partial(_draw, DRAW[panel], parts), limits, fast)
-            self.boxes[panel], self.drawn[panel] = (told["x"], told["y"]), (key, parts)
-            yield {"kind": "picture", "panel": panel, **told}
+            for limits in dict.fromkeys((self.limits.get(panel, Limits()), Limits())):
+                key = parts and (*map(_key, parts), self.panels[panel].size, limits)
+                if parts is None or key == self.drawn.get(panel, (None,))[0]:
+                    break
+                self.drawn[panel] = key, parts
+                try:
+                    found = self.panels[panel].picture(partial(_draw, DRAW[panel], parts), limits, fast)
+                except Exception as error:  # of numbers that cannot be drawn; then with other limits, or not at all
+                    self.panels[panel] = Panel(self.panels[panel].size)
+                    self.limits.pop(panel, None)
+                    yield told(f"the {panel} cannot be drawn: {complaint(error)['text']}")
+                    continue
+                self.boxes[panel] = found["x"], found["y"]
+                yield {"kind": "picture", "panel": panel, **found}
+                break
 
 
 DRAW: dict[str, Callable[..., None]] = {

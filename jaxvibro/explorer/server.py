@@ -19,12 +19,13 @@ import jax
 import numpy as np
 from tornado import httpserver, netutil, web, websocket
 
-from ..scene.check import ArgumentError, short
+from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..studies.schema import SceneFile
 from ..studies.text_limits import LARGEST
 from . import files, messages
 from .ahead import Ahead
+from .complaints import complaint, told
 from .page_text import program, text_of
 from .session import Session
 
@@ -55,13 +56,17 @@ class Line:
     last alone."""
 
     def __init__(self, double: bool) -> None:
+        self._ended = False
         self._waiting: deque[tuple[Callable[[], object] | None, Any]] = deque()
         self._changed, self._double = threading.Condition(), double
         threading.Thread(target=self._run, daemon=True).start()
 
     def add(self, does: Callable[[], object] | None, replaces: Any = None) -> bool:
-        """Sees to something when its turn comes; None: ends. Whether there was room for it."""
+        """Sees to something when its turn comes; None: ends. Whether there was room for it, and it has not ended."""
         with self._changed:
+            if self._ended:
+                return False
+            self._ended = does is None
             if replaces is not None and self._waiting and self._waiting[-1][1] == replaces:
                 self._waiting.pop()
             elif does is not None and len(self._waiting) >= MOST_WAITING:
@@ -117,8 +122,9 @@ class Explorer:
             (r"/socket", Socket, given),
             (r"/take/([\w-]+)/([\w.]+)", Take, given),
         ]
-        limits: dict[str, Any] = {"websocket_max_message_size": LARGEST + 4096, "websocket_ping_interval": 20}
-        server = httpserver.HTTPServer(web.Application(routes, **limits), max_body_size=4096, max_header_size=65536)
+        settings: dict[str, Any] = {"websocket_max_message_size": LARGEST + 4096, "websocket_ping_interval": 20}
+        settings |= {"default_handler_class": Missing, "default_handler_args": given}
+        server = httpserver.HTTPServer(web.Application(routes, **settings), max_body_size=4096, max_header_size=65536)
         server.add_sockets(self._sockets)
         try:
             await self._end.wait()
@@ -137,11 +143,17 @@ class Explorer:
         return time.monotonic() - self.last > QUIET
 
     def allows(self, request: Any) -> bool:
-        """Whether a request comes from this machine under its own name, and has the token."""
+        """Whether a request has the token, and comes from this machine under its own name."""
         given = request.query_arguments.get("token", [b""])[-1]
-        return is_loopback(urlsplit(f"//{request.host}").hostname or "") and hmac.compare_digest(
-            given, self.token.encode()
-        )
+        return hmac.compare_digest(given, self.token.encode()) and is_loopback(host_of(f"//{request.host}"))
+
+
+def host_of(url: str) -> str:
+    """The host that a text from outside names as a URL does, without its port; "" if it names none."""
+    try:
+        return urlsplit(url).hostname or ""
+    except ValueError:
+        return ""
 
 
 def _bound(address, port):
@@ -169,8 +181,16 @@ class Guarded(web.RequestHandler):
 
     def write_error(self, status_code: int, **given: Any) -> None:
         self.set_header("Content-Type", "text/plain; charset=utf-8")
-        told = {403: "this page needs the address with its token, which jaxvibro view prints"}
-        self.finish(f"{status_code}: {told.get(status_code, self._reason)}\n")
+        known = {403: "this page needs the address with its token, which jaxvibro view prints"}
+        self.finish(f"{status_code}: {known.get(status_code, self._reason)}\n")
+
+
+class Missing(Guarded):
+    """An address at which there is nothing."""
+
+    def prepare(self) -> None:
+        super().prepare()
+        raise web.HTTPError(404)
 
 
 class Page(Guarded):
@@ -203,15 +223,17 @@ class Take(Guarded):
         def work():
             try:
                 found = content(name, session), None
-            except (ArgumentError, OSError) as error:
+            except Exception as error:  # whatever it was, the request is answered
                 found = None, error
-            loop.call_soon_threadsafe(done.set_result, found)
+            with suppress(RuntimeError):  # the loop has ended
+                loop.call_soon_threadsafe(done.set_result, found)
 
-        socket.line.add(work)
+        if not socket.line.add(work):
+            raise web.HTTPError(503)
         found, error = await done
         if error is not None:
             self.set_status(400)
-            self.finish(f"{short(error, 300)}\n")
+            self.finish(f"{complaint(error)['text']}\n")
             return
         self.set_header("Content-Type", "application/octet-stream")
         self.set_header("Content-Disposition", f'attachment; filename="{name}"')
@@ -248,7 +270,10 @@ class Socket(websocket.WebSocketHandler):
 
     def check_origin(self, origin: str) -> bool:
         """A page of this server alone."""
-        return urlsplit(origin).netloc == self.request.host
+        try:
+            return urlsplit(origin).netloc == self.request.host
+        except ValueError:
+            return False
 
     def open(self) -> None:
         self.set_nodelay(True)
@@ -256,7 +281,7 @@ class Socket(websocket.WebSocketHandler):
 
         def push(record):
             with suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(self._send, json.dumps(record))
+                loop.call_soon_threadsafe(self._send, messages.written(record))
 
         self.line = Line(double)
         given = self.explorer.file, self.explorer.scene, push, self.line.add
@@ -272,12 +297,12 @@ class Socket(websocket.WebSocketHandler):
         try:
             message = messages.read(text)
         except ArgumentError as error:
-            self._send(json.dumps({"kind": "told", "text": short(error, 300), "bad": True}))
+            self._send(json.dumps(complaint(error)))
             self._send(json.dumps({"kind": "answer", "number": messages.number_of(text)}))
             return
         session, self.explorer.last = self.session, time.monotonic()
         if session is not None and not self.line.add(lambda: session.receive(message), message.replaces):
-            self._send(json.dumps({"kind": "told", "text": "too much at once: the last was left out", "bad": True}))
+            self._send(json.dumps(told("too much at once: the last was left out")))
             self._send(json.dumps({"kind": "answer", "number": message.number}))
 
     def on_close(self) -> None:

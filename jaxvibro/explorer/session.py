@@ -10,13 +10,14 @@ from ..branches.curves import VARIABLES
 from ..flight.wall_positions import fit
 from ..orbits.orbit import Orbit, OrbitError
 from ..scene import check
-from ..scene.check import ArgumentError, short
+from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..scene.state import State
 from ..studies import scene_file
 from ..studies.schema import SceneFile, ViewTable
 from ..studies.text_limits import LARGEST
 from . import asks, descriptions, messages, screen, shown
+from .complaints import complaint
 from .lines import SCENE, evaluated, resolved
 from .nearest import nearest
 from .page_text import rest_of, state_of
@@ -27,7 +28,6 @@ from .work import Later, Works, text_of_far
 
 MOST_PAST = 200  # steps that can be taken back
 MOVED = 16  # periods of a motion that is shown while a slider moves
-EXPECTED = (ArgumentError, OrbitError, ArithmeticError, MemoryError)
 
 Push = Callable[[dict[str, Any]], object]
 Wait = Callable[[], object]
@@ -85,11 +85,10 @@ class Session:
             if self.taken is not None and not isinstance(message, messages.Put | messages.Resize):
                 self._let_go()
             self._do(message)
-        except EXPECTED as error:
+        except Exception as error:  # whatever it was, the page is answered and goes on
             self._complain(error)
-        finally:
-            self.tell()
-            self.push({"kind": "answer", "number": message.number})
+        self.tell()
+        self.push({"kind": "answer", "number": message.number})
 
     @singledispatchmethod
     def _do(self, message: Any) -> None:
@@ -213,7 +212,7 @@ class Session:
         table = self.file and self.file.branch
         try:
             self._start(*((table.start.x, table.start.v) if table else (0.0, 0.0)))
-        except EXPECTED as error:
+        except Exception as error:
             self._complain(error)
         self.past.clear()
         self.tell()
@@ -228,9 +227,12 @@ class Session:
         if not self.greeted:
             return
         moving = self.taken is not None
-        for record in self.screen.pictures(self.shown, self.results, moving):
-            self.push(record)
-        self._tell_texts(moving)
+        try:
+            for record in self.screen.pictures(self.shown, self.results, moving):
+                self.push(record)
+            self._tell_texts(moving)
+        except Exception as error:
+            self._complain(error)
 
     def _tell_texts(self, moving: bool = False) -> None:
         """Tells what is other than the page knows besides pictures. moving: what changes as a slider moves alone."""
@@ -246,8 +248,8 @@ class Session:
     def _tell_far(self, number: int, far: Any) -> None:
         self.push({"kind": "progress", "work": number, "far": text_of_far(far)})
 
-    def _complain(self, error: BaseException) -> None:
-        self.push({"kind": "told", "text": short(str(error) or type(error).__name__, 300), "bad": True})
+    def _complain(self, error: Exception) -> None:
+        self.push(complaint(error))
 
     def _name(self, stem: str) -> str:
         number = self.counts.get(stem, 1)

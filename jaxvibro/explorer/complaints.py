@@ -1,0 +1,21 @@
+"""What a page is told of an error: one line, whatever it was."""
+
+import traceback
+from typing import Any
+
+from ..orbits.orbit import OrbitError
+from ..scene.check import ArgumentError, short
+
+EXPECTED = (ArgumentError, OrbitError, ArithmeticError, MemoryError, OSError)
+
+
+def complaint(error: BaseException) -> dict[str, Any]:
+    """The record of an error for the page. One that nobody expects is printed too, with where it was raised."""
+    if not isinstance(error, EXPECTED):
+        traceback.print_exception(error)
+    return told(str(error) or type(error).__name__)
+
+
+def told(text: str) -> dict[str, Any]:
+    """The record of a text that says what is wrong."""
+    return {"kind": "told", "text": short(text, 300), "bad": True}
