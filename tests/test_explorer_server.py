@@ -64,6 +64,118 @@ def test_the_page_is_given_to_whoever_has_the_token(served, name):
     assert run(fetched(f"{plain}../server.py?token={token}")).code == 404
 
 
+HOSTS = [
+    *(
+        "[::1",
+        "[",
+        "]",
+        "[]",
+        "[::1]:x",
+        "[::1]]",
+        "[[::1]]",
+        "[v1.x]",
+        "[fe80::1%25x]",
+        "127.0.0.1:",
+        "127.0.0.1:99999",
+    ),
+    *("", " ", "localhost@evil.example", "evil.example#localhost", "127.0.0.1/../", "\\evil", "0x7f.1"),
+    *(
+        "2130706433",
+        "\u2100".encode().decode("latin1"),
+        "a" * 5000,
+        "localhost, evil.example",
+        "\x7f",
+        "%5b::1",
+        "[127.0.0.1]",
+    ),
+]
+PATHS = [
+    "/",
+    "/page.js",
+    "/socket",
+    "/take/x/lines.py",
+    "/missing",
+    "/%",
+    "//",
+    "/?",
+    "/../",
+    "*",
+    "http://[::1/",
+    "/\xff",
+]
+
+
+def raw(served, content):
+    """The status of the answer to the bytes of a request, 0 where the server closed without one."""
+    port = int(served.url.split(":")[2].split("/")[0])
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE) as line:
+        line.sendall(content)
+        answer = b""
+        while b"\r\n" not in answer and (part := line.recv(1 << 16)):
+            answer += part
+    return int(answer.split()[1]) if answer else 0
+
+
+def request(path, host, more=""):
+    return f"GET {path} HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n{more}\r\n".encode("latin1")
+
+
+@pytest.mark.parametrize("origin", ["http://[::1", "[", "http://]", "\x7f", "a" * 5000])
+def test_requests_with_any_header_are_refused_without_an_error(served, origin):
+    """No request without the token learns more than that it is needed, whatever its Host is; none raises."""
+    token, upgrade = served.url.split("?")[1], f"Upgrade: websocket\r\nConnection: Upgrade\r\nOrigin: {origin}\r\n"
+    upgrade += "Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: AAAAAAAAAAAAAAAAAAAAAA==\r\n"
+    for path in PATHS:
+        for host in ("127.0.0.1", "[::1", "evil.example"):
+            assert raw(served, request(path, host, upgrade)) in (0, 400, 403)
+    for host in HOSTS:
+        assert raw(served, request("/", host)) in (0, 400, 403)
+        assert raw(served, request(f"/?{token}", host)) in (0, 200, 400, 403)
+    for path in PATHS[:4]:
+        found = raw(served, request(f"{path}?{token}", "127.0.0.1", upgrade))
+        known = {"/": 200, "/page.js": 200, "/socket": 403}.get(path, 404)
+        assert found == (400 if origin == "\x7f" else known)  # no header may have such a letter
+
+
+def test_the_token_is_looked_at_first(served, monkeypatch):
+    hosts = []
+    monkeypatch.setattr(server, "is_loopback", lambda host: hosts.append(host))
+    for host in ("127.0.0.1", "[::1", "evil.example"):
+        assert raw(served, request("/", host)) == 403
+        assert raw(served, request("/socket?token=x", host)) == 403
+    assert hosts == []
+    assert raw(served, request(f"/?{served.url.split('?')[1]}", "[::1")) == 403
+    assert hosts == [""]
+
+
+def test_a_file_that_cannot_be_made_is_answered(served, monkeypatch, capsys):
+    def fails(name, session):
+        raise RuntimeError("no such file")
+
+    async def talk():
+        page = await Page.open(served.url, size=False)
+        base, token = served.url.split("?")
+        address = f"{base}take/{page.name}/lines.py?{token}"
+        monkeypatch.setattr(server, "content", fails)
+        first = await fetched(address)
+        monkeypatch.setattr(server.Line, "add", lambda line, does, replaces=None: False)  # no room, or at its end
+        second = await fetched(address)
+        monkeypatch.undo()
+        page.socket.close()
+        return first, second
+
+    first, second = run(talk())
+    assert (first.code, first.body) == (400, b"no such file\n") and second.code == 503
+    assert "RuntimeError: no such file" in capsys.readouterr().err
+
+
+def test_a_line_that_has_ended_takes_nothing():
+    line, done = server.Line(True), queue.Queue()
+    assert line.add(lambda: done.put(1)) and line.add(None)
+    assert not line.add(lambda: done.put(2))
+    assert done.get(timeout=PATIENCE) == 1 and done.empty()
+
+
 @pytest.mark.parametrize("origin", ["http://evil.example", "http://127.0.0.1:1", "null"])
 def test_another_origin_has_no_socket(served, origin):
     with pytest.raises(HTTPClientError, match="403"):

@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.explorer import messages
+from jaxvibro.explorer import messages, screen
 from jaxvibro.studies import scene_file
 
+from .explorer_fuzz import CHEAP, draw
 from .explorer_pages import PATIENCE, SIZES, Desk, complaints, two_walls
 
 
@@ -112,6 +113,7 @@ def test_a_start_that_settles_on_no_orbit_is_shown_as_a_motion():
         (messages.Begin(x=3.0, v=0.0), "x"),
         (messages.Choose(of="branch_1.special[77]"), "must be the result of a line before"),
         (messages.Zoom(panel="diagram", x=(2.0, 1.0)), "must go from a smaller number to a larger one"),
+        (messages.Zoom(panel="portrait", y=(-1e308, 1e308)), "must lie within -1e+100 and 1e+100"),
         (messages.Load(text="[scene"), "must be a TOML file"),
         (messages.Load(text="a" * 2_000_000), "must be at most 1,000,000"),
         (messages.Ask(call="switch"), "must be asked of a special point"),
@@ -189,3 +191,63 @@ def test_the_page_as_a_file_is_the_page_again(desk):
     assert other.session.told["numbers"] == desk.session.told["numbers"]
     other.say(messages.Begin(x=0.2, v=0.0))  # names go on where they were
     assert len(set(other.lines)) == len(other.lines)
+
+
+@pytest.mark.parametrize("panel", SIZES)
+def test_axes_without_sensible_limits_are_refused_and_the_page_goes_on(desk, panel):
+    for pair in ((-1e308, 1e308), (-1.7e308, 0.0), (0.0, 1e308), (-1e101, 1.0)):
+        told = desk.say(messages.Zoom(panel=panel, x=pair, y=pair, number=7))
+        assert len(complaints(told)) == 1 and told[-1] == {"kind": "answer", "number": 7}
+    told = desk.say(messages.Zoom(panel=panel, x=(-1.0, 2.0), number=8))
+    assert [one["kind"] for one in told] == ["picture", "answer"] and told[0]["x"] == [-1.0, 2.0]
+
+
+def test_a_picture_that_cannot_be_drawn_is_one_line_and_the_page_goes_on(desk, monkeypatch, capsys):
+    plain = screen.DRAW["trace"]
+
+    def fails_when_narrow(ax, *parts):
+        plain(ax, *parts)
+        if desk.session.screen.limits.get("trace"):
+            raise RuntimeError("no such picture")
+
+    monkeypatch.setitem(screen.DRAW, "trace", fails_when_narrow)
+    told = desk.say(messages.Zoom(panel="trace", x=(0.0, 1.0), number=3))
+    assert complaints(told) == ["the trace cannot be drawn: no such picture"]
+    assert [one["kind"] for one in told] == ["told", "picture", "answer"]  # with the limits that it had at first
+    assert "RuntimeError: no such picture" in capsys.readouterr().err
+
+    def fails(ax, *parts):
+        raise ValueError("no picture at all")
+
+    monkeypatch.setitem(screen.DRAW, "trace", fails)
+    desk.session.screen.forget()
+    told = desk.say(messages.Zoom(panel="plane", number=4))
+    assert len(complaints(told)) == 1 and told[-1] == {"kind": "answer", "number": 4}
+    assert {one["panel"] for one in told if one["kind"] == "picture"} == {"portrait", "diagram", "plane"}
+    assert [one["kind"] for one in desk.say(messages.Stop(number=5))] == ["answer"]  # it is not tried again and again
+
+
+def test_an_error_that_nobody_expects_is_answered(desk, monkeypatch, capsys):
+    def fails(*given):
+        raise RuntimeError("a fault\nof ours")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(desk.session), "_choose", fails)
+        told = desk.say(messages.Choose(of="branch_1", number=3))
+        assert complaints(told) == ["a fault of ours"] and told[-1] == {"kind": "answer", "number": 3}
+        patch.setattr(type(desk.session), "_tell_texts", fails)
+        told = desk.say(messages.Stop(number=4))
+        assert complaints(told) == ["a fault of ours"] and told[-1] == {"kind": "answer", "number": 4}
+    assert "RuntimeError: a fault" in capsys.readouterr().err
+    assert desk.say(messages.Stop(number=5))[-1] == {"kind": "answer", "number": 5}
+
+
+def test_every_message_is_answered(desk):
+    """A small draw of `python -m tests.explorer_fuzz`: odd numbers, names and texts, cut messages, wrong kinds."""
+    assert draw(desk, 250, 58, CHEAP) > 100
+
+
+def test_numbers_that_json_has_not_are_null():
+    assert messages.written({"a": [float("inf"), (1.5, float("nan"))], "b": "NaN"}) == (
+        '{"a": [null, [1.5, null]], "b": "NaN"}'
+    )

@@ -150,10 +150,15 @@ class Explorer:
 
 def host_of(url: str) -> str:
     """The host that a text from outside names as a URL does, without its port; "" if it names none."""
+    return (urlsplit(url).hostname or "") if is_url(url) else ""
+
+
+def is_url(text: str) -> bool:
+    """Whether a text from outside can be read as a URL: Python raises for some, as for half a bracket."""
     try:
-        return urlsplit(url).hostname or ""
+        return bool(urlsplit(text))
     except ValueError:
-        return ""
+        return False
 
 
 def _bound(address, port):
@@ -263,17 +268,15 @@ class Socket(websocket.WebSocketHandler):
         self.session: Session | None = None
 
     def prepare(self) -> None:
-        if not self.explorer.allows(self.request):
+        origins = (self.request.headers.get(name, "") for name in ("Origin", "Sec-Websocket-Origin"))
+        if not (self.explorer.allows(self.request) and all(map(is_url, origins))):  # tornado reads them as URLs
             raise web.HTTPError(403)
         if len(self.explorer.pages) >= MOST_PAGES:
             raise web.HTTPError(503)
 
     def check_origin(self, origin: str) -> bool:
         """A page of this server alone."""
-        try:
-            return urlsplit(origin).netloc == self.request.host
-        except ValueError:
-            return False
+        return urlsplit(origin).netloc == self.request.host
 
     def open(self) -> None:
         self.set_nodelay(True)
