@@ -65,11 +65,16 @@ def reason_for_distrust(*folders: Path) -> str | None:
     """
     if not hasattr(os, "geteuid"):
         return None
-    own = [folder.resolve() for folder in folders]
+    own = [Path(os.path.realpath(folder)) for folder in folders]
     for folder in own:
-        with suppress(FileNotFoundError):
-            if reason := distrust_of(os.stat(folder)):
-                return f"{folder} {reason}"
+        try:
+            reason = distrust_of(os.stat(folder))
+        except (FileNotFoundError, NotADirectoryError):
+            continue
+        except OSError as error:
+            reason = f"cannot be examined ({error.strerror})"
+        if reason:
+            return f"{folder} {reason}"
     for above in sorted({one for folder in own for one in folder.parents} - set(own)):
         with suppress(OSError):
             mode = os.stat(above).st_mode

@@ -195,6 +195,13 @@ def test_a_link_is_followed_to_what_it_means(tmp_path):
     assert "theirs can be written to by everyone" in reason_for_distrust(tmp_path / "link")
 
 
+def test_what_cannot_be_examined_is_not_trusted(tmp_path):
+    (tmp_path / "file").write_text("")
+    assert reason_for_distrust(tmp_path / "file" / "below", tmp_path / "missing") is None
+    (tmp_path / "circle").symlink_to("circle")
+    assert "circle cannot be examined" in reason_for_distrust(tmp_path / "circle")
+
+
 def test_a_file_that_others_can_write_to_is_not_used(cache, traces):
     evaluated()
     path = kept(cache)[".code"]

@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import webbrowser
+from importlib import import_module
 
 import jaxvibro as jv
 
@@ -17,6 +18,7 @@ from . import jax_settings, scene_template
 BAD, INTERRUPTED = 2, 130
 LONGEST = 300  # characters of a complaint
 EXTRAS = {"distributed": "cluster", "cloudpickle": "cluster", "tornado": "view"}  # modules: what brings them
+ENVIRONMENT = "jaxvibro.studies.environment"
 MOST_WORKERS = 4  # of `paper`: each takes a gigabyte and more
 
 _RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
@@ -39,6 +41,8 @@ machine alone, to whoever has the address that is printed; ends with Ctrl-C."""
 _WARM = """Asks of a scene what is asked first (a strobe, an orbit, its branch, those that leave it, loci), all of it
 compiled, so that later processes compile nothing for scenes with the same kinds of walls. It takes half a minute and
 more, a minute and more with soft walls; a session in Python finds what is kept with the settings that are printed."""
+_REPORT = """Prints versions, processor, settings of JAX, compiler hints and the cache folder, as the commands use them.
+Add it to a report of a fault."""
 _SET = """another value for this run, both as in the scene file: --set sweep.count=201. The "scene." may go:
 --set amplitude=3. A text keeps its quotes: --set 'sweep.parameter="frequency"'. May be given more than once."""
 
@@ -131,6 +135,11 @@ def _parser():
     warm = commands.add_parser("warm", help="fill the compile cache", description=_WARM, allow_abbrev=False)
     warm.add_argument("scene", metavar="SCENE", nargs="?", help="a scene file; default: the README's scene")
     warm.set_defaults(does=_warm)
+
+    told = "print versions, processor and settings, for reports of faults"
+    report = commands.add_parser("report", help=told, description=_REPORT, allow_abbrev=False)
+    report.add_argument("--json", action="store_true", help="print it for machines")
+    report.set_defaults(does=_report)
     return parser
 
 
@@ -203,14 +212,20 @@ def _warm(given):
         print(f"export {name}={value}")
 
 
-def _loaded(name):
-    """A function of the package, once all that it needs is loaded. Until then an interrupt ends the process at once:
-    one in the middle of loading compiled modules would end in a crash. What is loaded stays: Python's collector of
-    circles need not look at it, now or later."""
+def _report(given):
+    jax_settings.prepare()
+    described = _loaded("describe_environment", ENVIRONMENT)()
+    print(json.dumps(described, indent=2) if given.json else _loaded("format_environment", ENVIRONMENT)(described))
+
+
+def _loaded(name, home=None):
+    """A function of the package, or of a module of it, once all that it needs is loaded. Until then an interrupt ends
+    the process at once: one in the middle of loading compiled modules would end in a crash. What is loaded stays:
+    Python's collector of circles need not look at it, now or later."""
     before = signal.signal(signal.SIGINT, signal.SIG_DFL)
     gc.disable()
     try:
-        return getattr(jv, name)
+        return getattr(import_module(home) if home else jv, name)
     finally:
         gc.freeze()
         gc.enable()

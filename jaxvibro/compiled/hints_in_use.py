@@ -1,0 +1,26 @@
+"""Which hints the compiler is given in this process, for reports of faults."""
+
+from typing import Any
+
+from . import compiler_hints
+
+
+def describe_hints() -> dict[str, Any]:
+    """Describe the compiler hints in use: options, marks of calls, and the widths of blocks of lanes.
+
+    Returns
+    -------
+    dict
+        ``applied`` (whether code is compiled for a processor, where alone hints are given), ``options`` of the
+        compiler, ``marks`` of each kind of call, ``block_width`` and ``narrow_block_width`` in lanes.
+    """
+    applied = compiler_hints.on_processor()
+    stage = {"inlineable": "false"}
+    marks = {"stage": stage, "one_kernel": {**stage, "xla_cpu_small_call": "true"}}
+    return {
+        "applied": applied,
+        "options": dict(compiler_hints.OPTIONS),
+        "marks": marks if applied else {},
+        "block_width": compiler_hints.block_width(),
+        "narrow_block_width": compiler_hints.narrow_width(),
+    }
