@@ -262,5 +262,35 @@ def test_a_cache_that_cannot_be_made_is_done_without(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     assert jax_settings.folder() == tmp_path / ".cache" / "jaxvibro" / jax_settings.processor()
     assert jax_settings.folder().stat().st_mode & 0o777 == 0o700
+    for mode, found in ((0o777, None), (0o1777, jax_settings.folder())):
+        tmp_path.chmod(mode)
+        assert jax_settings.folder() == found
+    tmp_path.chmod(0o700)
     monkeypatch.setenv("HOME", str(tmp_path / "nobody"))
     assert jax_settings.folder() is None and not (tmp_path / "nobody").exists()
+
+
+def test_the_explorers_token_stays_and_is_made_anew_where_it_is_damaged(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    first = jax_settings.token()
+    assert re.fullmatch(r"[\w-]{43}", first) and jax_settings.token() == first
+    (file,) = (tmp_path / "jaxvibro").glob("*token*")
+    assert file.stat().st_mode & 0o777 == 0o600
+    for damage in (b"", b"half", b"\xff" * 43):  # as a process that was killed while it wrote would leave it
+        file.write_bytes(damage)
+        again = jax_settings.token()
+        assert again not in (first, None) and jax_settings.token() == again
+    assert list((tmp_path / "jaxvibro").glob("*token*")) == [file]
+
+
+def test_of_two_processes_that_make_a_token_the_first_wins(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    plain, others = os.link, []
+
+    def late(part, place):
+        monkeypatch.setattr(os, "link", plain)
+        others.append(jax_settings.token())
+        plain(part, place)
+
+    monkeypatch.setattr(os, "link", late)
+    assert [jax_settings.token()] == others and others[0] is not None

@@ -1,6 +1,7 @@
 """Stores that several processes create, continue and open at once."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -60,6 +61,13 @@ def test_an_error_leaves_nothing(tmp_path):
         part.mkdir()
         raise ArithmeticError
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file" / "store", tmp_path / ("a" * 300)):
+        with pytest.raises(OSError, match=re.escape(str(path))), complete_folder(path):
+            pass
 
 
 def abandoned(folder, name):

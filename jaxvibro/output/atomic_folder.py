@@ -39,7 +39,7 @@ def complete_folder(path):
     Raises
     ------
     OSError
-        If the folder cannot be put into its place and nothing else is there.
+        If the folder cannot be made beside its place, or cannot be put into it and nothing else is there.
     """
     part, lock, descriptor = _reserve(path)
     try:
@@ -82,7 +82,10 @@ def _reserve(path):
     while True:
         stem = f".{path.name}.{secrets.token_hex(8)}"
         part, lock = path.with_name(stem + PARTIAL), path.with_name(stem + LOCK)
-        descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        try:
+            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from None
         try:
             if try_lock(descriptor) and _is_named(descriptor, lock):
                 return part, lock, descriptor

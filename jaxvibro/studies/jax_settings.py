@@ -9,6 +9,7 @@ import os
 import platform
 import re
 import secrets
+import stat
 import sys
 import warnings
 from contextlib import suppress
@@ -40,7 +41,7 @@ def prepare():
 def folder():
     """The folder for this user and this kind of processor, made where it is missing; None where it cannot be.
 
-    It lies in XDG_CACHE_HOME or ~/.cache, and none but the user can enter it.
+    It lies in XDG_CACHE_HOME or ~/.cache, and none but the user can enter it, or put another in its place.
     """
     try:
         given = Path(os.environ.get("XDG_CACHE_HOME", ""))
@@ -53,9 +54,17 @@ def folder():
             if one.stat().st_uid != os.geteuid():
                 return None
             one.chmod(0o700)
+        if any(map(_is_open, place.resolve().parents)):
+            return None
     except (OSError, RuntimeError):
         return None
     return place if os.access(place, os.W_OK | os.X_OK) else None
+
+
+def _is_open(folder):
+    """Whether everyone can rename what lies in a folder."""
+    mode = folder.stat().st_mode
+    return bool(mode & stat.S_IWOTH) and not mode & stat.S_ISVTX
 
 
 def token():
