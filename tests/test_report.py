@@ -13,7 +13,7 @@ import jax
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.compiled import compiler_hints
+from jaxvibro.compiled import compiler_hints, kernels
 from jaxvibro.compiled.hints_in_use import describe_hints
 from jaxvibro.studies import command, environment
 from jaxvibro.studies.environment import describe_environment, format_environment
@@ -39,7 +39,7 @@ def test_what_is_described(cache):
         assert describe_environment()["jax"]["x64"] is False
     assert found["processor"]["logical_cores"] == os.cpu_count()
     assert found["hints"]["options"] == compiler_hints.OPTIONS
-    assert found["hints"]["block_width"] == compiler_hints.block_width()
+    assert found["hints"]["block_width"] == kernels.block_width()
     kept = {"writable": True, "used_by_jax": True, "used_for_traced_functions": True, "reason_if_not": None}
     assert found["cache"] == {"folder": str(cache), **kept}
     assert json.loads(json.dumps(found, allow_nan=False)) == found
@@ -61,9 +61,9 @@ def test_a_cache_that_is_not_used_says_why(cache):
 def test_hints_are_none_for_other_devices(monkeypatch):
     marks = describe_hints()["marks"]
     assert marks["stage"]["inlineable"] == "false" and marks["one_kernel"]["xla_cpu_small_call"] == "true"
-    monkeypatch.setattr(compiler_hints, "on_processor", lambda: False)
+    monkeypatch.setattr(kernels, "on_processor", lambda: False)
     found = describe_hints()
-    assert (found["applied"], found["marks"], found["block_width"]) == (False, {}, compiler_hints.ON_CARD[0])
+    assert (found["applied"], found["marks"], found["block_width"]) == (False, {}, kernels.ON_CARD[0])
 
 
 def test_a_processor_without_a_description(monkeypatch):
@@ -78,7 +78,7 @@ def test_the_marks_that_are_described_are_those_of_compiled_code():
     def twice(x):
         return compiler_hints.stage(lambda x: 2.0 * x, x)
 
-    text = jax.jit(lambda x: compiler_hints.one_kernel(twice, x)).lower(jax.numpy.ones(3)).as_text()
+    text = jax.jit(lambda x: kernels.one_kernel(twice, x)).lower(jax.numpy.ones(3)).as_text()
     found = {name: value for marks in describe_hints()["marks"].values() for name, value in marks.items()}
     assert dict(re.findall(r'(inlineable|xla_cpu_small_call) = "(\w+)"', text)) == found
 

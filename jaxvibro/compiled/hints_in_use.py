@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from . import compiler_hints
+from . import compiler_hints, kernels
 
 
 def describe_hints() -> dict[str, Any]:
@@ -14,13 +14,13 @@ def describe_hints() -> dict[str, Any]:
         ``applied`` (whether code is compiled for a processor, where alone hints are given), ``options`` of the
         compiler, ``marks`` of each kind of call, ``block_width`` and ``narrow_block_width`` in lanes.
     """
-    applied = compiler_hints.on_processor()
+    applied = kernels.on_processor()
     stage = {"inlineable": "false"}
     marks = {"stage": stage, "one_kernel": {**stage, "xla_cpu_small_call": "true"}}
     return {
         "applied": applied,
         "options": dict(compiler_hints.OPTIONS),
         "marks": marks if applied else {},
-        "block_width": compiler_hints.block_width(),
-        "narrow_block_width": compiler_hints.narrow_width(),
+        "block_width": kernels.block_width(),
+        "narrow_block_width": kernels.narrow_width(),
     }
