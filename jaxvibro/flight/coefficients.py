@@ -7,8 +7,10 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Float
 
+from ..compiled.compiler_hints import choose
 from ..scene import check
 from ..scene.force import Force
 from ..scene.force_trace import without_rule
@@ -20,6 +22,7 @@ from .traced_force import is_series_of_root
 from .wall import Lane, extent, lane, tail
 
 SIDES = (-1, 1)
+NORMAL = 0.4  # exponent, see `smallest`
 TURN_LOW = 2.4492935982947064e-16  # 2 pi less its double
 
 
@@ -38,7 +41,7 @@ class Frame(NamedTuple):
     force A, frequency omega, damping gamma; terms: of the drive, beside A cos(omega t); walls: those that exist, left
     first; period 2 pi / omega and its low part; swift: see `path`; series: of the flow; reach: the longest step (t),
     pace: 1 / reach, weights: reach^k / k!; size: a length of the scene, the walls' distances and the drive's amplitudes
-    together, to measure rounding by; curb, slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a
+    together, to measure rounding by, `smallest` where these are all 0; curb, slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a
     step, these at its start; tails, swings: see `wall.tail`, for each wall; rushes: bounds on the change of the press
     on each; gap: the walls are never nearer to each other; contacts: the `soft_contact.SoftFlow` within each wall,
     under a force of the user's own its `Lane` (`pushed_flow`), None for rigid ones.
@@ -108,7 +111,7 @@ def frame(scene):
         reach=reach,
         pace=rate / flow.STEP,
         weights=weights(reach),
-        size=sum((extent(wall) for wall in walls), drive.largest(terms, force, frequency, 0)),
+        size=_size(walls, drive.largest(terms, force, frequency, 0)),
         curb=forcing * (1.0 + slope * reach),
         slope=slope,
         tails=tuple(press for press, _ in bounds),
@@ -144,7 +147,7 @@ def _of_force(scene):
         reach=reach,
         pace=1.0 / reach,
         weights=weights(reach),
-        size=sum((extent(wall) for wall in walls), drive.largest(terms, amplitude, frequency, 0)),
+        size=_size(walls, drive.largest(terms, amplitude, frequency, 0)),
         curb=None,
         slope=None,
         tails=(),
@@ -171,6 +174,20 @@ def _require_series(key, law, dtype):
 def _walls(scene):
     given = zip(SIDES, (scene.left, scene.right), strict=True)
     return tuple(lane(wall, scene, side, scene.dtype) for side, wall in given if wall is not None)
+
+
+def smallest(dtype):
+    """The smallest length and speed of a motion: squares and products of any two stay normal numbers.
+
+    About 5e-124 in double precision and 7e-16 in single precision.
+    """
+    return float(jnp.finfo(dtype).tiny) ** NORMAL
+
+
+def _size(walls, amplitude):
+    """The length scale of a scene, never 0: `smallest` where all walls are at 0 and there is no drive."""
+    size = sum((extent(wall) for wall in walls), amplitude)
+    return choose(size > 0, size, lax.full_like(size, smallest(size.dtype)))
 
 
 def _gap(walls, like):

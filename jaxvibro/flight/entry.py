@@ -8,13 +8,13 @@ from jax import lax
 from ..compiled.compiler_hints import choose, positive
 from ..scene.codes import Contact, Status
 from . import event, impact
-from .coefficients import is_valid
+from .coefficients import is_valid, smallest
 from .flight_state import Path, SlowMotion, motion
 from .soft_contact import is_inside
 from .wall import course, extent, less
 from .within_wall import within
 
-WIDE = 0.4  # of the exponents: lengths whose squares and products stay finite, and are not lost
+WIDE = 0.4  # exponent: squares and products of two lengths below largest**WIDE stay finite
 
 
 def enter(frame, state, rules=is_valid):
@@ -28,11 +28,11 @@ def enter(frame, state, rules=is_valid):
     valid, finite = rules(frame)
     for number in (state.x, state.v, cosine, state.contact):
         finite &= jnp.isfinite(number)
-    largest = jnp.maximum(frame.size, jnp.maximum(abs(state.x), abs(state.v)))
-    kind = jnp.finfo(largest.dtype)
-    small = float(kind.tiny) ** WIDE
-    finite &= (largest == 0) | ((largest > small) & (largest < float(kind.max) ** WIDE))
+    kind = jnp.finfo(jnp.result_type(state.x))
+    small = smallest(kind.dtype)
     x, v = (choose(abs(each) > small, each, 0.0) for each in (state.x, state.v))
+    largest = jnp.maximum(frame.size, jnp.maximum(abs(x), abs(v)))
+    finite &= (largest >= small) & (largest < float(kind.max) ** WIDE)
     state, none = replace(state, x=x, v=v), jnp.zeros_like(state.x)
     cosine, sine = cosine + none, sine + none
     start = SlowMotion(none, none, none, none, cosine, sine)

@@ -130,13 +130,18 @@ def _step(lane, x, v, cosine, sine, size, time):
 def ahead(frame, x, v, cosine, sine):
     """The `taylor_steps.Ahead` of lanes, a constant for derivatives."""
     frame, x, v, cosine, sine = lax.stop_gradient((frame, x, v, cosine, sine))
-    size = scale(frame, x, v)
-    return Ahead(*_lanes(_searched, frame, x, v, cosine, sine, size, frame.reach + 0.0 * x))
+    pull = _pull(frame, x, v, cosine, sine)
+    size = scale(frame, x, v, pull)
+    return Ahead(*_lanes(_searched, frame, x, v, cosine, sine, pull, size, frame.reach + 0.0 * x))
 
 
-def _searched(lane, x, v, cosine, sine, size, longest):
+def _pull(frame, x, v, cosine, sine):
+    """The acceleration of lanes."""
+    return _lanes(_acceleration, frame, cosine, sine, jnp.zeros_like(x), x, v)
+
+
+def _searched(lane, x, v, cosine, sine, pull, size, longest):
     law, pull_at = lane.law, partial(_acceleration, lane, cosine, sine)
-    pull = pull_at(jnp.zeros_like(x), x, v)
     power = -1.0 / min(_ready(law.solver, law.tolerance).order(None), 5)
 
     def attempt(time):
@@ -173,7 +178,7 @@ def quintic(x, v, pull, end, speed, last, time):
 
 def gained(frame, x, v, cosine, sine, time, terms=None):
     """(what x gains, what v gains) by a step of the solver."""
-    size = lax.stop_gradient(scale(frame, x, v))
+    size = lax.stop_gradient(scale(frame, x, v, _pull(frame, x, v, cosine, sine)))
 
     def single(lane, x, v, cosine, sine, size, time):
         end, speed, _, _ = _step(lane, x, v, cosine, sine, size, time)

@@ -18,6 +18,7 @@ from .wall import course
 
 FEWEST = event.TERMS + 2  # terms of a step, beyond those of an event
 PRESSED = event.TERMS + 4  # the same of the press on a wall
+GAINED = 2.0**-20  # of the speed gained in the longest step, see `scale`
 STEADY = 1e-3  # of the press, as much may be beyond an event's terms over a step
 
 
@@ -110,14 +111,18 @@ def ahead(frame, x, v, cosine, sine):
     """The `Ahead` of lanes."""
     count = order(frame)
     terms = coefficients(frame, x, v, cosine, sine, count)
-    size = scale(frame, x, v)
+    size = scale(frame, x, v, 2.0 * terms[2])
     reach = stage(_reach, terms[-2], terms[-1], frame.reach + 0.0 * x, size, order=count, tolerance=frame.law.tolerance)
     return Ahead(terms, reach, stage(_rest, terms, reach, size, tolerance=frame.law.tolerance))
 
 
-def scale(frame, x, v):
-    """What a step's error is measured by."""
-    return most(most(lax.abs(x), lax.abs(v)), frame.size + float(jnp.finfo(x.dtype).tiny))  # a mass at rest has none
+def scale(frame, x, v, pull):
+    """The length that a step's error is relative to; pull: the acceleration.
+
+    A mass at rest at 0, with no length in its scene, is measured by a small part of the speed that it gains in the
+    longest step.
+    """
+    return most(most(lax.abs(x), lax.abs(v)), most(frame.size, GAINED * frame.reach * lax.abs(pull)))
 
 
 def _reach(before, last, longest, size, order, tolerance):
