@@ -46,7 +46,7 @@ class Structure:
 LINEAR = [Structure("linear", walls) for walls in ("r-", "-r", "rr", "m-", "rm", "s-", "rs", "--")]
 CONSTANT = [Structure("constant", walls) for walls in ("r-", "rr", "mr", "sr", "--")]
 POLYNOMIAL = [Structure("polynomial", walls) for walls in ("r-", "-r", "rr", "m-", "s-", "rs", "--")]
-OTHERS = [Structure("cubic", "r-"), Structure("cubic", "rr"), Structure("solver", "r-"), Structure("solver", "s-")]
+OTHERS = [Structure("cubic", "r-"), Structure("cubic", "rr"), Structure("solver", "r-"), Structure("solver", "rr")]
 SINGLE = [Structure(force, "r-", np.float32) for force in ("linear", "polynomial", "solver")]
 STRUCTURES = LINEAR + CONSTANT + POLYNOMIAL + OTHERS + SINGLE
 
@@ -66,7 +66,9 @@ def draw(rng, count, structure):
         return np.where(rng.random(count) < share, rng.choice(instead, count), values)
 
     single = structure.dtype is np.float32
-    unit = 2.0 ** np.round(rng.uniform(-20.0, 20.0, count)) if not single else np.ones(count)
+    unit = 2.0 ** np.round(rng.uniform(-20.0, 20.0, count))
+    if single or structure.force == "cubic":
+        unit = np.ones(count)
     gap, phase = logarithmic(-3.0, 0.5), rng.uniform(0.0, 2.0 * np.pi, count)
     left, right, at = structure.walls[0] != "-", structure.walls[1] != "-", rng.integers(0, 3, count)
     place = np.where(at == 0, rng.uniform(-1.0, 1.0, count), 0.0)  # of the wall, or of one of two
@@ -97,13 +99,15 @@ def draw(rng, count, structure):
         given = {"c0": constant, "c1": spring, "damping": damping}
         function, solver = "polynomial", "Dopri8" if structure.force == "solver" else None
         if structure.force == "cubic":
-            function, given["damping"] = cubic_drag, damping / (unit * unit)
+            function = cubic_drag
         tolerance = 1e-6 if single else 1e-10 if solver else 1e-13
         terms = {"force": jv.Force(function, given, tolerance=tolerance, solver=solver)}
     scene = jv.make_scene(amplitude, omega, restitution=0.5, walls=tuple(walls), **terms)
     if single:
         scene = jax.tree.map(lambda leaf: np.asarray(leaf, np.float32), scene)
     share = some(rng.random(count) ** 3, 0.3, 0.0, 1.0)
+    if "m" in structure.walls:
+        share = np.clip(share, 1e-6, 1.0 - 1e-6)  # where a wall is, is rounded to whoever works it out
     x = np.clip(ends[0] + share * (ends[1] - ends[0]), *ends) * unit
     speed = some(logarithmic(-2.0, 0.7), 0.4, 0.0) * rng.choice([-1.0, 1.0], count) * unit
     state = jv.State(x, speed, phase, np.zeros(count))
@@ -172,7 +176,9 @@ def judged(structure, scene, start, end, impacts):
     gained = np.zeros(x.shape, bool)
     if not moves and "s" not in structure.walls:
         _, later = pull(scene, structure, x, v, before[2])
-        loose = (1e-3 if eps > 1e-10 else 1e-9) * (abs(energy) + before[1] ** 2 + abs(later) + abs(force) * size)
+        far = size + sum(distance for *_, distance in wall_places(scene, before[2]))
+        near = 1e4 * (scene.force.tolerance if scene.force else eps) * far
+        loose = near * (abs(force) + abs(before[1]) + abs(v) + near) + ROUNDINGS * eps * (abs(energy) + abs(later))
         gained = good & still & (0.5 * v * v + later > 0.5 * before[1] ** 2 + energy + loose)
     faulty = (status == Status.INVALID) | (status == Status.NONFINITE) | ((status == Status.CAP) & (count < 1000))
     return {
@@ -185,7 +191,7 @@ def judged(structure, scene, start, end, impacts):
 
 
 def tried(rng, structure, count):
-    """(counts of the `KINDS`, [(kind, call, scene, start, end, status)] of the first mistakes) of random lanes."""
+    """(counts of the `KINDS`, [(kind, call, scene, start, end, status, count)] of some mistakes) of random lanes."""
     scene, start = draw(rng, count, structure)
     counts, first, alive = np.zeros(len(KINDS), int), [], np.ones(count, bool)
     for call in range(CALLS):
@@ -196,7 +202,7 @@ def tried(rng, structure, count):
             counts[k] += len(wrong)
             for lane in wrong[:2]:
                 own = jax.tree.map(lambda leaf, lane=lane: leaf[lane] if np.ndim(leaf) else leaf, (scene, start, end))
-                first.append((kind, call, *own, int(impacts.status[lane])))
+                first.append((kind, call, *own, int(impacts.status[lane]), int(impacts.count[lane])))
         alive &= np.asarray(impacts.status) < Status.CAP
         start = jax.tree.map(lambda new, old: np.where(alive, new, old), end, start)
     return counts, first

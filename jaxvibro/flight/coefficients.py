@@ -16,13 +16,12 @@ from ..scene.force import Force
 from ..scene.force_trace import without_rule
 from ..scene.scale import swift
 from . import drive, flow
-from .event import TERMS, weights
+from .event import TERMS, smallest, weights
 from .soft_contact import SoftFlow, contact
 from .traced_force import is_series_of_root
 from .wall import Lane, extent, lane, tail
 
 SIDES = (-1, 1)
-NORMAL = 0.4  # exponent, see `smallest`
 TURN_LOW = 2.4492935982947064e-16  # 2 pi less its double
 
 
@@ -174,14 +173,6 @@ def _require_series(key, law, dtype):
 def _walls(scene):
     given = zip(SIDES, (scene.left, scene.right), strict=True)
     return tuple(lane(wall, scene, side, scene.dtype) for side, wall in given if wall is not None)
-
-
-def smallest(dtype):
-    """The smallest length and speed of a motion: squares and products of any two stay normal numbers.
-
-    About 5e-124 in double precision and 7e-16 in single precision.
-    """
-    return float(jnp.finfo(dtype).tiny) ** NORMAL
 
 
 def _size(walls, amplitude):

@@ -8,7 +8,7 @@ from jax import lax
 from ..compiled.compiler_hints import choose, positive
 from ..scene.codes import Contact, Status
 from . import event, impact
-from .coefficients import is_valid, smallest
+from .coefficients import is_valid
 from .flight_state import Path, SlowMotion, motion
 from .soft_contact import is_inside
 from .wall import course, extent, less
@@ -29,7 +29,7 @@ def enter(frame, state, rules=is_valid):
     for number in (state.x, state.v, cosine, state.contact):
         finite &= jnp.isfinite(number)
     kind = jnp.finfo(jnp.result_type(state.x))
-    small = smallest(kind.dtype)
+    small = event.smallest(kind.dtype)
     x, v = (choose(abs(each) > small, each, 0.0) for each in (state.x, state.v))
     largest = jnp.maximum(frame.size, jnp.maximum(abs(x), abs(v)))
     finite &= (largest >= small) & (largest < float(kind.max) ** WIDE)

@@ -20,6 +20,7 @@ from ..compiled.compiler_hints import choose, least, most, negative, positive
 TERMS = 7  # of the polynomial
 SHORTER = 0.99  # a horizon at which a quadratic still bends away in spite of rounding
 NOISE = 16.0  # of the polynomial's value, in roundings of its first two terms
+NORMAL = 0.4  # exponent, see `smallest`
 MARGIN = 1.05  # the root must be the only one, and the other wall out of reach, this much further
 
 
@@ -52,6 +53,14 @@ def landing(dtype):
 def rounding(dtype):
     """Half a unit in the last place of 1."""
     return float(jnp.finfo(dtype).eps) / 2
+
+
+def smallest(dtype):
+    """The smallest length and speed of a motion: squares and products of any two stay normal numbers.
+
+    About 5e-124 in double precision and 7e-16 in single precision.
+    """
+    return float(jnp.finfo(dtype).tiny) ** NORMAL
 
 
 def progress(terms, remainder, on):

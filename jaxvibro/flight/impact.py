@@ -62,6 +62,7 @@ def strike(frame, path, side, late):
     closing = side * (path.v + late * (pull + 0.5 * late * jerk) - speed)
     again = bounce(frame, side)
     leaving = again * closing
+    leaving = choose(lax.abs(leaving) > event.smallest(leaving.dtype), leaving, 0.0)
     state = settle(frame, leaving, side * push, side * change)
     rush, damping = flow_of(frame).hops(frame, side, pull, closing, cosine, sine)
     ends = chatters(frame._replace(damping=damping), leaving, side * push, again, rush, path.to_go)

@@ -23,7 +23,7 @@ from jaxtyping import Float
 from ..compiled.compiler_hints import choose, most
 from ..scene.force import Force
 from . import drive, event, flow
-from .taylor_steps import STEADY, Ahead, Press, as_derivatives, scale
+from .taylor_steps import STEADY, Ahead, Press, as_derivatives, local_size, scale
 from .wall import course
 
 TRIES = 60  # of a step: each that fails is shorter than the last
@@ -161,9 +161,10 @@ def _searched(lane, x, v, cosine, sine, pull, size, longest):
         return time, *attempt(time), count + 1
 
     start = (longest, *attempt(longest), jnp.int32(0))
-    time, _, terms, _ = lax.while_loop(lambda carry: (carry[1] > 1.0) & (carry[3] < TRIES), shorter, start)
-    none = jnp.zeros_like(time)
-    rest = 2.0 * law.tolerance * size
+    time, ratio, terms, _ = lax.while_loop(lambda carry: (carry[1] > 1.0) & (carry[3] < TRIES), shorter, start)
+    none, own = jnp.zeros_like(time), local_size(v, pull, time)
+    off = choose(own < law.tolerance * size, most(own, ratio * size), size)
+    rest = 2.0 * law.tolerance * off
     return [*terms, *[none] * (event.TERMS + 3 - len(terms))], time, rest
 
 

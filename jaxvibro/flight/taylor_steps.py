@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import least, most, stage
+from ..compiled.compiler_hints import choose, least, most, stage
 from . import event, traced_force
 from .drive import rate_of, wave
 from .series import Series, evaluated
@@ -125,6 +125,12 @@ def scale(frame, x, v, pull):
     return most(most(lax.abs(x), lax.abs(v)), most(frame.size, GAINED * frame.reach * lax.abs(pull)))
 
 
+def local_size(v, pull, reach):
+    """How far a motion goes in a step, to its order. A mass that comes to an equilibrium on a wall is soon nearer to it
+    than the tolerance of the scene's size; its steps would become ever shorter if its own size did not count then."""
+    return reach * most(lax.abs(v), reach * lax.abs(pull))
+
+
 def _reach(before, last, longest, size, order, tolerance):
     """A step at which the error of x, estimated by the last terms, and that of v over so many steps are tolerated."""
     for k, term in ((order - 1, before), (order, last)):
@@ -136,7 +142,9 @@ def _reach(before, last, longest, size, order, tolerance):
 
 def _rest(terms, reach, size, tolerance):
     """A bound on the terms beyond an event's over a step, and on their slope over as many; what is left out as well."""
-    total, power = 2.0 * tolerance * size, reach**event.TERMS
+    own, last = local_size(terms[1], 2.0 * terms[2], reach), len(terms) - 1
+    left = most(tolerance * own, most(lax.abs(terms[-2]) * reach ** (last - 1), lax.abs(terms[-1]) * reach**last))
+    total, power = 2.0 * choose(own < tolerance * size, left, tolerance * size), reach**event.TERMS
     for k in range(event.TERMS, len(terms)):
         total = total + (k / event.TERMS) * (lax.abs(terms[k]) * power)
         power = power * reach
