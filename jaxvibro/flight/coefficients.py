@@ -40,8 +40,8 @@ class Frame(NamedTuple):
     force A, frequency omega, damping gamma; terms: of the drive, beside A cos(omega t); walls: those that exist, left
     first; period 2 pi / omega and its low part; swift: see `path`; series: of the flow; reach: the longest step (t),
     pace: 1 / reach, weights: reach^k / k!; size: a length of the scene, the walls' distances and the drive's amplitudes
-    together, to measure rounding by, `smallest` where these are all 0; curb, slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a
-    step, these at its start; tails, swings: see `wall.tail`, for each wall; rushes: bounds on the change of the press
+    together, to measure rounding by, `smallest` where these are all 0; curb, slope: abs x^(8) is at most curb + slope
+    (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall; rushes: bounds on the change of the press
     on each; gap: the walls are never nearer to each other; contacts: the `soft_contact.SoftFlow` within each wall,
     under a force of the user's own its `Lane` (`pushed_flow`), None for rigid ones.
 

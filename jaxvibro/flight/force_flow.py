@@ -16,7 +16,7 @@ from . import event, flow, taylor_steps
 from .flight_state import SlowMotion, added, place, turned
 from .taylor import shifted
 from .taylor_steps import Press, as_derivatives
-from .wall import course, picked
+from .wall import course, course_on, picked
 
 LINEAR = False  # a flight's matrix depends on where it begins
 RUSH = 2.0  # times the change of the press where hops begin: faster it may not change while they last
@@ -136,8 +136,13 @@ def press(frame, wall, cosine, sine, order):
 
 def hops(frame, side, pull, closing, cosine, sine):
     """What says whether hops on a wall end: (how fast the press on it changes at most; the damping that the force has,
-    from the acceleration before an impact at so much speed), as estimated where they begin."""
-    return picked(side, frame.walls, [_hops(frame, wall, pull, closing, cosine, sine) for wall in frame.walls])
+    from the acceleration before an impact at so much speed; how fast the force away from the wall grows with the
+    distance, at least 1), as estimated where they begin."""
+    found = picked(side, frame.walls, [_hops(frame, wall, pull, closing, cosine, sine) for wall in frame.walls])
+    where, pace = course_on(frame, side, cosine, sine, 1)
+    none = jnp.zeros_like(cosine)
+    rise = steps_of(frame).stiffening(frame, where + none, none if pace is None else pace + none, cosine, sine)
+    return *found, choose(rise > 1.0, rise, 1.0)
 
 
 def _hops(frame, wall, pull, closing, cosine, sine):

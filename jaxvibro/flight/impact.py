@@ -64,8 +64,8 @@ def strike(frame, path, side, late):
     leaving = again * closing
     leaving = choose(lax.abs(leaving) > event.smallest(leaving.dtype), leaving, 0.0)
     state = settle(frame, leaving, side * push, side * change)
-    rush, damping = flow_of(frame).hops(frame, side, pull, closing, cosine, sine)
-    ends = chatters(frame._replace(damping=damping), leaving, side * push, again, rush, path.to_go)
+    rush, damping, rise = flow_of(frame).hops(frame, side, pull, closing, cosine, sine)
+    ends = chatters(frame._replace(damping=damping), leaving, side * push, again, rush, path.to_go, rise)
     state = choose(stuck, Contact.RELEASED, choose(ends, Contact.STUCK, state))
     if inside is not None:
         state = choose(inside, Contact.LANDED, choose(gives(frame, side), Contact.ENTERED, state))
@@ -137,20 +137,23 @@ def settle(frame, leaving, push, change):
     return choose(held, Contact.STUCK, free)
 
 
-def chatters(frame, leaving, push, bounce, rush, time):
+def chatters(frame, leaving, push, bounce, rush, time, rise=None):
     """Whether all hops that follow, infinitely many, certainly end in so much time: complete chatter.
 
     While the press stays within push (1 +- e), a hop that leaves with speed u rises for at most u / (push (1 - e)), to
     h = u^2 / (2 push (1 - e)); it falls for at most sqrt(2) times that, if damping takes less than half of the press,
     and hits with at most k u, k^2 = (push (1 + e) + h) / (push (1 - e)). The speeds fall at least like ((1 + R) / 2)^n
     if R k <= (1 + R) / 2, which gives e, and the time of all hops is a geometric series.
+
+    rise: how much the acceleration away from the wall grows per length from it, 1 or more; None for 1.
     """
     fall = 0.25 * (1.0 + bounce) * (1.0 + bounce)
     square = bounce * bounce
     share = least((fall - square) / (fall + 2.0 * square), 0.5)
     weak = push * (1.0 - share)
     span, high = HOPS * leaving, leaving * leaving
+    bent = high if rise is None else high * rise
     time = time * weak * (1.0 - bounce)
-    small = (rush * span <= share * push * weak * (1.0 - bounce)) & (high <= 2.0 * share * push * weak)
+    small = (rush * span <= share * push * weak * (1.0 - bounce)) & (bent <= 2.0 * share * push * weak)
     clear = (high < weak * frame.gap) & (8.0 * frame.damping * leaving <= weak)
     return (push > 0) & (leaving > 0) & (span <= time) & small & clear

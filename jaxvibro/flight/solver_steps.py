@@ -140,6 +140,16 @@ def _pull(frame, x, v, cosine, sine):
     return _lanes(_acceleration, frame, cosine, sine, jnp.zeros_like(x), x, v)
 
 
+def stiffening(frame, x, v, cosine, sine):
+    """How fast the force grows with x."""
+
+    def single(lane, x, v, cosine, sine):
+        pull = partial(_acceleration, lane, cosine, sine, jnp.zeros_like(x))
+        return jax.jvp(lambda x: pull(x, v), (x,), (jnp.ones_like(x),))[1]
+
+    return _lanes(single, frame, x, v, cosine, sine)
+
+
 def _searched(lane, x, v, cosine, sine, pull, size, longest):
     law, pull_at = lane.law, partial(_acceleration, lane, cosine, sine)
     power = -1.0 / min(_ready(law.solver, law.tolerance).order(None), 5)

@@ -140,8 +140,9 @@ def press(frame, each, cosine, sine, order):
 
 
 def hops(frame, side, pull, closing, cosine, sine):
-    """What says whether hops on a wall end: (how fast the press on it changes at most; the damping)."""
-    return wall.chosen(side, frame.walls, frame.rushes), frame.damping
+    """What says whether hops on a wall end: (how fast the press on it changes at most; the damping; None, as the spring
+    draws the mass back)."""
+    return wall.chosen(side, frame.walls, frame.rushes), frame.damping, None
 
 
 def shortest(frame, found):

@@ -70,6 +70,13 @@ def derivatives(frame, x, v, cosine, sine, order):
     return as_derivatives(coefficients(frame, x, v, cosine, sine, order))
 
 
+def stiffening(frame, x, v, cosine, sine):
+    """How fast the force grows with x."""
+    time = Series(None, stage(_time, frame.frequency, cosine, sine))
+    found = traced_force.along(frame.law, time, Series(lambda own, k: None, x, 1.0), Series(None, v))[1]
+    return jnp.zeros_like(x) if found is None else found + jnp.zeros_like(x)
+
+
 def as_derivatives(terms):
     """Derivatives from Taylor coefficients."""
     return [term * float(math.factorial(k)) for k, term in enumerate(terms)]

@@ -34,6 +34,9 @@ def simulate(scene: Scene, state: State, periods: int = 1, samples: int = 200) -
     one at the end. Dataset: x(time), v(time), phase(time) in radians, counted on from the start's; and of the impacts,
     in order, side, speed and position over the coordinate impact_time. Times in t since the start.
 
+    Of a mass that comes to rest by complete chatter the hops are recorded until rest before the next sample is certain:
+    with more samples there are more of them, and always at least as many as `strobe` records.
+
     Raises ArgumentError for a batch, for a start beyond a wall or not finite, and where an impact cap ends the
     trajectory.
     """

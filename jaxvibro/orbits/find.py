@@ -9,6 +9,7 @@ from ..maps.iterate import KEEP, iterate
 from ..maps.rests import may_rest
 from ..scene import check
 from ..scene.codes import Status
+from ..scene.scale import is_driven
 from ..scene.scene import Scene
 from ..scene.state import State, check_start, real_state
 from .by_impacts import by_impacts, guessed
@@ -16,6 +17,10 @@ from .by_shooting import by_state
 from .orbit import Orbit, OrbitError
 
 SETTLED = 1e-3  # of the largest x and v: a return as near as this
+FREE = (
+    "a free motion repeats, if at all, after a period of its own, and does so from every phase, so that no single "
+    "orbit has the drive's period; give the scene a drive, or let damping and walls bring the mass to rest"
+)
 
 
 @check.host("use strobe or monodromy")
@@ -45,10 +50,16 @@ def find_orbit(
         periods = len(itinerary)
     if periods is not None and check.whole("periods", periods, 1) > KEEP:
         raise check.ArgumentError("periods", f"must be at most {KEEP}", periods)
-    if settle:
-        state = _followed(iterate(scene, state, settle)).state
-    periods = periods or _returns(scene, state, settle)
-    return _near(scene, state, periods, itinerary)
+    size = max(float(abs(np.asarray(each)).max()) for each in (state.x, state.v))
+    try:
+        if settle:
+            state = _followed(iterate(scene, state, settle)).state
+        periods = periods or _returns(scene, state, settle, size)
+        return _near(scene, state, periods, itinerary)
+    except OrbitError as error:
+        if np.isnan(error.residual) or is_driven(scene):
+            raise
+        raise OrbitError(f"{error.status}, and the scene has no drive", error.residual, FREE) from None
 
 
 def _lane(state):
@@ -64,17 +75,21 @@ def _followed(found):
     return found
 
 
-def _returns(scene, state, settle):
-    """The least number of periods after which the state comes back: to within SETTLED where it has settled."""
+def _returns(scene, state, settle, size):
+    """The least number of periods after which the state comes back: to within SETTLED where it has settled.
+
+    size: of x and v at the start; a motion that has decayed to rounding beside that is at rest.
+    """
     points = _followed(iterate(scene, state, check.MOST_PERIODS)).points[:, 0]
     first = np.array([state.x[0], state.v[0]])
     apart, scale = abs(points - first).max(axis=1), abs(points).max()
-    if settle and apart.min() > SETTLED * scale:
+    decayed = scale <= float(np.finfo(scene.dtype).eps) * size
+    if settle and apart.min() > SETTLED * scale and not decayed:
         advice = "settle longer; or give periods and settle=0 for an unstable orbit, or ask find_orbits"
         raise OrbitError(
             f"the state does not come back within {check.MOST_PERIODS} periods", float(apart.min()), advice
         )
-    return int(np.argmax(apart <= max(2.0 * apart.min(), 1e-6 * scale))) + 1
+    return 1 if decayed else int(np.argmax(apart <= max(2.0 * apart.min(), 1e-6 * scale))) + 1
 
 
 def _near(scene, state, periods, itinerary):

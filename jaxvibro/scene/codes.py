@@ -4,7 +4,10 @@ from enum import IntEnum
 
 
 class Status(IntEnum):
-    """How a strobe ended (`Impacts.status`): from CAP on the state is nan."""
+    """How a strobe ended (`Impacts.status`): from CAP on the state is nan.
+
+    FULL: more impacts than slots, or infinitely many before a rest (complete chatter); the state is right.
+    """
 
     OK = 0
     FULL = 1

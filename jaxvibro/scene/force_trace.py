@@ -26,6 +26,13 @@ def without_rule(function, names, dtype, given=3):
     return tuple(sorted(_without(closed.jaxpr, [False] * given + [True] * len(names))[0]))
 
 
+@lru_cache(256)
+def depends_on_time(function, names, dtype):
+    """Whether the time t enters the value of a force."""
+    jaxpr = traced(function, names, dtype).jaxpr
+    return not all(_without(jaxpr, [False] + [True] * (len(jaxpr.invars) - 1))[1])
+
+
 def _without(jaxpr, still):
     """(the names, whether each result is the same at all times), the inputs being so or not."""
     known = dict(zip(jaxpr.invars, still, strict=True)) | dict.fromkeys(jaxpr.constvars, True)

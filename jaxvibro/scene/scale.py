@@ -5,6 +5,8 @@ from functools import lru_cache
 import jax
 import numpy as np
 
+from .force_trace import depends_on_time
+
 PLACES = 16  # in a period, at which a force's slopes are looked at
 
 
@@ -25,6 +27,15 @@ def scene_length(scene):
         size += abs(swift(term.harmonic * frequency, damping, float(term.amplitude)))
     size += sum(abs(float(wall.motion.amplitude)) for wall in walls if wall.motion is not None)
     return found if found > 0.3 * size else (size or 1.0)
+
+
+def is_driven(scene):
+    """Whether the equation of motion of a single scene depends on time: by a drive, a moving wall, or its force."""
+    motions = [*scene.drive, *(wall.motion for wall in scene.walls.values() if wall.motion is not None)]
+    if float(scene.amplitude) != 0 or any(float(each.amplitude) != 0 and each.harmonic for each in motions):
+        return True
+    force = scene.force
+    return force is not None and depends_on_time(force.function, tuple(force.numbers), np.dtype(scene.dtype))
 
 
 @lru_cache(256)

@@ -32,8 +32,8 @@ class State:
 class Impacts:
     """The impacts of a strobe, in order; slots are the last axis.
 
-    Status FULL says that there were more impacts than slots: the state, the count and the least values are right, and
-    some impacts are not recorded.
+    Status FULL: some impacts are not recorded, because there were more than slots or because the mass came to rest by
+    complete chatter (see below). The state, the count and the least values are right.
 
     time: since the strobe's start, in t (inf: empty); side: -1 left, +1 right, 0 empty; speed: abs(y- - v_b), 0 empty;
     count: of all impacts; least_speed: of them, inf if none; least_clearance: the smallest distance to a wall at a
@@ -42,7 +42,8 @@ class Impacts:
     number that is not finite, or lengths beyond 1e-123 to 1e123); from CAP on the state is nan.
 
     A mass whose hops certainly all end, infinitely many in a finite time, is put to rest on its wall: complete chatter.
-    The hops up to there are recorded and counted, least_speed is 0, the status FULL.
+    The hops up to there are recorded and counted, least_speed is 0, the status FULL, however many slots there are. How
+    many hops that is depends on the time left in the call: `simulate` and `sample`, which stop more often, see more.
     """
 
     time: Float[Array, "*lanes slots"]
