@@ -41,9 +41,10 @@ class Frame(NamedTuple):
     first; period 2 pi / omega and its low part; swift: see `path`; series: of the flow; reach: the longest step (t),
     pace: 1 / reach, weights: reach^k / k!; size: a length of the scene, the walls' distances and the drive's amplitudes
     together, to measure rounding by, `smallest` where these are all 0; curb, slope: abs x^(8) is at most curb + slope
-    (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall; rushes: bounds on the change of the press
-    on each; gap: the walls are never nearer to each other; contacts: the `soft_contact.SoftFlow` within each wall,
-    under a force of the user's own its `Lane` (`pushed_flow`), None for rigid ones.
+    (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall; rushes:
+    bounds on the change of the press on each; gap: the walls are never nearer to each other; contacts: the
+    `soft_contact.SoftFlow` within each wall, under a force of the user's own its `Lane` (`pushed_flow`), None for rigid
+    ones.
 
     stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`). law: a force of
     the user's own; then damping and swift are 0, and what bounds the linear flow is None.
