@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
+from jaxvibro.scene.codes import Contact
 from tests.sample_proof import soft_errors, state_errors
 
 
@@ -57,7 +58,7 @@ def test_a_long_way_in_one_stretch_is_as_many_strobes(scene):
 
 
 @pytest.mark.slow
-def test_at_an_impact_it_is_the_state_after_it_and_no_slope(scene):
+def test_at_an_impact_it_is_the_state_after_it_and_its_one_sided_slope(scene):
     start = jv.State(1.0, 0.8)  # on the right wall and into it
     _, impacts = jv.strobe(scene, start)
     hits = np.asarray(impacts.time)[: int(impacts.count)]
@@ -67,8 +68,81 @@ def test_at_an_impact_it_is_the_state_after_it_and_no_slope(scene):
     after = -0.7 * np.asarray(impacts.side * impacts.speed)[: len(hits)]
     assert np.allclose(state.v[1:-1], after, rtol=0, atol=1e-14)
     assert state.v[0] == state.v[1]
-    slopes = jax.jacfwd(lambda a: jv.sample(scene.replace(amplitude=a), start, times)[0].v)(2.0)
-    assert np.all(np.isnan(slopes[:-1])) and np.isfinite(slopes[-1])
+
+    def speeds(a, times):
+        return jv.sample(scene.replace(amplitude=a), start, times)[0].v
+
+    slopes = jax.jit(jax.jacfwd(speeds))
+    assert np.allclose(slopes(2.0, times), slopes(2.0, times + 1e-9), rtol=1e-7, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_the_gradient_of_a_loss_at_the_time_of_an_impact_is_one_sided():
+    # no force: x = 2 t up to the wall at 10 at t = 5, then x = 20 - 2 t
+    force = jv.Force("polynomial", {"damping": 0.0})
+    times = np.arange(0.0, 8.1, 0.5)
+
+    def loss(z):
+        scene = jv.make_scene(0.0, 1.0, restitution=1.0, walls=(None, z[2]), force=force)
+        state, _ = jv.sample(scene, jv.State(z[0], z[1]), times)
+        return jnp.sum((1 - state.x) ** 2 + (1 - state.v) ** 2) / 2
+
+    z = jnp.array([0.0, 2.0, 10.0])
+    after = times >= 5.0
+    x, v = np.where(after, 20.0 - 2.0 * times, 2.0 * times), np.where(after, -2.0, 2.0)
+    by_x, by_v = np.where(after, -1.0, 1.0), np.where(after, -times, times)  # of x; v changes with v alone
+    true = [
+        np.sum((x - 1) * by_x),
+        np.sum((x - 1) * by_v + (v - 1) * np.where(after, -1.0, 1.0)),
+        np.sum((x - 1)[after] * 2.0),
+    ]
+    assert np.allclose(true[:2], (-7.0, -108.0))
+    grad = jax.jit(jax.grad(loss))
+    assert np.allclose(grad(z), true, rtol=0, atol=1e-12)
+    assert np.allclose(jax.jit(jax.jacfwd(loss))(z), true, rtol=0, atol=1e-12)
+    assert np.allclose(jax.jit(jax.vmap(jax.grad(loss)))(jnp.stack([z, z])), [true, true], rtol=0, atol=1e-12)
+
+
+def _soft(numbers, force):
+    wall = jv.Wall(numbers[2], stiffness=numbers[3], damping=numbers[4])
+    return jv.make_scene(numbers[0], numbers[1], None if force else 0.0, walls=(wall, None), force=force)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("force", [None, jv.Force("duffing", {"cubic": 0.0, "damping": 0.0})])
+def test_at_the_ends_of_a_contact_phase_slopes_are_those_of_the_state_returned(force):
+    """The damping jumps at the wall, and so do the slopes; the contact says on which side a state is."""
+    numbers, start = jnp.array([0.3, 1.1, -1.0, 60.0, 1.5]), jnp.array([-0.5, -1.3, 0.4])
+
+    def states(z, numbers, times):
+        state, _ = jv.sample(_soft(numbers, force), jv.State(*z), times)
+        return jnp.stack([state.x, state.v]), state.contact
+
+    slopes, flown = jax.jit(jax.jacfwd(states, (0, 1), has_aux=True)), jax.jit(states)
+
+    def inside(time):
+        return flown(start, numbers, jnp.array([time, 1.5]))[1][0] == -Contact.WITHIN
+
+    def edge(low, high):
+        while low < (middle := 0.5 * (low + high)) < high:
+            low, high = (low, middle) if inside(middle) == inside(high) else (middle, high)
+        return high
+
+    def at(time):
+        found, contact = slopes(start, numbers, jnp.array([time, 1.5]))
+        found = np.concatenate(found, -1)
+        return found[:, 0], found[:, 1], contact[0]
+
+    for low, high in ((0.3, 0.6), (0.6, 1.0)):  # the mass enters at .461 and leaves at .813
+        time = edge(low, high)
+        before, later, _ = at(time - 1e-8)
+        after = at(time + 1e-8)[0]
+        assert abs(after - before).max() > 1.0
+        for steps in (-6, -1, 0, 1, 6):
+            own, last, contact = at(time + steps * np.spacing(time))
+            side = before if (contact == -Contact.WITHIN) == (low > 0.5) else after
+            assert np.allclose(own, side, rtol=0, atol=2e-6)
+            assert np.allclose(last, later, rtol=0, atol=1e-13)
 
 
 @pytest.mark.long

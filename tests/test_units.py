@@ -14,6 +14,7 @@ from scipy.integrate import solve_ivp
 
 import jaxvibro as jv
 from jaxvibro import plot
+from jaxvibro.branches.branch import extent
 from jaxvibro.output.units import to_physical
 from jaxvibro.problem import loads, stability
 from jaxvibro.problem.end import End, read, scaled
@@ -194,6 +195,49 @@ def test_stability_in_words():
     pairs = np.array([[0.5, 0.2], [1.5, 0.1], [-1.5, 0.1], [-2.0, 3.0], [1.0, 0.3], [np.inf, np.inf], [0.6 + 0.6j] * 2])
     told = ["stable", "saddle", "flip saddle", "repelling", "neutral", "repelling", "stable"]
     assert stability.words(pairs).tolist() == told
+
+
+def test_a_table_s_stability_is_that_of_the_points():
+    """Beside a special point it is that of the neighbours, at an end that of the end itself, also next to a PD."""
+    pairs = np.array([[-0.9, -0.03], [-1.0, -0.02], [-1.1338, -0.0198]])
+    assert [stability.words_around(pairs, k) for k in range(3)] == ["stable", "stable to flip saddle", "flip saddle"]
+    assert stability.words(pairs[-1:]).tolist() == ["flip saddle"]
+    near = np.array([[0.9, 0.3], [1.0, 0.3], [1.0, 0.1], [0.8, 0.1]])  # two saddle-nodes, no point between them
+    assert [stability.words_around(near, k) for k in (1, 2)] == ["stable to neutral", "neutral to stable"]
+    apart = np.array([[-0.9, -0.3], [-1.0, -0.3], [1.0, 0.3], [1.2, 0.3]])  # a PD, then an SN: stable in between
+    assert [stability.words_around(apart, k) for k in (1, 2)] == ["stable", "stable to saddle"]
+
+
+def test_a_table_and_a_frame_agree_on_the_ends(followed):
+    for branch in followed:
+        words, lines = branch.to_frame()["stability"].values, branch.table().splitlines()
+        for place, line in ((0, lines[1]), (-1, lines[len(branch.special)])):
+            assert line.startswith("EP") and f"  {words[place]}  " in line
+
+
+def test_a_closed_branch_is_told_by_its_range(followed):
+    branch = followed[1]
+    low, high = branch.values.min(), branch.values.max()
+    closed = replace(branch, ends=(End.CLOSED, End.CLOSED))
+    assert extent(closed) == f"closed, between {low:.12g} and {high:.12g}"
+    assert extent(closed, 2.0, 4) == f"closed, between {2 * low:.4g} and {2 * high:.4g}"
+    assert repr(closed).startswith(f"Branch(amplitude closed, between {low:g} and {high:g}, ")
+    first, last = branch.values[[0, -1]]
+    assert extent(branch).startswith(f"from {first:.12g} to {last:.12g}")
+    turned = replace(branch, data=branch.data.isel(point=np.r_[0 : len(branch), 0]))  # there and back
+    assert extent(turned) == f"from {first:.12g} to {first:.12g}, between {low:.12g} and {high:.12g}"
+
+
+def test_without_an_impact_the_largest_speed_is_zero(followed):
+    sides, speeds = (
+        np.array([[0, 0], [1, -1], [-2, 0], [2, 1]]),
+        np.array([[np.nan] * 2, [0.3, 0.7], [0.9, 0.0], [0, 1.5]]),
+    )
+    assert loads.largest_speed(sides, speeds).tolist() == [0.0, 0.7, 0.0, 1.5]
+    frame = followed[1].to_frame()
+    free = frame["label"] == "P100"
+    assert free.any() and (frame["largest_speed"][free] == 0).all() and (frame["largest_speed"][~free] > 0).all()
+    assert np.isfinite(followed[1].curves("speed").pieces[0].columns).all()
 
 
 def test_datasets_and_pictures_in_physical_units(followed):

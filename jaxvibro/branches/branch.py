@@ -125,8 +125,8 @@ class Branch(OrbitRows[Special]):
     NOUN = "branch"
 
     def __repr__(self):
-        values, kinds = self.values, " ".join(one.kind for one in self.special)
-        return f"Branch({self.name} from {values[0]:g} to {values[-1]:g}, {len(self)} points, {kinds})"
+        kinds = " ".join(one.kind for one in self.special)
+        return f"Branch({self.name} {extent(self, digits=6)}, {len(self)} points, {kinds})"
 
     @property
     def values(self) -> Float[np.ndarray, " points"]:
@@ -175,7 +175,7 @@ class Branch(OrbitRows[Special]):
         unit, size = unit_in(self.scene, unit_of(self.name), units)
         head = headed(self.name, unit, units)
         rows = [("kind", head, "orbit", "stability", "itinerary", "multipliers", "meets", "consequence", "normal form")]
-        found = stability.words(self.multipliers)
+        found = self.multipliers
         for one in self.special:
             walls = " ".join(word or "." for word in one.itinerary)
             kind, value, steady = name_in(one.kind, labels), one.value * size, stability.words_around(found, one.place)
@@ -208,6 +208,19 @@ class Branch(OrbitRows[Special]):
         Raises ArgumentError for other variables.
         """
         return curves(self, variable)
+
+
+def extent(branch, size=1.0, digits=12):
+    """Describe the parameter values of a branch as a text.
+
+    A closed branch has its range. Others have the first and the last value, and the range where they go beyond these.
+    size: of the scene's unit in that of the text; digits: significant ones.
+    """
+    values = size * branch.values
+    first, last, low, high = (f"{each:.{digits}g}" for each in (values[0], values[-1], values.min(), values.max()))
+    if End.CLOSED in branch.ends:
+        return f"closed, between {low} and {high}"
+    return f"from {first} to {last}" + (f", between {low} and {high}" if {low, high} != {first, last} else "")
 
 
 def _plain(spot):

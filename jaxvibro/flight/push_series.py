@@ -9,6 +9,7 @@ e = 0 to e = 0. With e = scale f and w = scale g, the scale being the speed of e
 zero.
 """
 
+import math
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -54,6 +55,25 @@ def coefficients(frame, side, now, order):
     pull, push = _acceleration(frame, side, now, Square(depth_root), pace, time)
     drawn = product(root, minus(scaled(side, pull), push))
     return Terms(*([each[k] for k in range(order + 1)] for each in (root, rate, time)))
+
+
+def motion_in_time(frame, side, now, depth, rate, order):
+    """(Derivatives of the depth, of its rate) by time from the constant up to an order; the last counts as a constant.
+
+    Unlike `coefficients` they are right where the depth is 0 or a rounding, where time runs as the square of s. Of
+    orders above 1 they are nan at the depth 0 where the law has no such derivative, as one with y^1.5.
+    """
+    one = jnp.ones_like(depth)
+    deep = Series(lambda own, k: times(1.0 / k, fast[k - 1]), depth)
+    fast = Series(lambda own, k: times(1.0 / k, drawn[k - 1]), rate)
+    time = Series(lambda own, k: None, jnp.zeros_like(depth), one)
+    pull, push = _acceleration(frame, side, now, deep, fast, time)
+    drawn = minus(scaled(side, pull), push)
+    found = []
+    for each in (deep, fast):
+        terms = [each[k] * float(math.factorial(k)) for k in range(order + 1)]
+        found.append([*terms[:-1], lax.stop_gradient(terms[-1])])
+    return found
 
 
 def _acceleration(frame, side, now, depth, pace, time):

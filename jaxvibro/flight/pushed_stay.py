@@ -128,17 +128,26 @@ def stay(frame, side, start, left, late, order, found=None):
     """
     found = found or pushed_flow.passed(*lax.stop_gradient((frame, side, start, left)))
     now, gone = pushed_flow.fly(frame, side, start, lax.stop_gradient(found.span))
-    depth, rate, time = ended(frame, side, now, gone + late - left, found.leaves, order)
+    fast, time = _out(frame, side, now, order)
+    deep = now.scale * now.root
+    depth, rate = later(frame, side, now, deep * deep, now.scale * now.rate, left - gone - late, order)
     lost = ~(found.leaves | (found.left == 0))
-    return Stay(found.leaves, choose(lost, jnp.nan, gone + time), depth, choose(lost, jnp.nan, rate))
+    rate = choose(lost, jnp.nan, choose(found.leaves, fast, rate))
+    time = choose(lost, jnp.nan, choose(found.leaves, gone + time, left - late))
+    return Stay(found.leaves, time, choose(found.leaves, 0.0, depth), rate)
 
 
-def ended(frame, side, now, beyond, leaves, order):
-    """(depth, its rate, how much later) at the end of a stay, 0 later but for derivatives: where the mass leaves, or
-    where the time is over that beyond says how long ago that was."""
+def _out(frame, side, now, order):
+    """(the depth's rate, how much later) where the mass leaves, 0 later but for derivatives and rounding."""
     terms = push_series.coefficients(frame, side, now, order + 1)
     root, rate, time = (as_derivatives(each) for each in terms)
-    ends = [choose(leaves, *each) for each in zip(root, [beyond, *time[1:]], strict=True)]
-    span = taylor.root(ends[: order + 1], order)
-    root, rate, time = (taylor.shifted(each, span, order) for each in (root, rate, time))
-    return choose(leaves, 0.0, (now.scale * root) * (now.scale * root)), now.scale * rate, time
+    span = taylor.root(root[: order + 1], order)
+    rate, time = (taylor.shifted(each, span, order) for each in (rate, time))
+    return now.scale * rate, time
+
+
+def later(frame, side, now, depth, rate, late, order):
+    """(depth, its rate) within the wall a time later, 0 but for derivatives and rounding; of a `Within` the drive's
+    cosine and sine."""
+    jets = push_series.motion_in_time(frame, side, now, depth, rate, order)
+    return tuple(taylor.shifted(each, late, order) for each in jets)

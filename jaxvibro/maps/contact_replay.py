@@ -11,45 +11,47 @@ from ..flight.taylor import Now
 from ..scene.codes import Contact
 from . import start_within
 from .contact_duration import QUICK, duration, leave
+from .path_end import leaves
 
 
-def begun(frame, now, given, whole, order):
+def begun(frame, now, given, end, order):
     """(lanes that start within a soft wall where they leave it, or at the end; None); given: the contact."""
     touch, y, v = start_within.within(frame, now, given, order)
-    left = whole - now.time
-    return _passed(frame, now, touch, y, v, _taken(frame, touch, y, v, now, left), left, order), None
+    return _passed(frame, now, touch, y, v, *_taken(frame, touch, y, v, now, end), order), None
 
 
-def gone(frame, now, entry, whole, order):
+def gone(frame, now, entry, end, order):
     """The lanes as they are."""
     return now
 
 
-def entered(frame, now, side, late, whole, order):
+def entered(frame, now, side, late, end, order):
     """(lanes that enter the soft wall on a side a little later than now where they leave it, or at the end; None).
 
     side: 0 of lanes that enter none; lanes at a rigid wall stay as they are.
     """
     touch = choose(soft_contact.gives(frame, side), side * Contact.ENTERED, 0.0)
-    inside, left = is_inside(touch), whole - now.time
     _, pace = taylor.placed(taylor.way(frame, now, side, order), late, order)
     v = taylor.shifted(flow_of(frame).jet_at(frame, now, order)[1:], late, order) - pace
     cosine, sine = _turned(frame, now, late)[2:4]
     none = lax.full_like(v, 0.0)
-    time = _taken(frame, touch, none, v, now, left)
+    time, out = _taken(frame, touch, none, v, now, end)
     here = soft_contact.feeling(frame, touch)
     bias = soft_contact.biases(frame, touch, now.cosine, now.sine, order)
-    kept = _passed(frame, now, touch, *flow_of(here).back(here, now, none, v, late, order, bias), time, left, order)
-    quick = inside & (time < left) & (time < QUICK * here.reach)
+    kept = _passed(frame, now, touch, *flow_of(here).back(here, now, none, v, late, order, bias), time, out, order)
+    quick = out & (time < QUICK * here.reach)
     given = choose(quick, side, 0.0), cosine, sine, choose(quick, side * v, 1.0)
     left_soon = _gone(frame, now, late, time, leave(frame, *given, choose(quick, time, 0.0), order), side, order)
     return Now(*(choose(quick, new, old) for new, old in zip(left_soon, kept, strict=True))), None
 
 
-def _taken(frame, touch, y, v, now, left):
-    """How long lanes stay within a wall, at most so much; a constant."""
+def _taken(frame, touch, y, v, now, end):
+    """(how long lanes stay within a wall, at most to the path's end, a constant; whether they leave it by then)."""
+    left = end.time - now.time
     time = duration(*lax.stop_gradient((frame, touch, y, v, now.cosine, now.sine, left)))
-    return lax.stop_gradient(choose(is_inside(touch), time, 0.0))
+    time = lax.stop_gradient(choose(is_inside(touch), time, 0.0))
+    out = leaves(frame, end, now, touch, time)
+    return choose(is_inside(touch) & ~out, left, time), out
 
 
 def _gone(frame, now, late, time, out, side, order):
@@ -67,19 +69,18 @@ def _turned(frame, now, time):
     return now._replace(cosine=cosine, sine=sine, time=now.time + time)
 
 
-def _passed(frame, now, touch, y, v, time, left, order):
+def _passed(frame, now, touch, y, v, time, out, order):
     """Lanes within a wall brought to where they leave it after a time, or to the end."""
     inside = is_inside(touch)
     here = soft_contact.feeling(frame, touch)
     y, v = soft_contact.flown(here, touch, soft_contact.response(here, touch, time), (y, v), now.cosine, now.sine)
     end = _turned(frame, now, time)._replace(x=y, v=v)
-    leaves = inside & (time < left)
     path = _within(frame, here, touch, end, order)
-    steady = [path[0], choose(leaves, path[1], 1.0), *path[2 : order + 1]]
-    late = choose(leaves, taylor.root(steady, order), 0.0)
+    steady = [path[0], choose(out, path[1], 1.0), *path[2 : order + 1]]
+    late = choose(out, taylor.root(steady, order), 0.0)
     x, v = _absolute(frame, end, touch, path, late, order)
     free = flow_of(frame).back(frame, end, x, v, late, order)
-    x, v = choose(leaves, free[0], x), choose(leaves, free[1], v)
+    x, v = choose(out, free[0], x), choose(out, free[1], v)
     return Now(*(choose(inside, new, old) for new, old in zip((x, v, *end[2:]), now, strict=True)))
 
 

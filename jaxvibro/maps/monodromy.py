@@ -34,6 +34,7 @@ from . import contact_matrix, one_period, pushed_matrix, start_within
 from .contact_duration import product
 from .one_period import SLOTS
 from .onward import Onward
+from .path_end import PathEnd
 
 THROUGH = {Stays.NONE: None, Stays.SPRING: contact_matrix.through, Stays.PUSHED: pushed_matrix.through}
 
@@ -103,12 +104,13 @@ def passage(scene, state, periods, slots, clearance=False):
     """
     (end, impacts), (freed, *_) = one_period.through(scene, state, periods, slots, clearance)
     rests = (abs(end.contact) == Contact.STUCK) | (abs(state.contact) == Contact.STUCK) | (freed >= 0)
-    return end, impacts, rests, _product(scene, state, impacts, lax.full_like(freed, 0.0), periods, slots)
+    return end, impacts, rests, _product(scene, state, impacts, end.contact, periods, slots)
 
 
-def _product(scene, state, impacts, zero, periods, slots):
-    """The `Onward` after P of each flight, Q of each impact, the matrix of each stay; zero: of every lane."""
-    built = frame(scene)
+def _product(scene, state, impacts, contact, periods, slots):
+    """The `Onward` after P of each flight, Q of each impact, the matrix of each stay; contact: of every lane, at the
+    end."""
+    built, zero = frame(scene), lax.full_like(contact, 0.0)
     flow, through = flow_of(built), THROUGH[built.stays]
     rows = impacts.time, impacts.side.astype(zero.dtype), impacts.speed
     rows = [jnp.moveaxis(each, -1, 0) for each in rows]
@@ -118,7 +120,7 @@ def _product(scene, state, impacts, zero, periods, slots):
         """A stay where one is due, a flight and the impact at its end, or, after all impacts, the flight to the end."""
         k, lanes, now = carry
         if lanes:
-            now = through(built, lanes, k > 0, whole, now)
+            now = through(built, lanes, k > 0, PathEnd(whole, contact), now)
         time, side, speed = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in rows)
         last = k == most
         hit = (side != 0) & ~last

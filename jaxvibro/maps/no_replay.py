@@ -2,17 +2,17 @@
 `stay_replays`."""
 
 
-def begun(frame, now, given, whole, order):
-    """(`taylor.Now`, what is still to be gone through) of a start; given: its contact; whole: how long the path is."""
+def begun(frame, now, given, end, order):
+    """(`taylor.Now`, what is still to be gone through) of a start; given: its contact; end: the `PathEnd`."""
     return now, None
 
 
-def gone(frame, now, entry, whole, order):
+def gone(frame, now, entry, end, order):
     """Lanes brought through what was still to be gone through."""
     return now
 
 
-def entered(frame, now, side, late, whole, order):
+def entered(frame, now, side, late, end, order):
     """(`taylor.Now`, what is still to be gone through) of lanes that hit the wall on a side a little later than now;
     side: 0 of those that hit none."""
     return now, None

@@ -18,6 +18,7 @@ from ..flight.wall import course_on, less
 from ..scene.codes import Contact
 from .contact_duration import product
 from .onward import Onward, spent
+from .path_end import leaves
 
 
 class Through(NamedTuple):
@@ -32,29 +33,29 @@ class Through(NamedTuple):
     matrix: tuple[Float[jax.Array, "*lanes"], ...]
 
 
-def through(frame, lanes, outside, whole, now):
-    """The `Onward` after the stay of lanes that are within a wall, or at the end of the way.
+def through(frame, lanes, outside, end, now):
+    """The `Onward` after the stay of lanes that are within a wall, or at the `PathEnd`.
 
     lanes: (contact, y, y'); outside: whether they have come from there just now.
     """
     inside = is_inside(lanes[0])
-    found = _through(frame, lanes, now.cosine, now.sine, whole - now.time, outside)
+    found = _through(frame, lanes, outside, end, now)
     within = spent(frame, lanes[0], choose(inside, found.time, 0.0), now.within)
     new = now.time + found.time, (found.x, found.v), found.cosine, found.sine, product(found.matrix, now.matrix), within
     return jax.tree.map(lambda new, old: choose(inside, new, old), Onward(*new), now)
 
 
-def _through(frame, lanes, cosine, sine, left, outside):
-    """The `Through` of lanes within a soft wall. lanes: (contact, y, y'), benign where they are in none; left: the time
-    that they have; outside: which of those that have just entered come from there.
+def _through(frame, lanes, outside, end, now):
+    """The `Through` of lanes within a soft wall. lanes: (contact, y, y'), benign where they are in none; outside: which
+    of those that have just entered come from there.
 
     A later entry and a faster one change when and how fast the mass leaves; the accelerations on both sides of the
     wall say what that is at a time (the saltation matrix).
     """
-    touch, y, v = lanes
+    (touch, y, v), cosine, sine = lanes, now.cosine, now.sine
     inside, side = is_inside(touch), choose(touch < 0, lax.full_like(touch, -1.0), 1.0)
     enters = inside & (lax.abs(touch) == Contact.ENTERED)
-    left = choose(inside, left, 0.0)
+    left = choose(inside, end.time - now.time, 0.0)
     depth = choose(inside & ~enters, side * y, 1.0)
     rate = choose(inside, side * v, 0.0)
     before = choose(outside, *(each(frame, side, rate, cosine, sine) for each in (_drawn, drawn_in)))
@@ -62,6 +63,8 @@ def _through(frame, lanes, cosine, sine, left, outside):
     start = Within(lax.sqrt(depth), rate, jnp.ones_like(depth), cosine, sine)
     start = chosen_lanes(enters, entering(rate, cosine, sine, enters), start)
     known = passed(frame, side, start, left)
+    out = leaves(frame, end, now, touch, left - known.left)
+    known = known._replace(leaves=out, left=choose(known.leaves & ~out, 0.0, known.left))
 
     def ends(by_depth, by_rate):
         """(when, depth, rate) at the end of a stay, of changes of its start at a time."""

@@ -20,6 +20,7 @@ from ..flight.soft_contact import bounce
 from ..flight.taylor import Now
 from ..flight.wall import course_on, less, picked
 from ..scene.codes import Contact
+from .path_end import PathEnd
 from .stay_replays import replay_of
 
 
@@ -59,9 +60,10 @@ def _replayed(frame, state, known, span, order):
     start = _held(frame, Now(state.x + zero, state.v + zero, cosine, sine, zero), _resting(state.contact) + zero)
     whole = lax.stop_gradient(span) + zero
     stays = replay_of(frame)
-    start, entry = stays.begun(frame, start, state.contact, whole, order)
+    aim = PathEnd(whole, known.rests)
+    start, entry = stays.begun(frame, start, state.contact, aim, order)
     if frame.walls:
-        end, times, speeds = _journey(frame, start, entry, known, whole, order)
+        end, times, speeds = _journey(frame, start, entry, known, aim, order)
     else:
         end, times, speeds = _fly(frame, start, whole), known.times, jnp.zeros_like(known.times)
     late = span - whole
@@ -71,15 +73,15 @@ def _replayed(frame, state, known, span, order):
     return start, end._replace(x=x, v=v), late, times, speeds
 
 
-def _journey(frame, start, entry, known, whole, order):
-    """(where the lanes are after so much time, times, speeds of the impacts); start, entry: as the stays have them."""
-    stays = replay_of(frame)
+def _journey(frame, start, entry, known, end, order):
+    """(where the lanes are at the `PathEnd`, times, speeds of the impacts); start, entry: as the stays have them."""
+    stays, whole = replay_of(frame), end.time
     most = lax.min(jnp.max(known.count).astype(jnp.int32), jnp.int32(len(known.times)))
 
     def turn(carry):
         """To the next impact, or to the release before it, or, after all impacts, to the end."""
         k, passed, now, entry, *rows = carry
-        now = stays.gone(frame, now, entry, whole, order)
+        now = stays.gone(frame, now, entry, end, order)
         time, side = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in (known.times, known.sides))
         last = k == most
         time, side = choose(last, whole, time), choose(last, 0.0, side)
@@ -95,7 +97,7 @@ def _journey(frame, start, entry, known, whole, order):
         late, speed, x, v = stage(_kick, frame, now, side, order=order)
         rows = [_put(*each, k, hit) for each in zip(rows, (time + late, speed), strict=True)]
         now = now._replace(x=choose(hit, x, now.x), v=choose(hit, v, now.v))
-        now, entry = stays.entered(frame, now, choose(hit, side, 0.0), late, whole, order)
+        now, entry = stays.entered(frame, now, choose(hit, side, 0.0), late, end, order)
         return k + (~waits).astype(jnp.int32), choose(due, freed, passed), now, entry, *rows
 
     never = lax.full_like(known.freed, -1.0)

@@ -29,12 +29,14 @@ def sample(scene: Scene, state: State, times: Float[ArrayLike, "..."]) -> tuple[
     INVALID: a bad scene, a start beyond a wall, or times that are not in order; NONFINITE. From CAP on the states are
     nan where they are not known.
 
-    At the time of an impact, to rounding, it is the state after it.
+    At the time of an impact, to rounding, it is the state after it, and its derivatives are one-sided: those of the
+    motion just after that impact, the limit of the derivatives at later times. Where a soft wall is entered or left at
+    a time, the contact says on which side of that event the state and its derivatives are.
 
     jax.grad, jacfwd, jacrev, hessian and the rest go through it, at any order: x and v by those of the state, its
-    phase, every number of the scene and the times. A derivative is nan where there is no state, at the time of an
-    impact, and from the time on that more than 32 impacts lie between two times and within a period, up to the next
-    rest. A mass at rest forgets its start, and the impacts before it.
+    phase, every number of the scene and the times. A derivative is nan where there is no state, and
+    from the time on that more than 32 impacts lie between two times and within a period, up to the next rest. A mass at
+    rest forgets its start, and the impacts before it.
 
     Raises ArgumentError for times, where they are known, that are not finite, negative or not in order, for a state or
     times that do not broadcast, and for what is no number.

@@ -21,7 +21,6 @@ from ..compiled.kernels import one_kernel
 from ..flight import flow, impact_log, integrate
 from ..flight.coefficients import frame, product_error
 from ..flight.entry import enter
-from ..flight.event import rounding
 from ..flight.flight_state import CAPPED, absolute
 from ..scene.codes import Contact, Status
 from ..scene.state import State
@@ -46,14 +45,13 @@ class Request(NamedTuple):
 
 class Slopes(NamedTuple):
     """What is carried along. orders: the derivatives of (x, v), order 1 first, an axis for each choice, last; later:
-    the same at the last stop, by its own time as well; began: the time since the start; lost: whether there are none;
-    hit: whether the last impact was just now."""
+    the same at the last stop, by its own time as well; began: the time since the start; lost: whether there are
+    none."""
 
     orders: tuple[tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]], ...]
     later: tuple[tuple[Float[jax.Array, "..."], Float[jax.Array, "..."]], ...]
     began: Float[jax.Array, "..."]
     lost: Float[jax.Array, "..."]
-    hit: Float[jax.Array, "..."]
 
 
 @cache
@@ -161,7 +159,7 @@ def _seen(frame, fault, told, slopes):
     status = choose(fault == Status.OK, status, fault)
     good = status == Status.OK
     pair = tuple(choose(good, each, jnp.nan) for each in (x, v))
-    later = _where(good & (slopes.lost == 0) & (slopes.hit == 0), slopes.later, jnp.nan) if slopes else ()
+    later = _where(good & (slopes.lost == 0), slopes.later, jnp.nan) if slopes else ()
     return status, choose(good, contact_at_end(path), 0.0), pair, later
 
 
@@ -189,7 +187,7 @@ def _begun(task, x, none):
     rows = [jnp.array([float(place == own + k) for place in task.chosen], x.dtype) for k in (0, 1)]
     first = tuple(blank(1) + row for row in rows)
     orders = (first, *((blank(k), blank(k)) for k in range(2, task.order + 1)))
-    return Slopes(orders, orders, none + 0.0 * x, none + 0.0 * x, none + 0.0 * x)
+    return Slopes(orders, orders, none + 0.0 * x, none + 0.0 * x)
 
 
 def _replayed(task, leaves, fault, piece, told, slopes):
@@ -223,15 +221,7 @@ def _replayed(task, leaves, fault, piece, told, slopes):
     forgets = still | (told.freed >= 0)
     lost = choose(lost, 1.0, choose(forgets, 0.0, slopes.lost))
     lasting = _where(lost == 0, jax.tree.map(partial(_kept, task.chosen, times, path.x.ndim), later), 0.0)
-    hit = _is_hit(old, piece.length, hits, slopes.hit)
-    return _cleared(piece, told, Slopes(lasting, later, slopes.began + piece.length, lost, hit))
-
-
-def _is_hit(frame, length, times, before):
-    """1 of lanes whose last impact was at the end of a piece, by rounding; a piece of no length changes nothing."""
-    last = jnp.max(choose(times < jnp.inf, times, -jnp.inf), axis=0)
-    near = length - last <= 8.0 * rounding(length.dtype) * frame.period
-    return choose(length > 0, choose(near, lax.full_like(before, 1.0), 0.0), before)
+    return _cleared(piece, told, Slopes(lasting, later, slopes.began + piece.length, lost))
 
 
 def _polynomial(value, rows, changes):

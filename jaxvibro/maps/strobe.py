@@ -94,9 +94,11 @@ def strobe(
 
     jax.grad, jacfwd, jacrev, hessian and the rest go through it, at any order: by x, v, phase and every number of the
     scene; of the state, the impacts' times and speeds and the least speed. The rest of `Impacts` counts as constant.
-    A derivative is nan where there is no end: the status says so. With more than 32 impacts a period since the last
-    rest that of the state may be nan, and is where it is of higher order. At an impact without speed there is none:
-    what comes is that of the flight past it. A mass at rest forgets its start, and the impacts before it.
+    A derivative is nan where there is no end: the status says so. An impact at the end, and an entry into a soft wall
+    or an exit from it at the end, make derivatives one-sided: they are those of the state and contact returned. With
+    more than 32 impacts a period since the last rest that of the state may be nan, and is where it is of higher order.
+    At an impact without speed there is none: what comes is that of the flight past it. A mass at rest forgets its
+    start, and the impacts before it.
 
     Raises ArgumentError for periods, slots, clearance or a state that cannot be; all else is a status of each lane
     (`Impacts`).

@@ -43,7 +43,7 @@ def wall_loads(scene: Scene, state: State | xr.Dataset, periods: int = 1) -> xr.
     number >= 1. Of an orbit `wall_loads(orbit.scene, orbit.state, orbit.periods)`.
 
     Along the lanes, named lane or lane_0, lane_1, ..., or as those of the sweep, and "wall", those that there are:
-    largest_speed, before an impact and relative to the wall, nan where there is none; largest_force, K length: of a
+    largest_speed, before an impact and relative to the wall, 0 where there is none; largest_force, K length: of a
     soft wall what it adds to the spring and the damper of a free mass, k2 depth + 2 (gamma2 - gamma) x', beside a
     `Force` k2 depth + 2 gamma2 x', or its `Push`, 0 where it is not met, nan of a rigid wall; work_rate, K length^2 w0:
     the energy that the wall takes in its own frame, over the time, at a rigid one (1 - R^2) u^2 / 2 an impact of speed
@@ -78,7 +78,6 @@ def _of_states(scene, state, periods):
     shape = np.broadcast_shapes(scene.shape, *map(np.shape, jax.tree.leaves(state)))
     scales, scene, state = scales_in(scene), _in_lanes(scene, shape), _in_lanes(state, shape)
     status, found = np.zeros(math.prod(shape), int), np.zeros((len(COLUMNS), math.prod(shape), len(scene.walls)))
-    found[0] = -np.inf
     for _ in range(periods):
         given, (state, impacts) = state, _strobe(scene, state)
         for k, side in enumerate(scene.walls):
@@ -87,7 +86,7 @@ def _of_states(scene, state, periods):
             found[2, :, k] += work
         status = np.maximum(status, np.where(impacts.status >= Status.CAP, impacts.status, Status.OK))
     found[2] /= (2.0 * np.pi * periods / np.asarray(scene.frequency))[:, None]
-    found = np.where((status >= Status.CAP)[:, None] | np.isneginf(found), np.nan, found)
+    found = np.where((status >= Status.CAP)[:, None], np.nan, found)
     return _dataset(scene, shape, found, status).assign_attrs(scales)
 
 
@@ -103,10 +102,10 @@ def _in_lanes(tree, shape):
 
 
 def _of_wall(scene, state, impacts, side):
-    """(largest speed, -inf without one, largest force, work) of one wall within a period, each (lanes,)."""
+    """(largest speed, 0 without one, largest force, work) of one wall within a period, each (lanes,)."""
     met = np.asarray(impacts.side) == SIGNS[SIDES.index(side)]
     met &= (np.asarray(impacts.status) < Status.CAP)[:, None]
-    speeds = np.where(met, impacts.speed, -np.inf).max(axis=1)
+    speeds = np.where(met, impacts.speed, 0.0).max(axis=1)
     if getattr(scene, side).soft:
         return speeds, *_within(scene, state, impacts, met, side)
     return speeds, np.full(len(met), np.nan), _at_impacts(scene, impacts, met, side)

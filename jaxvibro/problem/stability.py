@@ -19,7 +19,23 @@ def words(multipliers):
     return np.select(choice, ["repelling", "flip saddle", "saddle", "neutral"], "stable")
 
 
-def words_around(found, place):
-    """The word before and after a point of a branch, as "saddle to stable"; one where both are alike, or at an end."""
-    near = [found[k] for k in (place - 1, place + 1) if 0 <= k < len(found)] or [found[place]]
-    return " to ".join(dict.fromkeys(near))
+def words_around(multipliers, place):
+    """Describe the stability before and after a point of a branch, as "saddle to stable".
+
+    An end has the word of its own orbit, as in a table of all points. Where a neighbour is itself a special point, on
+    the unit circle, the word is that of the stretch between the two: of the mean trace and determinant.
+    """
+    pairs = np.asarray(multipliers)
+    if place in (0, len(pairs) - 1):
+        return str(words(pairs[place : place + 1])[0])
+    return " to ".join(dict.fromkeys(_beside(pairs, place, k) for k in (place - 1, place + 1)))
+
+
+def _beside(pairs, place, neighbour):
+    """The word between a point and its neighbour."""
+    found = str(words(pairs[neighbour : neighbour + 1])[0])
+    if found != "neutral" or not np.isfinite(pairs[place]).all():
+        return found
+    both = pairs[[place, neighbour]]
+    trace, determinant = both.sum(axis=1).real.mean(), both.prod(axis=1).real.mean()
+    return str(words(np.roots([1.0, -trace, determinant])[None])[0])

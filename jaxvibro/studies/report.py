@@ -6,12 +6,13 @@ import msgspec
 
 from .. import __version__
 from ..attractors.shares import share_text
-from ..branches.branch import MEANINGS, labels_of
+from ..branches.branch import MEANINGS, extent, labels_of
 from ..design.records import ImpactRecord
 from ..loci.locus import MEANINGS as ON_LOCI
 from ..maps.initial_conditions import box, box_text
 from ..output.table_text import columns, headed, pair
 from ..output.units import LENGTH, SPEED, amount_text, unit_in, unit_of
+from ..problem.end import End
 from . import map_report
 from .compute import KEEP, SETTLE
 from .sweep_periods import longest, stretches
@@ -165,8 +166,8 @@ def _branches(found, units):
     if found.diagram is not None:
         yield found.diagram.reason
     for place, one in enumerate(found.branches, 1):
-        first, last = one.values[[0, -1]] * unit_in(one.scene, unit_of(one.name), units)[1]
-        yield f"\n{place}: {one.segments[0].label} from {first:.12g} to {last:.12g}, {len(one)} points"
+        between = extent(one, unit_in(one.scene, unit_of(one.name), units)[1])
+        yield f"\n{place}: {one.segments[0].label} {between}, {len(one)} points"
         yield one.table(units)
     yield f"\n{_meanings(MEANINGS)}"
     yield "multipliers: Floquet's, the larger first; meets: orbits that meet there, on which side of the value"
@@ -273,6 +274,8 @@ def _branch(one):
         "parameter": one.name,
         "from": float(first),
         "to": float(last),
+        "range": [float(one.values.min()), float(one.values.max())],
+        "closed": End.CLOSED in one.ends,
         "points": len(one),
         "reasons": list(one.reasons),
         "segments": [
