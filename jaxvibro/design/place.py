@@ -7,7 +7,7 @@ from typing import NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from ..branches.branch import Special
 from ..output.table_text import columns
@@ -57,7 +57,7 @@ class Placement:
 
 class _Asked(NamedTuple):
     """names, units of free numbers; now: their values; low, high: bounds, in units from there; sloped: (places,
-    free) -> (values, slopes)."""
+    free) -> (values, slopes); virtual: (free,) -> the kinds of the points that are virtual there."""
 
     names: tuple[str, ...]
     units: Float[np.ndarray, " free"]
@@ -68,6 +68,18 @@ class _Asked(NamedTuple):
         [Float[np.ndarray, "places free"]],
         tuple[Float[np.ndarray, "places targets"], Float[np.ndarray, "places targets free"]],
     ]
+    virtual: Callable[[Float[np.ndarray, " free"]], list[str]]
+
+
+class _Step(NamedTuple):
+    """A point on the way to the targets. share: of the way; change: in units; force: multipliers; held: which free
+    numbers are at a bound; slope: what is left of the condition."""
+
+    share: float
+    change: Float[np.ndarray, " free"]
+    force: Float[np.ndarray, " targets"]
+    held: Bool[np.ndarray, " free"]
+    slope: float
 
 
 @check.host("use the function that located gives")
@@ -87,7 +99,9 @@ def place(
     bounds: {name: (low, high)} of them, by default their domains. scene: to begin with, by default the first point's.
 
     The targets are approached on the straight way from the present values, each place on it by Newton's method on the
-    condition of Karush, Kuhn and Tucker. Where the way ends before, `met` is False and `why` tells what ended it.
+    condition of Karush, Kuhn and Tucker. Where the way ends before, or an orbit at the targets passes through a wall (a
+    virtual orbit), `met` is False, `why` tells what ended it, and the scene, change and values are those of the last
+    point on the way whose orbits are all admissible, to 1/256 of the way.
 
     Raises ArgumentError for arguments that cannot be: a free number that is the parameter, one without a unit, more
     targets than free numbers.
@@ -109,7 +123,7 @@ def place(
         rule = f"must be a finite number for each of {len(values)} values, and no more than free numbers, {len(free)}"
         raise check.ArgumentError("target", rule, target)
     asked = _asked(begin, free, bounds or {}, values)
-    return _result(begin, asked, goal, values, *_approached(asked, goal))
+    return _result(begin, asked, goal, *_approached(asked, goal))
 
 
 def _asked(scene, free, bounds, values):
@@ -129,27 +143,47 @@ def _asked(scene, free, bounds, values):
         slopes, found = jax.device_get(sloped(places))
         return found, slopes
 
-    return _Asked(names, units, now, *room_of(scene, free, bounds), both)
+    def virtual(change):
+        there = scene.replace(**dict(zip(names, now + change * units, strict=True)))
+        points = [each for each in values if isinstance(each, Located)]
+        return [each.special.kind for each in points if each.solve(there).status == SolutionStatus.VIRTUAL]
+
+    return _Asked(names, units, now, *room_of(scene, free, bounds), both, virtual)
 
 
 def _approached(asked, goal):
-    """(the change in units, how much of the way to the targets it is, which numbers are at a bound, or stop it there,
-    the slope left)."""
+    """(the last admissible `_Step`, which numbers are at a bound there, or stop it, the kinds of points that are
+    virtual beyond it)."""
     size = len(asked.names)
-    change, held, force = np.zeros(size), np.zeros(size, bool), np.zeros(len(goal))
-    begun = asked.sloped(_around(change))[0][0]
+    now = last = _Step(0.0, np.zeros(size), np.zeros(len(goal)), np.zeros(size, bool), 0.0)
+    begun = asked.sloped(_around(now.change))[0][0]
     if not np.isfinite(begun).all():
         raise check.ArgumentError("scene", "must have the points that are to be placed", begun)
-    share, step, slope = 0.0, 1.0, 0.0
-    while share < 1.0 and step >= SHORTEST:
-        ahead = min(1.0, share + step)
-        found, stops = _within(asked, change, force, held, begun + ahead * (goal - begun))
+
+    def ahead(now, share):
+        found, stops = _within(asked, now.change, now.force, now.held, begun + share * (goal - begun))
+        return None if found is None else _Step(share, *found), stops
+
+    step, virtual = 1.0, asked.virtual(now.change)
+    while now.share < 1.0 and step >= SHORTEST:
+        found, stops = ahead(now, min(1.0, now.share + step))
         if found is None:
             step *= 0.5
         else:
-            change, force, held, slope = found
-            share, step = ahead, 2.0 * step
-    return change, share, held if share == 1.0 else stops, slope
+            now, step = found, 2.0 * step
+            virtual = asked.virtual(now.change)
+            last = last if virtual else now
+    if not virtual:
+        return now, now.held if now.share == 1.0 else stops, virtual
+    beyond = now.share
+    while beyond - last.share > SHORTEST:
+        middle = 0.5 * (last.share + beyond)
+        found, _ = ahead(last, middle)
+        if found is None or asked.virtual(found.change):
+            beyond = middle
+        else:
+            last = found
+    return last, last.held, virtual
 
 
 def _within(asked, change, force, held, goal):
@@ -211,14 +245,12 @@ def _solved(asked, change, force, held, goal):
     return None
 
 
-def _result(scene, asked, goal, values, change, share, held, slope):
+def _result(scene, asked, goal, last, held, virtual):
+    change = last.change
     there = scene.replace(**dict(zip(asked.names, asked.now + change * asked.units, strict=True)))
     found = asked.sloped(_around(change))[0][0]
     names = tuple(name for name, each in zip(asked.names, held, strict=True) if each)
-    virtual = [
-        each for each in values if isinstance(each, Located) and each.solve(there).status == SolutionStatus.VIRTUAL
-    ]
-    why = _why(share, [each.special.kind for each in virtual], names)
+    why = _why(last.share, virtual, names)
     return Placement(
         scene=there,
         change=dict(zip(asked.names, map(float, change * asked.units), strict=True)),
@@ -228,18 +260,18 @@ def _result(scene, asked, goal, values, change, share, held, slope):
         met=not why,
         why=why,
         at_bound=names,
-        slope=slope,
+        slope=last.slope,
     )
 
 
 def _why(share, virtual, names):
     """What stands in the way to the targets; "" where they are met. virtual: kinds of points whose orbits pass through
-    a wall at the end; names: of numbers at a bound."""
+    a wall beyond; names: of numbers at a bound."""
     if share == 1.0:
-        return "an orbit there passes through a wall: the boundary ends before" if virtual else ""
+        return ""
     what = "the point cannot be followed on (it meets another, or the value has an extreme there)"
     if virtual:
-        what = f"the {virtual[0]}'s orbit passes through a wall there"
+        what = f"beyond, the {virtual[0]}'s orbit passes through a wall"
     elif names:
         what = f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} at a bound"
     return f"the way ends after {share:.3g} of it: {what}"

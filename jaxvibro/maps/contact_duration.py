@@ -12,8 +12,9 @@ from jax import lax
 from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, stage
-from ..flight import flow, soft_contact, soft_long_step, taylor
-from ..flight.flight_state import Path, SlowMotion
+from ..flight import flow, pushed_stay, soft_contact, soft_long_step, taylor
+from ..flight.coefficients import Stays
+from ..flight.flight_state import CAPPED, Path, SlowMotion
 from ..flight.flows import flow_of
 from ..flight.soft_contact import is_inside
 from ..flight.step import micro
@@ -42,6 +43,10 @@ def duration(frame, touch, y, v, cosine, sine, longest):
     motion = SlowMotion(y, none, v, none, cosine, sine)
     to_go = choose(is_inside(touch), longest, 0.0)
     path = Path(y, none, v, motion, to_go, none, touch)
+    if frame.stays is Stays.PUSHED:
+        after = pushed_stay.stayed(frame, path)
+        left = choose(after.to_go == CAPPED, jnp.nan, after.to_go)
+        return choose(is_inside(touch), (longest - left) - after.to_go_low, 0.0 * longest)
 
     def turn(carry):
         path, wait, left, left_low = carry
