@@ -231,6 +231,21 @@ def reflected(branch):
     return Walk(branch.segments[0].label, *twins)
 
 
+def test_a_branch_and_its_mirror_image_are_one_of_two():
+    """Told by their special points, in any order; a symmetric branch has none, nor has a branch in another scene."""
+    own = Walk("P110", point("EP", 1.0, [0.5]), point("PD", 2.0, [0.7]), point("EP", 3.0, [0.9]))
+    image, other = reflected(own), Walk("P110", *own.special[:2], point("EP", 3.0, [0.8]))
+    image.special = image.special[::-1]
+    both = Walk("P111", point("EP", 1.0, [0.5], [0.5]))
+    for one in (own, image, other, both):
+        one.scene, one.name = PLAIN, "amplitude"
+    assert branch_tree.mirror_images([both, own, other, image]) == {3: 1}
+    assert branch_tree.mirror_images([own, own, both]) == {}
+    for one in (own, image):
+        one.name = "left.position"
+    assert branch_tree.mirror_images([own, image]) == {}
+
+
 def walked(monkeypatch, first, ways, symmetric=False, **given):
     """(the branches, the special points that were left) where `ways` says which branches leave them."""
     asked = []

@@ -16,6 +16,7 @@ import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.branches.branch import extent
 from jaxvibro.output.units import to_physical
+from jaxvibro.plot.branch import covering
 from jaxvibro.problem import loads, stability
 from jaxvibro.problem.end import End, read, scaled
 from jaxvibro.scene.scales import Scales
@@ -226,6 +227,31 @@ def test_a_closed_branch_is_told_by_its_range(followed):
     assert extent(branch).startswith(f"from {first:.12g} to {last:.12g}")
     turned = replace(branch, data=branch.data.isel(point=np.r_[0 : len(branch), 0]))  # there and back
     assert extent(turned) == f"from {first:.12g} to {first:.12g}, between {low:.12g} and {high:.12g}"
+
+
+def test_lines_that_coincide_are_drawn_once(followed):
+    """Two dashed lines on one another look solid, which means stable."""
+    branch = followed[1]
+    ax = Figure().subplots()
+
+    def lines():
+        return [one for one in ax.lines if one.get_gid() == "branch" and np.size(one.get_xdata())]
+
+    plot.branch(branch, "speed", ax)
+    first = lines()
+    dashed = [one for one in first if one.get_linestyle() == "--"]
+    assert dashed and any(one.get_linestyle() == "-" for one in first)
+    plot.branch(branch, "speed", ax)
+    other = replace(branch, segments=tuple(replace(one, label="P101") for one in branch.segments))
+    plot.branch(other, "speed", ax)  # a mirror image has other labels
+    assert lines() == first
+    text = ", ".join(dict.fromkeys(one.label for one in branch.segments))
+    assert f"P101, on {text}" in [one.get_label() for one in ax.lines]
+    x, y = dashed[0].get_data()
+    width = dashed[0].get_linewidth()
+    assert covering(ax, x[::-1][::3], y[::-1][::3], width) is dashed[0]  # at other points, the other way round
+    assert covering(ax, x, y + 0.01 * np.ptp(y), width) is None
+    assert covering(ax, x, y, 2.0 * width) is None
 
 
 def test_without_an_impact_the_largest_speed_is_zero(followed):

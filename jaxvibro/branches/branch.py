@@ -210,6 +210,12 @@ class Branch(OrbitRows[Special]):
         return curves(self, variable)
 
 
+def ends(branch):
+    """The parameter's values at the ends of a branch, of a closed one the least and the largest."""
+    values = branch.values
+    return (values.min(), values.max()) if End.CLOSED in branch.ends else (values[0], values[-1])
+
+
 def extent(branch, size=1.0, digits=12):
     """Describe the parameter values of a branch as a text.
 

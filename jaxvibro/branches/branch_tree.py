@@ -130,6 +130,26 @@ def _is_retraced(branch, earlier):
     return branch.segments[-1].label == earlier.segments[-1].label and is_orbit(one, other)
 
 
+def mirror_images(branches):
+    """{place: the place of an earlier branch whose mirror image it is} of branches along one parameter."""
+    found: dict[int, int] = {}
+    for k, one in enumerate(branches):
+        if not stays_symmetric(one.scene, one.name):
+            continue
+        for j in range(k):
+            if j not in found and _is_mirror(one, branches[j]):
+                found[k] = j
+                break
+    return found
+
+
+def _is_mirror(one, other):
+    """Whether the mirror images of a branch's special points are those of another."""
+    if len(one.special) != len(other.special):
+        return False
+    return all(any(is_same(_reflected(each), two) for two in other.special) for each in one.special)
+
+
 def _is_own_mirror(branch):
     """Whether the mirror images of a branch's special points are all on it."""
     return all(any(is_same(_reflected(one), other) for other in branch.special) for one in branch.special)

@@ -19,9 +19,9 @@ from ..problem.end import scaled
 from ..scene.check import ArgumentError, host, short
 from ..scene.scene import Scene
 from ..scene.scene_table import SceneTable, table_of
-from .branch import Branch, Special
+from .branch import Branch, Special, ends
 from .branch_file import branch_of
-from .branch_tree import is_same
+from .branch_tree import is_same, mirror_images
 
 INDEX = "diagram.json"
 NAME = re.compile(r"branch_\d+(_[0-9a-f]{16})?\.nc")  # of a branch's file
@@ -51,11 +51,7 @@ class Diagram:
     @property
     def special(self) -> tuple[Special, ...]:
         """The special points of all branches, but for ends, each orbit once, by value."""
-        found: list[Special] = []
-        for one in (one for branch in self.branches for one in branch.special if one.kind != "EP"):
-            if not any(is_same(one, two) for two in found):
-                found.append(one)
-        return tuple(sorted(found, key=lambda one: one.value))
+        return _special(self.branches)
 
     def points(self, kind: str) -> tuple[Special, ...]:
         """The special points of a kind."""
@@ -64,20 +60,25 @@ class Diagram:
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
         """The branches, then the special points, as a text, a line each. units, labels: as in `Branch.table`.
 
+        A branch and its mirror image are one line, which names both. Of a closed branch the line has the range.
+
         Raises ArgumentError for other units and labels, and where the scene has no scales.
         """
         unit, size = unit_in(self.scene, unit_of(self.name), units)
         rows: list[tuple[object, ...]] = [
             ("branch", "orbits", "from", "to", "points", "special", "starts as", "ends as")
         ]
-        for place, one in enumerate(self.branches, 1):
+        images = mirror_images(self.branches)
+        listed = [one for k, one in enumerate(self.branches) if k not in images]
+        twins = {j + 1: f"{j + 1} (mirror image: {k + 1})" for k, j in images.items()}
+        for place, one in ((k + 1, one) for k, one in enumerate(self.branches) if k not in images):
             why = one.reasons if size == 1.0 else [scaled(each, size) for each in one.reasons]
-            first, last = (f"{one.values[k] * size:.9g}" for k in (0, -1))
+            first, last = (f"{each * size:.9g}" for each in ends(one))
             kinds = " ".join(name_in(each.kind, labels) for each in one.special if each.kind != "EP")
             orbits = " ".join(dict.fromkeys(part.label for part in one.segments))
-            rows.append((place, orbits, first, last, len(one), kinds or "-", *why))
+            rows.append((twins.get(place, place), orbits, first, last, len(one), kinds or "-", *why))
         points = [("kind", headed(self.name, unit, units), "orbit")]
-        points += [(name_in(one.kind, labels), f"{one.value * size:.12g}", one.label) for one in self.special]
+        points += [(name_in(one.kind, labels), f"{one.value * size:.12g}", one.label) for one in _special(listed)]
         return f"{columns(rows)}\n\n{columns(points)}\n\n{self.reason}"
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
@@ -111,6 +112,15 @@ class Diagram:
             file.write(sealed(json.dumps(MARKS | told, indent=1).encode()))
         for name in before - set(files):
             (folder / name).unlink(missing_ok=True)
+
+
+def _special(branches):
+    """The special points of branches, but for ends, each orbit once, by value."""
+    found: list[Special] = []
+    for one in (one for branch in branches for one in branch.special if one.kind != "EP"):
+        if not any(is_same(one, two) for two in found):
+            found.append(one)
+    return tuple(sorted(found, key=lambda one: one.value))
 
 
 def frame_of(branches, units):

@@ -1,8 +1,10 @@
 """Branches of periodic orbits against their parameter, and the special points on them."""
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
 from matplotlib.typing import ColorType
@@ -32,6 +34,8 @@ MARKERS = {
 FILLED = COLOURS[4]  # of special points: attractors are white or black
 OTHERS = "XP*pdh<>"  # of monitors
 LINES = 3  # on one tick
+SAMPLED = 64  # points of a line that are looked for on others
+SAME = 1e-3  # of their extent: lines as near are drawn once
 TICKS = "x-small"  # their size
 
 
@@ -52,7 +56,8 @@ def branch(
 
     Stable parts are solid and thick, unstable ones dashed and thin. A line breaks where an impact crosses phase 0: the
     velocity jumps there, though the branch goes on. Each kind of special point has a marker of its own, the ends none.
-    Between points lines are bent as their neighbours say. New Axes get a legend.
+    Between points lines are bent as their neighbours say. A line that coincides with one of another branch, as the
+    speed of a mirror image does, is drawn once: two dashed lines would make a solid one. New Axes get a legend.
 
     Raises ArgumentError for what is no `Branch`, and for other variables, units and labels.
     """
@@ -62,6 +67,7 @@ def branch(
     ax, text = axes(ax), name(one)
     known = {str(line.get_label()).lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"}
     colour = colour or known.get(text, ORDER[len(known) % len(ORDER)])
+    twins, new = [], False
     for piece in found.pieces:
         look: dict[str, Any] = {
             "color": colour,
@@ -69,11 +75,16 @@ def branch(
             "linestyle": STYLES[piece.stable],
             "zorder": 3,
         }
-        for column in piece.columns.T:
-            line = smooth(piece.values * across.size, column * up.size)
-            ax.plot(*line, label="_" + text, gid="branch", solid_capstyle="butt", **look)
+        for across_part, up_part in _parts(piece, found.points.get("SB") if variable not in ("x", "v") else None):
+            line = smooth(across_part * across.size, up_part * up.size)
+            twin = covering(ax, *line, look["linewidth"])
+            twins += [] if twin is None else [twin]
+            if twin is None:
+                new = True
+                ax.plot(*line, label="_" + text, gid="branch", solid_capstyle="butt", **look)
     if text not in known:
-        ax.plot([], [], label=text, gid="branch", color=colour, linewidth=wide(WIDTHS[True]))
+        told, shown = (text, colour) if new or not twins else (f"{text}, on {_label(twins[0])}", twins[0].get_color())
+        ax.plot([], [], label=told, gid="branch", color=shown, linewidth=wide(WIDTHS[True]))
     stability_entries(ax)
     _points(ax, found.points, across.size, up.size, labels)
     if variable in ("x", "peak"):
@@ -82,6 +93,47 @@ def branch(
     ax.margins(x=0.01)
     legend(ax, alone)
     return ax
+
+
+def _parts(piece, turns):
+    """(values, column) of the lines of a `Piece`: each of its columns, cut at the `Marks` where it turns back on itself
+    (the orbits on the two sides of a symmetry breaking are mirror images), None: nowhere."""
+    cuts = [] if turns is None else np.flatnonzero(np.isin(piece.values, turns.values))
+    edges = [0, *(int(cut) for cut in cuts if 0 < cut < len(piece.values) - 1), len(piece.values) - 1]
+    for column in piece.columns.T:
+        for first, last in pairwise(edges):
+            yield piece.values[first : last + 1], column[first : last + 1]
+
+
+def covering(ax: Axes, across: Float[np.ndarray, " points"], up: Float[np.ndarray, " points"], width: float) -> Any:
+    """Find a branch's line of this width in the Axes that covers all points of a new line; None without one."""
+    points = np.stack([across, up])[:, np.isfinite(up)]
+    points = points[:, :: max(1, points.shape[1] // SAMPLED)]
+    for line in ax.lines:
+        if line.get_gid() != "branch" or line.get_linewidth() != width or not points.size:
+            continue
+        drawn = np.array(line.get_data(), float)
+        if drawn.shape[1] > 1 and _is_on(points, drawn):
+            return line
+    return None
+
+
+def _is_on(points, line):
+    """Whether points lie on a line, (2, points) both, to SAME of its extent."""
+    size = np.maximum(np.nanmax(line, axis=1) - np.nanmin(line, axis=1), np.ptp(points, axis=1))[:, None]
+    size = np.where(size > 0, size, 1.0)
+    points, line = points / size, line / size
+    starts, ways = line[:, :-1, None], np.diff(line, axis=1)[:, :, None]
+    lengths = (ways**2).sum(axis=0)
+    off = points[:, None, :] - starts
+    with np.errstate(invalid="ignore", divide="ignore"):
+        share = np.clip(np.where(lengths > 0, (off * ways).sum(axis=0) / lengths, 0.0), 0.0, 1.0)
+    apart = np.hypot(*(off - share * ways))
+    return bool((np.where(np.isnan(apart), np.inf, apart).min(axis=0) < SAME).all())
+
+
+def _label(line):
+    return str(line.get_label()).lstrip("_")
 
 
 def name(one):

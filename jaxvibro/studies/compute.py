@@ -3,6 +3,7 @@ rest."""
 
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import jax
 import numpy as np
@@ -30,6 +31,7 @@ from ..scene.scene import Scene, changed
 from ..scene.state import State
 from ..surveys.map import map_parameters
 from .schema import AttractorsTable, BranchTable, ExploreTable, MarginTable, OrbitsTable, SceneFile
+from .sweep_periods import Stretch, stretches
 
 Asked = AttractorsTable | OrbitsTable | BranchTable | ExploreTable | MarginTable | None  # a table with values `at`
 
@@ -61,6 +63,13 @@ class Found:
     fit: Fit | None = None
     record: ImpactRecord | SampleRecord | None = None
     map: xr.Dataset | None = None
+
+    @cached_property
+    def stretches(self) -> list[Stretch]:
+        """The `Stretch`es of the swept diagram, none where there is no sweep."""
+        if self.swept is None:
+            return []
+        return stretches(self.swept, self.scene, SETTLE if self.file.sweep is None else self.file.sweep.settle)
 
     @property
     def across(self) -> str | None:

@@ -7,15 +7,15 @@ import msgspec
 from .. import __version__
 from ..attractors.shares import share_text
 from ..branches.branch import MEANINGS, extent, labels_of
+from ..branches.branch_tree import mirror_images
 from ..design.records import ImpactRecord
 from ..loci.locus import MEANINGS as ON_LOCI
 from ..maps.initial_conditions import box, box_text
-from ..output.table_text import columns, headed, pair
+from ..output.table_text import columns, pair
 from ..output.units import LENGTH, SPEED, amount_text, unit_in, unit_of
 from ..problem.end import End
-from . import map_report
-from .compute import KEEP, SETTLE
-from .sweep_periods import longest, stretches
+from . import map_report, sweep_report
+from .sweep_report import plane
 
 RESTS = "inf: the mass comes to rest by infinitely many hops, of which impacts has those before they are sure to end"
 
@@ -25,7 +25,7 @@ def table(found, name, units="scene"):
     or "physical"."""
     parts = [f"jaxvibro {__version__}, {name}\n", columns(_numbers(found.scene, units))]
     asked = [
-        (found.swept, _sweep),
+        (found.swept, sweep_report.lines),
         (found.attractors, _attractors),
         (found.orbits, _orbits),
         (found.branches, _branches),
@@ -48,43 +48,8 @@ def _numbers(scene, units):
     return [(name, value * known[name][1], known[name][0]) for name, value in numbers.items()]
 
 
-def _sweep(found, units):
-    asked = found.file.sweep
-    if asked is None:
-        yield from _rest(found, units)
-        return
-    unit, size = unit_in(found.scene, unit_of(asked.parameter), units)
-    yield f"sweep of {asked.parameter}: {asked.count} values, {asked.settle} periods settled, {asked.keep} kept"
-    yield f"periods: drive periods after which the state comes back, -: not within {longest(found.swept)}"
-    rows = [("leg", headed("from", unit, units), headed("to", unit, units), "values", "periods")]
-    rows += [
-        (one.leg, size * one.first, size * one.last, one.count, _periods(one.periods)) for one in stretches(found.swept)
-    ]
-    yield columns(rows)
-
-
-def _rest(found, units):
-    swept, ((x, wide), (v, high)) = found.swept, _plane(found, units)
-    (one,), last = stretches(swept), swept.isel(step=0, leg=0, period=-1)
-    yield f"from rest, after {SETTLE + KEEP} drive periods, at phase 0 of the drive"
-    rows = [(x, f"{wide * float(last['x']):.12f}"), (v, f"{high * float(last['v']):.12f}")]
-    rows += [("periods", _periods(one.periods))]
-    yield columns(rows)
-    yield f"periods: drive periods after which the state comes back, -: not within {longest(swept)}"
-
-
-def _plane(found, units):
-    """(name with its unit, how much of it one of the scene's is) of x and of v."""
-    known = ((name, *unit_in(found.scene, unit, units)) for name, unit in (("x", LENGTH), ("v", SPEED)))
-    return [(headed(name, unit, units), size) for name, unit, size in known]
-
-
-def _periods(number):
-    return "bad status" if number is None else number or "-"
-
-
 def _attractors(found, units):
-    asked, ((x, wide), (v, high)) = found.file.attractors, _plane(found, units)
+    asked, ((x, wide), (v, high)) = found.file.attractors, plane(found, units)
     where = _at(found, asked, units)
     yield f"attractors at {where}, from {asked.starts} starts (seed {asked.seed}); x and v at phase 0"
     area = box_text(found.there(asked), _scales(found, units))
@@ -133,7 +98,7 @@ def _walls(itinerary):
 
 
 def _orbits(found, units):
-    asked, ((x, wide), (v, high)) = found.file.orbits, _plane(found, units)
+    asked, ((x, wide), (v, high)) = found.file.orbits, plane(found, units)
     told = f"max_period {asked.max_period}, near trajectories from {asked.starts} starts (seed {asked.seed})"
     yield f"periodic orbits at {_at(found, asked, units)}, {told}: {len(found.orbits) or 'none'} found"
     if not found.orbits:
@@ -165,9 +130,14 @@ def _branches(found, units):
     yield f"branches of periodic orbits for {asked.parameter} {span}, {start}: {len(found.branches)}"
     if found.diagram is not None:
         yield found.diagram.reason
-    for place, one in enumerate(found.branches, 1):
+    images = mirror_images(found.branches)
+    twins = {j: (k, found.branches[k]) for k, j in images.items()}
+    for place, one in ((k + 1, one) for k, one in enumerate(found.branches) if k not in images):
         between = extent(one, unit_in(one.scene, unit_of(one.name), units)[1])
         yield f"\n{place}: {one.segments[0].label} {between}, {len(one)} points"
+        if place - 1 in twins:
+            twin, image = twins[place - 1]
+            yield f"its mirror image is {twin + 1}: {image.segments[0].label}, with the same values"
         yield one.table(units)
     yield f"\n{_meanings(MEANINGS)}"
     yield "multipliers: Floquet's, the larger first; meets: orbits that meet there, on which side of the value"
@@ -212,14 +182,15 @@ def summary(found, files):
     """The same as plain dicts, lists, texts and numbers; what is not finite is None."""
     told = {"version": __version__, "files": files, "job": msgspec.to_builtins(found.file)}
     if found.swept is not None:
-        told["stretches"] = [msgspec.to_builtins(one) for one in stretches(found.swept)]
+        told["stretches"] = [msgspec.to_builtins(one) for one in found.stretches]
     if found.attractors is not None:
         told["starts"] = dict(zip(("left", "right", "fast"), _box(found), strict=True))
         told["attractors"] = [_attractor(one) for one in found.attractors]
     if found.orbits is not None:
         told["orbits"] = [_orbit(one) for one in found.orbits]
     if found.branches is not None:
-        told["branches"] = [_branch(one) for one in found.branches]
+        images = mirror_images(found.branches)
+        told["branches"] = [_branch(one) | {"mirror_of": images.get(k)} for k, one in enumerate(found.branches)]
     if found.diagram is not None:
         told["explored"] = {"complete": found.diagram.complete, "reason": found.diagram.reason}
     if found.loci is not None:
