@@ -102,6 +102,60 @@ def test_what_walls_bear_is_what_scipy_integrates(kind):
 
 
 @pytest.mark.long
+def linear(depth, rate, p):
+    """The push of a spring and a damper, of a wall that stands still."""
+    return p["k"] * depth + 2.0 * p["c"] * rate
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["one", "soft and rigid", "two, one at 0 and moving", "law"])
+def test_beside_a_force_they_are_those_of_the_spring_that_it_equals(kind):
+    """Those of the spring are SciPy's. Beside a force a wall adds 2 gamma2 x', beside the spring 2 (gamma2 - gamma) x':
+    with gamma = 0 both are one."""
+    left = jv.Wall(-0.5, stiffness=40.0, damping=0.3)
+    spring, own = {
+        "one": ((left, None), (left, None)),
+        "soft and rigid": ((left, jv.Wall(0.8, 0.7)), (left, jv.Wall(0.8, 0.7))),
+        "two, one at 0 and moving": (
+            (
+                jv.Wall(0.0, stiffness=40.0, damping=0.3, motion=jv.Motion(0.05, 0.3, 2)),
+                jv.Wall(0.6, stiffness=30.0, damping=0.2),
+            ),
+        )
+        * 2,
+        "law": ((left, None), (jv.Wall(-0.5, law=jv.Push(linear, {"k": 40.0, "c": 0.3})), None)),
+    }[kind]
+    force = jv.Force("duffing", {"cubic": 0.0, "damping": 0.0})
+    scenes = jv.make_scene(1.5, 1.3, 0.0, walls=spring), jv.make_scene(1.5, 1.3, walls=own, force=force)
+    true, found = (jv.wall_loads(scene, jv.State(0.3, 0.8, 0.4), 2) for scene in scenes)
+    assert int(found["status"]) == int(true["status"]) == 0 and float(true["largest_speed"].min()) > 0
+    for name in ("largest_speed", "largest_force", "work_rate"):
+        np.testing.assert_allclose(found[name], true[name], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_a_ball_on_a_soft_ground_beside_a_force_in_closed_form():
+    """No drive: it falls from 0 with -3 under x'' = -x onto a wall at -2, k 100 and gamma2 2.5."""
+    wall = jv.Wall(-2.0, stiffness=100.0, damping=2.5)
+    force = jv.Force("duffing", {"cubic": 0.0, "damping": 0.0})
+    found = jv.wall_loads(jv.make_scene(0.0, 4.0, walls=(wall, None), force=force), jv.State(0.0, -3.0))
+    speed = 5.0**0.5  # 3^2 - 2^2
+    assert float(found["largest_speed"][0]) == pytest.approx(speed, rel=1e-12)
+    # within it y'' + 5 y' + 101 y = -2 of the depth y, from y = 0 with y' = speed, until y = 0
+    rest, root = -2.0 / 101.0, (101.0 - 2.5**2) ** 0.5
+    t = np.linspace(0.0, 1.2 * np.pi / root, 2_000_001)
+    sine = (speed - 2.5 * rest) / root
+    y = rest + np.exp(-2.5 * t) * (-rest * np.cos(root * t) + sine * np.sin(root * t))
+    w = np.exp(-2.5 * t) * (
+        (2.5 * rest + root * sine) * np.cos(root * t) + (root * rest - 2.5 * sine) * np.sin(root * t)
+    )
+    end = np.flatnonzero(y[1:] < 0)[0] + 2
+    push = (100.0 * y + 5.0 * w)[:end]
+    assert float(found["largest_force"][0]) == pytest.approx(push.max(), rel=1e-9)
+    work = np.trapezoid(push * w[:end], t[:end]) / (2.0 * np.pi / 4.0)
+    assert float(found["work_rate"][0]) == pytest.approx(work, rel=1e-5)
+
+
 def test_lanes_are_single_runs_and_units_are_told():
     scene, x = SCENES["soft"](), np.array([[0.3, -0.5, 0.9], [0.0, 0.1, -1.05]])  # two of them begin within a wall
     many = jv.wall_loads(scene, jv.State(x, 0.6), 2)
