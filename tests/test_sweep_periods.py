@@ -22,7 +22,7 @@ def growth(scene, state, periods=300, apart=1e-8):
     rates = []
     for _ in range(periods):
         end, _ = jv.strobe(scene, jv.State(x, v))
-        x, v = np.asarray(end.x), np.asarray(end.v)
+        x, v = np.array(end.x), np.array(end.v)
         far = np.hypot(x[1] - x[0], v[1] - v[0])
         rates.append(np.log(far / apart))
         x[1], v[1] = x[0] + apart * (x[1] - x[0]) / far, v[0] + apart * (v[1] - v[0]) / far
