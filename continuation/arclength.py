@@ -21,6 +21,7 @@ GROW, SHRINK = 2.0, 0.25  # the most that one step is longer or shorter than the
 EXACT = 16.0  # roundings of 1 + the largest unknown: F as small is zero, and Newton's last change is a rounding's
 LOOSE = 1e-10  # so long that may be: near a singular point a rounding moves the unknowns by more than is asked for
 STRAY = 0.15  # of a step: so far may the branch lie from its tangent
+FAR, NEAR = 2.0, 1e-6  # of a step, and a length: Newton's method ends where it is farther than both from its guess
 
 
 class Control(NamedTuple):
@@ -78,6 +79,9 @@ def corrected(function, solve, place, step, control, args):
     guess = place.z + step * place.tangent
     along = jnp.zeros_like(guess).at[-1].set(1.0)
 
+    # Beyond `far` the step would be refused, and an evaluation there may take very long: flights of any length.
+    far = jnp.where(step == 0, jnp.inf, FAR * abs(step) + NEAR)
+
     def going(carry):
         _, _, change, _, _, count = carry
         return (change > control.tolerance) & (count < ROUNDS)
@@ -89,9 +93,10 @@ def corrected(function, solve, place, step, control, args):
         found = solve(slopes, row, jnp.stack([miss, along], 1))
         change, tangent = found.x[:, 0], found.x[:, 1]
         length = jnp.linalg.norm(control.scale * change)
-        finite = jnp.isfinite(length)
-        length, count = jnp.where(finite, length, jnp.inf), jnp.where(finite, count + 1, ROUNDS)
-        return z - change, tangent, length, jnp.max(abs(value)), found.determinant, count
+        z = z - change
+        near = jnp.isfinite(length) & (jnp.linalg.norm(control.scale * (z - guess)) <= far)
+        length, count = jnp.where(near, length, jnp.inf), jnp.where(near, count + 1, ROUNDS)
+        return z, tangent, length, jnp.max(abs(value)), found.determinant, count
 
     zero = jnp.zeros_like(step)
     start = (guess, place.tangent, zero + jnp.inf, zero, zero, 0)
@@ -102,9 +107,10 @@ def corrected(function, solve, place, step, control, args):
     return point, jnp.sum(row * point.tangent), jnp.linalg.norm(control.scale * (z - guess))
 
 
-def track(function, solve, place, control, args, count):
+def track(function, solve, place, control, args, count, most=None):
     """(the `Place` reached, the `Point` of each of so many attempted steps); after its end nothing is attempted, and
-    the rest is blank."""
+    the rest is blank. most: the number of steps to attempt, where that is less than the count."""
+    most = count if most is None else most
 
     def attempt(place):
         on = place.status == ON  # of lanes under vmap, one may have ended before the others
@@ -135,7 +141,7 @@ def track(function, solve, place, control, args, count):
 
     def going(carry):
         k, place, _ = carry
-        return (k < count) & (place.status == ON)
+        return (k < most) & (place.status == ON)
 
     wide, one = (jnp.zeros((count, *shape), place.z.dtype) for shape in (place.z.shape, ()))
     blank = Point(wide, wide, one, one, one, one > 0, one > 0)

@@ -1,8 +1,8 @@
 """The one loop along a branch, be it in one parameter or in two: chunks of steps, each cut where something ends it,
 with its special points put in, until the branch ends.
 
-What is watched besides the equations is a `Watch`; its methods are asked in this order: `look`, `good`, `passed`,
-`before`, `touch`, `comes_back`, `events`, `stops`.
+What is watched besides the equations is a `Watch`; its methods are asked in this order: `view`, `good`, `look`, `good`
+where that puts points in, `passed`, `before`, `touch`, `comes_back`, `events`, `stops`.
 """
 
 from enum import Enum
@@ -15,11 +15,12 @@ from .arclength import ON, OUT, Control, Place, Point
 from .branch_switching import through
 from .points import cut_at, pointed, to_value
 from .problem import Problem
-from .rows import at, by_field, put, upto
+from .rows import at, by_field, joined, put, upto
 from .stretch import Mark, Stretch, glued
 
 MOST = 20_000  # points of a branch
 SMALLER = 0.25  # times the step that came to no point of the branch, to try again
+FEW = 4  # steps of a chunk before its points are first checked: those beyond the first bad point are of no use
 
 
 class End(Enum):
@@ -49,9 +50,10 @@ class Met(NamedTuple):
 class Watch:
     """What is known of points besides that they solve the equations, and what ends a branch: here nothing."""
 
-    def look(self, task, points):
-        """(the points, with more where something may have been missed between two; what is known of each, as rows)."""
-        return points, self.view(points.z)
+    def look(self, task, points, view):
+        """(the points, with more where something may have been missed between two; what is known of each, as rows).
+        view: what is known of the points given."""
+        return points, view
 
     def view(self, zs):
         """What is known of the points zs, a pytree of arrays with a row a point."""
@@ -114,11 +116,42 @@ def run(task, start):
     """The `Stretch` from a `Point`, whose tangent leads away."""
     parts, place = [], _place(start, task.first)
     while place is not None:
-        for points, status in event_search.stretches(task.problem, place, task.control, task.args):
-            place = _add(task, parts, points, status)
+        for points, seen, status in _chunks(task, place):
+            place = _add(task, parts, points, seen, status)
             if parts[-1].end is not None or place is not None:
                 break
     return glued(parts)
+
+
+class Seen(NamedTuple):
+    """Points that are known. z: the points; view: what a `Watch` knows of each; good: which are wanted."""
+
+    z: Any
+    view: Any
+    good: Any
+
+
+def _seen(watch, zs):
+    view = watch.view(zs)
+    return Seen(zs, view, np.array(watch.good(zs, view)))
+
+
+def _chunks(task, place):
+    """Yields (points, `Seen` of them, status) of chunks of steps, each checked after a few steps and ended early behind
+    its first bad point."""
+    chunk = None
+    for points, status in event_search.stretches(task.problem, place, task.control, task.args, FEW):
+        if chunk is None:
+            chunk, seen = points, _seen(task.watch, points.z)
+            seen.good[0] = True
+        elif len(points.z) > 1:
+            new = _seen(task.watch, points.z[1:])
+            view = by_field(lambda *leaves: np.concatenate(leaves), seen.view, new.view)
+            chunk = joined([chunk, points])
+            seen = Seen(chunk.z, view, np.concatenate([seen.good, new.good]))
+        if status != ON or len(chunk.z) > event_search.CHUNK or not seen.good.all():
+            yield chunk, seen, status
+            chunk = None
 
 
 def run_together(tasks, starts):
@@ -136,7 +169,7 @@ def _side_by_side(problem, tasks, starts):
     parts = [[] for _ in tasks]
 
     def goes_on(lane, points, status):
-        place = _add(tasks[lane], parts[lane], points, status)
+        place = _add(tasks[lane], parts[lane], points, _seen(tasks[lane].watch, points.z), status)
         return None if parts[lane][-1].end is not None else place or True
 
     places = [_place(start, task.first) for task, start in zip(tasks, starts, strict=True)]
@@ -148,23 +181,23 @@ def _place(start, first):
     return Place(start.z, start.tangent, np.float64(first), np.int32(ON))
 
 
-def _add(task, parts, points, status):
+def _add(task, parts, points, seen, status):
     """Put the `Stretch` of a chunk of steps to those before it; the `Place` to go on from with a smaller step, None
     where the steps are good."""
-    one, again = _part(task, points, status)
+    one, again = _part(task, points, seen, status)
     if one.end is None and sum(len(each.points.z) - 1 for each in (*parts, one)) > MOST:
         one = one._replace(end=End.POINTS)
     parts.append(one)
     return _place(at(one.points, -1), again) if one.end is None and again else None
 
 
-def _part(task, points, status):
+def _part(task, points, seen, status):
     """(the `Stretch` of a chunk of steps; the step to go on with from its last point, where a longer one came to no
-    point of the branch, else None)."""
+    point of the branch, else None). seen: `Seen` of the points."""
     watch, again = task.watch, None
     points, end, which = _within(task, points, ENDS[status])  # first, as what comes after a bound is not to be seen
-    points, view = watch.look(task, points)
-    good = watch.good(points.z, view)
+    points, view = watch.look(task, points, _viewed(watch, points.z, seen.z, seen.view))
+    good = seen.good if np.array_equal(points.z, seen.z) else watch.good(points.z, view)
     good[0] = True
     size, bad, seen = len(points.z), int(np.argmin(np.append(good, False))), points.z
     tried = upto(points, bad + 1)

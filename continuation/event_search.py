@@ -51,24 +51,23 @@ def oriented(slopes, scale, along=None):
     return sign * filled / np.linalg.norm(scale * filled)
 
 
-def _tracked(problem, place, control, args, count):
-    return arclength.track(problem.function, problem.solve, place, control, args, count)
+def _tracked(problem, place, control, args, count, most):
+    return arclength.track(problem.function, problem.solve, place, control, args, count, most)
 
 
 @persistent_jit(static_argnums=(0, 4), numpy_first=_tracked)
-def _track(problem, place, control, args, count):
-    return problem.run(_track_as_run, place, control, args, problem=problem, count=count)
+def _track(problem, place, control, args, count, most):
+    return problem.run(_track_as_run, place, control, args, most, problem=problem, count=count)
 
 
-def _track_as_run(place, control, args, problem, count):
-    return _tracked(problem, place, control, args, count)
+def _track_as_run(place, control, args, most, problem, count):
+    return _tracked(problem, place, control, args, count, most)
 
 
 def step(problem, point, length, control, args):
     """The branch's `Point` a length away along the tangent of one: `met` says whether Newton's method came there."""
     place = Place(point.z, point.tangent, np.float64(length), np.int32(ON))
-    once = control._replace(smallest=np.float64(np.inf))  # the same compiled code, which ends after one step
-    return at(_track(problem, place, once, args, CHUNK)[1], 0)
+    return at(_track(problem, place, control, args, CHUNK, np.int32(1))[1], 0)
 
 
 def pinned(problem, z, index, value, control, args):
@@ -85,15 +84,16 @@ def polishing(control):
     return control._replace(tolerance=np.float64(POLISHED))
 
 
-def stretches(problem, place, control, args):
+def stretches(problem, place, control, args, first=CHUNK):
     """Yields (`arclength.Point` of arrays, status of `arclength`): points in a row, the first being the last before.
 
-    place: where it starts. It ends when the status is not ON.
+    place: where it starts; first: the number of steps attempted before the first points are yielded, which doubles each
+    time up to `CHUNK`. It ends when the status is not ON.
     """
-    start = _first(problem, place, control, args)
+    start, most = _first(problem, place, control, args), first
     while True:
-        place, points = _track(problem, place, control, args, CHUNK)
-        kept = _kept(start, points)
+        place, points = _track(problem, place, control, args, CHUNK, np.int32(most))
+        kept, most = _kept(start, points), min(2 * most, CHUNK)
         yield kept, int(place.status)
         if place.status != ON:
             return

@@ -64,8 +64,8 @@ class LocusWay(NamedTuple):
 class LocusWatch(OrbitWatch):
     """Orbits along two parameters: the points of codimension two among them, and the touch that ends them."""
 
-    def look(self, task, points):
-        return super().look(task, points._replace(residual=_left(task, points)))
+    def look(self, task, points, view):
+        return super().look(task, points._replace(residual=_left(task, points)), view)
 
     def touch(self, task, points, view, bad):
         points, residual = to_touch(task, points, view, bad, self.length)
