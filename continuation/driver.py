@@ -5,6 +5,7 @@ What is watched besides the equations is a `Watch`; its methods are asked in thi
 where that puts points in, `passed`, `before`, `touch`, `comes_back`, `events`, `stops`.
 """
 
+import warnings
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ import numpy as np
 from . import arclength, event_search
 from .arclength import ON, OUT, Control, Place, Point
 from .branch_switching import through
+from .limits import UNLIMITED, Limits
 from .points import cut_at, pointed, to_value
 from .problem import Problem
 from .rows import at, by_field, joined, put, upto
@@ -20,6 +22,7 @@ from .stretch import Mark, Stretch, glued
 
 MOST = 20_000  # points of a branch
 SMALLER = 0.25  # times the step that came to no point of the branch, to try again
+SLOW, NARROW = 100, 1e-7  # points in a row, and 1 + abs of the parameter: as many within as little are slow progress
 FEW = 4  # steps of a chunk before its points are first checked: those beyond the first bad point are of no use
 
 
@@ -33,10 +36,16 @@ class End(Enum):
     STOPPED = "stopped at {kind}, {value:.12g}"
     STEP = "the step became too small at {value:.12g}: Newton's method does not converge there"
     POINTS = "it has too many points, the last at {value:.12g}"
+    MAX_POINTS = "max_points reached at {value:.12g}"
+    MAX_SECONDS = "max_seconds reached at {value:.12g}"
     NUMBER = "a number is not finite after {value:.12g}"
 
 
 ENDS = {ON: None, OUT: End.BOUND, arclength.UNDERFLOW: End.STEP, arclength.NONFINITE: End.NUMBER}  # of a chunk
+
+
+class SlowProgress(UserWarning):
+    """A continuation takes many steps without a change of its parameter."""
 
 
 class Met(NamedTuple):
@@ -99,7 +108,8 @@ class Watch:
 class Task(NamedTuple):
     """A branch to be followed. problem, args: its equations; control: of steps; first: the first; box: (low, high) of
     each parameter, the last one's as in the control; domain: ends of these that are none of the bounds asked for;
-    watch; stop: kinds of special points that end it; starts: solutions that end it when it comes back to them."""
+    watch; stop: kinds of special points that end it; starts: solutions that end it when it comes back to them; limits:
+    of its points and of the time."""
 
     problem: Problem
     args: Any
@@ -110,13 +120,14 @@ class Task(NamedTuple):
     watch: Watch = Watch()
     stop: tuple[str, ...] = ()
     starts: tuple[Any, ...] = ()
+    limits: Limits = UNLIMITED
 
 
 def run(task, start):
     """The `Stretch` from a `Point`, whose tangent leads away."""
     parts, place = [], _place(start, task.first)
     while place is not None:
-        for points, seen, status in _chunks(task, place):
+        for points, seen, status in _chunks(task, place, _count(parts)):
             place = _add(task, parts, points, seen, status)
             if parts[-1].end is not None or place is not None:
                 break
@@ -136,9 +147,9 @@ def _seen(watch, zs):
     return Seen(zs, view, np.array(watch.good(zs, view)))
 
 
-def _chunks(task, place):
+def _chunks(task, place, count):
     """Yields (points, `Seen` of them, status) of chunks of steps, each checked after a few steps and ended early behind
-    its first bad point."""
+    its first bad point, and where a limit is reached. count: of the points before."""
     chunk = None
     for points, status in event_search.stretches(task.problem, place, task.control, task.args, FEW):
         if chunk is None:
@@ -149,9 +160,10 @@ def _chunks(task, place):
             view = by_field(lambda *leaves: np.concatenate(leaves), seen.view, new.view)
             chunk = joined([chunk, points])
             seen = Seen(chunk.z, view, np.concatenate([seen.good, new.good]))
-        if status != ON or len(chunk.z) > event_search.CHUNK or not seen.good.all():
+        ends = status != ON or len(chunk.z) > event_search.CHUNK or not seen.good.all()
+        if ends or task.limits.reached(count + len(chunk.z) - 1):
             yield chunk, seen, status
-            chunk = None
+            count, chunk = count + len(chunk.z) - 1, None
 
 
 def run_together(tasks, starts):
@@ -185,10 +197,47 @@ def _add(task, parts, points, seen, status):
     """Put the `Stretch` of a chunk of steps to those before it; the `Place` to go on from with a smaller step, None
     where the steps are good."""
     one, again = _part(task, points, seen, status)
-    if one.end is None and sum(len(each.points.z) - 1 for each in (*parts, one)) > MOST:
+    count = _count([*parts, one])
+    if one.end is None and count > MOST:
         one = one._replace(end=End.POINTS)
+    one = _limited(task.limits, one, count)
     parts.append(one)
+    task.limits.report(_count(parts))
+    warn_if_slow(task.control, one)
     return _place(at(one.points, -1), again) if one.end is None and again else None
+
+
+def _count(parts):
+    """The number of points of `Stretch`es in a row."""
+    return 1 + sum(len(each.points.z) - 1 for each in parts)
+
+
+def _limited(limits, one, count):
+    """The `Stretch` up to where a limit is reached; count: of all points up to its end."""
+    over = 0 if limits.room is None else count - max(limits.room, 1)
+    if over > 0 or (over == 0 and limits.room is not None and one.end is None):
+        size = max(len(one.points.z) - over, 1)
+        marks = tuple(each for each in one.marks if each.place < size)
+        points, view = upto(one.points, size), upto(one.view, size)
+        return Stretch(one.args, points, view, marks, End.MAX_POINTS, -1, float(points.z[-1, -1]))
+    if one.end is None and limits.expired:
+        return one._replace(end=End.MAX_SECONDS)
+    return one
+
+
+def warn_if_slow(control, one):
+    """Warn where many points in a row lie at nearly one value of the parameter."""
+    values, steps = one.points.z[:, -1], one.points.step
+    width, count = float(np.ptp(values)), len(values) - 1
+    if count >= SLOW and width < NARROW * (1.0 + abs(values[-1])):
+        least, most = float(steps[1:].min()), float(steps[1:].max())
+        warnings.warn(
+            f"slow progress: {count} points lie within {width:.1e} of the parameter value {values[-1]:.12g}, with steps"
+            f" of {least:.1e} to {most:.1e} (the smallest allowed is {float(control.smallest):.1e}); the curve bends"
+            " sharply or is nearly singular there; set max_points or max_seconds, or narrow the bounds",
+            SlowProgress,
+            stacklevel=2,
+        )
 
 
 def _part(task, points, seen, status):

@@ -15,6 +15,7 @@ from .branch import Branch, Special
 from .driver import End, Task
 from .errors import ContinuationError
 from .event_search import Event
+from .limits import limits_of
 from .newton import ADVICE, newton
 from .persistent_jit import persistent_jit
 from .phases import SystemWatch
@@ -82,6 +83,10 @@ def trace(
     monitors: Monitors | None = None,
     stop: Sequence[str] = (),
     hold: Mapping[Any, float] | None = None,
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Branch:
     """The branch of solutions of a system through one near u, along one parameter: a `Branch`.
 
@@ -95,8 +100,13 @@ def trace(
     along is then a tuple of names, bounds {name: (low, high)}, direction and the start's value are of the last name,
     the start's others are found. A turning point of that one is no fold then: an SN is where dF/du is singular.
 
+    max_points, max_seconds: largest number of points of the branch, and wall-clock time, s, which is checked between
+    chunks of steps; None is no limit. A limit that is reached ends the branch there, and its `reasons` say so.
+    progress: called with the number of points computed so far.
+
     Raises ContinuationError for arguments that cannot be, and where Newton's method comes to no solution from u.
     """
+    limits = limits_of(max_points, max_seconds, progress, ContinuationError)
     row, at = known_numbers(u, at)
     require_settings(direction, monitors, stop)
     require_system(system, row, at, args)
@@ -114,7 +124,7 @@ def trace(
     z = _solved(problem, z, given)
     checked_bounds(dict(zip(names, z[len(row) :].tolist(), strict=True)), bounds)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)
-    task = task._replace(problem=problem)
+    task = task._replace(problem=problem, limits=limits)
     ahead = event_search.tangent(task.problem, z, task.control.scale, given)
     back, on = both_ways(task, z, ahead, direction)
     return branch_of(system, None, bounds, given, back, on)
@@ -129,12 +139,16 @@ def switch(
     monitors: Monitors | None = None,
     stop: Sequence[str] = (),
     orbits: System | None = None,
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> tuple[Branch, ...]:
     """The branches that leave a special point besides that on which it was found: a tuple of `Branch`, each from the
     point on. special: of kind BP or SB, the two halves of the branch that crosses there; PD, that of twice as many
     times; HB, that of the periodic orbits, from a first one on that is a first_step large. bounds: {name: (low,
     high)}, or None for those of the point's branch; orbits: at HB the `shooting.periodic_orbits` of the same field; the
-    rest as in `trace`.
+    rest as in `trace`; max_points holds for each branch, max_seconds for all of them.
 
     Raises ContinuationError for points of other kinds, and at HB without orbits.
     """
@@ -142,10 +156,12 @@ def switch(
         raise ContinuationError("special", f"must be a special point of a branch, {', '.join(leaving.KINDS)}", special)
     if special.kind == "HB" and (not isinstance(orbits, System) or orbits.kind != ORBITS):
         raise ContinuationError("orbits", "must be the `periodic_orbits` of the field that has the Hopf point", orbits)
+    limits = limits_of(max_points, max_seconds, progress, ContinuationError)
     bounds = bounds or special.bounds
     require_settings("both", monitors, stop)
     system, z, given, tangents = leaving.ways(special, orbits)
-    task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)._replace(starts=())
+    task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors, stop)
+    task = task._replace(starts=(), limits=limits)
     starts = [start_point(z, tangent) for tangent in tangents]
     if special.kind == "HB":
         starts = [hopf.first_orbit(task, one) for one in starts]
@@ -156,8 +172,11 @@ def switch(
 def both_ways(task, z, ahead, direction="both"):
     """(the `Stretch` backward, that forward) from a solution; None for that which is not asked for, or not needed as
     the other closes."""
-    on = driver.run(task, start_point(z, ahead)) if direction != "backward" else None
+    limits = task.limits
+    first = task._replace(limits=limits.halved() if direction == "both" else limits)
+    on = driver.run(first, start_point(z, ahead)) if direction != "backward" else None
     closed = on is not None and on.end is End.CLOSED
+    task = task._replace(limits=limits.after(0 if on is None else len(on.points.z) - 1))
     back = None if direction == "forward" or closed else driver.run(task, start_point(z, -ahead))
     return back, on
 

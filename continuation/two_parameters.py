@@ -5,7 +5,7 @@ iterate's at PD, a bialternate product at HB and NS, the block of dF/du that the
 is not zero where the matrix has one null vector.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
 
 import jax
@@ -18,6 +18,7 @@ from .arclength import bordered
 from .arguments import require_settings
 from .branch import Branch, Special
 from .errors import ContinuationError
+from .limits import limits_of
 from .on_curve import MEETING, OnCurve
 from .one_parameter import both_ways, branch_of, checked_bounds, task_of
 from .problem import Given, Problem, Test, equations_at, singular_matrix
@@ -33,6 +34,10 @@ def curve(
     largest_step: float = 0.1,
     tolerance: float = 1e-12,
     stop: Sequence[str] = (),
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Branch:
     """The curve of a special point in two parameters: a `Branch` of its kind.
 
@@ -54,12 +59,13 @@ def curve(
         raise ContinuationError("bounds", f"must be given for {pair[0]} and {pair[1]}", bounds)
     require_settings("both", None, stop)
     bounds = checked_bounds(special.p, {name: bounds[name] for name in pair})
+    limits = limits_of(max_points, max_seconds, progress, ContinuationError)
     given = Given({name: value for name, value in special.p.items() if name not in pair}, special.args)
     z = np.append(special.u, [special.p[name] for name in pair])
     system = special.system._replace(within=special.kind == "SB" or special.system.within)
     watch = OnCurve(system, special.kind, pair)
     task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, stop=stop)
-    task = task._replace(problem=special_problem(system, special.kind, pair), watch=watch)
+    task = task._replace(problem=special_problem(system, special.kind, pair), watch=watch, limits=limits)
     ahead = event_search.tangent(task.problem, z, task.control.scale, given)
     back, on = both_ways(task, z, ahead)
     return branch_of(system, special.kind, bounds, given, back, on)

@@ -31,6 +31,7 @@ def assemble(scene, name, bounds, settings, back, on, start=START):
         pieces = on.pieces
     ends, reasons = zip(back.reason if back else start, on.reason if on else start, strict=True)
     data, segments, special = _told(scene, name, bounds, pieces)
+    settings = {key: each for key, each in settings.items() if key != "limits"}
     return Branch(name, bounds, scene, data, segments, special, reasons, settings, ends)
 
 

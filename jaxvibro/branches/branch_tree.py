@@ -4,7 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from continuation.limits import UNLIMITED
+
 from ..orbits.orbit_comparison import is_same_orbit
+from ..problem.end import End
 from ..problem.orbit_on_branch import impacts, place_orbit
 from ..problem.same_orbit import is_repeated
 from ..scene.symmetry import stays_symmetric
@@ -49,8 +52,8 @@ class Tree:
 
     @property
     def is_spent(self):
-        """Whether there is no room for another branch."""
-        return len(self.found) >= self.most
+        """Whether there is no room for another branch, or no time."""
+        return len(self.found) >= self.most or self.steps.get("limits", UNLIMITED).expired
 
     def has(self, branch):
         """Whether a branch is one of those found: it has a special point that is theirs."""
@@ -67,7 +70,11 @@ class Tree:
                     continue
                 if not any(is_same(point, other) for other in met):
                     met += self._images(point)
+                    first = len(self.found)
                     self._leave(k, point)
+                    if any(End.MAX_SECONDS in one.ends for one in self.found[first:]):
+                        del self.found[first:]  # the next run follows all of them
+                        return
                 self.done.append((k, j))
             k += 1
 

@@ -11,9 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from continuation.limits import limits_of
+
 from ..flight.wall_positions import fit
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
+from ..problem.end import End
 from ..problem.orbit_on_branch import place_orbit
 from ..problem.orbit_start import point_of
 from ..scene import check
@@ -31,6 +34,7 @@ from .switch import FIRST
 MOST = 400  # branches, where no budget is given
 SAME = 1e-12  # of a soft wall's numbers: as near is rounding
 DONE = "all that was found has been followed"
+EXPIRED = "max_seconds reached"
 SPENT = "the budget of {} branches is spent"
 
 
@@ -45,6 +49,9 @@ def explore(
     resume: Diagram | None = None,
     largest_step: float = 0.1,
     progress: Callable[[int], object] | None = None,
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
 ) -> Diagram:
     """The periodic orbits of a scene along a parameter: a `Diagram`.
 
@@ -52,7 +59,9 @@ def explore(
     max_period: drive periods of the longest orbits that are looked for and that a period doubling is followed to;
     seed: of the random starts. budget: it stops when there are as many branches, those of one point being found
     together; None is 400. resume: a `Diagram` that stopped at its budget, of the same scene, parameter and settings, to
-    go on from. progress: called with the number of branches so far.
+    go on from. progress: called with the number of branches so far. max_points: largest number of points of each
+    branch; max_seconds: wall-clock time, s, after which the diagram is returned as far as it is known; it can be
+    resumed. None is no limit. The last branch may then end where the time was over; a resumed run follows it anew.
 
     Every attractor that one of 256 starts settles on is on a branch, and the motion that meets no wall, where there is
     one. What lies on no branch that leaves these is not found: an isolated unstable orbit (`find_isolas` looks for
@@ -62,7 +71,9 @@ def explore(
 
     Raises ArgumentError for arguments that cannot be.
     """
+    limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
     task = check_arguments(scene, name, bounds, max_period, seed, budget, largest_step)
+    task = task._replace(steps=task.steps | {"limits": limits})
     before = _resumed(resume, task)
     (some,) = settled_on([task])
     return explore_on(task, some, progress, *before)
@@ -113,7 +124,7 @@ def explore_on(task, some, progress=None, found=(), done=()):
             break
         if not any(is_on(probe, branch) for branch in tree.found):
             _begin(tree, probe, scene, name, bounds, steps)
-    told = SPENT.format(most) if tree.is_spent else DONE
+    told = SPENT.format(most) if len(tree.found) >= most else EXPIRED if tree.is_spent else DONE
     return Diagram(name, bounds, scene, tuple(tree.found), tuple(tree.done), not tree.is_spent, told, settings)
 
 
@@ -125,6 +136,8 @@ def _begin(tree, probe, scene, name, bounds, steps):
     if found is None:  # it had not settled
         return
     branch = through(scene.replace(**{name: probe.spot.value}), name, bounds, found, "both", steps)
+    if tree.found and End.MAX_SECONDS in branch.ends:
+        return  # the next run follows it anew
     if not tree.has(branch):
         tree.add(branch)
         tree.grow()
@@ -159,7 +172,10 @@ def _resumed(resume, task):
     same = (resume.name, resume.bounds, resume.settings) == (task.name, task.bounds, task.settings)
     if not same or not _is_alike(task.scene, resume.scene, task.name):
         raise check.ArgumentError("resume", "must be of the same scene, parameter, bounds and settings", resume)
-    return resume.branches, resume.left
+    whole = resume.branches
+    while whole and End.MAX_SECONDS in whole[-1].ends:
+        whole = whole[:-1]
+    return whole, tuple((k, j) for k, j in resume.left if k < len(whole))
 
 
 def _is_alike(scene, other, name):

@@ -8,6 +8,7 @@ import numpy as np
 from continuation import locate
 from continuation.arclength import Control
 from continuation.event_search import tangent
+from continuation.limits import UNLIMITED, limits_of
 from continuation.points import start_point
 
 from ..orbits.orbit import Orbit, OrbitError
@@ -20,7 +21,7 @@ from ..scene import check
 from ..scene.parameters import bounds_of, domain
 from ..scene.scale import scene_length
 from . import hold as holding
-from .assemble import assemble
+from .assemble import START, assemble
 from .branch import MEANINGS, Branch
 from .held_branch import HeldBranch
 from .segment import BranchSettings
@@ -44,6 +45,10 @@ def follow(
     tolerance: float = ...,
     monitors: Monitors = ...,
     stop: str | Sequence[str] = ...,
+    *,
+    max_points: int | None = ...,
+    max_seconds: float | None = ...,
+    progress: Callable[[int], object] | None = ...,
 ) -> Branch: ...
 @overload
 def follow(
@@ -56,6 +61,9 @@ def follow(
     tolerance: float = ...,
     *,
     hold: Mapping[str, float],
+    max_points: int | None = ...,
+    max_seconds: float | None = ...,
+    progress: Callable[[int], object] | None = ...,
 ) -> HeldBranch: ...
 @check.host("use strobe or monodromy; located has derivatives of special points")
 def follow(
@@ -69,6 +77,10 @@ def follow(
     monitors: Monitors = (),
     stop: str | Sequence[str] = (),
     hold: Mapping[str, float] | None = None,
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Branch | HeldBranch:
     """The branch of periodic orbits through an orbit, along one parameter of its scene: a `Branch`.
 
@@ -87,6 +99,12 @@ def follow(
     the second being the scene's; it gives a `HeldBranch`, whose data have the same columns, and no special points. It
     ends at a grazing, and takes no monitors and stops.
 
+    max_points, max_seconds: largest number of points of the branch, and wall-clock time, s; None is no limit. The
+    points are shared by the two directions: the first takes half of them at most. The time is checked between chunks of
+    steps, so that a compilation under way is completed. A limit that is reached ends the branch there: its `reason`
+    says so, and `extend` continues it. progress: called with the number of points computed so far. Many points at
+    nearly one value of the parameter give a `SlowProgress` warning.
+
     Unknowns are the impacts' times and speeds, and the parameter, by pseudo-arclength. Located are saddle-nodes (SN),
     symmetry breakings and other branch points (SB, BP), period doublings (PD) from the Jacobian of those equations, and
     grazings (GR): at one the impact is put in or left out and the branch goes on, if orbits do. Under a force that is
@@ -103,6 +121,7 @@ def follow(
     a branch is told by its `reason`.
     """
     given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
+    given["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     if hold is not None:
         return _held(orbit, name, bounds, direction, given, hold)
     bounds, start = _begun("orbit", orbit, name, bounds)
@@ -138,15 +157,21 @@ def follow_all(
     tolerance: float = 1e-10,
     monitors: Monitors = (),
     stop: str | Sequence[str] = (),
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> tuple[Branch, ...]:
     """The branch through each of some orbits, of one scene or of many, along one parameter: a tuple of `Branch`.
 
     orbits: a list or tuple of `Orbit`, one at least; the other arguments, and each branch, are as of `follow`. An
-    orbit on the branch of another gives that branch once more.
+    orbit on the branch of another gives that branch once more. max_points holds for each branch, max_seconds for all of
+    them: branches not begun by then are left out, and the tuple is shorter.
 
     Raises what `follow` raises; for an orbit that is none before anything is followed, with its place.
     """
     given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
+    given["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     if not isinstance(orbits, Sequence) or not orbits:
         raise check.ArgumentError("orbits", "must be a list or tuple of Orbits, one at least", orbits)
     begun = []
@@ -156,8 +181,12 @@ def follow_all(
         except OrbitError as error:
             error.add_note(f"it is orbits[{k}]")
             raise
-    pairs = zip(orbits, begun, strict=True)
-    return tuple(through(one.scene, name, bounds, start, direction, given) for one, (bounds, start) in pairs)
+    pairs, found = zip(orbits, begun, strict=True), []
+    for one, (bounds, start) in pairs:
+        found.append(through(one.scene, name, bounds, start, direction, given))
+        if given["limits"].expired:
+            break
+    return tuple(found)
 
 
 def _asked(direction, *settings):
@@ -180,14 +209,21 @@ def through(scene, name, bounds, start, direction, settings):
     `check_settings`."""
     (along, z), length = start, scene_length(scene)
     asked = asking(scene, name, bounds, length, start, **settings)
-    ahead = tangent(problem(along), z, scales(along, length), along)
-    on = go_on(along, start_point(z, ahead), asked) if direction != "backward" else None
+    ahead, start, limits = tangent(problem(along), z, scales(along, length), along), START, asked.limits
+    first = limits.halved() if direction == "both" else limits
+    on = go_on(along, start_point(z, ahead), asked._replace(limits=first)) if direction != "backward" else None
     closed = on is not None and on.reason.end is End.CLOSED
+    if on is not None and direction == "both" and not closed:
+        limits = limits.after(sum(len(one.points.z) - 1 for one in on.pieces))
+        if limits.reached(1):
+            closed, end = True, End.MAX_SECONDS if limits.expired else End.MAX_POINTS
+            start = end.reason(z[-1])
+    asked = asked._replace(limits=limits)
     back = go_on(along, start_point(z, -ahead), asked) if direction != "forward" and not closed else None
-    return assemble(scene, name, bounds, settings, back, on)
+    return assemble(scene, name, bounds, settings, back, on, start)
 
 
-def asking(scene, name, bounds, length, start, first_step, largest_step, tolerance, monitors, stop):
+def asking(scene, name, bounds, length, start, first_step, largest_step, tolerance, monitors, stop, limits=UNLIMITED):
     """The `BranchSettings` of these arguments; start: (along, z) that ends the branch where it comes back."""
     own = domain(scene, name)
     low, high = max(bounds[0], own[0]), min(bounds[1], own[1])
@@ -197,7 +233,7 @@ def asking(scene, name, bounds, length, start, first_step, largest_step, toleran
     marks = ((along.cycle._replace(times=z[:rows], speeds=z[rows : 2 * rows]), z[-1]),) if rows else ()
     only = tuple(each for each in own if not bounds[0] <= each <= bounds[1] or each not in bounds)
     return BranchSettings(
-        Control(np.ones(1), *numbers), min(first_step, largest_step), only, monitors, stop, length, marks
+        Control(np.ones(1), *numbers), min(first_step, largest_step), only, monitors, stop, length, marks, limits
     )
 
 

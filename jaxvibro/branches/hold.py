@@ -107,8 +107,11 @@ def both(scene, names, bounds, held, value, begun, direction, settings):
     length = scene_length(scene)
     control = Control(scales(curve, length), *numbers)
     watch = HeldWatch(curve, length)
-    task = Task(problem(curve), curve, control, min(first, largest), box, only, watch, starts=())
-    on = driver.run(task, start_point(z, ahead)) if direction != "backward" else None
+    limits = settings["limits"]
+    task = Task(problem(curve), curve, control, min(first, largest), box, only, watch, starts=(), limits=limits)
+    some = task._replace(limits=limits.halved() if direction == "both" else limits)
+    on = driver.run(some, start_point(z, ahead)) if direction != "backward" else None
+    task = task._replace(limits=limits.after(0 if on is None else len(on.points.z) - 1))
     back = driver.run(task, start_point(z, -ahead)) if direction != "forward" else None
     whole = on if back is None else backwards(back) if on is None else glued([backwards(back), on])
     reasons = tuple("the start" if one is None else _why(ended(one), names) for one in (back, on))

@@ -8,6 +8,7 @@ import numpy as np
 from continuation import driver, event_search
 from continuation.arclength import Control
 from continuation.driver import Met, Task
+from continuation.limits import UNLIMITED, Limits
 from continuation.rows import at, put, upto
 from continuation.stretch import Mark
 
@@ -28,7 +29,7 @@ from .user_monitors import MonitoredPoint, crossings
 class BranchSettings(NamedTuple):
     """What a branch is asked for. control: of steps; first: the first; domain: (low, high), the parameter's by its
     meaning; monitors: {label: function of a `MonitoredPoint`}; stop: labels; length: the scene's; marks: (`Cycle`,
-    parameter) of orbits that end the branch when it meets them."""
+    parameter) of orbits that end the branch when it meets them; limits: of its points and of the time."""
 
     control: Control
     first: float
@@ -37,6 +38,7 @@ class BranchSettings(NamedTuple):
     stop: tuple[str, ...]
     length: float
     marks: tuple[tuple[Cycle, float], ...]
+    limits: Limits = UNLIMITED
 
 
 class GrazingPoint(NamedTuple):
@@ -53,7 +55,8 @@ def follow_itinerary(along, start, asked):
     """The `Stretch` of orbits of one itinerary that begins at a `Point`; its end is an `End` of `problem.end`."""
     control = asked.control
     box, watch = ((float(control.low), float(control.high)),), BranchWatch(along, asked.length, asked.monitors)
-    task = Task(problem(along), along, control, asked.first, box, (asked.domain,), watch, asked.stop, asked.marks)
+    ends = asked.stop, asked.marks, asked.limits
+    task = Task(problem(along), along, control, asked.first, box, (asked.domain,), watch, *ends)
     return ended(driver.run(task, start))
 
 

@@ -1,6 +1,6 @@
 """`switch`: the other branches that leave a special point; `extend`: a branch beyond its end."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -8,9 +8,10 @@ import numpy as np
 from continuation import branch_switching as crossing
 from continuation import locate
 from continuation.event_search import tangent
+from continuation.limits import UNLIMITED, Limits, limits_of
 from continuation.points import start_point
 
-from ..problem.end import End, Reason
+from ..problem.end import LIMITS, End, Reason
 from ..problem.equations import problem
 from ..problem.grazing import padded
 from ..problem.orbit_on_branch import place_orbit
@@ -38,6 +39,7 @@ def switch(
     tolerance: float = 1e-10,
     monitors: Monitors = (),
     stop: str | Sequence[str] = (),
+    limits: Limits = UNLIMITED,
 ) -> tuple[Branch, ...]:
     """The branches that leave a `Special` of a branch, as the `switch` of `loci.switch` tells of it: a tuple of
     `Branch`. Raises ArgumentError for a point of another kind, and arguments that cannot be."""
@@ -48,7 +50,7 @@ def switch(
             "special", f"must be of kind {', '.join(KINDS)}: no branch leaves others", special.kind
         )
     bounds = bounds_of(special.scene, special.name, special.bounds if bounds is None else bounds)
-    settings = check_settings(first_step, largest_step, tolerance, monitors, stop)
+    settings = check_settings(first_step, largest_step, tolerance, monitors, stop) | {"limits": limits}
     return tuple(branch_from(special, start, bounds, **settings) for start in starts(special))
 
 
@@ -70,24 +72,40 @@ def branch_from(special, start, bounds, **settings):
 
 
 @check.host("use strobe or monodromy")
-def extend(branch: Branch, bounds: tuple[float, float]) -> Branch:
-    """The branch with wider bounds, followed on from each end that had come to its bound: a `Branch`.
+def extend(
+    branch: Branch,
+    bounds: tuple[float, float],
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
+) -> Branch:
+    """The branch with wider bounds, followed on from each end that had come to its bound, or to a limit of its points
+    or its time: a `Branch`.
+
+    max_points, max_seconds, progress: as in `follow`; max_points counts the points that are added.
 
     Raises ArgumentError where the new bounds do not hold the old ones.
     """
     if not isinstance(branch, Branch):
         raise check.ArgumentError("branch", "must be a Branch", branch)
+    limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     wide = bounds_of(branch.scene, branch.name, bounds)
     if not (wide[0] <= branch.bounds[0] and branch.bounds[1] <= wide[1]):
         raise check.ArgumentError("bounds", f"must hold the branch's own, {branch.bounds}", bounds)
     for end in (0, -1):
         value = branch.values[end]
-        if branch.ends[end] is not End.BOUND or value in wide:
+        if branch.ends[end] not in LIMITS and (branch.ends[end] is not End.BOUND or value in wide):
             continue
         if value in domain(branch.scene, branch.name):
             branch = _ending(branch, end, End.DOMAIN.reason(value))
             continue
-        more = _onwards(branch, end, wide)
+        if limits.reached(1):
+            reason = (End.MAX_SECONDS if limits.expired else End.MAX_POINTS).reason(value)
+            branch = _ending(branch, end, reason)
+            continue
+        more = _onwards(branch, end, wide, limits)
+        limits = limits.after(len(more) - 1)
         closes = more.ends[end] is End.CLOSED
         if len(more) > 1:
             branch = merge(branch, more) if end else merge(more, branch)
@@ -109,7 +127,7 @@ def _within(branch, bounds):
     return replace(branch, bounds=bounds, special=tuple(replace(one, bounds=bounds) for one in branch.special))
 
 
-def _onwards(branch, end, bounds):
+def _onwards(branch, end, bounds, limits):
     """The branch beyond one of its ends, 0 or -1, from there on, or, at its first point, up to there. It closes where
     it comes to the other end."""
     row, sign = row_of(branch.data, end), 1.0 if end else -1.0
@@ -124,7 +142,7 @@ def _onwards(branch, end, bounds):
         ahead[:count], ahead[rows : rows + count] = row["time_slope"][hit], row["speed_slope"][hit]
     ahead[-1] = row["value_slope"]
     start = start_point(z, tangent(problem(along), z, scales(along, scene_length(scene)), along, sign * ahead))
-    asked = asking(scene, branch.name, bounds, scene_length(scene), other, **branch.settings)
+    asked = asking(scene, branch.name, bounds, scene_length(scene), other, **branch.settings, limits=limits)
     done = go_on(along, start, asked)
     back, on = (done, None) if sign < 0 else (None, done)
     return replace(assemble(scene, branch.name, bounds, branch.settings, back, on), scene=branch.scene)

@@ -1,9 +1,11 @@
 """From piece to piece along a branch: at each grazing it is decided what goes on."""
 
+import warnings
 from typing import NamedTuple
 
 import numpy as np
 
+from continuation.driver import SlowProgress
 from continuation.stretch import Mark, Stretch
 
 from ..orbits.orbit_comparison import is_same_orbit
@@ -15,6 +17,7 @@ from .segment import GrazingPoint, follow_itinerary
 from .through_rests import SLOW, completed, cut_anew, is_chatter
 
 MOST = 200  # pieces of a branch
+CROWD, CROWDED = 16, 1e-5  # grazings in a row, and 1 + abs of the parameter: as many within as little are slow progress
 SLOWER = 1e-2  # of the scene's length per t: where nothing goes on, as slow an impact tells of a chatter
 SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
 
@@ -34,6 +37,9 @@ def go_on(along, start, asked):
         one = follow_itinerary(along, start, asked._replace(control=asked.control._replace(scale=scale)))
         one = one._replace(marks=(*rest, *one.marks))
         way, rest = None, ()
+        asked = asked._replace(limits=asked.limits.after(len(one.points.z) - 1))
+        if one.end is End.GRAZE and asked.limits.reached(1):
+            one = one._replace(end=End.MAX_SECONDS if asked.limits.expired else End.MAX_POINTS)
         if one.end is End.GRAZE:
             one, way = _onwards(along, one, scale)
             here = one.points.z[-1, -1], impacts(along, one.points.z[-1], asked.length)
@@ -50,9 +56,22 @@ def go_on(along, start, asked):
         if len(pieces) == MOST - 1 and way is not None:
             one, way = one._replace(end=End.POINTS), None
         pieces.append(one)
+        _warn_if_slow(pieces)
         if way is None:
             return OneWay(pieces, _reason(one))
         along, start = way.along, way.point
+
+
+def _warn_if_slow(pieces):
+    """Warn where many grazings in a row lie at nearly one value of the parameter."""
+    values = np.array([one.points.z[-1, -1] for one in pieces[-CROWD:]])
+    if len(pieces) % CROWD == 0 and np.ptp(values) < CROWDED * (1.0 + abs(values[-1])):
+        warnings.warn(
+            f"slow progress: {CROWD} grazings lie within {np.ptp(values):.1e} of the parameter value {values[-1]:.12g},"
+            " as towards a complete chatter; set max_points or max_seconds, or narrow the bounds",
+            SlowProgress,
+            stacklevel=2,
+        )
 
 
 def _onwards(along, one, scale):

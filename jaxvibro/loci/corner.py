@@ -8,7 +8,7 @@ each counts on one side: the boundary has a corner there, and its derivatives ar
 import jax.numpy as jnp
 import numpy as np
 
-from ..problem.end import End
+from ..problem.end import LIMITS, End
 from ..problem.equations import there as at
 from ..problem.orbit_on_branch import OrbitPoint
 from ..scene import check
@@ -43,9 +43,14 @@ def outsets(start, names, bounds, *steps):
 def track_on(start, way, steps, one=None):
     """What is tracked along a `LocusWay` and on from wall to wall, a list of (`LocusWay`, `Stretch`); one: the
     first, if it is known. start: the `LocusStart` of the locus; steps: as of `outsets`."""
-    found = []
+    found, limits = [], None if way is None else way.asked.limits
     while way is not None and len(found) < MOST:
+        way = way.limited(limits)
         one = one or track(way)
+        limits = limits.after(len(one.points.z) - 1)
+        if one.end in LIMITS or limits.reached(1):
+            found.append((way, one))
+            break
         point = to_degenerate(way, one)
         new = (point, None) if point else cut_anew(start, way, one, steps)
         kept, on = new or (one, _beyond(start, way, one, steps))

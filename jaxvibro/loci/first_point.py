@@ -6,6 +6,7 @@ import numpy as np
 
 from continuation.arclength import Control
 from continuation.event_search import step, tangent
+from continuation.limits import UNLIMITED
 from continuation.points import start_point
 
 from ..branches.branch import Special
@@ -56,14 +57,14 @@ def start_of(special, kinds=KINDS):
     return LocusStart(special.kind, special.name, special.scene, special.spot)
 
 
-def ways(start, names, bounds, first_step, largest_step, tolerance):
+def ways(start, names, bounds, first_step, largest_step, tolerance, limits=UNLIMITED):
     """The `track.LocusWay`s from a `LocusStart`, in two parameters: one, or at a GR one for each touch. Raises
     ArgumentError for arguments that cannot be."""
-    asked = settings(start.scene, names, bounds, first_step, largest_step, tolerance)
+    asked = settings(start.scene, names, bounds, first_step, largest_step, tolerance, limits)
     return [_way(curve, z, asked) for curve, z in equations(start, asked.names)]
 
 
-def settings(scene, names, bounds, first_step, largest_step, tolerance):
+def settings(scene, names, bounds, first_step, largest_step, tolerance, limits=UNLIMITED):
     """The `track.LocusSettings` of these arguments, lengths not weighed yet. Raises ArgumentError."""
     names = named(scene, names)
     if not isinstance(bounds, dict) or set(bounds) != set(names):
@@ -77,7 +78,7 @@ def settings(scene, names, bounds, first_step, largest_step, tolerance):
     )
     numbers = [np.float64(each) for each in (min(SMALLEST, first_step), largest_step, given["tolerance"], *box[1])]
     control, first = Control(np.ones(1), *numbers), min(first_step, largest_step)
-    return LocusSettings(control, first, names, bounds, tuple(box), only, scene_length(scene))
+    return LocusSettings(control, first, names, bounds, tuple(box), only, scene_length(scene), limits)
 
 
 def weighed(curve, z, asked):

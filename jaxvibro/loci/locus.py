@@ -1,7 +1,7 @@
 """`locus`: a curve of special points in two parameters, with its points of codimension two."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import jax.numpy as jnp
@@ -11,6 +11,7 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Complex, Float
 
+from continuation.limits import limits_of
 from continuation.stretch import backwards, glued
 
 from .. import __version__
@@ -164,12 +165,16 @@ def locus(
     first_step: float = 0.02,
     largest_step: float = 0.1,
     tolerance: float = 1e-12,
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> Locus:
     """The curve of a special point in two parameters of its scene: a `Locus`.
 
     special: a `Special` of a branch, SN, PD, SB, GR, CH or RL; names: two parameters; bounds: {name: (low, high)}.
     first_step, largest_step, tolerance: as in `follow`, lengths of (times, speeds, parameters), a stiffness
-    being measured by 1 and its value at the start.
+    being measured by 1 and its value at the start. max_points, max_seconds, progress: as in `follow`.
 
     Unknowns are the impacts' times and speeds, and both parameters; a symmetric orbit is followed by half of it. Every
     point is checked to keep to its walls; where it does not, the locus ends. Located are cusps (CP), generalized period
@@ -184,9 +189,11 @@ def locus(
 
     Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
-    start, steps = start_of(special, (*KINDS, *RESTS)), (first_step, largest_step, tolerance)
+    limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
+    start, steps = start_of(special, (*KINDS, *RESTS)), (first_step, largest_step, tolerance, limits)
     on, back = outsets(start, names, bounds, *steps)
-    ahead = track_on(start, on, steps)
+    ahead = track_on(start, on.limited(limits.halved()), steps)
+    back = back.limited(limits.after(sum(len(one.points.z) - 1 for _, one in ahead)))
     return locus_of(special, ahead, () if ahead[0][1].end is End.CLOSED else track_on(start, back, steps))
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from continuation import driver, locate
 from continuation.arclength import Control, Point
 from continuation.driver import Met, Task
+from continuation.limits import UNLIMITED, Limits
 from continuation.stretch import Mark
 
 from ..problem import resting
@@ -24,7 +25,7 @@ from .extended_system import Grazing, Singular
 class LocusSettings(NamedTuple):
     """What a locus is asked for. control: of steps, with the second parameter's bounds; first: the first step; names;
     bounds: (low, high) of each parameter by name; box: the same within their domains; domain: the ends of these that
-    no bound is; length: the scene's."""
+    no bound is; length: the scene's; limits: of its points and of the time."""
 
     control: Control
     first: float
@@ -33,6 +34,7 @@ class LocusSettings(NamedTuple):
     box: tuple[tuple[float, float], ...]
     domain: tuple[tuple[float, ...], ...]
     length: float
+    limits: Limits = UNLIMITED
 
 
 class LocusWay(NamedTuple):
@@ -47,8 +49,12 @@ class LocusWay(NamedTuple):
         """The `driver.Task`."""
         curve, asked = self.curve, self.asked
         watch = LocusWatch(curve, asked.length)
-        starts = (np.asarray(self.start.z),)
-        return Task(problem(curve), curve, asked.control, asked.first, asked.box, asked.domain, watch, starts=starts)
+        more = {"starts": (np.asarray(self.start.z),), "limits": asked.limits}
+        return Task(problem(curve), curve, asked.control, asked.first, asked.box, asked.domain, watch, **more)
+
+    def limited(self, limits: Limits) -> "LocusWay":
+        """The same with these limits."""
+        return self._replace(asked=self.asked._replace(limits=limits))
 
     @property
     def is_free(self) -> bool:

@@ -17,6 +17,8 @@ class End(Enum):
     GRAZE = "grazing at {value:.12g}: no orbit with as many periods goes on from there"
     REST = "from {value:.12g} on the mass rests on a wall for a while"
     POINTS = "it has too many points, the last at {value:.12g}"
+    MAX_POINTS = "max_points reached at {value:.12g}"
+    MAX_SECONDS = "max_seconds reached at {value:.12g}"
     NUMBER = "a number is not finite after {value:.12g}"
     HALVED = "at {value:.12g} it is an orbit of a shorter period, repeated"
     CHATTER = (
@@ -30,6 +32,9 @@ class End(Enum):
     def reason(self, value=0.0, kind=""):
         """The `Reason` with these in its text."""
         return Reason(self, self.value.format(value=value, kind=kind))
+
+
+LIMITS = End.MAX_POINTS, End.MAX_SECONDS  # ends that a later call can continue from
 
 
 class Reason(NamedTuple):

@@ -11,6 +11,8 @@ REASONS = {
     End.STEP: "the step became too small: Newton's method does not converge there",
     End.GRAZE: "an impact loses its speed there, a flight touches a wall, or a rest ends",
     End.POINTS: "it has too many points",
+    End.MAX_POINTS: "max_points reached",
+    End.MAX_SECONDS: "max_seconds reached",
 }
 
 

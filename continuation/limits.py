@@ -1,0 +1,89 @@
+"""Limits of a computation: a largest number of points and a wall-clock time.
+
+One `Limits` is made where a public function begins and passed down; loops ask it between their chunks. The clock is a
+field, so that tests can replace it.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+clock = time.monotonic
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a computation.
+
+    Parameters
+    ----------
+    points : int, optional
+        Largest number of points; None is no limit.
+    deadline : float, optional
+        Reading of the clock, s, at which the computation stops; None is no limit.
+    now : callable
+        The clock.
+    progress : callable, optional
+        Called with the number of points computed so far.
+    done : int
+        Points computed before those that are counted now.
+    """
+
+    points: int | None = None
+    deadline: float | None = None
+    now: Callable[[], float] = clock
+    progress: Callable[[int], object] | None = None
+    done: int = 0
+
+    @property
+    def expired(self) -> bool:
+        """True once the wall-clock time is used up."""
+        return self.deadline is not None and self.now() >= self.deadline
+
+    @property
+    def room(self) -> int | None:
+        """The number of points that may still be computed; None is no limit."""
+        return None if self.points is None else max(self.points - self.done, 0)
+
+    def reached(self, count: int) -> bool:
+        """True where so many points are too many, or the time is used up."""
+        return self.expired or (self.room is not None and count >= self.room)
+
+    def after(self, count: int) -> "Limits":
+        """The limits once so many further points have been computed."""
+        return replace(self, done=self.done + count)
+
+    def halved(self) -> "Limits":
+        """The limits of the first of two directions: half of the points, rounded up."""
+        return self if self.points is None else replace(self, points=max((self.points + 1) // 2, 2))
+
+    def report(self, count: int) -> None:
+        """Report so many points to `progress`."""
+        if self.progress is not None:
+            self.progress(self.done + count)
+
+
+UNLIMITED = Limits()
+
+
+def limits_of(
+    max_points: int | None,
+    max_seconds: float | None,
+    progress: Callable[[int], object] | None = None,
+    error: type[ValueError] = ValueError,
+) -> Limits:
+    """The `Limits` from now on. Raises the error, called with key, rule and value, for an argument that is invalid."""
+    if max_points is not None:
+        whole = isinstance(max_points, int | np.integer) and not isinstance(max_points, bool)
+        if not whole or max_points < 2:
+            raise error("max_points", "must be a whole number of 2 or more, or None for no limit", max_points)
+    if max_seconds is not None:
+        number = isinstance(max_seconds, int | float | np.integer | np.floating) and not isinstance(max_seconds, bool)
+        if not number or not 0 < max_seconds < np.inf:
+            raise error("max_seconds", "must be a positive number of seconds, or None for no limit", max_seconds)
+    if progress is not None and not callable(progress):
+        raise error("progress", "must be a function of the number of points computed so far, or None", progress)
+    deadline = None if max_seconds is None else clock() + float(max_seconds)
+    return Limits(None if max_points is None else int(max_points), deadline, clock, progress)
