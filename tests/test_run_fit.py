@@ -167,3 +167,30 @@ def test_a_record_that_is_not_there(tmp_path):
     shutil.copy(SCENES / "fit.toml", tmp_path)
     with pytest.raises(FileNotFoundError):
         jv.run(tmp_path / "fit.toml", tmp_path / "out")
+
+
+def test_a_run_reads_a_record_in_physical_units_as_python_does(tmp_path, monkeypatch):
+    """The scene of a run has scales: the record of its [fit] is that of `record_from_physical`."""
+    rig = jv.scene_from_physical(2.0, 30.0, 5e5, 40.0, 900.0, 0.7, (-0.3e-3, 0.4e-3))
+    times = np.array([0.01, 0.02, 0.035])
+    hits = zip(times.tolist(), ("right", "left", "right"), strict=True)
+    (tmp_path / "impacts.csv").write_text("\n".join(["time (s),side", *(f"{t!r},{side}" for t, side in hits)]))
+    asked = '[fit]\nrecord = "impacts.csv"\nsigma = 1e-5\nfree = { damping = 0.01 }\n'
+    jv.save_scene(rig, tmp_path / "rig.toml")
+    (tmp_path / "rig.toml").write_text((tmp_path / "rig.toml").read_text() + asked)
+
+    class Asked(Exception):
+        pass
+
+    def study(file, heard, progress, store):
+        raise Asked(heard)
+
+    monkeypatch.setattr("jaxvibro.studies.run.study", study)
+    with pytest.raises(Asked) as caught:
+        jv.run(tmp_path / "rig.toml", tmp_path)
+    heard, known = (
+        caught.value.args[0],
+        jv.record_from_physical(jv.ImpactRecord(times, np.array([1, -1, 1]), 1e-5), rig),
+    )
+    assert heard.times.tolist() == known.times.tolist() and heard.sigma == known.sigma
+    assert heard.sides.tolist() == known.sides.tolist()

@@ -79,11 +79,12 @@ def run(
     if csv:
         endings |= {f"{what} table": f".{what}.csv" for what in asked_for(file)}
     files = {kind: out / (path.stem + ending) for kind, ending in endings.items()}
+    scene = file.scene.make()
     if require_system(units) == "physical":
-        require_scales(file.scene)
+        require_scales(scene)
     _refuse(path, out, files.values(), force)
     store = None if file.map is None else _store(out, path.stem, engine)
-    heard = None if file.fit is None else record(path.parent, file.fit, file.scene)
+    heard = None if file.fit is None else record(path.parent, file.fit, scene)
     found = study(file, heard, progress, store)
     table = report.table(found, path.name, units)
     contents = {} if file.is_map_alone else {"picture": picture(found, units), "data": netcdf(dataset(found))}
