@@ -249,14 +249,17 @@ def _part(task, points, seen, status):
     good = seen.good if np.array_equal(points.z, seen.z) else watch.good(points.z, view)
     good[0] = True
     size, bad, seen = len(points.z), int(np.argmin(np.append(good, False))), points.z
+    over = bad < size and task.limits.expired  # what ends the branch there may take long to find
+    if over:
+        points, end = upto(points, bad), End.MAX_SECONDS
     tried = upto(points, bad + 1)
     jump, known = event_search.jump(task.problem, tried, task.control, task.args, watch.passed(tried))
-    met = watch.before(task, upto(points, bad if jump is None else jump))
+    met = None if over else watch.before(task, upto(points, bad if jump is None else jump))
     if met is not None and _is_outside(task, met.points.z[-1]):
         met = None
     if met is None and jump is not None:
         points, (end, again) = upto(points, jump), _retried(points.step[jump], task.control)
-    elif met is None and bad < size:
+    elif met is None and bad < size and not over:
         met, step = watch.touch(task, points, view, bad), points.step[bad]
         if met is None:
             points, (end, again) = upto(points, bad), _retried(step, task.control)

@@ -1,216 +1,167 @@
-"""What is refused before any work: texts too large or too deep, names that are none, starts beyond a wall."""
-
-import itertools
-import random
-import string
-import tomllib
-from importlib import import_module
+"""Limits of points and of time: partial results with their reason, continued later; a clock that the test moves."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 
+import continuation as co
 import jaxvibro as jv
-from jaxvibro.scene.check import LONGEST, among
-from jaxvibro.studies import command, scene_file, schema, text_limits
-from tests.scene_files import SCENE
+from continuation import arclength, driver, event_search, limits
+from continuation.arclength import Control, Place
+from jaxvibro.branches.explore import EXPIRED
+from jaxvibro.problem.end import End
 
 
-def line_of(call, *given):
-    """The one line, not too long, with which a call is refused."""
-    with pytest.raises(jv.ArgumentError) as error:
-        call(*given)
-    line = str(error.value)
-    assert "\n" not in line and len(line) <= LONGEST
-    return line
+def cubic(u, p, args):
+    return jnp.stack([p["a"] * u[0] - u[0] ** 3 + p["b"]])
 
 
-def nested(depth, draw):
-    """A line of TOML with a key of so many names, some of them dotted, and how deep the deeper of these and of the
-    brackets is."""
-    names = [draw.choice(["a", '"b.c"', "'d'", "left", "-", "1"]) for _ in range(depth)]
-    cut = draw.randrange(depth)
-    blank = draw.choice(["", " ", "\t "])
-    dotted, rest = f"{blank}.{blank}".join(names[: cut + 1]), names[cut + 1 :]
-    return dotted + "=" + "".join(f"{{{name}=" for name in rest) + "1" + "}" * len(rest), max(cut + 1, len(rest))
-
-
-@pytest.mark.parametrize("depth", [1, 5, 8, 9, 12, 100, 1000, 20_000])
-def test_a_key_is_as_deep_as_it_may_be(tmp_path, depth):
-    draw = random.Random(depth)
-    for _ in range(20):
-        text, deep = nested(depth, draw)
-        if deep > text_limits.DEEPEST:
-            assert "at most 8" in line_of(text_limits.parsed, "it", text)
-            (tmp_path / "mine.toml").write_text(SCENE + text)
-            line_of(scene_file.read, tmp_path / "mine.toml")
-            line_of(scene_file.apply, {}, text)
-        else:
-            assert text_limits.parsed("it", text) == tomllib.loads(text)
-
-
-DOTS = ".".join("abcdefghijkl")
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        f"# {DOTS} = 1",
-        f'a = "{DOTS}"',
-        f"a = '{DOTS}'",
-        f'a = """\n{DOTS} = 1\n"""',
-        f"a = '''\n{DOTS} = 1\n'''",
-        f'"{DOTS}" = 1',
-        'a = "' + "[{" * 20 + '"',
-        'a = "\\"' + DOTS + '" # "',
-        "a = [" + "1.5, " * 100 + "]",
-        "a = [" + "[], " * 100 + "]",
-        "# " + "[" * 100,
-    ],
-)
-def test_what_only_looks_deep_is_read(text):
-    assert text_limits.parsed("it", text) == tomllib.loads(text)
-
-
-def test_what_follows_a_text_is_still_looked_at():
-    quoted = ['"#"', "'#'", '"""\n#"""', "'''\n#'''", '"\\""', "'\\'", '"""\\""""', "'''a'''''", '1 # "', "1 # '''"]
-    for one in quoted:
-        assert tomllib.loads(f"a = {one}\nb = 1")["b"] == 1
-        assert "8 names" in line_of(text_limits.parsed, "it", f"a = {one}\n{DOTS} = 1")
-
-
-def test_a_large_file_is_refused_unread(tmp_path):
-    path = tmp_path / "mine.toml"
-    path.write_text(SCENE + "#" * (text_limits.LARGEST - len(SCENE)))
-    assert jv.load_scene(path).amplitude == 4.65
-    path.write_text(SCENE + "#" * (text_limits.LARGEST - len(SCENE) + 1))
-    assert "must be at most 1,000,000 bytes" in line_of(jv.load_scene, path)
-    assert "must be at most 1,000,000 bytes" in line_of(scene_file.content, type(path)("/dev/zero"))
-    assert "must be at most 1,000,000 characters" in line_of(
-        scene_file.apply, {}, "a='" + "b" * text_limits.LARGEST + "'"
-    )
-
-
-@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-8", "utf-16", "utf-16-le", "utf-32", "latin-1", "cp037"])
-def test_encodings(tmp_path, encoding):
-    path = tmp_path / "mine.toml"
-    path.write_bytes(("# \xe9\n" + SCENE).encode(encoding))
-    if encoding.startswith("utf-8"):
-        assert jv.load_scene(path).amplitude == 4.65
-    else:
-        assert line_of(jv.load_scene, path).startswith("mine.toml: must be a TOML file")
-    assert "KEY=VALUE" in line_of(scene_file.apply, {}, "sweep.legs.0.name = '\udce9'")
-
-
-LONG = [
-    f"'{1000 * 'a'}'=1",
-    f"sweep.parameter='{5000 * 'b'}'",
-    2000 * "c",
-    f"scene.left.{9000 * 'd'}.e=3",
-    "scene.amplitude=[" + "1.0," * 10_000 + "]",
-    "attractors.at={" + ",".join(f"a{k}=1" for k in range(9000)) + "}",
-    f"sweep.legs=[{{name='{400 * 'n'}'}}]",
-    "scene=1" + 9000 * "0",
-]
-
-
-@pytest.mark.parametrize("change", LONG, ids=lambda one: one[:20])
-def test_messages_end(tmp_path, change, capsys):
-    (tmp_path / "mine.toml").write_text(SCENE)
-    line_of(scene_file.read, tmp_path / "mine.toml", [change])
-    assert command.main(["run", str(tmp_path / "mine.toml"), "--set", change]) == 2
-    told = capsys.readouterr().err
-    assert told.count("\n") == 1 and len(told) <= LONGEST + len("jaxvibro: \n")
-    assert command.main(["run", str(tmp_path / "mine.toml"), "--" + change]) == 2
-    assert command.main(["run", change]) == 2
-    assert max(map(len, capsys.readouterr().err.splitlines())) <= LONGEST + len("jaxvibro: ")
-
-
-def misspelt(name, draw):
-    """The name with one letter left out, doubled, exchanged or put in."""
-    place, letter = draw.randrange(len(name)), draw.choice(string.ascii_lowercase)
-    return draw.choice([name[:place] + name[place + 1 :], name[:place] + letter + name[place:], name[:-1] + letter])
-
-
-def test_a_name_that_is_none_is_answered_with_the_nearest():
-    moving = jv.Wall(1.0, None, motion=jv.Motion(0.1))
-    scene, draw = jv.make_scene(2.0, 2.1, 0.05, 0.7, (jv.Wall(-1.0, None, 100.0), moving)), random.Random(1)
-    for name in scene.names * 5:
-        wrong = misspelt(name, draw)
-        if wrong in scene.names:
-            continue
-        assert f", perhaps {name} (" in line_of(scene.parameter, wrong)
-        assert f", perhaps {name} (" in line_of(lambda wrong=wrong: scene.replace(**{wrong: 1.0}))
-    assert among("zzz", ("a", "b")) == " (a, b)"
-    for kind in (schema.SceneFile, schema.SweepTable, schema.BranchTable):
-        for name in kind.__struct_encode_fields__:
-            wrong = name + "x"
-            where = {"SceneFile": "", "SweepTable": "sweep.", "BranchTable": "branch."}[kind.__name__]
-            assert f", perhaps {name} (" in line_of(scene_file.understood, tomllib.loads(f"{where}{wrong} = 1"))
-
-
-def scenes(draw):
-    """Random scenes of one or two rigid walls, that move or stand, and a phase of the drive."""
-    while True:
-        moves = [draw.choice([None, jv.Motion(draw.uniform(-0.4, 0.4), draw.uniform(0.0, 6.0), 2)]) for _ in range(2)]
-        walls = [
-            jv.Wall(draw.uniform(*ends), 0.5, motion=move) for ends, move in zip(((-3, -1), (1, 3)), moves, strict=True)
-        ]
-        if draw.random() < 0.3:
-            walls[draw.integers(2)] = None
-        scene = jv.make_scene(2.0, draw.uniform(0.3, 5.0), draw.uniform(0.0, 2.0), 0.7, walls)
-        yield scene, draw.uniform(0.0, 9.0)
-
-
-LABOUR = {
-    "orbits.find": "iterate",
-    "maps.simulate": "_trace",
-    "maps.sections": "ends",
-    "attractors.sweep": "_run",
-    "attractors.spectrum": "_found",
-}
+def traced(**more):
+    return co.trace(co.equilibria(cubic), [1.0], {"a": 1.0, "b": 0.0}, "b", (-3.0, 3.0), **more)
 
 
 @pytest.fixture
-def idle(monkeypatch):
-    """Nothing may be run."""
-
-    def never(*given, **named):
-        raise AssertionError("run")
-
-    for home, name in LABOUR.items():
-        monkeypatch.setattr(import_module(f"jaxvibro.{home}"), name, never)
+def ticking(monkeypatch):
+    """A clock that is a second later each time that it is read."""
+    read = iter(range(100_000))
+    monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
 
 
-def test_a_start_beyond_a_wall_is_refused_before_any_work(idle):
-    draw = np.random.default_rng(1)
-    for scene, phase in itertools.islice(scenes(draw), 30):
-        for side, sign in (("left", -1.0), ("right", 1.0)):
-            wall = getattr(scene, side)
-            if wall is None:
-                continue
-            move = wall.motion
-            place = float(wall.position)
-            place += 0.0 if move is None else float(move.amplitude * np.cos(move.harmonic * phase + move.phase))
-            bad = jv.State(place + sign * draw.choice([1e-12, 0.1, 5.0]), draw.normal(), phase)
-            good = jv.State(place - sign * 1e-3, 0.0, phase)
-            calls = [
-                lambda state, scene=scene: jv.find_orbit(scene, state),
-                lambda state, scene=scene: jv.simulate(scene, state),
-                lambda state, scene=scene: jv.sections(scene, state),
-                lambda state, scene=scene: jv.sweep(scene, "amplitude", np.ones(3), state),
-                lambda state, scene=scene: jv.spectrum(scene, "amplitude", np.ones(3), state),
-            ]
-            for call in calls:
-                assert line_of(call, bad).startswith("state.x: must lie between the walls")
-                assert line_of(call, jv.State(np.nan, 0.0, phase)).startswith("state.x: must be finite")
-                with pytest.raises(AssertionError, match="run"):
-                    call(good)
+@pytest.fixture(scope="module")
+def orbit():
+    """An orbit of one impact in each period, at one wall."""
+    scene = jv.make_scene(1.0, 2.7, 0.05, 0.8, (None, 1.0e-3))
+    return jv.find_orbit(scene, jv.State(-0.3, 0.1), settle=200)
 
 
-def test_a_start_within_a_soft_wall_is_one(idle):
-    scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, None, 100.0)))
-    with pytest.raises(AssertionError, match="run"):
-        jv.simulate(scene, jv.State(1.1, 0.0))
-    line_of(jv.simulate, scene, jv.State(-1.1, 0.0))
-    assert jax.config.jax_enable_x64
+@pytest.fixture(scope="module")
+def ball():
+    """The orbit of a ball that bounces once in each period of a table, y = sin(1.6 t)."""
+    table, force = (
+        jv.Wall(0.0, 0.15, motion=jv.Motion(1.0, -np.pi / 2)),
+        jv.Force("polynomial", {"c0": 1.0, "damping": 0.0}),
+    )
+    scene = jv.make_scene(0.0, 1.6, restitution=0.15, walls=(table, None), force=force)
+    return jv.find_orbit(scene, jv.State(0.9174407804174134, -1.6918867008325806), settle=0)
+
+
+def test_a_branch_has_at_most_so_many_points_and_is_a_part_of_the_whole():
+    whole, counts = traced(), []
+    for most in (2, 3, 10, 25):
+        part = traced(max_points=most, progress=counts.append)
+        assert len(part.u) == most and counts[-1] == most
+        assert all("max_points reached" in each for each in part.reasons)
+        places = [np.flatnonzero((whole.u == u).all(axis=1)) for u in part.u]
+        assert np.diff(np.concatenate(places)).tolist() == [1] * (most - 1)
+    assert len(traced(max_points=len(whole.u) + 1000).u) == len(whole.u)
+    forward = traced(max_points=7, direction="forward")
+    assert len(forward.u) == 7 and forward.reasons[0] == "the start"
+
+
+def test_the_time_ends_a_branch_between_chunks(ticking):
+    short, longer = traced(max_seconds=0.5), traced(max_seconds=4.5)
+    assert 2 < len(short.u) < len(longer.u) < len(traced().u)
+    assert all("max_seconds reached" in each for each in short.reasons)
+    assert any("max_seconds reached" in each for each in longer.reasons)
+    (fold, *_) = [one for one in traced().special if one.kind == "SN"]
+    box = {"a": (-1.0, 5.0), "b": (-9.0, 9.0)}
+    curve = co.curve(fold, ("a", "b"), box, max_points=11)
+    assert len(curve.u) == 11 and all("max_points reached" in each for each in curve.reasons)
+    values = np.stack([curve.p["a"], curve.p["b"]]) if hasattr(curve, "p") else None
+    assert values is None or np.allclose(4.0 * values[0] ** 3, 27.0 * values[1] ** 2, atol=1e-9)
+
+
+def test_a_branch_of_orbits_is_continued_from_its_limits(orbit):
+    bounds = (2.5, 2.9)
+    whole, part = jv.follow(orbit, "frequency", bounds), jv.follow(orbit, "frequency", bounds, max_points=4)
+    assert len(part) <= 4 < len(whole) and part.ends == (End.MAX_POINTS, End.MAX_POINTS)
+    assert part.reasons[0] == f"max_points reached at {part.values[0]:.12g}" and part.reasons[0] in part.table()
+    again = jv.extend(part, bounds)
+    assert again.ends == whole.ends
+    assert [one.kind for one in again.special] == [one.kind for one in whole.special]
+    assert len(jv.extend(part, bounds, max_points=2)) == len(part) + 1
+
+
+def test_time_ends_branches_of_orbits(orbit, ticking):
+    part = jv.follow(orbit, "frequency", (1.0, 5.0), max_seconds=0.5)
+    assert part.ends == (End.MAX_SECONDS, End.MAX_SECONDS) and 1 < len(part) < 9
+    assert part.reasons[0] == "max_seconds reached at 2.7"
+    assert len(jv.follow_all([orbit, orbit], "frequency", (2.5, 2.9), max_seconds=0.5)) == 1
+
+
+@pytest.mark.slow
+def test_an_exploration_is_resumed_where_its_time_was_over(orbit, monkeypatch):
+    read = iter(range(100_000))
+    task = orbit.scene, "frequency", (2.5, 2.9), 1
+    whole = jv.explore(*task)
+    monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
+    part = jv.explore(*task, max_seconds=2.5)
+    assert not part.complete and part.reason == EXPIRED == "max_seconds reached"
+    again = jv.explore(*task, resume=part)
+    assert again.complete and [one.ends for one in again.branches] == [one.ends for one in whole.branches]
+
+
+@pytest.mark.parametrize(
+    "given", [{"max_points": each} for each in (1, 2.5, True, "9", np.ones(2))]
+    + [{"max_seconds": each} for each in (0, -1.0, np.nan, np.inf, True, "9", np.ones(2))] + [{"progress": 3}],
+)  # fmt: skip
+def test_limits_that_cannot_be_are_refused(orbit, given):
+    (key,) = given
+    calls = (lambda **more: jv.follow(orbit, "frequency", (1.5, 1.7), **more), traced)
+    for call, error in zip(calls, (jv.ArgumentError, co.ContinuationError), strict=True):
+        with pytest.raises(error) as caught:
+            call(**given)
+        assert caught.value.key == key and "must be" in caught.value.rule and caught.value.value is given[key]
+
+
+def test_newton_far_from_its_guess_is_given_up():
+    """Flights of an iterate far away may be of any length: a step that would be refused is no longer worked out."""
+    count = 0
+
+    def function(z, args):
+        nonlocal count
+        count += 1
+        return jnp.tanh(z[:1]) - z[1:], jnp.array([[1.0 - jnp.tanh(z[0]) ** 2, -1.0]])
+
+    control = Control(np.ones(2), 1e-8, 1.0, 1e-12, -9.0, 9.0)
+    here = np.array([2.0, np.tanh(2.0)])
+    with jax.disable_jit():
+        across = Place(jnp.array(here), jnp.array([0.0, 1.0]), jnp.array(0.5), 0)  # the branch is flat there
+        point, _, _ = arclength.corrected(function, arclength.bordered, across, across.step, control, None)
+        assert count == 1 and not point.met
+        along = across._replace(tangent=jnp.array([1.0, 1.0 - np.tanh(2.0) ** 2]))
+        point, _, _ = arclength.corrected(function, arclength.bordered, along, along.step, control, None)
+        assert count > 2 and point.met and abs(np.tanh(point.z[0]) - point.z[1]) < 1e-15
+        still = across._replace(step=jnp.array(0.0), z=jnp.array([2.0, 0.9]))  # a point that is looked for has no limit
+        assert arclength.corrected(function, arclength.bordered, still, still.step, control, None)[0].met
+
+
+@pytest.mark.slow
+def test_a_cascade_of_grazings_takes_few_steps(ball, monkeypatch):
+    """A ball on a table has ten grazings towards its complete chatter: of each piece a few steps more are attempted
+    than points are kept. SN and PD are closed forms (docs: G = pi (1 - R) / (1 + R); PD at G^2 + (2 (1 + R^2) / (1 +
+    R)^2)^2; the frequency is the root of G)."""
+    steps, track = [], event_search._track
+
+    def counted(*args):
+        found = track(*args)
+        steps.append(int((found[1].step != 0).sum()))
+        return found
+
+    monkeypatch.setattr(event_search, "_track", counted)
+    branch = jv.follow(ball, "frequency", (1.37, 1.84))
+    assert branch.ends == (End.BOUND, End.BOUND) and len(branch) > 80
+    least = np.pi * 0.85 / 1.15
+    known = {"SN": np.sqrt(least), "PD": np.sqrt(np.hypot(least, 2.0 * (1.0 + 0.15**2) / 1.15**2))}
+    for kind, value in known.items():
+        assert min(abs(one.value - value) for one in branch.points(kind) if one.label == "P110") < 1e-11
+    assert sum(steps) < 300  # of 93 points; 420 where chunks went to the bound, their Newton's method without an end
+
+
+def test_slow_progress_is_reported():
+    points = arclength.Point(*[np.zeros((120, 2))] * 2, *[np.full(120, 1e-8)] * 3, *[np.ones(120, bool)] * 2)
+    control = Control(np.ones(2), 1e-8, 0.1, 1e-10, -1.0, 1.0)
+    some = driver.Stretch(None, points, None, (), None, -1, 0.0)
+    with pytest.warns(driver.SlowProgress, match=r"119 points lie within 0.0e\+00 of the parameter value 0"):
+        driver.warn_if_slow(control, some)

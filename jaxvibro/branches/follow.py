@@ -214,7 +214,7 @@ def through(scene, name, bounds, start, direction, settings):
     on = go_on(along, start_point(z, ahead), asked._replace(limits=first)) if direction != "backward" else None
     closed = on is not None and on.reason.end is End.CLOSED
     if on is not None and direction == "both" and not closed:
-        limits = limits.after(sum(len(one.points.z) - 1 for one in on.pieces))
+        limits = limits.after(sum(len(one.points.z) for one in on.pieces) - 1)  # both have the start
         if limits.reached(1):
             closed, end = True, End.MAX_SECONDS if limits.expired else End.MAX_POINTS
             start = end.reason(z[-1])

@@ -37,7 +37,7 @@ def go_on(along, start, asked):
         one = follow_itinerary(along, start, asked._replace(control=asked.control._replace(scale=scale)))
         one = one._replace(marks=(*rest, *one.marks))
         way, rest = None, ()
-        asked = asked._replace(limits=asked.limits.after(len(one.points.z) - 1))
+        asked = asked._replace(limits=asked.limits.after(len(one.points.z)))
         if one.end is End.GRAZE and asked.limits.reached(1):
             one = one._replace(end=End.MAX_SECONDS if asked.limits.expired else End.MAX_POINTS)
         if one.end is End.GRAZE:
