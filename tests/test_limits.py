@@ -165,3 +165,23 @@ def test_slow_progress_is_reported():
     some = driver.Stretch(None, points, None, (), None, -1, 0.0)
     with pytest.warns(driver.SlowProgress, match=r"119 points lie within 0.0e\+00 of the parameter value 0"):
         driver.warn_if_slow(control, some)
+
+
+def test_a_study_stops_between_chunks_and_a_later_run_goes_on(tmp_path, monkeypatch):
+    """No cell of a chunk that was done differs from the whole, and a store is continued."""
+    scene = jv.make_scene(3.0, 1.5, 0.1, 0.7, (-1.0, 1.0))
+    x, v = np.linspace(-0.9, 0.9, 8), np.linspace(-1.0, 1.0, 8)
+    grid, few = {"amplitude": np.linspace(2.0, 3.0, 12)}, {"settle": 5, "patience": 40, "chunk": 3}
+    whole = jv.map_parameters(scene, grid, **few, quantities=("label",))
+    read = iter(range(100_000))
+    monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
+    store = jv.Store(tmp_path / "map.zarr", jv.LocalEngine(workers=1))
+    part = jv.map_parameters(scene, grid, **few, quantities=("label",), store=store, max_seconds=1.5)
+    done = part["label"].values != -1
+    assert 0 < done.sum() < 12 and part.attrs["stopped"] == f"max_seconds reached: {done.sum()} of 12 cells done"
+    assert np.array_equal(part["label"].values[done], whole["label"].values[done])
+    again = jv.map_parameters(scene, grid, **few, quantities=("label",), store=store)
+    assert np.array_equal(again["label"].values, whole["label"].values) and "stopped" not in again.attrs
+    for call in (lambda **more: jv.map_parameters(scene, grid, **more), lambda **more: jv.basins(scene, x, v, **more)):
+        with pytest.raises(jv.ArgumentError, match="max_seconds: must be a positive number"):
+            call(max_seconds=-1.0)

@@ -6,6 +6,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
+from continuation.limits import limits_of
+
 from ..maps.initial_conditions import box
 from ..output.units import LENGTH, SPEED, scales_in
 from ..scene import check
@@ -30,6 +32,8 @@ def basins(
     patience: int = PATIENCE,
     progress: Callable[[int], object] | None = None,
     store: Store | None = None,
+    *,
+    max_seconds: float | None = None,
 ) -> xr.Dataset:
     """The basins of attraction on Sigma: an xarray.Dataset.
 
@@ -37,7 +41,9 @@ def basins(
     past a soft wall a start is within it; phase: of the drive at the start, rad. attractors: a tuple as from
     `find_attractors`, which is asked where it is None; those that it calls unresolved take no starts. patience: drive
     periods that a start may take, a whole number from 1 on. progress: called with the number of starts that are done.
-    store: a `Store` to keep labels and periods in and to go on with; None: in memory.
+    store: a `Store` to keep labels and periods in and to go on with; None: in memory. max_seconds: wall-clock time, s,
+    after which no chunk of starts is begun; None is no limit. The label of a start that is not done is -3, it
+    counts as unresolved, and the attribute `stopped` says why; a later call with the same store goes on.
 
     Dataset: label(v, x): the attractor's place in the tuple, -1 where the start is not certain to be on any (many of
     them: another attractor, ask `find_attractors` with more starts), -2 beyond a rigid wall; periods(v, x): drive
@@ -55,6 +61,7 @@ def basins(
 
     Raises ArgumentError for a batch of scenes and for numbers that cannot be, and what the store raises.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
     x, v = _axis("x", x), _axis("v", v)
     angle = check.number("phase", phase, np.float64)
@@ -66,7 +73,7 @@ def basins(
     found = homes(scene, attractors, float(angle), float(max(abs(left), abs(right), fast)))
     names = tuple(one.label for one in attractors)
     study = BasinsStudy(scene, x, v, float(angle), tuple(found), names, patience, CHUNK)
-    seen = done(study, store, progress and (lambda one: progress(one.done)))
+    seen = done(study, store, progress and (lambda one: progress(one.done)), limits)
     return _dataset(scene, float(angle), attractors, found, seen)
 
 
@@ -107,6 +114,7 @@ def _dataset(scene, phase, attractors, homes, seen):
         attrs={
             **scene.numbers,
             **scales_in(scene),
+            **{key: seen.attrs[key] for key in ("stopped",) if key in seen.attrs},
             "phase": phase,
             "basin_entropy": entropy,
             "boundary_basin_entropy": at_boundary,

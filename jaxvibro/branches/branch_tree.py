@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from continuation.limits import UNLIMITED
+from continuation.limits import UNLIMITED, limits_of
 
 from ..orbits.orbit_comparison import is_same_orbit
 from ..problem.end import End
 from ..problem.orbit_on_branch import impacts, place_orbit
 from ..problem.same_orbit import is_repeated
+from ..scene.check import ArgumentError
 from ..scene.symmetry import stays_symmetric
 from .branch import frequency_at
 from .follow import follow
@@ -23,7 +24,7 @@ ASIDE = 1e-3  # along its tangent a branch is told from one of repeated orbits
 LEFT = ("SB", "BP", "PD")  # points that other branches leave; at a GR a branch goes on by itself
 
 
-def followed(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1):
+def followed(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1, max_seconds=None):
     """The branch through an orbit, and those that leave its special points and theirs: a tuple of `Branch`.
 
     orbit, name, bounds, largest_step: as in `follow`. max_period: drive periods of the longest orbits that are switched
@@ -31,13 +32,15 @@ def followed(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1)
 
     Each SB, BP and PD is left once, in the order in which they are found, the first branch being that of the orbit; a
     branch that has been walked from its other end is left out. In a symmetric scene a branch is followed by its mirror
-    image, unless it is its own. There are at most 64.
+    image, unless it is its own. There are at most 64. max_seconds: wall-clock time, s; None is no limit. Then a branch
+    may end where the time was over, and those that would leave it later are not followed.
 
     Raises ArgumentError and OrbitError as `follow` does.
     """
-    steps = {"largest_step": largest_step, "tolerance": 1e-10, "monitors": {}, "stop": ()}
+    limits = limits_of(None, max_seconds, None, ArgumentError)
+    steps = {"largest_step": largest_step, "tolerance": 1e-10, "monitors": {}, "stop": (), "limits": limits}
     tree = Tree(bounds, max_period, MOST, steps, [], [], stays_symmetric(orbit.scene, name), progress)
-    tree.add(follow(orbit, name, bounds, largest_step=largest_step))
+    tree.add(follow(orbit, name, bounds, largest_step=largest_step, max_seconds=max_seconds))
     tree.grow()
     return tuple(tree.found)
 

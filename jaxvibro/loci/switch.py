@@ -1,7 +1,9 @@
 """`switch`: the curves that leave a special point: of a branch branches, of a locus loci."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import overload
+
+from continuation.limits import limits_of
 
 from ..branches import switch as of_branches
 from ..branches.branch import Branch, Special
@@ -31,6 +33,10 @@ def switch(
     tolerance: float = 1e-10,
     monitors: Monitors = (),
     stop: str | Sequence[str] = (),
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> tuple[Branch, ...]: ...
 
 
@@ -41,6 +47,10 @@ def switch(
     first_step: float = FIRST,
     largest_step: float = 0.1,
     tolerance: float = 1e-10,
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> tuple[Locus, ...]: ...
 
 
@@ -53,6 +63,10 @@ def switch(
     tolerance: float = 1e-10,
     monitors: Monitors = (),
     stop: str | Sequence[str] = (),
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+    progress: Callable[[int], object] | None = None,
 ) -> tuple[Branch, ...] | tuple[Locus, ...]:
     """The curves that leave a special point besides the one it was found on: a tuple, of `Branch` for a point of a
     branch, of `Locus` for one of codimension two, each from the point on, to where it ends.
@@ -68,10 +82,13 @@ def switch(
     at GR, where an SN, PD or SB ends, the GR, which goes through the point, and what else leaves that. bounds, steps
     and tolerance as in `locus`; bounds None takes the locus' own.
 
+    max_points, max_seconds, progress: as in `follow`; max_points holds for each curve, max_seconds for all of them.
+
     Raises ArgumentError for a point of another kind, and arguments that cannot be.
     """
+    limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     leave = _loci if isinstance(special, Codim2) else _branches
-    return leave(special, bounds, first_step, largest_step, tolerance, monitors, stop)
+    return leave(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits)
 
 
 def _branches(special, *given):
@@ -79,10 +96,10 @@ def _branches(special, *given):
     return of_branches.switch(special, *given)
 
 
-def _loci(special, bounds, first_step, largest_step, tolerance, monitors, stop):
+def _loci(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits):
     """Those that leave a `Codim2`."""
     _require(special, monitors, stop)
-    bounds, steps = special.bounds if bounds is None else bounds, (first_step, largest_step, tolerance)
+    bounds, steps = special.bounds if bounds is None else bounds, (first_step, largest_step, tolerance, limits)
     told = ", ".join(f"{name} {value:.12g}" for name, value in special.values.items())
     left = f"it left {special.kind} at {told}"
     return tuple(locus_of(*tracked(one, steps), left) for one in outsets_of(special, bounds, *steps))

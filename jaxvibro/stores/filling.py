@@ -3,10 +3,13 @@
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 import xarray as xr
+
+from continuation.limits import UNLIMITED, Limits
 
 from ..scene import check
 from .engines import Engine, LocalEngine
@@ -114,17 +117,22 @@ def spread(chunks: int) -> list[int]:
     return np.argsort(np.arange(chunks) * GOLDEN % 1.0).tolist()
 
 
-def done(study: Study, store: Store | None, progress: Callable[[Progress], object] | None) -> xr.Dataset:
+def done(
+    study: Study, store: Store | None, progress: Callable[[Progress], object] | None, limits: Limits = UNLIMITED
+) -> xr.Dataset:
     """All of a study: what a store has of it already is not done again.
 
-    store: None for memory alone. Raises what the store's `open` raises, and ArgumentError for what is too large for
-    memory.
+    store: None for memory alone. limits: no chunk is begun once their time is used up; the cells of the others are then
+    blank, and the attribute `stopped` says why. No chunk's bits depend on timing, and a later run goes on.
+
+    Raises what the store's `open` raises, and ArgumentError for what is too large for memory.
     """
     kept, engine = (InMemory(study), LocalEngine()) if store is None else (store.open(study), store.engine)
     grid, known = study.grid, dict(kept.undecided())
     total, count = int(np.prod(grid.shape)), sum(grid.cells(number) for number in known)
     undecided, before, began = sum(known.values()), count, time.monotonic()
-    missing = (number for number in spread(grid.chunks) if number not in known)
+    wanted = (number for number in spread(grid.chunks) if number not in known)
+    missing = takewhile(lambda number: not limits.expired, wanted)
 
     def report():
         if progress is not None:
@@ -135,4 +143,7 @@ def done(study: Study, store: Store | None, progress: Callable[[Progress], objec
     for number, more in engine.each(Work(study, kept), missing) if len(known) < grid.chunks else ():
         count, undecided = count + grid.cells(number), undecided + more
         report()
-    return kept.data()
+    found = kept.data()
+    return (
+        found if count == total else found.assign_attrs(stopped=f"max_seconds reached: {count} of {total} cells done")
+    )

@@ -182,6 +182,7 @@ def _branches(scene, table, progress):
                 table.max_period,
                 lambda n: bar.update(n - bar.n),
                 largest_step=table.largest_step,
+                max_seconds=table.max_seconds,
             )
         except OrbitError as error:
             rule = f"must settle on an orbit that can be followed ({error})"
@@ -192,6 +193,7 @@ def _branches(scene, table, progress):
 
 def _explored(scene, table, progress):
     settings = {"max_period": table.max_period, "seed": table.seed, "budget": table.budget}
+    settings["max_seconds"] = table.max_seconds
     with tqdm(desc="explore", unit=" branches", disable=not progress) as bar:
         try:
             return explore(

@@ -74,6 +74,7 @@ at = {amplitude = 3.0}    # values other than [scene]'s, if any
 # bounds = [0.0, 6.0]
 # max_period = 2
 # budget = 20          # branches after which it stops
+# max_seconds = 600    # wall-clock time, s, after which it stops
 
 # [locus]              # the special points of the branches, followed in two parameters
 # parameters = ["amplitude", "frequency"]

@@ -14,6 +14,7 @@ MOST = 1_000_000
 MOST_LEGS = 1000
 MOST_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
 Count = Annotated[int, Meta(ge=1, le=MOST)]
+Seconds = Annotated[float, Meta(gt=0)]  # of wall-clock time
 Settle = Annotated[int, Meta(ge=0, le=MOST)]
 Periods = Annotated[int, Meta(ge=1, le=MOST_PERIODS)]
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
@@ -81,6 +82,7 @@ class BranchTable(Table, frozen=True, kw_only=True):
     settle: Settle = 200
     max_period: Periods = 1
     largest_step: float = 0.1
+    max_seconds: Seconds | None = None
 
 
 class ExploreTable(Table, frozen=True, kw_only=True):
@@ -93,6 +95,7 @@ class ExploreTable(Table, frozen=True, kw_only=True):
     max_period: Periods = 8
     seed: Seed = 0
     budget: Count | None = None
+    max_seconds: Seconds | None = None
 
 
 class LocusTable(Table, frozen=True, kw_only=True):

@@ -11,6 +11,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
+from continuation.limits import limits_of
+
 from ..attractors.sweep import UNITS, equation, others, static
 from ..flight.wall_positions import fit
 from ..maps.initial_conditions import placed
@@ -48,6 +50,8 @@ def map_parameters(
     chunk: int | None = None,
     store: Store | None = None,
     progress: Callable[[Progress], object] | None = None,
+    *,
+    max_seconds: float | None = None,
 ) -> xr.Dataset:
     """What a scene settles on at each cell of a grid over some of its parameters: an xarray.Dataset.
 
@@ -70,10 +74,14 @@ def map_parameters(
     With `along` a dimension "way" more: 1 up, -1 down. With random starts a dimension "attractor", the largest share
     first, and share: of the starts, 0 beyond the last attractor; unresolved: of those that are undecided.
 
+    max_seconds: wall-clock time, s, after which no chunk is begun; None is no limit. The label of a cell that is not
+    done is -1, and the attribute `stopped` says why; a later call with the same store goes on.
+
     Raises ArgumentError for arguments that cannot be, before any work, and what the store raises.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     study = study_of(scene, grid, start, quantities, along, settle, patience, seed, chunk)
-    return told(done(study, store, progress))
+    return told(done(study, store, progress, limits))
 
 
 def told(data: xr.Dataset) -> xr.Dataset:
