@@ -49,8 +49,8 @@ class LocusWay(NamedTuple):
         """The `driver.Task`."""
         curve, asked = self.curve, self.asked
         watch = LocusWatch(curve, asked.length)
-        more = {"starts": (np.asarray(self.start.z),), "limits": asked.limits}
-        return Task(problem(curve), curve, asked.control, asked.first, asked.box, asked.domain, watch, **more)
+        starts, own = (np.asarray(self.start.z),), (asked.box, asked.domain, watch)
+        return Task(problem(curve), curve, asked.control, asked.first, *own, starts=starts, limits=asked.limits)
 
     def limited(self, limits: Limits) -> "LocusWay":
         """The same with these limits."""
