@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 
 from .branch import Branch, Special
-from .errors import ContinuationError
+from .errors import ContinuationError, typed
 from .problem import System
 
 FORM = 1  # of the file
 FIELDS = ("kind", "p", "names", "residual", "place", "bounds")  # of a special point, as JSON
 
 
+@typed
 def save(branch: Branch, path: str | PathLike[str]) -> None:
     """Write a `Branch` to a file, from which `load` reads the same numbers. Its system and args are not in it.
 
@@ -49,6 +50,7 @@ def save(branch: Branch, path: str | PathLike[str]) -> None:
         raise
 
 
+@typed
 def load(path: str | PathLike[str], system: System, args: Any = None) -> Branch:
     """The `Branch` of a file that `save` wrote.
 

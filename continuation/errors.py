@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from .argument_types import checked
+
 
 class ContinuationError(ValueError):
     """An argument breaks a rule. key: the argument; rule: what it must be; value: what was given."""
@@ -13,3 +15,6 @@ class ContinuationError(ValueError):
     def __str__(self) -> str:
         shown = " ".join(repr(self.value).split())
         return f"{self.key}: {self.rule}; got {shown if len(shown) <= 80 else shown[:77] + '...'}"
+
+
+typed = checked(ContinuationError)  # decorates a public function, which refuses what its annotations do not allow

@@ -13,7 +13,7 @@ from .arclength import Control
 from .arguments import known_numbers, require_settings, require_system
 from .branch import Branch, Special
 from .driver import End, Task
-from .errors import ContinuationError
+from .errors import ContinuationError, typed
 from .event_search import Event
 from .limits import limits_of
 from .newton import ADVICE, newton
@@ -69,6 +69,7 @@ class Monitored(SystemWatch):
         return Event(kind, after, length, one.z, float(one.residual))
 
 
+@typed
 def trace(
     system: System,
     u: Real[ArrayLike, "..."] | Sequence[float],
@@ -130,6 +131,7 @@ def trace(
     return branch_of(system, None, bounds, given, back, on)
 
 
+@typed
 def switch(
     special: Special,
     bounds: Mapping[str, tuple[float, float]] | None = None,

@@ -11,6 +11,7 @@ from jaxtyping import ArrayLike, Float
 
 from . import cycles
 from .arclength import bordered
+from .errors import typed
 from .linear import Eliminated
 from .persistent_jit import SOON, persistent_jit
 
@@ -79,6 +80,7 @@ class System(NamedTuple):
 EQUILIBRIA, FIXED_POINTS, ORBITS = "equilibria", "fixed points", "periodic orbits"
 
 
+@typed
 def equilibria(function: Function, symmetry: Callable[[Any], Any] | None = None) -> System:
     """The `System` of function(u, p, args) = 0: of the equilibria of u' = function. Besides folds (SN) and branch
     points (BP), Hopf points (HB) are watched.
@@ -90,6 +92,7 @@ def equilibria(function: Function, symmetry: Callable[[Any], Any] | None = None)
     return System(function, EQUILIBRIA, symmetry=symmetry)
 
 
+@typed
 def fixed_points(move: Function, times: int = 1, symmetry: Callable[[Any], Any] | None = None) -> System:
     """The `System` of the fixed points of a map, move(u, p, args) = u, or of the map taken so many times. Besides folds
     (SN) and branch points (BP), period doublings (PD) and Neimark-Sacker points (NS) are watched. Arguments as in

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 
-from .errors import ContinuationError
+from .errors import ContinuationError, typed
 from .problem import ORBITS, Function, System
 
 STEPS = 16**3  # of a solver in a segment: more is taken for a failure
@@ -54,6 +54,7 @@ class Flight:
         return jnp.where(found.result == diffrax.RESULTS.successful, found.ys[-1], jnp.nan)
 
 
+@typed
 def periodic_orbits(
     field: Function, segments: int = 8, solver: diffrax.AbstractSolver | None = None, tolerance: float = TOLERANCE
 ) -> System:
@@ -73,6 +74,7 @@ def periodic_orbits(
     return System(field, ORBITS, 1, Flight(field, diffrax.Dopri8() if solver is None else solver, tolerance), segments)
 
 
+@typed
 def settled(
     system: System,
     start: Real[ArrayLike, " size"] | Sequence[float],

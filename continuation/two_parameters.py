@@ -17,7 +17,7 @@ from . import event_search, locate
 from .arclength import bordered
 from .arguments import require_settings
 from .branch import Branch, Special
-from .errors import ContinuationError
+from .errors import ContinuationError, typed
 from .limits import limits_of
 from .on_curve import MEETING, OnCurve
 from .one_parameter import both_ways, branch_of, checked_bounds, task_of
@@ -26,6 +26,7 @@ from .problem import Given, Problem, Test, equations_at, singular_matrix
 KINDS = ("SN", "PD", "HB", "NS", "SB")
 
 
+@typed
 def curve(
     special: Special,
     names: Sequence[str],
@@ -88,6 +89,7 @@ def special_problem(system, kind, names):
     return Problem(function, bordered, function, tests)
 
 
+@typed
 def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarray, " names"]:
     """How the value of a special point's parameter changes with other parameters of its system: (names,).
 

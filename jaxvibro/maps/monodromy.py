@@ -39,6 +39,7 @@ from .path_end import PathEnd
 THROUGH = {Stays.NONE: None, Stays.SPRING: contact_matrix.through, Stays.PUSHED: pushed_matrix.through}
 
 
+@check.typed
 def monodromy(scene: Scene, state: State, periods: int = 1, slots: int = SLOTS) -> Float[jax.Array, "*lanes 2 2"]:
     """The derivative of `strobe`'s (x, v) by the given (x, v): shape (..., 2, 2), rows x and v of the end.
 

@@ -31,6 +31,7 @@ class Return:
     status: Int[Array, "*lanes"] | int
 
 
+@check.typed
 def return_map(
     scene: Scene,
     side: str,

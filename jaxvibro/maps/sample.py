@@ -19,6 +19,7 @@ from .sample_slopes import Request, in_lanes, sampled
 FEWEST = 8  # times that are compiled for; known ones are filled up to a power of two
 
 
+@check.typed
 def sample(scene: Scene, state: State, times: Float[ArrayLike, "..."]) -> tuple[State, Int[Array, "..."]]:
     """The states at given times, and a status of each lane: (State, status).
 

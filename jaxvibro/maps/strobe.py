@@ -77,6 +77,7 @@ def from_host(scene, state, periods, slots, clearance):
     return found
 
 
+@check.typed
 def strobe(
     scene: Scene, state: State, periods: int = 1, slots: int = 4, clearance: bool = False
 ) -> tuple[State, Impacts]:

@@ -47,6 +47,7 @@ class OrbitSolutions:
     itinerary: tuple[str, ...] = field(metadata=STATIC)
 
 
+@check.typed
 def solve_orbits(
     scenes: Scene,
     guesses: State | tuple[Array, Array],

@@ -8,7 +8,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from ..attractors.assign import OUTSIDE, UNRESOLVED
-from .style import WALL, axes, edges, is_from, of_plane, plain, scales_of
+from .style import WALL, axes, edges, is_from, of_plane, picture, plain, scales_of
 
 # Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too.
 PALE = ("#FCEFB4", "#A9DCF5", "#F2AE72", "#72AD91", "#A9719A", "#4C79AD", "#94502F", "#3F5750")
@@ -19,6 +19,7 @@ PAIRS = (("<", ">"), ("^", "v"), ("$\\subset$", "$\\supset$"), ("P", "X"))
 SINGLE = ("o", "s", "D", "p", "h", "8")
 
 
+@picture
 def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True, units: str = "scene") -> Axes:
     """Draw a Dataset of `jaxvibro.basins`, velocity against position: the Axes.
 

@@ -12,7 +12,21 @@ from matplotlib.typing import ColorType
 from ..branches.branch import MEANINGS, Branch
 from ..output.labels import name_in
 from .smooth import smooth
-from .style import COLOURS, WALL, are_of, axes, is_of, legend, of_parameter, of_variable, plain, scales_of, wide
+from .style import (
+    COLOURS,
+    WALL,
+    are_of,
+    axes,
+    is_of,
+    legend,
+    of_parameter,
+    of_variable,
+    picture,
+    plain,
+    require_axes,
+    scales_of,
+    wide,
+)
 
 ORDER = tuple(COLOURS[k] for k in (2, 7, 5, 3, 0, 6, 1))  # yellow is too pale for a line
 ORDER += ("#882255", "#999933", "#332288", "#44AA99")  # of Tol's, where there are more
@@ -39,6 +53,7 @@ SAME = 1e-3  # of their extent: lines as near are drawn once
 TICKS = "x-small"  # their size
 
 
+@picture
 def branch(
     one: Branch,
     variable: str = "x",
@@ -178,6 +193,7 @@ def _walls(ax, one, size):
             ax.axhline(place, color=WALL, linewidth=0.8, zorder=0)
 
 
+@picture
 def mark_points(
     branches: tuple[Branch, ...] | list[Branch], ax: Axes, units: str = "scene", labels: str = "jaxvibro"
 ) -> Axes:
@@ -189,6 +205,7 @@ def mark_points(
     Raises ArgumentError for what is no tuple or list of `Branch`es.
     """
     are_of("mark_points", Branch, branches)
+    require_axes(ax)
     low, high = ax.get_xlim()
     close = _line(ax) * (high - low)
     digits = max(0, 3 - int(np.floor(np.log10(high - low))))  # about a thousandth of the range

@@ -9,7 +9,22 @@ from matplotlib.markers import TICKLEFT, TICKRIGHT
 
 from ..attractors.find import Attractor
 from ..attractors.shares import share_text
-from .style import COLOURS, WALL, are_of, axes, is_from, legend, of_parameter, of_variable, paler, plain, scales_of
+from ..scene.check import choice
+from .style import (
+    COLOURS,
+    WALL,
+    are_of,
+    axes,
+    is_from,
+    legend,
+    of_parameter,
+    of_variable,
+    paler,
+    picture,
+    plain,
+    require_value,
+    scales_of,
+)
 
 SIZES = 2.2, 3.6  # points, of the first leg's dots: between these what there is room for
 ROOM = 0.7  # of the way from one value to the next
@@ -19,6 +34,7 @@ MARKERS = "osD^vP*X"
 SWEPT = "swept"  # group id of dots
 
 
+@picture
 def diagram(
     swept: xr.Dataset, variable: str = "x", ax: Axes | None = None, faint: bool = False, units: str = "scene"
 ) -> Axes:
@@ -32,6 +48,7 @@ def diagram(
     Raises ArgumentError for what is no such Dataset, and for other units.
     """
     is_from("diagram", "sweep", ("swept", "x", "v"), swept)
+    choice("variable", variable, ("x", "v"))
     alone, scales = ax is None, scales_of(swept, units)
     ax, name = axes(ax), swept.attrs["swept"]
     wide, high = of_parameter(scales, name), of_variable(scales, variable)
@@ -78,6 +95,7 @@ def _dots(ax, across, up, place, first, text, faint):
     ax.plot([], [], markersize=7 / (1 + 0.4 * place), label=text, **style)
 
 
+@picture
 def mark(
     attractors: tuple[Attractor, ...] | list[Attractor],
     value: float,
@@ -94,6 +112,8 @@ def mark(
     Raises ArgumentError for what is no tuple or list of `Attractor`s, and for other units.
     """
     are_of("mark", Attractor, attractors)
+    require_value(value)
+    choice("variable", variable, ("x", "v"))
     sizes = [of_variable(scales_of(one, units), variable).size for one in attractors]
     ax = axes(ax)
     shapes: dict[int, Any] = {}

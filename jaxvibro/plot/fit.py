@@ -6,9 +6,10 @@ from matplotlib.axes import Axes
 from ..design.fitted import Fit
 from ..design.records import ImpactRecord, SampleRecord
 from ..scene.check import ArgumentError
-from .style import COLOURS, axes, is_of
+from .style import COLOURS, axes, is_of, picture
 
 
+@picture
 def fit(found: Fit, record: ImpactRecord | SampleRecord, ax: Axes | None = None) -> Axes:
     """Draw what `fit` left of a record, in errors, over time: the Axes.
 

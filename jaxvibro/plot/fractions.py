@@ -8,7 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Patch
 
 from ..attractors.shares import share_bounds
-from .style import COLOURS, axes, edges, is_from, of_parameter, paler, plain, scales_of
+from .style import COLOURS, axes, edges, is_from, of_parameter, paler, picture, plain, scales_of
 
 HUES = tuple(one for one in COLOURS if one != "#000000")  # black is the edges'
 CHAOS, UNKNOWN = "....", "/////"  # hatches
@@ -19,6 +19,7 @@ LISTED, TOLD = 10, 3  # attractors in the legend, and labels of each, at most
 NEEDED = ("swept", "share", "label", "kind", "unresolved", "starts")
 
 
+@picture
 def fractions(
     found: xr.Dataset, ax: Axes | None = None, legend: bool = True, bounds: bool = True, units: str = "scene"
 ) -> Axes:

@@ -11,12 +11,13 @@ from ..output.units import amount_text
 from .branch import STYLES, WIDTHS, stability_entries
 from .plane import in_plane, plane_gid, with_gid
 from .smooth import smooth
-from .style import COLOURS, axes, is_of, legend, scales_of, wide
+from .style import COLOURS, axes, is_of, legend, picture, scales_of, wide
 
 HELD = "held"
 ORDER = tuple(COLOURS[k] for k in (6, 3, 5, 7, 0))  # loci have others first
 
 
+@picture
 def held(one: HeldBranch, ax: Axes | None = None, colour: ColorType | None = None, units: str = "scene") -> Axes:
     """Draw a `HeldBranch` in the plane of its two parameters, the first across, the second up: the Axes.
 

@@ -12,7 +12,7 @@ from ..output.labels import name_in
 from ..scene.check import ArgumentError
 from .plane import in_plane, plane_gid, with_gid
 from .smooth import smooth
-from .style import COLOURS, axes, is_of, legend, plain, scales_of, wide
+from .style import COLOURS, axes, is_of, legend, picture, plain, scales_of, wide
 
 # Of each kind: a colour, and a style that tells it without colour.
 LOOKS = {
@@ -32,6 +32,7 @@ HATCHES = ("///", "\\\\\\", "...", "xxx", "")
 LOCUS, REGION = "locus", "region"
 
 
+@picture
 def locus(
     one: Locus,
     ax: Axes | None = None,
@@ -88,6 +89,7 @@ def _points(ax, one, sizes, labels):
         ax.plot(across, up, label=told, gid="codimension two", **look)
 
 
+@picture
 def region(
     first: Locus,
     second: Locus,
@@ -106,6 +108,8 @@ def region(
     both, and as `locus` does.
     """
     is_of("region", Locus, first, second)
+    if not isinstance(text, str):
+        raise ArgumentError("text", "must be a string", text)
     if first.names != second.names:
         raise ArgumentError("second", f"must be a locus in {' and '.join(first.names)}, as the first", second.names)
     ax, sizes = in_plane(axes(ax), first.names, scales_of(first, units))

@@ -7,13 +7,14 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
-from .style import COLOURS, WALL, axes, is_from, legend, of_plane, plain, scales_of
+from .style import COLOURS, WALL, axes, is_from, legend, of_plane, picture, plain, scales_of
 
 # Why a curve ends; it goes on beyond a grazing, and an impact at the section's phase.
 ENDS = {"attractor": "o", "length": "s", "points": "D", "resolution": "^", "fast": "v"}
 LOOKS = {"stable": (COLOURS[2], "-"), "unstable": (COLOURS[7], (0, (5, 2)))}
 
 
+@picture
 def manifold(
     dataset: xr.Dataset,
     ax: Axes | None = None,

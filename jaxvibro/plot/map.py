@@ -9,7 +9,7 @@ from matplotlib.patches import Patch
 from ..output import label_codes
 from ..scene.check import ArgumentError
 from .plane import in_plane
-from .style import axes, edges, is_from, plain, scales_of
+from .style import axes, edges, is_from, picture, plain, scales_of
 
 # Of orbits of 1, 2, ... periods; Okabe and Ito's, and two that differ from them in lightness. Further ones begin anew.
 HUES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#B5A000", "#7A4B9E")
@@ -20,6 +20,7 @@ MOST = 12  # labels that the legend tells
 AROUND_ZERO = ("exponent",)  # quantities whose sign matters
 
 
+@picture
 def map(
     data: xr.Dataset,
     ax: Axes | None = None,

@@ -7,12 +7,13 @@ from matplotlib.patches import Ellipse
 from ..branches.branch import MEANINGS
 from ..design.margin import REACHED, Margin
 from .locus import LOOKS, MARKERS
-from .style import COLOURS, axes, is_of, of_parameter, plain, scales_of
+from .style import COLOURS, axes, is_of, of_parameter, picture, plain, scales_of
 
 SHAPES = "osD^vP*X"  # of the free numbers
 STYLES = {True: "-", False: ":"}  # of a way: whether the point is the first that it meets
 
 
+@picture
 def margin(near: Margin, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw what `margin` found: the Axes.
 

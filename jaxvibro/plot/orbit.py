@@ -7,13 +7,15 @@ from matplotlib.axes import Axes
 
 from ..maps.simulate import simulate
 from ..orbits.orbit import Orbit
+from ..scene.check import choice
 from .portrait import portrait
-from .style import COLOURS, WALL, are_of, axes, is_of, of_variable, scales_of
+from .style import COLOURS, WALL, are_of, axes, is_of, of_variable, picture, require_value, scales_of
 
 SAMPLES = 400  # of a drive period
 COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a diagram
 
 
+@picture
 def orbit(one: Orbit, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw an `Orbit` of `find_orbit` or `find_orbits` in the phase plane, as `portrait` does: the Axes.
 
@@ -42,6 +44,7 @@ def _stability(one):
     return "stable" if one.stable else "unstable"
 
 
+@picture
 def mark_orbits(
     orbits: tuple[Orbit, ...] | list[Orbit],
     value: float,
@@ -58,6 +61,8 @@ def mark_orbits(
     Raises ArgumentError for what is no tuple or list of `Orbit`s, and for other units.
     """
     are_of("mark_orbits", Orbit, orbits)
+    require_value(value)
+    choice("variable", variable, ("x", "v"))
     sizes = [of_variable(scales_of(one, units), variable).size for one in orbits]
     ax = axes(ax)
     shapes: dict[int, Any] = {}

@@ -8,9 +8,10 @@ from matplotlib.axes import Axes
 
 from ..scene.scene import Scene
 from .path import with_impacts
-from .style import COLOURS, WALL, axes, is_from, is_of, of_plane, scales_of
+from .style import COLOURS, WALL, axes, is_from, is_of, of_plane, picture, scales_of
 
 
+@picture
 def portrait(
     trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, stable: bool = True, units: str = "scene"
 ) -> Axes:

@@ -8,12 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
 from ..scene.check import ArgumentError
-from .style import COLOURS, axes, is_from, of_plane, scales_of
+from .style import COLOURS, axes, is_from, of_plane, picture, scales_of
 
 WALLS = ("left", "right")
 NARROW = 0.01  # of the middle of an axis
 
 
+@picture
 def section(
     dataset: xr.Dataset,
     which: str = "sigma",

@@ -6,7 +6,7 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from .style import COLOURS, WALL, axes, is_from, legend, of_parameter, scales_of
+from .style import COLOURS, WALL, axes, is_from, legend, of_parameter, picture, scales_of
 
 SURE = 3.0  # standard errors by which the first exponent must exceed 0, for a value to be shaded as chaotic
 BAND = 2.0  # standard errors to either side
@@ -15,6 +15,7 @@ NAMES = ("first exponent", "second exponent")
 STYLES = (("-", 1.3, COLOURS[0]), ("--", 1.0, COLOURS[7]))  # told apart in grey by dashes and width
 
 
+@picture
 def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw a Dataset of `jaxvibro.spectrum`: the Axes.
 

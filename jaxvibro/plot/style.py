@@ -7,15 +7,23 @@ import matplotlib.pyplot as plt
 import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
-from matplotlib.colors import to_rgb
+from matplotlib.colors import is_color_like, to_rgb
+
+from continuation.argument_types import Kind, checked
 
 from ..output.units import LENGTH, SPEED, TIME, amount_text, require_system, scales_from, told, unit_of
+from ..scene import check
 from ..scene.check import ArgumentError
 from ..scene.scales import require_scales
 
 # Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
 WALL = "0.55"
+COLOUR = Kind(lambda value: value is None or is_color_like(value), "a colour of matplotlib or None")
+
+# Decorates a picture, which refuses optional arguments that its annotations do not allow; it checks the others itself.
+picture = checked(ArgumentError, lambda parameter: parameter.default is not parameter.empty, colour=COLOUR)
+
 LEGEND = "legend"  # group id of those made here
 OWN_WIDTH = 1.5  # points, of matplotlib's lines
 
@@ -85,7 +93,8 @@ def of_parameter(scales, name):
 
 
 def of_variable(scales, name):
-    """The `Axis` of a variable of a motion or orbit, likewise."""
+    """The `Axis` of a variable of a motion or orbit, likewise. Raises ArgumentError."""
+    check.choice("variable", name, VARIABLES)
     return Axis((VARIABLES if scales is None else _PHYSICAL_VARIABLES)[name], told(UNITS[name], scales)[1])
 
 
@@ -159,17 +168,40 @@ def is_of(picture, kind, *values):
     for value in values:
         if not isinstance(value, kind):
             article = "an" if kind.__name__[0] in "AEIOU" else "a"
-            raise ArgumentError(f"plot.{picture}", f"must be given {article} {kind.__name__}", value)
+            raise ArgumentError(f"plot.{picture}", f"must be given {article} {kind.__name__}{_drawn_by(value)}", value)
 
 
 def are_of(picture, kind, values):
     """Refuse what is no tuple or list of such records."""
     if not isinstance(values, tuple | list):
-        raise ArgumentError(f"plot.{picture}", f"must be given a tuple of {kind.__name__}s", values)
+        rule = f"must be given a tuple of {kind.__name__}s{_drawn_by(values)}"
+        raise ArgumentError(f"plot.{picture}", rule, values)
     is_of(picture, kind, *values)
 
 
 def is_from(picture, source, names, value):
     """Refuse what is no Dataset of a function's, which has variables, or attributes, of these names."""
     if not isinstance(value, xr.Dataset) or not all(name in value.variables or name in value.attrs for name in names):
-        raise ArgumentError(f"plot.{picture}", f"must be given a Dataset of {source}", type(value).__name__)
+        rule = f"must be given a Dataset of {source}{_drawn_by(value)}"
+        raise ArgumentError(f"plot.{picture}", rule, type(value).__name__)
+
+
+DRAWN_BY = {name: f"plot.{name.lower()}" for name in ("Branch", "Orbit", "Locus", "Margin", "Fit")}
+DRAWN_BY |= {"HeldBranch": "plot.held", "Diagram": "plot.branch, one call for each of its branches"}
+
+
+def _drawn_by(value):
+    """The end of a rule that a record breaks: the picture that draws it; "" where there is none."""
+    name = type(value).__name__
+    return f" (a {name} is drawn by {DRAWN_BY[name]})" if name in DRAWN_BY else ""
+
+
+def require_value(value):
+    """Refuse a place along an axis that is no finite number."""
+    check.single("value", value)
+
+
+def require_axes(ax):
+    """Refuse what is no Axes."""
+    if not isinstance(ax, Axes):
+        raise ArgumentError("ax", "must be an Axes of matplotlib", ax)

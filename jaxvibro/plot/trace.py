@@ -7,9 +7,10 @@ from matplotlib.axes import Axes
 
 from ..scene.scene import Scene
 from .path import position, with_impacts
-from .style import COLOURS, WALL, axes, is_from, is_of, of_time, of_variable, scales_of
+from .style import COLOURS, WALL, axes, is_from, is_of, of_time, of_variable, picture, scales_of
 
 
+@picture
 def trace(trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw the position in a Dataset of `simulate` against time, with walls and impacts: the Axes.
 

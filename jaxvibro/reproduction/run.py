@@ -37,6 +37,7 @@ class Report:
     told: str
 
 
+@check.typed
 def paper(
     names: Sequence[str] = (),
     out: str | PathLike[str] = "out/paper",

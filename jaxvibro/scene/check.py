@@ -10,8 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import get_opaque_trace_state
 
+from continuation.argument_types import checked, checker
+
 HIGHEST_HARMONIC = 1000
 LONGEST = 300  # characters of a message
+MOST = 2**31 - 1  # of what is counted: more is a slip, and compiled loops count in 32 bits
 MOST_PERIODS = 32  # of an orbit that is looked for; `iterate` keeps twice as many
 
 Given = ParamSpec("Given")
@@ -34,6 +37,9 @@ class ArgumentError(ValueError):
 
 class SceneError(ArgumentError):
     """A scene breaks a rule."""
+
+
+typed = checked(ArgumentError)  # decorates a public function: it refuses arguments that its annotations do not allow
 
 
 def of_scene(function: Callable[Given, Found]) -> Callable[Given, Found]:
@@ -65,9 +71,16 @@ CALLED |= {"LP": "SN", "LPC": "SN", "TR": "NS", "BPC": "BP"}
 
 def among(name, names):
     """The end of a rule that a name breaks as it is none of these: the nearest of them, and all."""
-    meant = CALLED.get(name)
-    near = [meant] if meant in names else difflib.get_close_matches(short(name), names, 1)
-    return f"{', perhaps ' + near[0] if near else ''} ({', '.join(names)})"
+    near = nearest(name, names)
+    return f"{', perhaps ' + near if near else ''} ({', '.join(names)})"
+
+
+def nearest(name, names):
+    """The name among others that a misspelt one, or one of another program, stands for; None where there is none."""
+    if CALLED.get(name) in names:
+        return CALLED[name]
+    near = difflib.get_close_matches(short(name), names, 1)
+    return near[0] if near else None
 
 
 def shown(value):
@@ -99,22 +112,34 @@ def is_transformed():
 def host(instead: str) -> Callable[[Callable[Given, Found]], Callable[Given, Found]]:
     """Decorates a function that runs on the host: under a transformation it says so at once, and what does it there.
 
-    Raises ArgumentError where an argument is traced, and within jit, vmap and grad where none is.
+    Raises ArgumentError where an argument is traced, within jit, vmap and grad where none is, and for arguments that
+    the annotations of the function do not allow.
     """
 
     def decorated(function: Callable[Given, Found]) -> Callable[Given, Found]:
+        require_types = checker(function, ArgumentError)
+
         @wraps(function)
         def called(*args: Given.args, **named: Given.kwargs) -> Found:
-            given = [list(each.items()) if isinstance(each, dict) else each for each in (*args, *named.values())]
-            traced = [each for each in jax.tree.leaves(given) if is_traced(each)]  # a dict's keys need no order
+            traced = _traced(*args, *named.values())
             if traced or is_transformed():
                 rule = "runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, " + instead
                 raise ArgumentError(function.__name__, rule, traced[0] if traced else "a call within one")
+            require_types(args, named)
             return function(*args, **named)
 
         return called
 
     return decorated
+
+
+def _traced(*values):
+    """The tracers within values; none of a list that holds itself, of which jax makes no tree."""
+    given = [list(each.items()) if isinstance(each, dict) else each for each in values]  # a dict's keys need no order
+    try:
+        return [each for each in jax.tree.leaves(given) if is_traced(each)]
+    except (RecursionError, SystemError):
+        return []
 
 
 def require_known(name, names, value):
@@ -123,6 +148,14 @@ def require_known(name, names, value):
         raise ArgumentError("name", f"must be a parameter of this scene ({', '.join(names)})", name)
     if name not in names:
         raise ArgumentError(name, f"is not a parameter of this scene{among(name, names)}", value)
+
+
+def choice(key, value, choices):
+    """The value, refused where it is none of some names, with the nearest of them."""
+    if isinstance(value, str) and value in choices:
+        return value
+    meant = nearest(value, choices) if isinstance(value, str) else None
+    raise ArgumentError(key, f"must be one of {', '.join(choices)}{f', perhaps {meant}' if meant else ''}", value)
 
 
 def sequence(key, names):
@@ -199,7 +232,7 @@ def float_type(dtype):
     """The scene's floating-point type: float64 where None was given, and then jax must have it on."""
     try:
         kind = np.dtype(np.float64 if dtype is None else dtype)
-    except TypeError:
+    except (TypeError, ValueError, RecursionError):
         kind = None
     if kind not in (np.float32, np.float64):
         raise ArgumentError("dtype", "must be None, float32 or float64", dtype)
@@ -232,6 +265,14 @@ def number(key, value, dtype):
     return array
 
 
+def single(key, value):
+    """The value as a float: one finite number."""
+    found = number(key, value, np.float64)
+    if found.ndim:
+        raise ArgumentError(key, "must be one number", value)
+    return float(found)
+
+
 def quantity(key, value, dtype):
     """Like `number`, for what a scene is made of: there a list is taken neither for a batch nor for the two walls'."""
     if isinstance(value, list | tuple):
@@ -245,7 +286,7 @@ def _plain(value):
         return None
     try:
         return np.asarray(value)
-    except (TypeError, ValueError):
+    except Exception:  # ragged and endless lists, and objects with conversions of their own
         return None
 
 
@@ -278,7 +319,10 @@ def shapes_agree(leaves):
 
 
 def whole(key, value, least):
-    """The value as an int: a whole number from `least` on (a truth value is none)."""
+    """The value as an int: a whole number from `least` on (a truth value is none). Counts end at `MOST`, seeds do
+    not."""
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ArgumentError(key, f"must be a whole number from {least} on", value)
+    if value > MOST and key != "seed":
+        raise ArgumentError(key, f"must be at most {MOST}", value)
     return int(value)

@@ -19,6 +19,7 @@ from .scene import Scene
 from .scene_rules import obey
 
 
+@check.typed
 def effective_restitution(
     stiffness: Real[ArrayLike, "..."], damping: Real[ArrayLike, "..."]
 ) -> Float[Array, "..."] | np.floating:
@@ -34,6 +35,7 @@ def effective_restitution(
     return xp.where(swings, found, 0.0)
 
 
+@check.typed
 def contact_damping(
     stiffness: Real[ArrayLike, "..."], restitution: Real[ArrayLike, "..."]
 ) -> Float[Array, "..."] | np.floating:
@@ -51,6 +53,7 @@ def contact_damping(
 
 
 @check.of_scene
+@check.typed
 def soften(scene: Scene, stiffness: Real[ArrayLike, "..."]) -> Scene:
     """The scene with each rigid wall replaced by a soft one that gives back the same part of the speed.
 

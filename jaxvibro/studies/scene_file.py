@@ -9,7 +9,7 @@ from jax.typing import DTypeLike
 
 from ..output.atomic_write import whole
 from ..scene import scene_table
-from ..scene.check import ArgumentError, SceneError, among, host
+from ..scene.check import ArgumentError, SceneError, among, host, typed
 from ..scene.scene import Scene
 from ..scene.scene_table import table_of
 from . import schema
@@ -47,6 +47,7 @@ _KINDS = {
 _WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
 
 
+@typed
 def load_scene(path: str | PathLike[str], dtype: DTypeLike | None = None) -> Scene:
     """The scene of a scene file, as `make_scene` would make it (dtype as there).
 
