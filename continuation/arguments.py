@@ -37,6 +37,9 @@ def require_system(system, u, p, args):
     """Raises ContinuationError where a system's function does not give n numbers of n, in JAX."""
     if not isinstance(system, System):
         raise ContinuationError("system", "must be one of `equilibria` or `fixed_points`", system)
+    for leaf in jax.tree.leaves(args):
+        if not isinstance(leaf, bool | int | float | complex | np.generic | np.ndarray | jax.Array):
+            raise ContinuationError("args", "must be numbers and arrays, or a tree of them", leaf)
     count = system.segments * system.times
     if system.kind == ORBITS and (len(u) <= count or (len(u) - 1) % count or u[-1] <= 0):
         raise ContinuationError("u", f"must be {count} points, one after another, and the period", u)

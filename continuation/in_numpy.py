@@ -19,7 +19,7 @@ from .numpy_indexing import Unknown
 from .python_program import Program, program
 
 PATIENCE = 10_000  # times that all lines of a function are run before it is compiled, which costs as much
-PLAIN = {bool, int, float}  # types of numbers that jax takes for weak ones
+PLAIN = {bool, int, float, complex}  # types of numbers that jax takes for weak ones
 
 
 def kind_of(args, static):

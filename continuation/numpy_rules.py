@@ -14,6 +14,7 @@ from jax import lax
 from .numpy_indexing import Unknown, gather, scatter
 
 Rule = Callable[..., Any]
+COMPILED = {"atan2": "c", "clamp": "c"}  # kinds of operands of which NumPy has no such function, or another one
 rules: dict[str, Callable[..., Rule]] = {}
 
 
@@ -36,7 +37,7 @@ def _over(function, axes, **_):
 
 
 def _reduced(reduce, axes, x):
-    return reduce(x, axis=axes) if axes else x
+    return reduce(x, axis=axes, dtype=x.dtype) if axes else x
 
 
 def _place_of(function, axes, index_dtype, **_):
@@ -53,7 +54,19 @@ def _along(function, axis, reverse, **_):
 
 
 def _divided(x, y):
-    return x / y if y.dtype.kind == "f" else np.asarray(np.trunc(x / y)).astype(y.dtype)[()]
+    """The quotient, of whole numbers truncated; of these by zero -1, all bits set, as XLA has it."""
+    if y.dtype.kind not in "iu":
+        return x / y
+    below = np.floor_divide(x, y)
+    inexact = (np.multiply(below, y) != x) & ((x < 0) != (y < 0))
+    found = np.where(y == 0, ~np.zeros_like(y), below + inexact.astype(y.dtype))
+    return found.astype(y.dtype)[()]
+
+
+def _remainder(x, y):
+    """The remainder of division, with the sign of x; of whole numbers by zero x itself, as XLA has it."""
+    found = np.fmod(x, y)
+    return found if y.dtype.kind == "f" else np.where(y == 0, x, found).astype(y.dtype)[()]
 
 
 def _negated(x):
@@ -99,7 +112,7 @@ ELEMENTWISE = {
     "optimization_barrier": lambda *x: x,
     "or": operator.or_,
     "pow": np.power,
-    "rem": np.fmod,
+    "rem": _remainder,
     "rsqrt": lambda x: 1.0 / np.sqrt(x),
     "sign": np.sign,
     "sin": np.sin,
@@ -113,10 +126,10 @@ ELEMENTWISE = {
     "xor": operator.xor,
 }
 REDUCED = {
-    "reduce_and": np.logical_and,
+    "reduce_and": np.bitwise_and,
     "reduce_max": np.maximum,
     "reduce_min": np.minimum,
-    "reduce_or": np.logical_or,
+    "reduce_or": np.bitwise_or,
     "reduce_prod": np.multiply,
     "reduce_sum": np.add,
 }
@@ -151,7 +164,20 @@ def _round(rounding_method, **_):
 @rule("convert_element_type")
 def _convert_element_type(new_dtype, **_):
     kind = np.dtype(new_dtype)
-    return lambda x: x.astype(kind)
+
+    def run(x):
+        part = x.real if x.dtype.kind == "c" and kind.kind != "c" else x
+        return _truncated(part, kind) if part.dtype.kind == "f" and kind.kind in "iu" else part.astype(kind)
+
+    return run
+
+
+def _truncated(x, kind):
+    """Real numbers as whole ones: those beyond the least and the largest as these, what is no number as 0."""
+    ends = np.iinfo(kind)
+    low, high = x <= float(ends.min), x >= float(ends.max)
+    found = np.where(low | high | np.isnan(x), 0.0, x).astype(kind)
+    return np.where(high, kind.type(ends.max), np.where(low, kind.type(ends.min), found))[()]
 
 
 @rule("bitcast_convert_type")

@@ -59,7 +59,7 @@ FORMS = {
     "sub": "{0} - {1}",
     "xor": "{0} ^ {1}",
 } | {name: f"np.{name}({{0}}).item()" for name in UFUNCS}
-GROWING = {"add", "mul", "neg", "sub"}  # of whole numbers they may go beyond their bits
+GROWING = {"abs", "add", "mul", "neg", "square", "sub"}  # of whole numbers they may go beyond their bits
 FOLDED = {"reduce_sum": "add", "reduce_prod": "mul", "reduce_max": "max", "reduce_min": "min"}
 FOLDED |= {"reduce_and": "and", "reduce_or": "or"}
 

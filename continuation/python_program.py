@@ -17,7 +17,7 @@ from jax.interpreters import partial_eval
 
 from . import python_forms
 from .numpy_indexing import Unknown
-from .numpy_rules import rules
+from .numpy_rules import COMPILED, rules
 from .python_literals import NAMED, literal, rule_text
 from .python_text import Block, Chosen, Line, Repeated, count, needed, written
 
@@ -217,7 +217,7 @@ class Writer:
             return self.scanned(params, given, _kinds(equation.outvars))
         if name == "cond":
             return self.chosen(params["branches"], given, _kinds(equation.outvars))
-        if name not in rules:
+        if name not in rules or any(var.aval.dtype.kind in COMPILED.get(name, "") for var in equation.invars):
             raise Unknown(name)
         return self.primitive(name, params, given, _kinds(equation.invars), _kinds(equation.outvars))
 
