@@ -76,12 +76,14 @@ def pinned(problem, z, index, value, control, args):
     row[index] = 1.0 / control.scale[index] ** 2
     place = np.array(z)
     place[index] = value
-    return step(problem, Point(place, row, *[np.zeros(())] * 3, *[np.True_] * 2), 0.0, polishing(control), args)
+    return step(
+        problem, Point(place, row, *[np.zeros(())] * 3, *[np.True_] * 2), 0.0, polishing(problem, control), args
+    )
 
 
-def polishing(control):
-    """The `Control` with which Newton's method ends at rounding."""
-    return control._replace(tolerance=np.float64(POLISHED))
+def polishing(problem, control):
+    """The `Control` with which Newton's method ends at rounding, or at the noise of the equations."""
+    return control._replace(tolerance=np.float64(max(POLISHED, problem.noise)))
 
 
 def stretches(problem, place, control, args, first=CHUNK):

@@ -44,7 +44,7 @@ def held_problem(system: System, functions: tuple[Function, ...], names: tuple[s
 
     plain = problem_of(system, names)
     tests = (Test(FOLD, partial(singular_matrix, system, "SN", names)), *plain.tests)
-    return Problem(function, bordered, function, tests, at_once=plain.at_once)
+    return Problem(function, bordered, function, tests, at_once=plain.at_once, noise=plain.noise)
 
 
 def named(

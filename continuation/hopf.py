@@ -29,7 +29,8 @@ def first_orbit(task, start):
     """The `Point` a first step away from a Hopf point, where the equations are singular. Raises ContinuationError."""
     one = event_search.step(task.problem, start, task.first, task.control, task.args)
     if not one.met:
-        raise ContinuationError("first_step", "must lead to an orbit", task.first)
+        rule = "must lead to an orbit: take a shorter one, or a smaller tolerance of `periodic_orbits`"
+        raise ContinuationError("first_step", rule, task.first)
     return one._replace(step=np.zeros(()), kept=np.True_)
 
 

@@ -20,10 +20,11 @@ from .newton import ADVICE, newton
 from .persistent_jit import persistent_jit
 from .phases import SystemWatch
 from .points import between, start_point
-from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, matrix_at, problem_of
+from .problem import EQUILIBRIA, ORBITS, Given, System, linearised, matrix_at, noise_of, problem_of
 from .roots import sign_change
 from .stretch import backwards, glued
 
+TOLERANCE = 1e-10  # of Newton's method, a length
 SMALLEST = 1e-8  # step
 ROWS = 64  # of points, whose eigenvalues are asked for in one call
 NEAR = 1e-9  # of u and its image: as near are they one
@@ -80,7 +81,7 @@ def trace(
     direction: str = "both",
     first_step: float = 0.05,
     largest_step: float = 0.1,
-    tolerance: float = 1e-10,
+    tolerance: float | None = None,
     monitors: Monitors | None = None,
     stop: Sequence[str] = (),
     hold: Mapping[Any, float] | None = None,
@@ -94,8 +95,9 @@ def trace(
     system: of `equilibria`, `fixed_points` or `shooting.periodic_orbits`; u: (n,), near a solution; at: {name: number},
     the parameters there; along: the name of that which is to change; bounds: (low, high) of it; args: for the system's
     function. direction: "forward" begins towards greater values, "backward" towards smaller, "both" does both.
-    first_step, largest_step, tolerance: lengths of (u, parameter). monitors: {name: function of (u, p, args)}, whose
-    changes of sign are special points; stop: kinds of special points that end the branch.
+    first_step, largest_step, tolerance: lengths of (u, parameter). tolerance is that of Newton's method: None for 1e-10,
+    and for periodic orbits at least 10 times the tolerance of their integrator. monitors: {name: function of (u, p,
+    args)}, whose changes of sign are special points; stop: kinds of special points that end the branch.
 
     hold: {function of (u, p, args), or the name of a monitor: its value all along}; each needs one parameter more:
     along is then a tuple of names, bounds {name: (low, high)}, direction and the start's value are of the last name,
@@ -137,7 +139,7 @@ def switch(
     bounds: Mapping[str, tuple[float, float]] | None = None,
     first_step: float = 0.01,
     largest_step: float = 0.1,
-    tolerance: float = 1e-10,
+    tolerance: float | None = None,
     monitors: Monitors | None = None,
     stop: Sequence[str] = (),
     orbits: System | None = None,
@@ -263,8 +265,15 @@ def _solved(problem, z, given):
     return np.append(found.unknowns, z[-1])
 
 
-def task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors=None, stop=()):
-    """The `Task` along the parameters of the bounds from z on. Raises ContinuationError."""
+def task_of(system, z, bounds, given, first_step, largest_step, tolerance, monitors=None, stop=(), usual=TOLERANCE):
+    """The `Task` along the parameters of the bounds from z on; usual: the tolerance in place of None. Raises
+    ContinuationError."""
+    noise = noise_of(system)
+    if tolerance is None:
+        tolerance = max(usual, noise)
+    elif not tolerance >= 0.999 * noise:
+        rule = f"must be at least {noise:g}, 10 times that of `periodic_orbits`, which may be given a smaller one"
+        raise ContinuationError("tolerance", rule, tolerance)
     for key, value in (("first_step", first_step), ("largest_step", largest_step), ("tolerance", tolerance)):
         if not (np.isscalar(value) and np.isfinite(value) and value > 0):
             raise ContinuationError(key, "must be greater than 0", value)

@@ -44,7 +44,8 @@ class Problem(NamedTuple):
     `arclength.bordered`; plain: F and dF/dz, an (n, n + 1) matrix; tests: what is watched besides folds and branch
     points; run: (function, *arrays, **static) -> its result, within a jit, as the compiler likes it; holds: of (z,
     args), whether a special point that Newton's method comes to is one; at_once: whether it is compiled before its
-    first answer, as its loops are too long for Python.
+    first answer, as its loops are too long for Python; noise: the length below which Newton's steps do not
+    shrink, as an integrator's steps change.
     """
 
     function: Callable[[Any, Any], tuple[Float[jax.Array, " unknowns"], Any]]
@@ -54,6 +55,7 @@ class Problem(NamedTuple):
     run: Callable[..., Any] = plainly
     holds: Callable[..., bool] = always
     at_once: bool = False
+    noise: float = 0.0
 
 
 Function = Callable[
@@ -78,6 +80,12 @@ class System(NamedTuple):
 
 
 EQUILIBRIA, FIXED_POINTS, ORBITS = "equilibria", "fixed points", "periodic orbits"
+NOISE = 10.0  # times the tolerance of an integrator: Newton's steps on its results become as short
+
+
+def noise_of(system: System) -> float:
+    """The length below which Newton's steps do not shrink: that of an integrator's error; 0 without an integrator."""
+    return NOISE * getattr(system.fly, "tolerance", 0.0)
 
 
 @typed
@@ -118,7 +126,7 @@ def problem_of(system, names):
     pair = test("NS", partial(is_pair, system, names))
     tests = (test("HB", partial(is_oscillation, system, names)),) if system.kind == EQUILIBRIA else (test("PD"), pair)
     tests += (test("SB"),) if system.within else ()
-    return Problem(function, bordered, function, tests, at_once=system.kind == ORBITS)
+    return Problem(function, bordered, function, tests, at_once=system.kind == ORBITS, noise=noise_of(system))
 
 
 def split(names, z, given):

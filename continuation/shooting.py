@@ -63,7 +63,8 @@ def periodic_orbits(
 
     Its u is that many points, evenly spread in time, one after another, and the period: (segments n + 1,); its
     eigenvalues are the n - 1 multipliers but for that of the field's own direction, 1. segments: the more, the milder
-    the growth within each; solver: of diffrax, Dopri8 where None; tolerance: of its steps, relative and absolute.
+    the growth within each; solver: of diffrax, Dopri8 where None; tolerance: of its steps, relative and absolute. The
+    tolerance of `trace`, `switch` and `curve` is at least 10 times as large: Newton's steps do not become shorter.
 
     Raises ContinuationError for arguments that cannot be.
     """

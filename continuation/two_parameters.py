@@ -21,9 +21,10 @@ from .errors import ContinuationError, typed
 from .limits import limits_of
 from .on_curve import MEETING, OnCurve
 from .one_parameter import both_ways, branch_of, checked_bounds, task_of
-from .problem import Given, Problem, Test, equations_at, singular_matrix
+from .problem import Given, Problem, Test, equations_at, noise_of, singular_matrix
 
 KINDS = ("SN", "PD", "HB", "NS", "SB")
+TOLERANCE = 1e-12  # of Newton's method, a length
 
 
 @typed
@@ -33,7 +34,7 @@ def curve(
     bounds: Mapping[str, Sequence[float]],
     first_step: float = 0.02,
     largest_step: float = 0.1,
-    tolerance: float = 1e-12,
+    tolerance: float | None = None,
     stop: Sequence[str] = (),
     *,
     max_points: int | None = None,
@@ -43,7 +44,9 @@ def curve(
     """The curve of a special point in two parameters: a `Branch` of its kind.
 
     special: a `Special` of kind SN, PD, HB, NS or SB; names: two parameters of its system; bounds: {name: (low, high)}.
-    The rest as in `trace`. Located are, of equilibria, cusps (CP), Bogdanov-Takens (BT), zero-Hopf (ZH), double Hopf
+    The rest as in `trace`; a tolerance of None is 1e-12.
+
+    Located are, of equilibria, cusps (CP), Bogdanov-Takens (BT), zero-Hopf (ZH), double Hopf
     (HH) and generalized Hopf points (GH); of maps and orbits cusps, generalized period doublings (GPD), Chenciner
     points (CH), fold-flips (FF), the resonances R1 to R4, NS with a fold (FN), a period doubling (PN) or another NS
     (NN); GPD and CH of maps alone; of SB the degenerate ones (DSB). A curve of HB or NS ends where the eigenvalues
@@ -65,7 +68,7 @@ def curve(
     z = np.append(special.u, [special.p[name] for name in pair])
     system = special.system._replace(within=special.kind == "SB" or special.system.within)
     watch = OnCurve(system, special.kind, pair)
-    task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, stop=stop)
+    task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, stop=stop, usual=TOLERANCE)
     task = task._replace(problem=special_problem(system, special.kind, pair), watch=watch, limits=limits)
     ahead = event_search.tangent(task.problem, z, task.control.scale, given)
     back, on = both_ways(task, z, ahead)
@@ -86,7 +89,7 @@ def special_problem(system, kind, names):
 
     met = MEETING[system.kind].get(kind, {})
     tests = tuple(Test(label, partial(singular_matrix, system, of, names)) for label, of in met.items())
-    return Problem(function, bordered, function, tests)
+    return Problem(function, bordered, function, tests, noise=noise_of(system))
 
 
 @typed
