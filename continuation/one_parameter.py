@@ -95,7 +95,7 @@ def trace(
     system: of `equilibria`, `fixed_points` or `shooting.periodic_orbits`; u: (n,), near a solution; at: {name: number},
     the parameters there; along: the name of that which is to change; bounds: (low, high) of it; args: for the system's
     function. direction: "forward" begins towards greater values, "backward" towards smaller, "both" does both.
-    first_step, largest_step, tolerance: lengths of (u, parameter). tolerance is that of Newton's method: None for 1e-10,
+    first_step, largest_step, tolerance: lengths of (u, parameter). tolerance is that of Newton's method, None for 1e-10
     and for periodic orbits at least 10 times the tolerance of their integrator. monitors: {name: function of (u, p,
     args)}, whose changes of sign are special points; stop: kinds of special points that end the branch.
 

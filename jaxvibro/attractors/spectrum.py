@@ -15,6 +15,7 @@ from ..output.units import scales_in, unit_of
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import State, check_start, real_state
+from ..scene.unit_slips import require_scene_units
 from ..stores.engines import ThisThread, cores
 from ..stores.filling import Store, done
 from .chaotic_exponents import of_motion, settled
@@ -90,6 +91,7 @@ def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count"], S
     values = check.number(name, values, scene.dtype)
     if values.ndim != 1 or len(values) == 0:
         raise check.ArgumentError(name, "must be a sequence of values, at least one", values)
+    require_scene_units("values", scene, name, values)
     scenes = scene.replace(**{name: values})
     state = started(real_state(scene, state), scene.dtype, [(name, values)])
     check_start(scenes, state, "at each value")

@@ -21,6 +21,7 @@ from ..scene.codes import Status
 from ..scene.named_forces import named
 from ..scene.scene import Scene
 from ..scene.state import State, check_start
+from ..scene.unit_slips import require_scene_units
 from ..stores.filling import Store, done
 from .sweep_study import SweepStudy
 
@@ -87,6 +88,7 @@ def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count *lan
     values = check.number(name, values, scene.dtype)
     if values.ndim == 0 or values.shape[0] == 0:
         raise check.ArgumentError(name, "must be a sequence of values to sweep through, at least one", values)
+    require_scene_units("values", scene, name, values)
     spare = max(0, len(scene.shape) - (values.ndim - 1))
     aligned = values.reshape(values.shape[0], *[1] * spare, *values.shape[1:])
     scene.replace(**{name: aligned})

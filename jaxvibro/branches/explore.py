@@ -24,6 +24,7 @@ from ..scene.parameters import bounds_of, domain
 from ..scene.scene import Scene
 from ..scene.state import State
 from ..scene.symmetry import stays_symmetric
+from ..scene.unit_slips import require_scene_units
 from .branch_tree import Tree
 from .diagram import Diagram
 from .follow import check_settings, through
@@ -98,6 +99,8 @@ def check_arguments(scene, name, bounds, max_period, seed, budget, largest_step)
         raise check.ArgumentError("max_period", f"must be at most {check.MOST_PERIODS}", max_period)
     most = MOST if budget is None else check.whole("budget", budget, 1)
     check.require_known(name, scene.names, name)
+    if np.shape(bounds) == (2,):
+        require_scene_units("bounds", scene, name, bounds)
     scene = scene.replace(**{name: _inside(scene, name, bounds)})
     bounds = bounds_of(scene, name, bounds)
     steps = check_settings(FIRST, largest_step, 1e-10, (), ())

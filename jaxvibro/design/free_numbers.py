@@ -6,6 +6,7 @@ import numpy as np
 
 from ..scene import check
 from ..scene.parameters import domain
+from ..scene.unit_slips import hint, in_units
 
 
 def units_of(scene, free):
@@ -32,8 +33,10 @@ def room_of(scene, units, bounds):
     for name, unit in units.items():
         value, own = float(scene.parameter(name)), domain(scene, name)
         given = bounds.get(name, own)
-        if np.shape(given) != (2,) or not given[0] <= value <= given[1]:
-            raise check.ArgumentError(f"bounds.{name}", f"must be (low, high) about the scene's {value:.12g}", given)
+        known = np.asarray(given, float) if np.shape(given) == (2,) else np.full(2, np.nan)
+        if not known[0] <= value <= known[1]:
+            rule = f"must be (low, high) about the scene's {in_units(scene, name)}{hint(scene, name, *known)}"
+            raise check.ArgumentError(f"bounds.{name}", rule, given)
         ends.append([(max(given[0], own[0]) - value) / unit, (min(given[1], own[1]) - value) / unit])
     low, high = np.array(ends).T
     return low, high

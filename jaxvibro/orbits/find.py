@@ -23,7 +23,7 @@ FREE = (
 )
 
 
-@check.host("use strobe or monodromy")
+@check.host("use solve_orbits; located has derivatives of an orbit")
 def find_orbit(
     scene: Scene,
     state: State,

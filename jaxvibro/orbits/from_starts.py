@@ -32,7 +32,7 @@ MOST = 32  # impacts of an orbit
 SAME = 1e-7  # of the largest speed: two orbits as near are one
 
 
-@check.host("use strobe or monodromy")
+@check.host("use solve_orbits, which takes guesses")
 def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int = 0) -> tuple[Orbit, ...]:
     """The periodic orbits of a scene up to a number of drive periods, stable and unstable: a tuple of `Orbit`.
 

@@ -193,7 +193,8 @@ DRAWN_BY |= {"HeldBranch": "plot.held", "Diagram": "plot.branch, one call for ea
 def _drawn_by(value):
     """The end of a rule that a record breaks: the picture that draws it; "" where there is none."""
     name = type(value).__name__
-    return f" (a {name} is drawn by {DRAWN_BY[name]})" if name in DRAWN_BY else ""
+    article = "an" if name[0] in "AEIOU" else "a"
+    return f" ({article} {name} is drawn by {DRAWN_BY[name]})" if name in DRAWN_BY else ""
 
 
 def require_value(value):

@@ -69,9 +69,14 @@ CALLED |= {"gamma": "damping", "zeta": "damping", "damping_ratio": "damping", "R
 CALLED |= {"LP": "SN", "LPC": "SN", "TR": "NS", "BPC": "BP"}
 
 
+GAPS = ("gap", "clearance")  # no parameter; a wall's position is one
+
+
 def among(name, names):
     """The end of a rule that a name breaks as it is none of these: the nearest of them, and all."""
     near = nearest(name, names)
+    if name in GAPS:
+        return f": vary left.position or right.position instead ({', '.join(names)})"
     return f"{', perhaps ' + near if near else ''} ({', '.join(names)})"
 
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from . import check
 from .scene import changed
+from .unit_slips import hint, in_units, require_scene_units
 
 ROUNDING = 8.0 * np.finfo(float).eps  # of a value: as near are two equal
 
@@ -38,7 +39,8 @@ def bounds_of(scene, name, bounds):
         raise check.ArgumentError("bounds", "must be (low, high), two finite numbers, the first smaller", bounds)
     value = float(scene.parameter(name))
     if not given[0] <= value <= given[1]:
-        raise check.ArgumentError("bounds", f"must hold the start's {name}, {value:.12g}", bounds)
+        rule = f"must hold the start's {name}, {in_units(scene, name)}{hint(scene, name, *given)}"
+        raise check.ArgumentError("bounds", rule, bounds)
     return float(given[0]), float(given[1])
 
 
@@ -48,6 +50,7 @@ def values_of(scene, name, values):
     found = check.real("values", values, np.float64)
     if found.ndim != 1 or not len(found):
         raise check.ArgumentError("values", f"must be a row of values of {name}, one at least", values)
+    require_scene_units("values", scene, name, found)
     scene.replace(**{name: found})
     return found
 

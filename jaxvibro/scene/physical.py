@@ -1,5 +1,6 @@
 """A scene from dimensional quantities: M X'' + C X' + K X = F cos(Omega T) between walls (paper, section 1)."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -14,6 +15,8 @@ from .scales import Scales
 from .scene import SIDES, Scene, Walls, make_scene, shared_restitution, terms_of
 from .scene_rules import obey
 from .wall import Motion, Wall
+
+RECORD = 100  # values of a force: so many look like a record in time
 
 
 @check.of_scene
@@ -66,7 +69,11 @@ def scene_from_physical(
     of = {key: check.quantity(key, value, kind) for key, value in given.items()}
     check.shapes_agree(of.items())
     for key, value in of.items():
+        if key == "stiffness" and not check.is_traced(value) and np.any(value == 0):
+            rule = "must be greater than 0: times are measured in sqrt(mass / stiffness)"
+            raise check.SceneError(key, f"{rule}; for a mass without a spring use make_scene with a Force", 0.0)
         obey(key, value)
+    _require_amplitude(of["force"])
     xp = jnp if check.is_traced(*of.values()) else np
     natural = xp.sqrt(of["stiffness"] / of["mass"])
     scene = make_scene(
@@ -106,6 +113,19 @@ def _around(gap):
     return None if left is None else -check.quantity("gap", left, np.float64), right
 
 
+def _require_amplitude(force):
+    """Refuse a record of a force in time where the drive's amplitude is due: an array is a batch of scenes, and no
+    amplitude of a batch needs to be below 0. Warn where an array is as long as a record."""
+    if check.is_traced(force) or not force.ndim:
+        return
+    if force.min() < 0 < force.max():
+        rule = "is the drive's amplitude, not a force in time: give a number, or further harmonics as drive; an array "
+        raise check.SceneError("force", rule + "makes a batch of scenes and must not change its sign", force)
+    if force.size >= RECORD:
+        told = f"force is the drive's amplitude: its {force.size} values make as many scenes, one each"
+        warnings.warn(f"{told}; a force in time is given by its harmonics, drive=", UserWarning, stacklevel=4)
+
+
 def _scales(of):
     """The `Scales` of single numbers that are known, else None."""
     found = {key: of[key] for key in ("mass", "stiffness", "length")}
@@ -119,7 +139,10 @@ def _length(walls):
     position = right.position if isinstance(right, Wall) else right
     if position is None:
         raise check.SceneError("length", "must be given where there is no right wall", None)
-    if not check.is_traced(position) and np.any(np.asarray(position) <= 0):
+    if not check.is_traced(position) and np.any(np.asarray(position) == 0):
+        rule = "must be given where the gap, or the right wall's position, is 0: lengths are measured in it otherwise"
+        raise check.SceneError("length", rule, None)
+    if not check.is_traced(position) and np.any(np.asarray(position) < 0):
         rule = "must be given where the right wall is not right of 0: are the walls the wrong way round?"
         raise check.SceneError("length", rule, None)
     return position

@@ -14,7 +14,7 @@ import jaxvibro as jv
 from ..output.atomic_write import refuse_folder, whole
 from ..output.checksums import netcdf
 from ..output.units import require_system
-from ..scene.check import SceneError, host
+from ..scene.check import SceneError, host, nearest
 from ..scene.scales import require_scales
 from ..scene.scene_table import SceneTable
 from ..stores.engines import Engine, LocalEngine
@@ -108,7 +108,8 @@ def _store(out, name, engine):
 def _full(change):
     """A change with its key from the top of the file: that of a scene's parameter may begin below [scene]."""
     first = change.split("=")[0].split(".")[0].strip()
-    inner = first not in SceneFile.__struct_fields__ and first in SceneTable.__struct_fields__
+    tables, own = SceneFile.__struct_fields__, SceneTable.__struct_fields__
+    inner = first not in tables and (first in own or nearest(first, (*tables, *own)) in own)
     return f"scene.{change}" if inner else change
 
 

@@ -14,6 +14,7 @@ from ..maps.initial_conditions import random_starts
 from ..output.units import LENGTH, SPEED, scales_in, unit_of
 from ..scene import check
 from ..scene.scene import Scene
+from ..scene.unit_slips import require_scene_units
 from .least_shock import least_shock
 from .matching import identities, nearest_turn
 from .stations import Station, carry_on
@@ -83,6 +84,7 @@ def _checked(scene, name, values) -> Float[np.ndarray, " values"]:
     values = check.number(name, values, scene.dtype)
     if values.ndim != 1 or len(values) == 0 or not (np.diff(values) > 0).all():
         raise check.ArgumentError(name, "must be values in rising order, at least one", values)
+    require_scene_units("values", scene, name, values)
     scene.replace(**{name: values})
     return values
 

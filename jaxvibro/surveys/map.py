@@ -23,6 +23,7 @@ from ..scene.codes import Status
 from ..scene.scene import Scene
 from ..scene.scene_table import scene_text, scene_text_or_none
 from ..scene.state import State, check_start
+from ..scene.unit_slips import require_scene_units
 from ..stores.filling import Progress, Store, done
 from ..stores.study import Column, Grid, axis_text
 from . import cell_columns, coexisting
@@ -242,6 +243,7 @@ def study_of(
         row = check.number(name, row, scene.dtype)
         if row.ndim != 1 or not len(row) or not (np.diff(row) > 0).all():
             raise check.ArgumentError(name, "must be a row of numbers in rising order, at least one", row)
+        require_scene_units(f"grid.{name}", scene, name, row)
         values.append(row)
     names = tuple(grid)
     if along is not None and along not in names:
