@@ -89,7 +89,7 @@ PLAIN = {
     type(None): Kind(lambda value: value is None, "None"),
     bool: Kind(lambda value: isinstance(value, bool | np.bool_), "True or False"),
     int: Kind(is_whole, "a whole number"),
-    float: Kind(is_number, "a number"),
+    float: Kind(is_number, "a real number"),
     str: Kind(lambda value: isinstance(value, str), "a string"),
 }
 PATH = Kind(is_path, "a path")
@@ -141,9 +141,9 @@ def _any_of(hints):
     if ANYTHING in kinds:
         return ANYTHING
     words = dict.fromkeys(kind.words for kind in kinds)
-    if "a number or an array of numbers" in words:
-        words = {word: None for word in words if word not in ("a number", "a whole number")}
-    elif "a number" in words:
+    if "a real number or an array" in words:
+        words = {word: None for word in words if word not in ("a real number", "a whole number")}
+    elif "a real number" in words:
         words.pop("a whole number", None)
 
     def part(value):
@@ -153,8 +153,8 @@ def _any_of(hints):
 
 
 def _sequence_of(kind):
-    if kind.words == "a number":
-        return Kind(lambda value: is_array(value, 1), "a row of numbers")
+    if kind.words == "a real number":
+        return Kind(lambda value: is_array(value, 1), "a row of real numbers")
 
     def holds(value):
         return is_sequence(value) and all(map(kind.holds, value))
@@ -202,7 +202,7 @@ def _tuple_of(hints):
 def _array_of(hint):
     text = hint.dim_str.strip()
     axes = 0 if not text else 1 if text.isidentifier() else None
-    words = {0: "a number", 1: "a row of numbers"}.get(axes, "a number or an array of numbers")
+    words = {0: "a real number", 1: "a row of real numbers"}.get(axes, "a real number or an array")
     if not any(str(dtype).startswith(("float", "int", "uint")) for dtype in hint.dtypes):
         return ANYTHING
     return Kind(lambda value: is_array(value, axes), words)

@@ -96,6 +96,8 @@ def equilibria(function: Function, symmetry: Callable[[Any], Any] | None = None)
     u: (n,) unknowns; p: {name: number}, the parameters; args: a pytree, whatever the function needs besides, or None.
     symmetry: a linear function S of u, its own inverse, with function(S u) = S function(u). A branch that begins with
     S u = u keeps to that, and where one leaves it with another is a symmetry breaking (SB).
+
+    Raises ContinuationError for what is no function.
     """
     return System(function, EQUILIBRIA, symmetry=symmetry)
 
@@ -104,7 +106,10 @@ def equilibria(function: Function, symmetry: Callable[[Any], Any] | None = None)
 def fixed_points(move: Function, times: int = 1, symmetry: Callable[[Any], Any] | None = None) -> System:
     """The `System` of the fixed points of a map, move(u, p, args) = u, or of the map taken so many times. Besides folds
     (SN) and branch points (BP), period doublings (PD) and Neimark-Sacker points (NS) are watched. Arguments as in
-    `equilibria`."""
+    `equilibria`.
+
+    Raises ContinuationError for what is no function, and times that are no whole number.
+    """
     return System(move, FIXED_POINTS, times, symmetry=symmetry)
 
 

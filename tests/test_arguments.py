@@ -55,11 +55,14 @@ def test_every_argument_is_checked_against_its_annotation(name):
 def test_an_entry_that_is_wrong_is_named():
     orbit = jv.Orbit.__new__(jv.Orbit)
     for call, told in (
-        (lambda: jv.margin(orbit, {"amplitude": 1.0, "damping": "x"}), r"free\.damping: must be a number; got 'x'"),
+        (
+            lambda: jv.margin(orbit, {"amplitude": 1.0, "damping": "x"}),
+            r"free\.damping: must be a real number; got 'x'",
+        ),
         (lambda: jv.follow_all([orbit, 3], "amplitude", (0.0, 1.0)), r"orbits\[1\]: must be an Orbit; got 3"),
         (
             lambda: jv.search(SCENE, "SN", {"damping": 1.0}, {"damping": "x"}),
-            r"bounds\.damping: must be a row of numbers",
+            r"bounds\.damping: must be a row of real numbers",
         ),
     ):
         with pytest.raises(jv.ArgumentError, match=told):

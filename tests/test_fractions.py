@@ -184,11 +184,11 @@ def test_distances_and_turns():
 
 BAD = [
     ("amplitud", [1.0, 2.0], {}, "amplitude"),
-    (3, [1.0, 2.0], {}, "parameter"),
+    (3, [1.0, 2.0], {}, "^name: must be a string"),
     ("amplitude", [2.0, 1.0], {}, "rising"),
     ("amplitude", [1.0, 1.0], {}, "rising"),
     ("amplitude", [], {}, "rising"),
-    ("amplitude", 1.0, {}, "rising"),
+    ("amplitude", 1.0, {}, "^values: must be a row"),
     ("amplitude", [1.0, np.nan], {}, "finite"),
     ("restitution", [0.5, 1.5], {}, "restitution"),
     ("amplitude", [1.0, 2.0], {"starts": 0}, "starts"),

@@ -196,7 +196,7 @@ def test_what_is_no_orbit_says_why(scene):
         jv.find_orbit(scene.replace(amplitude=3.543892249375), jv.State(0.9, -1.1))  # symmetry breaks there
     with pytest.raises(jv.ArgumentError, match=r"^periods: must be the number of words, 1, or None"):
         jv.find_orbit(scene, jv.State(0.0, 0.0), periods=2, itinerary=("LR",))
-    with pytest.raises(jv.ArgumentError, match=r"^itinerary: must be words"):
+    with pytest.raises(jv.ArgumentError, match=r"^itinerary: must be a list of strings"):
         jv.find_orbit(scene, jv.State(0.0, 0.0), itinerary="LR")
     with pytest.raises(jv.ArgumentError, match=r"^scene: must be a single scene"):
         jv.find_orbit(scene.replace(amplitude=np.ones(3)), jv.State(0.0, 0.0))

@@ -214,7 +214,7 @@ def test_statuses(scene):
         ([0.0, np.nan], r"^times: must be finite; got nan"),
         (2.0, r"^times: must have an axis"),
         (np.zeros((4, 2)), r"^times: must have a shape \(\.\.\., n\) whose first part broadcasts with \(3,\)"),
-        ("soon", r"^times: must be a real number; got 'soon'"),
+        ("soon", r"^times: must be a real number or an array; got 'soon'"),
     ],
 )
 def test_times_that_cannot_be_are_refused(scene, times, told):

@@ -87,7 +87,7 @@ def test_impacts_may_be_counted_from_any_of_them():
     [
         (((np.zeros(3), np.zeros(3)), ("RL",)), r"guesses.times: must have an entry for each of the .*2 impacts"),
         ((0.5, ("RL",)), "guesses: must be a State"),
-        ((jv.State(0.0, 0.0), "RL"), "itinerary: must be words"),
+        ((jv.State(0.0, 0.0), "RL"), "itinerary: must be a list of strings"),
         ((jv.State(0.0, 0.0), ("RL",), 2), "periods: must be the number of words, 1"),
         ((jv.State(np.zeros(3), np.zeros(2)), ("RL",)), "state.v"),
     ],

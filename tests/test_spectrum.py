@@ -227,7 +227,7 @@ def test_a_standard_error_sees_copies_that_are_one():
         ({"most": 0}, "most", "must be a whole number from 1 on; got 0"),
         ({"error": 0.0}, "error", "must be greater than 0; got 0.0"),
         ({"error": np.nan}, "error", "must be finite; got nan"),
-        ({"error": [1e-3, 2e-3]}, "error", "must be a single number"),
+        ({"error": [1e-3, 2e-3]}, "error", "must be a real number"),
         ({"scene": jv.make_scene}, "scene", "must be a single scene"),
     ],
 )

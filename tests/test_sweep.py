@@ -129,7 +129,7 @@ def test_fit_at_moving_walls():
         ("amplitude", [np.inf], "amplitude", "must be finite"),
         ("amplitude", [], "amplitude", "at least one"),
         ("amplitude", 3.0, "amplitude", "must be a sequence of values"),
-        ("amplitude", ["1"], "amplitude", "must be a real number"),
+        ("amplitude", ["1"], "values", "must be a real number or an array"),
         ("frequency", [1.0, 0.0], "frequency", "must be greater than 0; got 0.0 at index (1,)"),
         ("restitution", [0.5, 1.5], "restitution", "must lie between 0 and 1; got 1.5"),
         ("right.position", [0.5, -1.0], "right.position", "must lie to the right of left.position; got -1.0"),

@@ -119,7 +119,7 @@ def margin(
     orbit: Orbit,
     free: Mapping[str, float],
     bounds: Mapping[str, Sequence[float]] | None = None,
-    kinds: Sequence[str] = KINDS,
+    kinds: str | Sequence[str] = KINDS,
     directions: int = 128,
     seed: int = 0,
 ) -> Margin:

@@ -39,7 +39,7 @@ class Report:
 
 @check.typed
 def paper(
-    names: Sequence[str] = (),
+    names: str | Sequence[str] = (),
     out: str | PathLike[str] = "out/paper",
     scenes: str | PathLike[str] | None = None,
     force: bool = False,

@@ -43,7 +43,7 @@ def map_parameters(
     scene: Scene,
     grid: Mapping[str, Real[ArrayLike, " values"] | Sequence[float]],
     start: State | int = REST,
-    quantities: Sequence[str] = QUANTITIES,
+    quantities: str | Sequence[str] = QUANTITIES,
     along: str | None = None,
     settle: int = 300,
     patience: int = PATIENCE,
