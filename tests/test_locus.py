@@ -338,12 +338,10 @@ def test_damping_past_one_and_its_domain(points):
 def test_what_cannot_be_followed_is_refused(points, branch):
     one, breaking = points["SN of P112"], points["SB of P111"]
     for given in (branch.special[0], branch.orbit(0), None):
-        with pytest.raises(
-            jv.ArgumentError, match=r"^special: must be a (special point of kind SN, PD, SB, GR|Special)"
-        ):
+        with pytest.raises(jv.ArgumentError, match=r"^special: must be a (special point of kind SN|Special)"):
             jv.locus(given, PAIR, BOUNDS)
     for names in (("amplitude", "amplitude"), ("amplitude",), "amplitude", ("amplitude", "frequency", "damping"), None):
-        with pytest.raises(jv.ArgumentError, match=r"^names: must be two different parameters"):
+        with pytest.raises(jv.ArgumentError, match=r"^names: must be (two different parameters|a list of strings)"):
             jv.locus(one, names, BOUNDS)
     with pytest.raises(jv.ArgumentError, match=r"^stiffness: "):
         jv.locus(one, ("amplitude", "stiffness"), {"amplitude": (0, 1), "stiffness": (0, 1)})
