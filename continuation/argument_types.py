@@ -112,7 +112,7 @@ def kind_of(hint: Any) -> Kind:
     if origin is collections.abc.Callable:
         return Kind(callable, "a function")
     if origin is collections.abc.Iterable:
-        return Kind(lambda value: isinstance(value, collections.abc.Iterable) and not isinstance(value, str), "a list")
+        return _iterable_of(kind_of(parts[0]))
     if not inspect.isclass(hint) or hint in (Any, object):
         return ANYTHING
     if issubclass(hint, AbstractArray):
@@ -165,6 +165,12 @@ def _sequence_of(kind):
         return next(((f"[{k}]", kind.words, each) for k, each in enumerate(value) if not kind.holds(each)), None)
 
     return Kind(holds, f"a list of {_plural(kind.words)}", part)
+
+
+def _iterable_of(kind):
+    """As `_sequence_of`; of what can be gone through once alone nothing is looked at."""
+    some = _sequence_of(kind)
+    return Kind(lambda value: isinstance(value, collections.abc.Iterator) or some.holds(value), some.words, some.part)
 
 
 def _mapping_of(key, value):
