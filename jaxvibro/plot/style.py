@@ -19,7 +19,9 @@ from ..scene.scales import require_scales
 # Okabe and Ito's colours, safe for the colour-blind, in an order in which neighbours differ in lightness too.
 COLOURS = ("#0072B2", "#E69F00", "#000000", "#CC79A7", "#F0E442", "#009E73", "#56B4E9", "#D55E00")
 WALL = "0.55"
-COLOUR = Kind(lambda value: value is None or is_color_like(value), "a colour of matplotlib or None")
+COLOUR = Kind(
+    lambda one: one is None or (isinstance(one, str | tuple | list) and is_color_like(one)), "a colour or None"
+)
 
 # Decorates a picture, which refuses optional arguments that its annotations do not allow; it checks the others itself.
 picture = checked(ArgumentError, lambda parameter: parameter.default is not parameter.empty, colour=COLOUR)
