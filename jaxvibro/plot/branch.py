@@ -92,7 +92,7 @@ def branch(
         }
         for across_part, up_part in _parts(piece, found.points.get("SB") if variable not in ("x", "v") else None):
             line = smooth(across_part * across.size, up_part * up.size)
-            twin = covering(ax, *line, look["linewidth"])
+            twin = covering(ax, line[0], line[1], look["linewidth"])
             twins += [] if twin is None else [twin]
             if twin is None:
                 new = True
