@@ -125,7 +125,9 @@ def carried(along, z):
     numbers = (np.float64(each) for each in (1e-8, 0.1, 1e-10, -9.0, 9.0))
     place = Place(z, np.eye(size)[-1], np.float64(0.1), np.int32(0))
     track = partial(event_search._track.__wrapped__, task, count=8)
-    lowered(lambda place, control: track(place, control, along), place, Control(np.ones(size), *numbers))
+    lowered(
+        lambda place, control: track(place, control, along, most=np.int32(8)), place, Control(np.ones(size), *numbers)
+    )
     lowered(lambda z: locate.evaluated.__wrapped__(task, z, along), z)
 
 
