@@ -68,6 +68,11 @@ class Limits:
 UNLIMITED = Limits()
 
 
+def partial_reason(done: int, total: int, unit: str) -> str:
+    """The reason why a result is partial: so many of so many of a unit are done."""
+    return f"max_seconds reached: {done} of {total} {unit} done"
+
+
 def limits_of(
     max_points: int | None,
     max_seconds: float | None,

@@ -8,6 +8,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
+from continuation.limits import UNLIMITED, limits_of, partial_reason
+
 from ..compiled.kernels import WIDTH
 from ..maps.long_run import some
 from ..maps.rests import NO_RESTS, rests
@@ -38,6 +40,8 @@ def spectrum(
     most: int = 2**20,
     progress: Callable[[int], object] | None = None,
     store: Store | None = None,
+    *,
+    max_seconds: float | None = None,
 ) -> xr.Dataset:
     """Both Lyapunov exponents per drive period of what a scene settles on, for many values of a parameter: a Dataset.
 
@@ -61,12 +65,17 @@ def spectrum(
     motion has no end, with more than 32 impacts a period in flight (status full), and on an impact without speed
     (nonfinite).
 
+    max_seconds: wall-clock time, s, after which no value is begun, or with a store no block of values; None is no
+    limit. Values that are not done have nan and the status -1, and the attribute `stopped` says why; a later call with
+    the same store goes on.
+
     Sources: Benettin et al., Meccanica 15 (1980) 9-20; at impacts Mueller, Chaos, Solitons and Fractals 5 (1995)
     1671-1681; paper, (38). Errors by batch means (`batch_means.standard_error`).
 
     Raises ArgumentError as `sweep` does, for an error that is not positive, and for counts that cannot be; and what the
     store raises.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
     settle, most = check.whole("settle", settle, 0), check.whole("most", most, 1)
     goal = check.number("error", error, np.float64)
@@ -78,11 +87,16 @@ def spectrum(
     if store is None:
         with ThreadPoolExecutor(cores()) as pool:
             scenes = scene.replace(**{name: values})
-            found, resting = _found(pool, scenes, starts, settle, float(goal), most, progress or (lambda done: None))
+            told = progress or (lambda done: None)
+            found, resting = _found(pool, scenes, starts, settle, float(goal), most, told, limits)
+        count = sum(int(one.status >= 0) for one in found)
+        stopped = {} if count == len(values) else {"stopped": partial_reason(count, len(values), "values")}
     else:
         study = SpectrumStudy(scene, name, values, starts, _of_block, (settle, float(goal), most))
-        found, resting = rates_of(done(study, store, progress and (lambda one: progress(one.done))))
-    return _dataset(scene, name, values, state, found, resting)
+        data = done(study, store, progress and (lambda one: progress(one.done)), limits)
+        found, resting = rates_of(data)
+        stopped = {key: data.attrs[key] for key in ("stopped",) if key in data.attrs}
+    return _dataset(scene, name, values, state, found, resting).assign_attrs(stopped)
 
 
 def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count"], State]:
@@ -103,14 +117,17 @@ def _of_block(scenes, state, settle, goal, most):
     return _found(ThisThread, scenes, state, settle, goal, most, lambda done: None)
 
 
-def _found(pool, scenes, state, settle, goal, most, progress):
-    """The `Rates` and the `Rests`, their count a period, of each value, in order."""
+def _found(pool, scenes, state, settle, goal, most, progress, limits=UNLIMITED):
+    """The `Rates` and the `Rests`, their count a period, of each value, in order; the status is -1 where the time was
+    over."""
     everyone = np.arange(len(state.x))
 
     def early(index):
-        return settled(some(scenes, index), begin(some(state, index)), settle, FEW)
+        return None if limits.expired else settled(some(scenes, index), begin(some(state, index)), settle, FEW)
 
     def late(index):
+        if limits.expired:
+            return None
         return settled(some(scenes, index), _joined(seen[k].lanes for k in index), 0, MANY)
 
     def orbits(index):
@@ -118,28 +135,30 @@ def _found(pool, scenes, state, settle, goal, most, progress):
         return of_orbits(some(scenes, index), state, periods)
 
     def motion(k):
-        return of_motion(some(scenes, k), seen[k], goal, most)
+        return (None, None) if limits.expired else of_motion(some(scenes, k), seen[k], goal, most)
 
-    seen = _lanes(_in_blocks(pool, early, everyone))
-    going = np.array([k for k, one in enumerate(seen) if one.goes_on], int)
-    for k, one in zip(going, _lanes(_in_blocks(pool, late, going)), strict=True):
-        seen[k] = one
-    found = {k: lost(one.status[0]) for k, one in enumerate(seen) if not one.is_well}
-    found |= _orbits(pool, orbits, [k for k, one in enumerate(seen) if one.periods[0]])
+    seen = _by_lane(pool, early, everyone)
+    going = np.array([k for k, one in seen.items() if one.goes_on], int)
+    later = _by_lane(pool, late, going)
+    seen = {k: one for k, one in (seen | later).items() if k in later or not one.goes_on}
+    found = {k: lost(one.status[0]) for k, one in seen.items() if not one.is_well}
+    found |= _orbits(pool, orbits, [k for k, one in seen.items() if one.periods[0]])
     progress(len(found))
-    rest = [k for k in everyone.tolist() if k not in found]
+    rest = [k for k in seen if k not in found]
     for k, (rates, end) in zip(rest, _in_order(pool, motion, rest), strict=True):
+        if rates is None:
+            continue
         found[k] = rates
         if end is not None:
             seen[k] = end
         progress(len(found))
-    found |= _orbits(pool, orbits, [k for k in rest if seen[k].periods[0]])
-    resting = [NO_RESTS] * len(everyone)
+    found |= _orbits(pool, orbits, [k for k in rest if k in found and seen[k].periods[0]])
+    resting = [NO_RESTS if k in found else NO_RESTS._replace(count=np.nan) for k in everyone.tolist()]
     for k in (k for k, one in found.items() if np.isneginf(one.exponent[0])):
         one, state = some(scenes, k), jax.tree.map(lambda leaf: leaf[0], seen[k].lanes.state)
         resting[k] = rests(one, state, found[k].periods or LAPS)
         resting[k] = resting[k]._replace(count=resting[k].count / (found[k].periods or LAPS))
-    return [found[k] for k in everyone.tolist()], resting
+    return [found.get(k, lost(-1)) for k in everyone.tolist()], resting
 
 
 def _joined(parts):
@@ -159,6 +178,15 @@ def _lanes(trees):
 def _in_blocks(pool, function, index):
     """The results of a function of an array of lanes, block by block."""
     return list(_in_order(pool, function, [index[first : first + WIDTH] for first in range(0, len(index), WIDTH)]))
+
+
+def _by_lane(pool, function, index):
+    """{value: tree of one lane} of a function of an array of lanes, block by block; it gives None for a block that is
+    left out."""
+    blocks = [index[first : first + WIDTH] for first in range(0, len(index), WIDTH)]
+    trees = zip(blocks, _in_order(pool, function, blocks), strict=True)
+    done = [(block.tolist(), _lanes([tree])) for block, tree in trees if tree is not None]
+    return {k: one for block, lanes in done for k, one in zip(block, lanes, strict=True)}
 
 
 def _in_order(pool, function, items):

@@ -72,8 +72,9 @@ class SpectrumStudy:
 
 def rates_of(data: xr.Dataset) -> tuple[list[Rates], list[Rests]]:
     """The `Rates` and the `Rests` of each value from a study's Dataset."""
-    whole = ("periods", "status", "count")
-    parts = [data[name].values.astype(int).tolist() if name in whole else data[name].values for name in SIZES]
+    blank = {"periods": 0, "status": -1, "count": 0}  # of a value that is not done
+    whole = {name: data[name].fillna(value).values.astype(int).tolist() for name, value in blank.items()}
+    parts = [whole[name] if name in whole else data[name].values for name in SIZES]
     told = zip(data["rests"].values, data["rate"].values, strict=True)
     resting = [NO_RESTS._replace(count=count, rate=rate) for count, rate in told]
     return [Rates(*row) for row in zip(*parts, strict=True)], resting

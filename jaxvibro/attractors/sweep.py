@@ -10,6 +10,7 @@ import xarray as xr
 from jax import lax
 from jaxtyping import ArrayLike, Float, Real
 
+from continuation.limits import UNLIMITED, limits_of, partial_reason
 from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import OPTIONS
@@ -44,6 +45,8 @@ def sweep(
     chunk: int = CHUNK,
     progress: Callable[[int], object] | None = None,
     store: Store | None = None,
+    *,
+    max_seconds: float | None = None,
 ) -> xr.Dataset:
     """What a scene settles on as one of its parameters goes through values, in their order: an xarray.Dataset.
 
@@ -62,24 +65,31 @@ def sweep(
     A wall that moves over the mass, from one value to the next, carries it along (`wall_positions.fit`). A lane whose
     status is CAP or worse (`Impacts`) has nan for that value, and starts the next one anew from the given state.
 
+    max_seconds: wall-clock time, s, after which no chunk of values is begun, or with a store no chunk of lanes; None is
+    no limit. Values that are not done have nan and the status -1, and the attribute `stopped` says why; a later call
+    with the same store goes on.
+
     Raises ArgumentError for an unknown name, values that are not finite or break a rule of the scene, a start beyond a
     wall, and counts that cannot be, all before any work; and what the store raises.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     settle, keep = check.whole("settle", settle, 0), check.whole("keep", keep, 1)
     chunk = check.whole("chunk", chunk, 1)
     values, state = _checked(scene, name, values, state)
     shape = np.broadcast_shapes(values.shape[1:], scene.shape, *map(np.shape, jax.tree.leaves(state)))
     lanes = _lanes(shape, scene, values, state)
     if store is None:
-        found = _run(*lanes, name, settle, keep, chunk, progress)
+        found = _run(*lanes, name, settle, keep, chunk, progress, limits)
+        count = int((found[2] >= 0).all(axis=1).sum())
+        stopped = {} if count == len(values) else {"stopped": partial_reason(count, len(values), "values")}
     else:
         first = jax.tree.map(lambda leaf: leaf[0], lanes[0])
-        seen = done(
-            SweepStudy(first, name, lanes, _whole, (settle, keep)), store, progress and (lambda one: progress(one.done))
-        )
+        study = SweepStudy(first, name, lanes, _whole, (settle, keep))
+        seen = done(study, store, progress and (lambda one: progress(one.done)), limits)
+        stopped = {key: seen.attrs[key] for key in ("stopped",) if key in seen.attrs}
         found = [np.moveaxis(seen[key].values, 0, 1) for key in ("x", "v", "status")]
     parts = [part.reshape(len(values), *shape, *part.shape[2:]) for part in found]
-    return _dataset(scene, name, values, state, parts)
+    return _dataset(scene, name, values, state, parts).assign_attrs(stopped)
 
 
 def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count *lanes"], State]:
@@ -119,10 +129,15 @@ def _whole(scene, values, start, name, settle, keep):
     return _run(scene, values, start, name, settle, keep, CHUNK, None)
 
 
-def _run(scene, values, start, name, settle, keep, chunk, progress):
-    """x, v of shape (count, lanes, keep) and status (count, lanes)."""
+def _run(scene, values, start, name, settle, keep, chunk, progress, limits=UNLIMITED):
+    """x, v of shape (count, lanes, keep) and status (count, lanes), which is -1 where the time was over."""
     state, found = start, []
     for first in range(0, len(values), chunk):
+        if found and limits.expired:
+            left, lanes = len(values) - first, values.shape[1]
+            blank = np.full((left, keep, lanes), np.nan, values.dtype)
+            found.append([blank, blank, np.full((left, lanes), -1, np.int32)])
+            break
         some = values[first : first + chunk]
         padded = np.pad(some, ((0, chunk - len(some)), (0, 0)), mode="edge")
         state, parts = _chunk(scene, padded, len(some), start, state, settle, name=name, keep=keep)

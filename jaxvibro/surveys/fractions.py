@@ -7,6 +7,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Float, Real
 
+from continuation.limits import UNLIMITED, limits_of, partial_reason
+
 from ..attractors.find import paired, settled_on
 from ..attractors.shares import LEVEL, share_bounds
 from ..attractors.sweep import MEANING, UNITS, equation, others, static
@@ -32,6 +34,8 @@ def fractions(
     settle: int = 300,
     shocks: int = 0,
     progress: Callable[[int], object] | None = None,
+    *,
+    max_seconds: float | None = None,
 ) -> xr.Dataset:
     """The attractors along a parameter, each followed as one, with the shares of random starts on them: a Dataset.
 
@@ -56,27 +60,39 @@ def fractions(
     tried for each attractor at each value, least_shock: the least impulse at phase 0 that makes its motion leave it
     (`least_shock`), inf where none does, nan where it is not known, as where an impact falls on that phase.
 
+    max_seconds: wall-clock time, s, after which the starts of no further value are settled, and no further least shock
+    is looked for; None is no limit. The first value is always done. The attractors of the values that are done are
+    still carried on to each other. Values that are not done have shares of nan, the label "" and the status -1, and the
+    attribute `stopped` says why.
+
     Raises ArgumentError for a batch of scenes, an unknown name, values that do not rise or break a rule of the scene,
     and counts that cannot be, all before any work.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
     values = _checked(scene, name, values)
     starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
     seed, shocks = check.whole("seed", seed, 0), check.whole("shocks", shocks, 0)
     stations = []
     for value in values:
+        if stations and limits.expired:
+            break
         stations.append(_settled(scene.replace(**{name: value}), float(value), starts, seed, settle))
         if progress is not None:
             progress(len(stations))
     carry_on(stations, name, settle)
     known = identities(stations, name, settle) or [{}]
     found = [paired(one.scene, one.seen, starts) for one in stations]
-    data = _dataset(scene, name, values, stations, found, known, starts, seed)
-    if not shocks:
-        return data
-    least = [[_least(stations[k].scene, found[k], one.get(k), shocks) for one in known] for k in range(len(stations))]
-    told = {"long_name": "least impulse at phase 0 that makes the motion leave", "units": SPEED}
-    return data.assign(least_shock=((name, "attractor"), np.array(least), told)).assign_attrs(shocks=shocks)
+    data, count = _dataset(scene, name, values[: len(stations)], stations, found, known, starts, seed), len(stations)
+    if shocks:
+        least, count = _shocks(stations, found, known, shocks, limits)
+        told = {"long_name": "least impulse at phase 0 that makes the motion leave", "units": SPEED}
+        data = data.assign(least_shock=((name, "attractor"), least, told)).assign_attrs(shocks=shocks)
+    if len(stations) < len(values):
+        data = _with_blanks(data, name, values)
+    if count < len(values):
+        data = data.assign_attrs(stopped=partial_reason(count, len(values), "values"))
+    return data
 
 
 def _checked(scene, name, values) -> Float[np.ndarray, " values"]:
@@ -94,6 +110,24 @@ def _settled(scene, value, starts, seed, settle):
     drawn = random_starts(scene, starts, (seed, int(np.float64(value).view(np.uint64))))
     found = settled_on(scene, drawn, settle)
     return Station(value, scene, found.seen, len(found.lost), found.scale, int(found.status.max()))
+
+
+def _shocks(stations, found, known, shocks, limits=UNLIMITED):
+    """(the least impulses, (values, attractors), at how many values they have been looked for)."""
+    least = np.full((len(stations), len(known)), np.nan)
+    for k, station in enumerate(stations):
+        if limits.expired:
+            return least, k
+        least[k] = [_least(station.scene, found[k], one.get(k), shocks) for one in known]
+    return least, len(stations)
+
+
+def _with_blanks(data, name, values):
+    """The data of the first values, with blanks at the others."""
+    fill = {key: BLANK.get(key, np.nan) for key in data.data_vars}
+    kept = {key: data[key].dtype for key in data.data_vars}
+    whole = data.reindex({name: values}, fill_value=fill)
+    return whole.assign({key: whole[key].astype(dtype) for key, dtype in kept.items()})
 
 
 def _least(scene, attractors, place, shocks):
@@ -156,6 +190,7 @@ ABOUT = {
 }
 ABSENT: dict[str, Any] = dict.fromkeys(("share", "share_low", "share_high", "exponent", "state_x", "state_v"), np.nan)
 ABSENT |= {"label": "", "kind": "", "periods": 0}
+BLANK = {"label": "", "kind": "", "periods": 0, "mirror_of": -1, "status": -1}  # of a value that is not done
 
 
 def _column(rows, key):

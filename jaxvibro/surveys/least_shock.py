@@ -7,6 +7,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Real
 
+from continuation.limits import limits_of, partial_reason
+
 from ..attractors.assign import homes
 from ..attractors.basins import PATIENCE
 from ..attractors.find import Attractor, find_attractors
@@ -16,7 +18,7 @@ from ..output.units import ANGLE, LENGTH, SPEED, scales_in, unit_in
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import State
-from .shock_search import Ground, base, search
+from .shock_search import Ground, base, search, unsearched
 
 DIRECTIONS = ("v", "xv")
 SHOCKS = 1 << 18
@@ -35,7 +37,8 @@ class LeastShock:
     none was seen to leave, at its phase, below that phase's own least. undecided: how many shocks smaller than that
     were certain to end on no attractor of the tuple; least_undecided: the least of all such, inf without. reach: how
     large a shock was looked for. by_phase: size, dx, dv, x, v, to, until, safe, below, undecided, least_undecided, at
-    each phase.
+    each phase. stopped: why the search ended before it was complete, else ""; then `size` is the least shock so far, and
+    nan at a phase at which none has been tried.
     """
 
     size: float
@@ -56,6 +59,7 @@ class LeastShock:
     attractors: tuple[Attractor, ...] = field(repr=False)
     scene: Scene = field(repr=False)
     by_phase: xr.Dataset = field(repr=False)
+    stopped: str = ""
 
     def table(self, units: str = "scene") -> str:
         """A line for each phase, and how it was looked for. units: "scene", or "physical" of a scene that has scales.
@@ -73,7 +77,7 @@ class LeastShock:
             rows.append((f"{phase:.6g}", *(f"{size * float(one[name]):.7g}" for name, size in scales.items()), named))
         told = f"{self.below} smaller shocks tried, {self.undecided} of them undecided; up to {fast * self.reach:.6g}"
         safe = f"none below {fast * self.safe:.6g} leaves the trap of {self.place}: {self.attractors[self.place].label}"
-        return "\n".join([columns(rows), told, safe])
+        return "\n".join([columns(rows), told, safe, *([self.stopped] if self.stopped else [])])
 
 
 @check.host("use strobe")
@@ -88,6 +92,8 @@ def least_shock(
     patience: int = PATIENCE,
     seed: int = 0,
     progress: Callable[[int], object] | None = None,
+    *,
+    max_seconds: float | None = None,
 ) -> LeastShock:
     """The least shock that makes the motion leave an attractor for another one: a `LeastShock`.
 
@@ -98,7 +104,8 @@ def least_shock(
     hypot(dx, dv) in the scene's units, the square root of twice the energy that it has in the free spring. reach: the
     largest size that is looked for; by default all of `initial_conditions.box` is within it. shocks: so many in a row,
     evenly over all smaller ones, must stay, at each phase. patience: drive periods that a motion may take, as in
-    `basins`. seed: of the random draws. progress: called with the number of shocks tried so far.
+    `basins`. seed: of the random draws. progress: called with the number of shocks tried so far. max_seconds:
+    wall-clock time, s, after which the least shock so far is returned, and `stopped` says so; None is no limit.
 
     A shock leaves where the motion after it ends on another attractor for certain (`basins`). One beyond a rigid wall
     cannot be; one that ends on nothing known does not count as leaving, and is counted apart. Found is the least of
@@ -108,6 +115,7 @@ def least_shock(
     Raises ArgumentError for a batch of scenes, an attractor that is unresolved, or that has no trap at a phase (an
     impact falls on it: take another one), and for numbers that cannot be.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
     if direction not in DIRECTIONS:
         raise check.ArgumentError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
@@ -129,8 +137,13 @@ def least_shock(
         grounds.append(Ground(scene, float(angle), found, place, direction == "xv", patience))
     far = _whole_box(grounds, left, right, fast) if far is None else far
     count = _counter(progress)
-    results = [search(ground, far, shocks, seed, count) for ground in grounds]
-    return _answer(scene, attractors, place, direction, far, phases, results)
+    results = []
+    for ground in grounds:
+        begins = not results or not limits.expired
+        results.append(search(ground, far, shocks, seed, count, limits) if begins else unsearched(ground))
+    complete = sum(one.complete for one in results)
+    stopped = "" if complete == len(grounds) else partial_reason(complete, len(grounds), "phases")
+    return _answer(scene, attractors, place, direction, far, phases, results, stopped)
 
 
 def _phases(phase):
@@ -168,9 +181,9 @@ def _counter(progress):
     return count
 
 
-def _answer(scene, attractors, place, direction, reach, phases, results):
+def _answer(scene, attractors, place, direction, reach, phases, results, stopped):
     data = _dataset(scene, phases, results)
-    best = int(np.argmin([one.size for one in results]))
+    best = int(np.nanargmin([one.size for one in results]))
     least = results[best]
     return LeastShock(
         size=least.size,
@@ -191,6 +204,7 @@ def _answer(scene, attractors, place, direction, reach, phases, results):
         attractors=attractors,
         scene=scene,
         by_phase=data,
+        stopped=stopped,
     )
 
 

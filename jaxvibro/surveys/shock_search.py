@@ -14,6 +14,8 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
+from continuation.limits import UNLIMITED, Limits
+
 from ..attractors.assign import OUTSIDE, UNRESOLVED, Home, assign_labels
 from ..attractors.trapping_region import Cloud, Trap
 from ..flight.wall_positions import places
@@ -44,7 +46,8 @@ class Found(NamedTuple):
     """What came of one phase. size: of the least shock that leaves, inf where none does; change: (dx, dv); before: (x,
     v); to: the attractor's place; bracket: (one that stays, the least that leaves) on its ray; until: up to here all
     tried on the ray leave; safe: none smaller leaves, as a trap holds them all; below: smaller ones that were tried;
-    undecided: how many of them are certain to be on no attractor; least_undecided: the least of all such, else inf."""
+    undecided: how many of them are certain to be on no attractor; least_undecided: the least of all such, else inf;
+    complete: whether the search came to its end."""
 
     size: float
     change: Float[np.ndarray, "2"]
@@ -56,18 +59,28 @@ class Found(NamedTuple):
     below: int
     undecided: int
     least_undecided: float
+    complete: bool
 
 
-def search(ground: Ground, reach: float, shocks: int, seed: int, count: Callable[[int], object]) -> Found:
+def search(
+    ground: Ground,
+    reach: float,
+    shocks: int,
+    seed: int,
+    count: Callable[[int], object],
+    limits: Limits = UNLIMITED,
+) -> Found:
     """The least shock at one phase: no longer than `reach`, looked for until so many in a disc find none smaller.
 
-    count: called with the number of shocks of each call.
+    count: called with the number of shocks of each call. limits: once the time is over the least shock so far is given.
     """
-    trial = _Trial(ground, reach, np.random.default_rng(seed), count)
+    trial = _Trial(ground, reach, np.random.default_rng(seed), count, limits)
     number = min(FIRST, shocks)
     while True:
         before = trial.size
         trial.disc(number)
+        if trial.is_over():
+            break
         if trial.size > (1.0 - GAIN) * before:
             trial.linger(number)
         if trial.size < before:
@@ -81,17 +94,29 @@ def search(ground: Ground, reach: float, shocks: int, seed: int, count: Callable
     return trial.found(trial.ray())
 
 
+def unsearched(ground: Ground) -> Found:
+    """What is known of a phase at which no shock has been tried."""
+    none = np.full(2, np.nan)
+    trap = ground.homes[ground.place].trap
+    return Found(np.nan, none, none, -1, (np.nan, np.nan), np.nan, safe(trap, ground.plane), 0, 0, np.inf, False)
+
+
 class _Trial:
     """The least shock so far, of sizes below `size`, and all that was tried."""
 
-    def __init__(self, ground, reach, rng, count):
-        self.ground, self.rng, self.count = ground, rng, count
+    def __init__(self, ground, reach, rng, count, limits):
+        self.ground, self.rng, self.count, self.limits, self.complete = ground, rng, count, limits, True
         self.points = between(ground.scene, ground.phase, base(ground.homes[ground.place]))
         self.tree = scipy.spatial.cKDTree(self.points)
         self.least = np.finfo(ground.scene.dtype).eps * abs(self.points).max()  # smaller ones are lost in rounding
         self.size, self.start, self.change, self.to = reach, -1, np.full(2, np.nan), -1
         self.sizes, self.lost = [], []
         self.last, self.drawn = None, 0
+
+    def is_over(self):
+        """Whether the time is over; what is found is then not complete."""
+        self.complete = self.complete and not self.limits.expired
+        return not self.complete
 
     def look(self, start, change):
         """Tries shocks (lanes, 2) of the points at these places and keeps the least that leaves: (labels, sizes)."""
@@ -139,7 +164,7 @@ class _Trial:
             start, change, seen = self.last
             order = self.rng.permutation(len(seen))
             chosen = order[np.argsort(-seen[order], kind="stable")[:LONGEST]]
-            if not chosen.size:
+            if not chosen.size or self.is_over():
                 return
             chosen = np.repeat(chosen, AROUND)
             self._window(start[chosen], change[chosen], width)
@@ -148,7 +173,7 @@ class _Trial:
     def closer(self):
         """Tries windows about the least shock, ever smaller ones, and goes along with it."""
         width, again = 0.5, 0
-        while width > np.finfo(self.ground.scene.dtype).eps ** 0.5:
+        while width > np.finfo(self.ground.scene.dtype).eps ** 0.5 and not self.is_over():
             before = self.size
             self._window(np.full(LOCAL, self.start), np.tile(self.change, (LOCAL, 1)), width * before)
             again = again + 1 if self.size < before else AGAIN
@@ -177,7 +202,7 @@ class _Trial:
             return (0.0, self.size), self.size
         low, eps = 0.0, np.finfo(self.ground.scene.dtype).eps
         shares = np.arange(1, RAY) / RAY
-        while self.size - low > eps**0.5 * self.size:
+        while self.size - low > eps**0.5 * self.size and not self.is_over():
             high, start, way = self.size, self.start, self.change / self.size
             sizes = low + shares * (high - low)
             self.look(np.full(len(sizes), start), sizes[:, None] * way)
@@ -208,6 +233,7 @@ class _Trial:
             below=int((sizes < self.size).sum()),
             undecided=int((lost < self.size).sum()),
             least_undecided=float(lost.min(initial=np.inf)),
+            complete=self.complete,
         )
 
 
