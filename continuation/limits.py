@@ -5,12 +5,15 @@ field, so that tests can replace it.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 clock = time.monotonic
+EXPIRED = "max_seconds reached"
+Result = TypeVar("Result", covariant=True)
 
 
 @dataclass(frozen=True)
@@ -68,9 +71,20 @@ class Limits:
 UNLIMITED = Limits()
 
 
+class Results(tuple[Result, ...]):
+    """A tuple of results. stopped: why the computation ended before it was complete, else ""."""
+
+    stopped: str
+
+    def __new__(cls, results: Iterable[Result] = (), stopped: str = "") -> "Results[Result]":
+        found = super().__new__(cls, tuple(results))
+        found.stopped = stopped
+        return found
+
+
 def partial_reason(done: int, total: int, unit: str) -> str:
     """The reason why a result is partial: so many of so many of a unit are done."""
-    return f"max_seconds reached: {done} of {total} {unit} done"
+    return f"{EXPIRED}: {done} of {total} {unit} done"
 
 
 def limits_of(

@@ -7,6 +7,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from continuation.limits import EXPIRED, UNLIMITED
+
 from ..maps import itinerary
 from ..maps.iterate import KEEP, Trail, iterate
 from ..maps.rests import NO_RESTS, may_rest, rests
@@ -117,11 +119,12 @@ def dissipates(scene):
     return damped or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)  # -1: a soft one
 
 
-def chaotic(scene, found, lanes, scale):
-    """(chaotic attractors, why other lanes are on none), of the lanes that do not recur; as `periodic`."""
+def chaotic(scene, found, lanes, scale, limits=UNLIMITED):
+    """(chaotic attractors, why other lanes are on none), of the lanes that do not recur; as `periodic`. limits: no
+    further lane is looked at once their time is over."""
     seen, lost = [], {}
-    if not lanes.size:
-        return seen, lost
+    if not lanes.size or limits.expired:
+        return seen, dict.fromkeys(lanes.tolist(), EXPIRED)
     rates, errors = exponents(scene, _chosen(found.state, lanes), scale)
     with np.errstate(invalid="ignore"):
         wild = rates - 3.0 * errors > LEAST_EXPONENT
@@ -130,10 +133,10 @@ def chaotic(scene, found, lanes, scale):
         return seen, lost | dict.fromkeys(lanes[wild].tolist(), "chaotic, but the scene loses no energy")
     order = np.argsort(~wild, kind="stable")
     lanes, rates, wild = lanes[order], rates[order], wild[order]
-    return seen, lost | _grouped(scene, _chosen(found.state, lanes), lanes, rates, wild, scale, seen)
+    return seen, lost | _grouped(scene, _chosen(found.state, lanes), lanes, rates, wild, scale, seen, limits)
 
 
-def _grouped(scene, state, lanes, rates, wild, scale, seen):
+def _grouped(scene, state, lanes, rates, wild, scale, seen, limits):
     """Puts chaotic lanes that fill the same set together, into `seen`; {lane: reason} of those that are on none.
 
     wild: the lanes whose exponents, the rates, are positive beyond doubt. Of each set of others one lane is weighed,
@@ -141,6 +144,9 @@ def _grouped(scene, state, lanes, rates, wild, scale, seen):
     """
     roams, lost, weighed = roam(scene, state), {}, []
     for k, lane in enumerate(lanes.tolist()):
+        if limits.expired:
+            lost[lane] = EXPIRED
+            continue
         one = roams.lanes([k])
         if one.status[0] >= Status.CAP:
             lost[lane] = f"status {Status(one.status[0]).word}"

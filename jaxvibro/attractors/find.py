@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from continuation.limits import EXPIRED, UNLIMITED, Results, limits_of, partial_reason
+
 from ..maps.initial_conditions import box, random_starts
 from ..orbits.by_impacts import from_phase_0
 from ..orbits.find import find_orbit
@@ -61,7 +63,9 @@ class Attractor:
 
 
 @check.host("use strobe")
-def find_attractors(scene: Scene, starts: int = 200, seed: int = 0, settle: int = 300) -> tuple[Attractor, ...]:
+def find_attractors(
+    scene: Scene, starts: int = 200, seed: int = 0, settle: int = 300, *, max_seconds: float | None = None
+) -> Results[Attractor]:
     """What a scene settles on: a tuple of `Attractor`, the largest share first, unresolved starts last.
 
     scene: a single one. starts: how many, at phase 0, the same ones each time: drawn from `seed`, uniformly in
@@ -71,13 +75,19 @@ def find_attractors(scene: Scene, starts: int = 200, seed: int = 0, settle: int 
     a scene that loses energy; starts that fill the same set there are one attractor. All else is unresolved. Whatever
     the starts say, the free response is there if it attracts and keeps off the walls, and so are mirror images.
 
+    max_seconds: wall-clock time, s, after which starts that have not settled are run no further; None is no limit. They
+    are then unresolved, and the attribute `stopped` of the tuple, else "", says how many starts are done.
+
     Raises ArgumentError for a batch of scenes and for counts that cannot be.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
     starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
     given = random_starts(scene, starts, check.whole("seed", seed, 0))
-    found = settled_on(scene, given, settle)
-    return paired(scene, found.seen, starts) + _unresolved(given, found.lost, starts)
+    found = settled_on(scene, given, settle, limits)
+    left = sum(reason == EXPIRED for reason in found.lost.values())
+    stopped = partial_reason(starts - left, starts, "starts") if left else ""
+    return Results(paired(scene, found.seen, starts) + _unresolved(given, found.lost, starts), stopped)
 
 
 class Settled(NamedTuple):
@@ -90,12 +100,14 @@ class Settled(NamedTuple):
     status: Int[np.ndarray, " starts"]
 
 
-def settled_on(scene, given, settle):
-    """What these starts of a scene settle on, and what is known without a start: `Settled`."""
+def settled_on(scene, given, settle, limits=UNLIMITED):
+    """What these starts of a scene settle on, and what is known without a start: `Settled`. limits: of the time, after
+    which starts are left as they are."""
     left, right, _ = box(scene)
-    found, periods, scale = settle_lanes(scene, given, settle, max(abs(left), abs(right)))
+    found, periods, scale = settle_lanes(scene, given, settle, max(abs(left), abs(right)), limits)
     orbits, adrift = periodic(scene, found, periods, settle, scale)
-    sets, restless = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < Status.CAP)), scale)
+    restless = np.flatnonzero((periods == 0) & (found.status < Status.CAP))
+    sets, restless = chaotic(scene, found, restless, scale, limits)
     bad = {
         int(lane): f"status {Status(found.status[lane]).word}" for lane in np.flatnonzero(found.status >= Status.CAP)
     }

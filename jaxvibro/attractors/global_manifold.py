@@ -14,6 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from continuation.limits import UNLIMITED
+
 from .local_manifold import LEAST, mapped
 
 START = 33  # points of the germ, and of its first image
@@ -48,11 +50,11 @@ class Level(NamedTuple):
     good: Bool[np.ndarray, " points"]
 
 
-def levels(scene, start, side, sign, periods, phase, back, size, rules):
+def levels(scene, start, side, sign, periods, phase, back, size, rules, limits=UNLIMITED):
     """The `Level`s of a strand, and why it ends.
 
     start: its `Germ`; side: -1 or 1; sign: that of the multiplier; periods: of the drive that F takes, or its inverse
-    where `back`; size: a length of the scene.
+    where `back`; size: a length of the scene; limits: no further level is begun once their time is over.
     """
     found, left, before, points = [], rules.length, 0.0, 0
     for k in range(MOST):
@@ -79,6 +81,8 @@ def levels(scene, start, side, sign, periods, phase, back, size, rules):
             return found, "attractor"
         if points > rules.most:
             return found, "points"
+        if limits.expired:
+            return found, "max_seconds"
         left, before = left - along[-1], along[-1]
     return found, "points"
 

@@ -4,6 +4,8 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Real
 
+from continuation.limits import limits_of, partial_reason
+
 from ..maps.initial_conditions import box
 from ..maps.inverse import require_reversible
 from ..maps.monodromy import monodromy
@@ -30,6 +32,8 @@ def manifold(
     angle: Real[ArrayLike, ""] = 0.05,
     fastest: Real[ArrayLike, ""] | None = None,
     most: int = 200_000,
+    *,
+    max_seconds: float | None = None,
 ) -> xr.Dataset:
     """The stable or the unstable manifold of a saddle on Sigma, both sides of each of its points: an xarray.Dataset.
 
@@ -37,7 +41,9 @@ def manifold(
     "unstable" (what comes from it). length: of the curve on each side of each point. phase: of Sigma, rad; None takes
     the orbit's. spacing, angle: neighbours are no further apart, and between them the curve turns no more (rad); beyond
     the speed of `initial_conditions.box` spacing grows with the speed. fastest: the speed beyond which the curve is
-    left out; None takes twice that of the box. most: points of a side.
+    left out; None takes twice that of the box. most: points of a side. max_seconds: wall-clock time, s, after which no
+    further image of a piece is computed: each side then has its first piece at least, and the attribute `stopped` says
+    how many sides are done; None is no limit.
 
     Dataset over "point": x, v; arc: length of the curve from the saddle on; side (-1, 1), origin (which of the orbit's
     points, in order), image (how often the map, or its inverse, was applied to the piece at the saddle, which has 0),
@@ -45,7 +51,7 @@ def manifold(
     section's phase, the curve goes on from its wall with the speed after or before it; "grazing": a corner, where an
     impact comes or goes, of a soft wall also by being entered or left at the section's phase, the last point of one
     piece and the first of the next; "fast": what is faster is left out; "resolution": the curve is stretched more than
-    rounding allows; "attractor": it ends there; "length"; "points".
+    rounding allows; "attractor": it ends there; "length"; "points"; "max_seconds".
     Attributes: the scene's numbers, phase, kind, label and multiplier.
 
     Past a soft wall the curve's points are within it. The stable manifold is grown by the certified map with time
@@ -53,6 +59,7 @@ def manifold(
 
     Raises ArgumentError for what is no saddle and for arguments that cannot be.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError("orbit", "must be an Orbit", orbit)
     if kind not in KINDS:
@@ -67,9 +74,11 @@ def manifold(
     for origin, (saddle, heading) in enumerate(_saddles(orbit, phase, back)):
         start = germ(scene, saddle, heading, rate, turn, phase, back, size)
         for side in (-1, 1):
-            found, reason = levels(scene, start, side, np.sign(rate), turn, phase, back, size, rules)
+            found, reason = levels(scene, start, side, np.sign(rate), turn, phase, back, size, rules, limits)
             strands.append(_strand(scene, phase, saddle, found, reason, size, rules) | {"side": side, "origin": origin})
     numbers = {"phase": phase, "kind": kind, "label": orbit.label}
+    count = sum(one["ended"][-1] != "max_seconds" for one in strands)
+    numbers |= {} if count == len(strands) else {"stopped": partial_reason(count, len(strands), "sides")}
     return _dataset(scene, strands, numbers | {"multiplier": float(_multiplier(orbit, kind))})
 
 

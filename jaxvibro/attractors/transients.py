@@ -6,6 +6,8 @@ import jax
 import numpy as np
 from jaxtyping import ArrayLike, Float
 
+from continuation.limits import UNLIMITED
+
 from ..maps import itinerary
 from ..maps.iterate import KEEP, Trail, iterate
 from ..scene.codes import Status
@@ -35,12 +37,12 @@ def is_turned(points, others, near):
     return any(abs(np.roll(others, k, axis=0) - points).max() <= near for k in range(len(points)))
 
 
-def settle_lanes(scene, state, settle, reach):
+def settle_lanes(scene, state, settle, reach, limits=UNLIMITED):
     """(trail, periods, scale): the lanes' ends, the period each has settled on (0: none), the largest of x and v.
 
     A lane is run for `settle` periods, then on in ever longer rounds until it has settled, at most PATIENCE times as
     long altogether, and MORE times that while lanes settle in each round: chaos may be a transient. reach: the largest
-    x there may be.
+    x there may be. limits: no further round is begun once their time is over.
     """
     passed, length = max(settle, KEEP), KEEP
     patience, settles = PATIENCE * passed, False
@@ -50,6 +52,8 @@ def settle_lanes(scene, state, settle, reach):
     periods = np.zeros(len(well), int)
     before = returns(found.points)
     while (going := np.flatnonzero(well & (periods == 0))).size and passed < patience * (MORE if settles else 1):
+        if limits.expired:
+            break
         later = iterate(scene, jax.tree.map(lambda leaf, going=going: leaf[going], found.state), length, few=0)
         now = returns(later.points)
         periods[going] = settled_periods(now, before[:, going], length, scale, scene.dtype)

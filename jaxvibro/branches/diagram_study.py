@@ -43,6 +43,8 @@ class DiagramStudy:
         first = self.tasks[0]
         asked = {"parameter": first.name, "bounds": repr(first.bounds), "settings": repr(first.settings)}
         scene = scene_text(first.scene.replace(**{self.third: float(self.values[0])}))
+        points = first.steps["limits"].points
+        asked |= {} if points is None else {"max_points": repr(points)}
         return {"scene": scene, self.third: axis_text(self.values), **asked, "budget": repr(first.most)}
 
     @cached_property

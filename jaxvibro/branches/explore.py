@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from continuation.limits import limits_of
+from continuation.limits import EXPIRED, limits_of
 
 from ..flight.wall_positions import fit
 from ..orbits.find import find_orbit
@@ -35,7 +35,6 @@ from .switch import FIRST
 MOST = 400  # branches, where no budget is given
 SAME = 1e-12  # of a soft wall's numbers: as near is rounding
 DONE = "all that was found has been followed"
-EXPIRED = "max_seconds reached"
 SPENT = "the budget of {} branches is spent"
 
 

@@ -11,6 +11,8 @@ from itertools import product
 import jax
 import numpy as np
 
+from continuation.limits import EXPIRED, Results, limits_of
+
 from ..maps.initial_conditions import box
 from ..orbits.deflated import deflated
 from ..orbits.impact_equations import Cycle
@@ -41,12 +43,15 @@ def find_isolas(
     max_impacts: int = 4,
     seed: int = 0,
     progress: Callable[[int], object] | None = None,
-) -> tuple[Branch, ...]:
+    *,
+    max_seconds: float | None = None,
+) -> Results[Branch]:
     """The isolas of a scene along a parameter, closed branches that are on none of a diagram's: a tuple of `Branch`.
 
     diagram: of `explore`, whose scene, parameter and bounds are taken. max_period, max_impacts: of the orbits that are
     looked for, in drive periods, at most 64, and in impacts, at most 32; seed: of the guesses. progress: called with
-    the number of orders of walls looked at so far.
+    the number of orders of walls looked at so far. max_seconds: wall-clock time, s, after which the isolas so far are
+    returned, and the attribute `stopped` of the tuple, else "", says so; None is no limit.
 
     Each order of walls is solved for at 256 values of the parameter: an isola as wide as a few hundredths of the bounds
     is met, a narrower one by chance. It is told to be closed where its branch comes back to its first orbit, through
@@ -54,6 +59,7 @@ def find_isolas(
 
     Raises ArgumentError for arguments that cannot be.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     if not isinstance(diagram, Diagram):
         raise check.ArgumentError("diagram", "must be a Diagram, as explore gives it", diagram)
     longest, most = check.whole("max_period", max_period, 1), check.whole("max_impacts", max_impacts, 1)
@@ -62,17 +68,19 @@ def find_isolas(
             raise check.ArgumentError(key, f"must be at most {top}", given)
     rng = np.random.default_rng(check.whole("seed", seed, 0))
     scene, name, bounds = diagram.scene, diagram.name, diagram.bounds
-    steps = check_settings(FIRST, diagram.settings["largest_step"], 1e-10, (), ())
+    steps = check_settings(FIRST, diagram.settings["largest_step"], 1e-10, (), ()) | {"limits": limits}
     known = list(diagram.branches)
     tree = Tree(bounds, longest, len(known) + MOST, steps, known, [], stays_symmetric(scene, name), None)
     found: list[Branch] = []
     for count, (periods, sides) in enumerate(_orders(scene, longest, most), 1):
+        if limits.expired:
+            return Results(found, f"{EXPIRED}: {count - 1} orders of walls done")
         for probe in _probes(scene, name, bounds, periods, sides, rng):
             if not tree.is_spent and not any(is_on(probe, branch) for branch in tree.found):
                 found += _followed(tree, probe, scene, name, bounds, steps)
         if progress is not None:
             progress(count)
-    return tuple(found)
+    return Results(found)
 
 
 def _followed(tree, probe, scene, name, bounds, steps):

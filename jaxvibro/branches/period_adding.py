@@ -4,6 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from continuation.limits import limits_of, partial_reason
+
 from ..orbits.orbit import Orbit
 from ..output.table_text import columns
 from ..problem.one_impact import next_touch, one_impact_orbits
@@ -39,10 +41,11 @@ class PeriodicWindow:
 @dataclass(frozen=True, eq=False)
 class PeriodAdding:
     """What was found beyond a grazing. scenario: what its signs say; windows: a `PeriodicWindow` for each n from 2
-    on."""
+    on; stopped: why there are fewer than were asked for, else ""."""
 
     scenario: Scenario
     windows: tuple[PeriodicWindow, ...]
+    stopped: str = ""
 
     def table(self) -> str:
         """The places predicted and found, and how far from the grazing, as a text, a line for each n."""
@@ -54,7 +57,8 @@ class PeriodAdding:
             told = [f"{one.predicted:.12g}", f"{one.found:.12g}"]
             told += [f"{each:.6g}" for each in (one.predicted - value, one.found - value, one.ratio)]
             rows.append((one.returns, one.orbit.label if one.orbit else "-", *(_or_dash(each) for each in told)))
-        return f"{columns(rows)}\nthe ratio tends to {self.scenario.ratio:.6g}"
+        tends = f"the ratio tends to {self.scenario.ratio:.6g}"
+        return "\n".join([columns(rows), tends, *([self.stopped] if self.stopped else [])])
 
 
 def _or_dash(text):
@@ -62,16 +66,18 @@ def _or_dash(text):
 
 
 @check.host("use located for derivatives of a grazing's value")
-def period_adding(special: Special, longest: int = LONGEST) -> PeriodAdding:
+def period_adding(special: Special, longest: int = LONGEST, *, max_seconds: float | None = None) -> PeriodAdding:
     """The places where the orbits of period adding beyond a grazing touch a wall once more: a `PeriodAdding`.
 
     special, longest: as of `scenario`. For each n the orbits with one impact besides in n returns are followed from the
     grazing on along the speed of that impact, until a flight touches a wall; the place is located to rounding. From a
     period doubling to there they are stable, for large n if not CHAOS follows. `follow` goes on from the `orbit` of
-    each.
+    each. max_seconds: wall-clock time, s, after which no further n is begun, which `stopped` then tells; None is no
+    limit.
 
     Raises what `scenario` raises, and ArgumentError for a grazing that no period adding follows.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     longest = checked_longest(longest)
     given = returned(special)
     told = scenario_of(special, given, longest)
@@ -79,8 +85,12 @@ def period_adding(special: Special, longest: int = LONGEST) -> PeriodAdding:
         raise check.ArgumentError(
             "special", "must be a grazing that period adding or chaos follows", told.follows.value
         )
-    length, windows, last = scene_length(special.scene), [], np.nan
+    windows: list[PeriodicWindow] = []
+    length, last = scene_length(special.scene), np.nan
     for n in range(FIRST, longest + 1):
+        if limits.expired:
+            reason = partial_reason(len(windows), longest + 1 - FIRST, "windows")
+            return PeriodAdding(told, tuple(windows), reason)
         windows.append(_window(told, given, n, length, last))
         last = windows[-1].found
     return PeriodAdding(told, tuple(windows))

@@ -2,12 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import takewhile
 from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
+
+from continuation.limits import EXPIRED, limits_of
 
 from ..orbits.impact_equations import Cycle
 from ..orbits.orbit import Orbit, OrbitError
@@ -67,13 +70,15 @@ class NearPoint:
 class Margin:
     """What is near an orbit. orbit; free: the unit of each number; points: the nearest `NearPoint` of each kind, the
     nearest first; others: more of them, and such as lie behind; searched: how far, in units, in how many directions the
-    orbit was followed."""
+    orbit was followed. stopped: why the search ended before it was complete, else ""; a nearer bifurcation may then be
+    missing."""
 
     orbit: Orbit
     free: dict[str, float]
     points: tuple[NearPoint, ...]
     others: tuple[NearPoint, ...]
     searched: tuple[float, int]
+    stopped: str = ""
 
     @property
     def distance(self) -> float:
@@ -98,9 +103,8 @@ class Margin:
         rows.append((self.orbit.label, "0", *values(self.orbit.scene), "the orbit itself"))
         steps = ", ".join(f"{name} {known[name][1] * step:g}" for name, step in self.free.items())
         reach, ways = self.searched
-        return "\n".join(
-            [columns(rows), f"units: {steps}", f"followed to a distance of {reach:g} in {ways} directions"]
-        )
+        told = f"followed to a distance of {reach:g} in {ways} directions"
+        return "\n".join([columns(rows), f"units: {steps}", told, *([self.stopped] if self.stopped else [])])
 
 
 class _Space(NamedTuple):
@@ -122,6 +126,8 @@ def margin(
     kinds: str | Sequence[str] = KINDS,
     directions: int = 128,
     seed: int = 0,
+    *,
+    max_seconds: float | None = None,
 ) -> Margin:
     """The nearest bifurcation of each kind, in the space of some numbers of the orbit's scene: a `Margin`.
 
@@ -132,11 +138,13 @@ def margin(
     margin is that of this one orbit: other motions may be there sooner, and take most starts (`find_attractors`).
 
     An SB is looked for among the free numbers that keep the scene symmetric. Nothing is proved about directions
-    in which the orbit was not followed (`searched`).
+    in which the orbit was not followed (`searched`). max_seconds: wall-clock time, s, after which the orbit is followed
+    no farther and no further point is looked for; None is no limit. `stopped` then says so.
 
     Raises ArgumentError for a name that the scene lacks, a unit that is no positive number, bounds that do not hold the
     scene; OrbitError for an orbit that rests on a wall.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
     if not orbit.impacts.count:
@@ -154,15 +162,18 @@ def margin(
     for reach in REACHES:
         ends, lengths = _ends(tree, cycle, numbers, space, ways, reach)
         starts = _starts(tree, cycle, numbers, space, ways, lengths, ends, kinds)
-        if starts:
+        if starts or limits.expired:
             break
-    feet = [_foot(numbers, space, *start) for start in starts]
-    feet += _edges(numbers, space, starts, feet)
+    feet = [_foot(numbers, space, *start) for start in takewhile(lambda start: not limits.expired, starts)]
+    late = len(feet) < len(starts) or limits.expired
+    stopped = f"{EXPIRED}: {len(feet)} of {len(starts)} points near it looked for" if late else ""
+    feet += [] if late else _edges(numbers, space, starts, feet)
     found = [_near(orbit, tree, cycle, numbers, space, *foot) for foot in feet if foot is not None]
     found = _distinct(sorted((one for one in found if one), key=lambda one: (one.status == BEHIND, one.distance)))
     first = [next((one for one in found if one.kind == kind), None) for kind in kinds]
     points = sorted((one for one in first if one), key=lambda one: one.distance)
-    return Margin(orbit, units, tuple(points), tuple(one for one in found if one not in points), (reach, count))
+    others = tuple(one for one in found if one not in points)
+    return Margin(orbit, units, tuple(points), others, (reach, count), stopped)
 
 
 def _space(scene, free, bounds):

@@ -9,6 +9,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
+from continuation.limits import EXPIRED, UNLIMITED, limits_of
+
 from ..branches.branch import Special
 from ..output.table_text import columns
 from ..scene import check
@@ -73,13 +75,14 @@ class _Asked(NamedTuple):
 
 class _Step(NamedTuple):
     """A point on the way to the targets. share: of the way; change: in units; force: multipliers; held: which free
-    numbers are at a bound; slope: what is left of the condition."""
+    numbers are at a bound; slope: what is left of the condition; late: whether the time was over there."""
 
     share: float
     change: Float[np.ndarray, " free"]
     force: Float[np.ndarray, " targets"]
     held: Bool[np.ndarray, " free"]
     slope: float
+    late: bool = False
 
 
 @check.host("use the function that located gives")
@@ -90,6 +93,8 @@ def place(
     free: Mapping[str, float],
     bounds: Mapping[str, Sequence[float]] | None = None,
     scene: Scene | None = None,
+    *,
+    max_seconds: float | None = None,
 ) -> Placement:
     """The least change of some numbers of a scene that gives special points the values wanted: a `Placement`.
 
@@ -101,11 +106,13 @@ def place(
     The targets are approached on the straight way from the present values, each place on it by Newton's method on the
     condition of Karush, Kuhn and Tucker. Where the way ends before, or an orbit at the targets passes through a wall (a
     virtual orbit), `met` is False, `why` tells what ended it, and the scene, change and values are those of the last
-    point on the way whose orbits are all admissible, to 1/256 of the way.
+    point on the way whose orbits are all admissible, to 1/256 of the way. max_seconds: wall-clock time, s, after which
+    no further place on the way is looked for, which `why` then tells; None is no limit.
 
     Raises ArgumentError for arguments that cannot be: a free number that is the parameter, one without a unit, more
     targets than free numbers.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     every = tuple(what) if isinstance(what, list | tuple) else (what,)
     goal = np.atleast_1d(np.asarray(target, float))
     values = [located(one, name) if isinstance(one, Special) else one for one in every]
@@ -123,7 +130,7 @@ def place(
         rule = f"must be a finite number for each of {len(values)} values, and no more than free numbers, {len(free)}"
         raise check.ArgumentError("target", rule, target)
     asked = _asked(begin, free, bounds or {}, values)
-    return _result(begin, asked, goal, *_approached(asked, goal))
+    return _result(begin, asked, goal, *_approached(asked, goal, limits))
 
 
 def _asked(scene, free, bounds, values):
@@ -151,9 +158,9 @@ def _asked(scene, free, bounds, values):
     return _Asked(names, units, now, *room_of(scene, free, bounds), both, virtual)
 
 
-def _approached(asked, goal):
+def _approached(asked, goal, limits=UNLIMITED):
     """(the last admissible `_Step`, which numbers are at a bound there, or stop it, the kinds of points that are
-    virtual beyond it)."""
+    virtual beyond it). limits: no further place is looked for once their time is over."""
     size = len(asked.names)
     now = last = _Step(0.0, np.zeros(size), np.zeros(len(goal)), np.zeros(size, bool), 0.0)
     begun = asked.sloped(_around(now.change))[0][0]
@@ -165,7 +172,8 @@ def _approached(asked, goal):
         return None if found is None else _Step(share, *found), stops
 
     step, virtual = 1.0, asked.virtual(now.change)
-    while now.share < 1.0 and step >= SHORTEST:
+    stops, late = now.held, False
+    while now.share < 1.0 and step >= SHORTEST and not (late := limits.expired):
         found, stops = ahead(now, min(1.0, now.share + step))
         if found is None:
             step *= 0.5
@@ -174,16 +182,16 @@ def _approached(asked, goal):
             virtual = asked.virtual(now.change)
             last = last if virtual else now
     if not virtual:
-        return now, now.held if now.share == 1.0 else stops, virtual
+        return now._replace(late=late), now.held if now.share == 1.0 or late else stops, virtual
     beyond = now.share
-    while beyond - last.share > SHORTEST:
+    while beyond - last.share > SHORTEST and not (late := late or limits.expired):
         middle = 0.5 * (last.share + beyond)
         found, _ = ahead(last, middle)
         if found is None or asked.virtual(found.change):
             beyond = middle
         else:
             last = found
-    return last, last.held, virtual
+    return last._replace(late=late), last.held, virtual
 
 
 def _within(asked, change, force, held, goal):
@@ -250,7 +258,7 @@ def _result(scene, asked, goal, last, held, virtual):
     there = scene.replace(**dict(zip(asked.names, asked.now + change * asked.units, strict=True)))
     found = asked.sloped(_around(change))[0][0]
     names = tuple(name for name, each in zip(asked.names, held, strict=True) if each)
-    why = _why(last.share, virtual, names)
+    why = _why(last.share, virtual, names, last.late)
     return Placement(
         scene=there,
         change=dict(zip(asked.names, map(float, change * asked.units), strict=True)),
@@ -264,13 +272,15 @@ def _result(scene, asked, goal, last, held, virtual):
     )
 
 
-def _why(share, virtual, names):
+def _why(share, virtual, names, late=False):
     """What stands in the way to the targets; "" where they are met. virtual: kinds of points whose orbits pass through
-    a wall beyond; names: of numbers at a bound."""
+    a wall beyond; names: of numbers at a bound; late: whether the time was over."""
     if share == 1.0:
         return ""
     what = "the point cannot be followed on (it meets another, or the value has an extreme there)"
-    if virtual:
+    if late:
+        what = EXPIRED
+    elif virtual:
         what = f"beyond, the {virtual[0]}'s orbit passes through a wall"
     elif names:
         what = f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} at a bound"

@@ -14,6 +14,8 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
+from continuation.limits import EXPIRED, UNLIMITED, limits_of
+
 from ..branches.branch import Special
 from ..branches.follow import check_settings, through
 from ..branches.seed_orbits import SETTLE, settled_orbits
@@ -45,7 +47,7 @@ class Search:
     """What `search` found. scene; free: the unit of each number; points: a `Special` of each boundary, along the free
     number that moves the orbit most towards it, the nearest to the scene first; distances: of their scenes from the
     scene, in units; met: how many rays ended on each boundary; starts: random scenes; settled: how many of them came
-    back within max_period periods; followed: rays."""
+    back within max_period periods; followed: rays; stopped: why the search ended before it was complete, else ""."""
 
     scene: Scene = field(repr=False)
     free: dict[str, float]
@@ -55,6 +57,7 @@ class Search:
     starts: int
     settled: int
     followed: int
+    stopped: str = ""
 
     def table(self) -> str:
         """A line each, and how far it was looked."""
@@ -64,7 +67,8 @@ class Search:
             there = (f"{float(one.scene.parameter(name)):.9g}" for name in self.free)
             rows.append((one.kind, one.label, walls, f"{distance:.6g}", *there, str(met)))
         told = f"{self.starts} random scenes, {self.settled} of them settled; {self.followed} rays"
-        return "\n".join([columns(rows) if self.points else "nothing found", told])
+        why = [self.stopped] if self.stopped else []
+        return "\n".join([columns(rows) if self.points else "nothing found", told, *why])
 
 
 class _Seed(NamedTuple):
@@ -92,18 +96,22 @@ def search(
     starts: int = 1000,
     max_period: int = 4,
     seed: int = 0,
+    *,
+    max_seconds: float | None = None,
 ) -> Search:
     """Bifurcations of the attractors in a box of scenes: a `Search`, a point of each boundary that was met.
 
     scene: a single one; kinds: of SN, SB, PD, GR, one or more; free: {name: unit}; bounds: {name: (low, high)} of free
     numbers about the scene, due for all whose domain has no ends. starts: random scenes of the box, each with a random
-    state, drawn from `seed`; max_period: drive periods of the longest orbits.
+    state, drawn from `seed`; max_period: drive periods of the longest orbits. max_seconds: wall-clock time, s, after
+    which no further rays are followed and no further boundaries are located; None is no limit.
 
     A point is a `Special`: `located`, `locus` and `switch` take it on. Boundaries are told apart by kind, periods and
     itinerary. What no start settles near is not found, and where nothing is found the table says how far it was looked.
 
     Raises ArgumentError for kinds, numbers and bounds that cannot be.
     """
+    limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
     check.require_spring(scene, "search")
     kinds = check.sequence("kinds", kinds)
@@ -118,9 +126,10 @@ def search(
     if max_period > check.MOST_PERIODS:
         raise check.ArgumentError("max_period", f"must be at most {check.MOST_PERIODS}", max_period)
     settled = _settled(scene, units, room, starts, max_period, check.whole("seed", seed, 0))
-    places, followed = _ends(scene, units, room, _thinned(settled), kinds)
-    points, distances, met = _located(scene, units, room, places, kinds)
-    return Search(scene, units, points, distances, met, starts, len(settled), followed)
+    places, followed, whole = _ends(scene, units, room, _thinned(settled), kinds, limits)
+    points, distances, met, left = _located(scene, units, room, places, kinds, limits)
+    stopped = "" if whole and not left else f"{EXPIRED}: {followed} rays followed, {left} boundaries not located"
+    return Search(scene, units, points, distances, met, starts, len(settled), followed, stopped)
 
 
 def _moved(scene, units, offset):
@@ -157,8 +166,9 @@ def _word(seed):
     return seed.periods, min((sides[k:] + sides[:k] for k in range(len(sides))), default=())
 
 
-def _ends(scene, units, room, seeds, kinds):
-    """(the `_Place`s where rays from some orbits end in one of the kinds, how many rays there were)."""
+def _ends(scene, units, room, seeds, kinds, limits=UNLIMITED):
+    """(the `_Place`s where rays from some orbits end in one of the kinds, how many rays there were, whether the time
+    was enough for all)."""
     tests = sorted({test for kind in kinds for test in TESTS[kind]})
     groups, places, followed = {}, [], 0
     for one in seeds:
@@ -166,17 +176,21 @@ def _ends(scene, units, room, seeds, kinds):
     for impacts, group in groups.items():
         lanes = [(one, test) for one in group for test in (tests if impacts else [TOUCH]) if test in tests]
         for _ in range(ROUNDS):
-            lanes, met, count = _round(scene, units, room, lanes)
+            lanes, met, count, whole = _round(scene, units, room, lanes, limits)
             places += [one for one in met if set(one.kinds) & set(kinds)]
             followed += count
-    return places, followed
+            if not whole:
+                return places, followed, False
+    return places, followed, True
 
 
-def _round(scene, units, room, lanes):
-    """(what is to go on, the `_Place`s of rays that have ended, how many rays there were) of (`_Seed`, test)s; the
-    orbits have as many impacts."""
+def _round(scene, units, room, lanes, limits):
+    """(what is to go on, the `_Place`s of rays that have ended, how many rays there were, whether the time was enough
+    for all) of (`_Seed`, test)s; the orbits have as many impacts."""
     onwards, met, count = [], [], 0
     for first in range(0, len(lanes), LANES):
+        if limits.expired:
+            return onwards, met, count, False
         some = lanes[first : first + LANES]
         ways, ends = _followed(scene, units, room, some + some[-1:] * (LANES - len(some)))
         for k, (one, test) in enumerate(some):
@@ -189,7 +203,7 @@ def _round(scene, units, room, lanes):
                 onwards.append((there, test))
             else:
                 met.append(_Place(ENDS[RayEnd(int(ends.end[k]))], there, ways[k]))
-    return onwards, met, count
+    return onwards, met, count, True
 
 
 def _followed(scene, units, room, lanes):
@@ -223,13 +237,17 @@ def _ways(values, slopes, offsets, room):
     return ways * np.clip(share.min(axis=1, keepdims=True), 0.0, 1.0)
 
 
-def _located(scene, units, room, places, kinds):
-    """(`Special`s, distances, how many rays met each), the nearest first."""
+def _located(scene, units, room, places, kinds, limits=UNLIMITED):
+    """(`Special`s, distances, how many rays met each), the nearest first; how many boundaries the time was not enough
+    for."""
     boundaries = {}
     for one in sorted(places, key=lambda one: np.linalg.norm(one.seed.offset)):
         boundaries.setdefault((one.kinds, *_word(one.seed)), []).append(one)
-    found = {}
+    found, left = {}, 0
     for some in boundaries.values():
+        if limits.expired:
+            left += 1
+            continue
         for one in some[:TRIED]:
             special = _special(scene, units, room, one, kinds)
             if special is None:
@@ -242,7 +260,7 @@ def _located(scene, units, room, places, kinds):
             found[key] = (*best, before[2] + len(some))
             break
     nearest = sorted(found.values(), key=lambda one: one[1])
-    return [tuple(one[k] for one in nearest) for k in range(3)]
+    return *(tuple(one[k] for one in nearest) for k in range(3)), left
 
 
 def _special(scene, units, room, place, kinds):

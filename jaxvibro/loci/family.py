@@ -1,10 +1,12 @@
 """`family`: the loci of a special point for values of a third parameter, tracked together."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
+from continuation.limits import EXPIRED, Results, limits_of, partial_reason
 from continuation.points import to_value
 
 from ..branches.branch import Special
@@ -29,7 +31,10 @@ def family(
     first_step: float = 0.02,
     largest_step: float = 0.1,
     tolerance: float = 1e-12,
-) -> tuple[Locus | None, ...]:
+    *,
+    max_points: int | None = None,
+    max_seconds: float | None = None,
+) -> Results[Locus | None]:
     """The loci of a special point for values of a third parameter: a tuple, for each value a `Locus` or None.
 
     special, names, bounds, first_step, largest_step, tolerance: as in `locus`; third: a parameter of the scene other
@@ -40,22 +45,39 @@ def family(
     it does not come to the value: it ends before, at a bound, a grazing or where the point exists no more. The loci
     of all values are then tracked as lanes of one compiled call; each is that which `locus` gives from its point.
 
+    max_points, max_seconds: as in `locus`; max_points holds for each locus, half of it each way, max_seconds for all of
+    them. The
+    `reasons` of a locus say where the time was over, and the attribute `stopped` of the tuple, else "", says how many
+    are done; None may then stand where the point was not carried to a value in time.
+
     Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
-    start, steps = start_of(special, (*KINDS, *RESTS)), (first_step, largest_step, tolerance)
+    limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
+    start, steps = start_of(special, (*KINDS, *RESTS)), (first_step, largest_step, tolerance, limits)
     names, values = named(start.scene, names), values_of(start.scene, third, values)
     if third in names:
         raise check.ArgumentError("third", "must be none of names", third)
     if start.kind == "SB" and not stays_symmetric(start.scene, third):
         raise check.ArgumentError("third", "must keep the scene symmetric: an SB is no point of another", third)
     outsets(start, names, bounds, *steps)  # refuses what cannot be
-    found = carried(start, names, bounds, third, values, *steps)
+    found = carried(start, names, bounds, third, values, *steps[:-1], replace(limits, points=None))
+    late = limits.expired
     starts = [one for one in found if one is not None]
-    ways = [outsets(one, names, bounds, *steps) for one in starts]
+    ways = [_limited(outsets(one, names, bounds, *steps), limits) for one in starts]
     first = together([each for pair in ways for each in pair])
     both = zip(starts, ways, zip(first[::2], first[1::2], strict=True), strict=True)
     loci = iter([_locus(one, on, back, ahead, behind, steps) for one, (on, back), (ahead, behind) in both])
-    return tuple(None if one is None else next(loci) for one in found)
+    curves = [None if one is None else next(loci) for one in found]
+    count = sum(not late if one is None else not any(EXPIRED in each for each in one.reasons) for one in curves)
+    return Results(curves, "" if count == len(curves) else partial_reason(count, len(curves), "values"))
+
+
+def _limited(ways, limits):
+    """The ways on and back, each with half of the points at most."""
+    on, back = ways
+    half = limits.halved()
+    rest = None if limits.points is None else max(limits.points - half.points + 1, 1)
+    return on.limited(half), back.limited(replace(limits, points=rest))
 
 
 def _locus(start, on, back, ahead, behind, steps):

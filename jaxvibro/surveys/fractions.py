@@ -73,7 +73,7 @@ def fractions(
     values = _checked(scene, name, values)
     starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
     seed, shocks = check.whole("seed", seed, 0), check.whole("shocks", shocks, 0)
-    stations = []
+    stations: list[Station] = []
     for value in values:
         if stations and limits.expired:
             break

@@ -18,7 +18,7 @@ from ..output.units import ANGLE, LENGTH, SPEED, scales_in, unit_in
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import State
-from .shock_search import Ground, base, search, unsearched
+from .shock_search import Found, Ground, base, search, unsearched
 
 DIRECTIONS = ("v", "xv")
 SHOCKS = 1 << 18
@@ -37,7 +37,7 @@ class LeastShock:
     none was seen to leave, at its phase, below that phase's own least. undecided: how many shocks smaller than that
     were certain to end on no attractor of the tuple; least_undecided: the least of all such, inf without. reach: how
     large a shock was looked for. by_phase: size, dx, dv, x, v, to, until, safe, below, undecided, least_undecided, at
-    each phase. stopped: why the search ended before it was complete, else ""; then `size` is the least shock so far, and
+    each phase. stopped: why the search ended before it was complete, else ""; `size` is then the least shock so far,
     nan at a phase at which none has been tried.
     """
 
@@ -137,7 +137,7 @@ def least_shock(
         grounds.append(Ground(scene, float(angle), found, place, direction == "xv", patience))
     far = _whole_box(grounds, left, right, fast) if far is None else far
     count = _counter(progress)
-    results = []
+    results: list[Found] = []
     for ground in grounds:
         begins = not results or not limits.expired
         results.append(search(ground, far, shocks, seed, count, limits) if begins else unsearched(ground))

@@ -96,9 +96,9 @@ def search(
 
 def unsearched(ground: Ground) -> Found:
     """What is known of a phase at which no shock has been tried."""
-    none = np.full(2, np.nan)
-    trap = ground.homes[ground.place].trap
-    return Found(np.nan, none, none, -1, (np.nan, np.nan), np.nan, safe(trap, ground.plane), 0, 0, np.inf, False)
+    none, trap = np.full(2, np.nan), ground.homes[ground.place].trap
+    held = 0.0 if trap is None else safe(trap, ground.plane)
+    return Found(np.nan, none, none, -1, (np.nan, np.nan), np.nan, held, 0, 0, np.inf, False)
 
 
 class _Trial:
