@@ -46,6 +46,11 @@ class Limits:
         return self.deadline is not None and self.now() >= self.deadline
 
     @property
+    def remaining(self) -> float | None:
+        """The time left, s, more than 0; None is no limit."""
+        return None if self.deadline is None else max(self.deadline - self.now(), 1e-9)
+
+    @property
     def room(self) -> int | None:
         """The number of points that may still be computed; None is no limit."""
         return None if self.points is None else max(self.points - self.done, 0)

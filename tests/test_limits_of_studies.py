@@ -1,12 +1,22 @@
 """Limits of time of the studies: what is done is what a whole run gives, the rest is blank, and the reason is given."""
 
+from types import SimpleNamespace
+
+import msgspec
 import numpy as np
 import pytest
 
 import jaxvibro as jv
 from continuation import limits
 from jaxvibro.attractors import sweep_study
+from jaxvibro.branches import diagram_study, isolas
+from jaxvibro.branches.diagram import Diagram
+from jaxvibro.design import place
+from jaxvibro.loci import loci
+from jaxvibro.studies import compute
+from jaxvibro.studies.schema import SweepTable
 from jaxvibro.surveys import fractions as shares
+from tests.test_place import asked
 
 START = jv.State(0.3, 0.1)
 
@@ -100,6 +110,140 @@ def test_the_least_shock_so_far_is_given(ticking):
     assert jv.least_shock(scene(), attractors, **few, max_seconds=1e9).size == whole.size
 
 
+def test_starts_that_have_not_settled_in_time_are_unresolved(ticking):
+    whole = jv.find_attractors(scene(), 8, settle=5)
+    assert whole.stopped == "" and isinstance(whole, tuple)
+    ticking()
+    part = jv.find_attractors(scene(), 8, settle=5, max_seconds=0.5)
+    assert part.stopped == "max_seconds reached: 0 of 8 starts done"
+    assert [(one.label, one.share, one.note) for one in part] == [("unresolved", 1.0, "8 starts: max_seconds reached")]
+    ticking()
+    most = jv.find_attractors(scene(), 8, settle=5, max_seconds=1e3)
+    assert most.stopped == "" and [one.label for one in most] == [one.label for one in whole]
+
+
+def empty(reason, amplitude=1.0):
+    """A diagram without branches."""
+    settings = {"max_period": 1, "seed": 0, "largest_step": 0.1}
+    return Diagram("frequency", (1.0, 2.0), scene(amplitude=amplitude), (), (), True, reason, settings)
+
+
+def test_isolas_are_looked_for_an_order_of_walls_at_a_time(ticking, monkeypatch):
+    monkeypatch.setattr(isolas, "_probes", lambda *given: ())
+    counts = []
+    whole = jv.find_isolas(empty("all"), 1, 3, progress=counts.append)
+    assert whole == () and whole.stopped == "" and counts[-1] == 9
+    ticking()
+    part = jv.find_isolas(empty("all"), 1, 3, max_seconds=2.5, progress=counts.append)
+    assert part == () and part.stopped == "max_seconds reached: 2 orders of walls done" and counts[-1] == 2
+
+
+def test_diagrams_in_a_store_stop_between_values(tmp_path, ticking, monkeypatch):
+    monkeypatch.setattr(diagram_study, "settled_on", lambda tasks: [()])
+    monkeypatch.setattr(diagram_study, "explore_on", lambda task, some: empty("all", float(task.scene.amplitude)))
+    task = scene(), "frequency", (1.0, 2.0), "amplitude", [1.0, 2.0, 3.0]
+    store = jv.Store(tmp_path / "diagrams", jv.LocalEngine(workers=1))
+    ticking()
+    part = jv.diagrams(*task, store=store, max_seconds=2.5)
+    late = [one for one in part if one.reason == "max_seconds reached"]
+    assert 0 < len(late) < 3 == len(part) and not any(one.complete or one.branches for one in late)
+    assert part.stopped == f"max_seconds reached: {3 - len(late)} of 3 values done"
+    assert [float(one.scene.amplitude) for one in part] == [1.0, 2.0, 3.0]
+    again = jv.diagrams(*task, store=store)
+    assert again.stopped == "" and [one.reason for one in again] == ["all"] * 3
+    with pytest.raises(jv.ArgumentError, match="max_points"):
+        jv.diagrams(*task, store=store, max_points=1)
+    with pytest.raises(jv.ArgumentError, match="is another there"):
+        jv.diagrams(*task, store=store, max_points=50)
+
+
+def test_a_placement_ends_where_its_time_is_over():
+    read = iter(range(100))
+    late = limits.Limits(deadline=2.5, now=lambda: float(next(read)))
+    last, _, virtual = place._approached(asked(lambda change: False, 0.4), np.ones(1), late)
+    assert last.late and last.share == 0.25 and not virtual  # of steps of 1, 0.5 and 0.25
+    assert place._why(last.share, virtual, (), last.late) == "the way ends after 0.25 of it: max_seconds reached"
+
+
+@pytest.fixture(scope="module")
+def fold():
+    orbit = jv.find_orbit(scene(amplitude=2.0), jv.State(0.9, -1.1))
+    return jv.follow(orbit, "amplitude", (0.0, 6.0)).points("SN")[0]
+
+
+@pytest.mark.slow
+def test_the_first_place_is_the_scene_itself(fold, ticking):
+    ticking()
+    part = jv.place(fold, None, fold.value + 0.1, {"damping": 0.05}, max_seconds=0.5)
+    assert not part.met and part.why == "the way ends after 0 of it: max_seconds reached" and part.distance == 0.0
+
+
+@pytest.mark.slow
+def test_loci_of_a_family_end_where_the_time_is_over(fold, ticking):
+    task = fold, ("amplitude", "frequency"), {"amplitude": (0.0, 8.0), "frequency": (1.8, 2.4)}, "damping"
+    whole = jv.family(*task, [0.05, 0.06])
+    assert whole.stopped == "" and all(len(one) > 12 for one in whole)
+    few = jv.family(*task, [0.05, 0.06], max_points=9)
+    assert [len(one) for one in few] == [9, 9] and few.stopped == ""
+    for one, other in zip(few, whole, strict=True):
+        places = [np.flatnonzero((abs(other.values - each) < 1e-9).all(axis=1))[0] for each in one.values]
+        assert np.diff(places).tolist() == [1] * 8
+    ticking()
+    part = jv.family(*task, [0.05, 0.06], max_seconds=0.5)
+    assert part.stopped == "max_seconds reached: 0 of 2 values done"
+    assert all(one is None or "max_seconds reached" in one.reasons for one in part)
+
+
+@pytest.mark.slow
+def test_rays_boundaries_and_points_near_an_orbit_are_as_many_as_time_is_for(ticking):
+    one_wall = jv.make_scene(1.5, 1.7, 0.12, 0.6, (None, 0.8))
+    free, bounds = {"amplitude": 0.5, "frequency": 0.2}, {"amplitude": (0.9, 1.9), "frequency": (1.5, 1.9)}
+    task = one_wall, "GR", free, bounds, 60, 1
+    whole = jv.search(*task)
+    assert whole.stopped == "" and whole.points
+    followed = []
+    for most in (0.5, 1.5, 3.5):
+        ticking()
+        part = jv.search(*task, max_seconds=most)
+        assert part.stopped.startswith(f"max_seconds reached: {part.followed} rays") and part.stopped in part.table()
+        assert len(part.points) < len(whole.points)
+        followed.append(part.followed)
+    assert followed[0] == 0 < followed[1] < followed[2] <= whole.followed
+    orbit = jv.find_orbit(one_wall, jv.State(0.1, 0.2))
+    near = jv.margin(orbit, free)
+    assert near.stopped == "" and near.points
+    ticking()
+    part = jv.margin(orbit, free, max_seconds=1.5)
+    assert part.stopped.startswith("max_seconds reached: 1 of ") and part.stopped in part.table()
+    assert len(part.points + part.others) <= 1
+
+
+@pytest.mark.slow
+def test_windows_of_period_adding_are_as_many_as_time_is_for(ticking):
+    orbit = jv.find_orbit(jv.make_scene(6.0, 2.1, 1.2, 0.7, (None, 1.0)), jv.State(0.0, 0.0))
+    (grazing,) = jv.follow(orbit, "amplitude", (6.0, 6.2), stop="GR").points("GR")
+    whole = jv.period_adding(grazing, 4)
+    ticking()
+    part = jv.period_adding(grazing, 4, max_seconds=1.5)
+    assert part.stopped == "max_seconds reached: 1 of 3 windows done" and part.stopped in part.table()
+    assert whole.stopped == "" and len(whole.windows) == 3 and part.windows[0].found == whole.windows[0].found
+
+
+@pytest.mark.slow
+def test_a_manifold_ends_where_its_time_is_over(ticking):
+    found = jv.find_orbits(scene(), 1, 64)
+    saddle = next(one for one in found if one.label == "P111" and one.multipliers[0].real > 1)
+    whole = jv.manifold(saddle, "unstable", 6.0, 0.0)
+    ticking()
+    part = jv.manifold(saddle, "unstable", 6.0, 0.0, max_seconds=2.5)
+    assert part.attrs["stopped"] == "max_seconds reached: 0 of 2 sides done" and "stopped" not in whole.attrs
+    for side in (-1, 1):
+        mine, other = (each.sel(point=each["side"] == side) for each in (part, whole))
+        assert 0 < mine.sizes["point"] < other.sizes["point"] and mine["image"].max() < other["image"].max()
+        np.testing.assert_array_equal(mine["x"].values, other["x"].values[: mine.sizes["point"]])
+    assert set(part["ended"].values.tolist()) >= {"max_seconds"}
+
+
 def test_times_that_cannot_be_are_refused():
     attractors = ()
     calls = (
@@ -107,7 +251,40 @@ def test_times_that_cannot_be_are_refused():
         lambda **more: jv.spectrum(scene(), "amplitude", [1.0], START, **more),
         lambda **more: jv.fractions(scene(), "amplitude", [1.0], **more),
         lambda **more: jv.least_shock(scene(), attractors, **more),
+        lambda **more: jv.find_attractors(scene(), **more),
+        lambda **more: jv.find_isolas(empty("all"), **more),
+        lambda **more: jv.diagrams(scene(), "frequency", (1.0, 2.0), "amplitude", [1.0], **more),
+        lambda **more: jv.search(scene(), "GR", {"damping": 0.1}, {}, **more),
+        lambda **more: jv.margin(None, {}, **more),
+        lambda **more: jv.place(None, None, 1.0, {}, **more),
+        lambda **more: jv.family(None, (), {}, "damping", [0.1], **more),
+        lambda **more: jv.period_adding(None, **more),
+        lambda **more: jv.manifold(None, "stable", **more),
     )
     for call in calls:
         with pytest.raises(jv.ArgumentError, match="max_seconds: must be a positive number"):
             call(max_seconds=-1.0)
+
+
+def test_a_sweep_in_a_scene_file_gives_the_values_that_are_done(ticking):
+    leg = {"name": "up", "from": 4.5, "to": 4.9, "start": {"x": 0.3, "v": 0.1}}
+    table = {"parameter": "amplitude", "count": 40, "settle": 3, "keep": 2, "legs": [leg], "max_seconds": 1.5}
+    ticking()
+    swept = compute._legs(scene(), msgspec.convert(table, SweepTable), False)
+    assert swept.sizes["step"] == 32 and swept.attrs["stopped"] == "max_seconds reached: 32 of 40 values done"
+    for bad in (0, -1.0, np.nan, np.inf, "9", True):
+        with pytest.raises(msgspec.ValidationError, match=r"max_seconds"):
+            msgspec.convert(table | {"max_seconds": bad}, SweepTable)
+
+
+def test_loci_that_are_left_are_told(ticking, monkeypatch):
+    points = [SimpleNamespace(kind="SN", scene=scene(amplitude=each)) for each in (1.0, 2.0, 3.0)]
+    given = []
+    monkeypatch.setattr(loci, "locus", lambda one, *rest, **more: given.append(more["max_seconds"]) or one)
+    monkeypatch.setattr(loci, "leads_through", lambda *both: False)
+    task = [SimpleNamespace(special=points)], ("amplitude", "damping"), {"amplitude": (0.0, 9.0), "damping": (0.0, 1.0)}
+    ticking()
+    found, refused = loci.loci(*task, max_seconds=3.5)
+    assert list(found) == points[:2] and refused == ((points[2], "max_seconds reached"),) and given == [1.5, 1e-9]
+    found, refused = loci.loci(*task)
+    assert list(found) == points and refused == () and given[2:] == [None] * 3

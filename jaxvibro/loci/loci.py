@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from continuation.limits import EXPIRED, limits_of
+
 from ..branches.branch import labels_of
 from ..maps.itinerary import LETTERS, label, mirrored, same
 from ..problem.touches import TOUCH
@@ -13,19 +15,23 @@ NEAR = 1e-6  # of a parameter's range: a point as near to a locus is on it
 NODES = 4  # of its points on each side, through which a locus is interpolated
 
 
-def loci(branches, names, bounds, kinds=KINDS, largest_step=0.1, progress=None):
+def loci(branches, names, bounds, kinds=KINDS, largest_step=0.1, progress=None, max_seconds=None):
     """(the `Locus` of each special point of branches, (special point, why) of those that cannot be followed), tuples.
 
     branches: of one scene; names, bounds, largest_step: as in `locus`; kinds: of the points. Left out are points
     outside the bounds, and those that a locus found before leads through. progress: called with the points so far.
+    max_seconds: wall-clock time, s, after which the points that are left are not followed; None is no limit.
     """
+    limits = limits_of(None, max_seconds, None, ArgumentError)
     found, refused = [], []
     kinds = sequence("kinds", kinds)
     begun = [one for branch in branches for one in branch.special if one.kind in kinds and _is_within(one, bounds)]
     for count, one in enumerate(begun, 1):
-        if not any(leads_through(other, one) for other in found):
+        if limits.expired:
+            refused.append((one, EXPIRED))
+        elif not any(leads_through(other, one) for other in found):
             try:
-                found.append(locus(one, names, bounds, largest_step=largest_step))
+                found.append(locus(one, names, bounds, largest_step=largest_step, max_seconds=limits.remaining))
             except ArgumentError as error:
                 refused.append((one, error.rule))
         if progress is not None:

@@ -151,15 +151,16 @@ def _legs(scene, table, progress):
     values = np.stack([table.values(leg) for leg in table.legs], axis=-1)
     start = State(*(np.array([getattr(leg.start, key) for leg in table.legs]) for key in ("x", "v")))
     with tqdm(desc="sweep", total=len(values), unit=" values", mininterval=0.5, disable=not progress) as bar:
-        swept = sweep(
-            scene, table.parameter, values, start, table.settle, table.keep, progress=lambda n: bar.update(n - bar.n)
-        )
+        settings = {"progress": lambda n: bar.update(n - bar.n), "max_seconds": table.max_seconds}
+        swept = sweep(scene, table.parameter, values, start, table.settle, table.keep, **settings)
+    if "stopped" in swept.attrs:  # the values that are done
+        swept = swept.isel(step=(swept["status"] >= 0).all("lane").values)
     return _named(swept, [leg.name for leg in table.legs])
 
 
 def _attractors(scene, table, progress):
     with tqdm(desc="attractors", total=table.starts, unit=" starts", disable=not progress) as bar:
-        found = find_attractors(scene, table.starts, table.seed)
+        found = find_attractors(scene, table.starts, table.seed, max_seconds=table.max_seconds)
         bar.update(table.starts)
     return found
 
@@ -213,6 +214,7 @@ def _loci(branches, table, progress):
             table.kinds,
             table.largest_step,
             lambda number: bar.update(number - bar.n),
+            table.max_seconds,
         )
 
 
@@ -227,7 +229,8 @@ def _is_on(orbit, attractor):
 def _margin(scene, table):
     try:
         orbit = find_orbit(scene, State(table.start.x, table.start.v), settle=table.settle)
-        return margin(orbit, table.free, table.bounds, table.kinds, table.directions, table.seed)
+        settings = table.kinds, table.directions, table.seed
+        return margin(orbit, table.free, table.bounds, *settings, max_seconds=table.max_seconds)
     except OrbitError as error:
         rule = f"must settle on an orbit that can be followed ({error})"
         raise SceneError("margin.start", rule, {"x": table.start.x, "v": table.start.v}) from None
@@ -242,7 +245,7 @@ def _fit(scene, table, record):
 
 def _map(scene, table, progress, store):
     with _cells_bar(not progress) as report:
-        return map_parameters(scene, **table.arguments, store=store, progress=report)
+        return map_parameters(scene, **table.arguments, store=store, progress=report, max_seconds=table.max_seconds)
 
 
 @contextmanager

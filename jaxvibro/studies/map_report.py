@@ -62,6 +62,8 @@ def lines(data, units="scene"):
             unit, size = told(data[name].attrs.get("units", ""), scales)
             low, high = (size * float(edge(data[name].values)) for edge in (np.nanmin, np.nanmax))
             yield f"{headed(text, unit, units)}: {low:.6g} to {high:.6g}"
+    if "stopped" in data.attrs:
+        yield data.attrs["stopped"]
 
 
 def picture(data, units="scene"):

@@ -14,7 +14,7 @@ MOST = 1_000_000
 MOST_LEGS = 1000
 MOST_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
 Count = Annotated[int, Meta(ge=1, le=MOST)]
-Seconds = Annotated[float, Meta(gt=0)]  # of wall-clock time
+Seconds = Annotated[float, Meta(gt=0, le=1e9)]  # of wall-clock time
 Settle = Annotated[int, Meta(ge=0, le=MOST)]
 Periods = Annotated[int, Meta(ge=1, le=MOST_PERIODS)]
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
@@ -46,6 +46,7 @@ class SweepTable(Table, frozen=True, kw_only=True):
     settle: Settle = 300
     keep: Count = 100
     legs: Annotated[list[LegTable], Meta(min_length=1, max_length=MOST_LEGS)]
+    max_seconds: Seconds | None = None
 
     def values(self, leg: LegTable) -> Float[np.ndarray, " count"]:
         """The parameter's values along a leg, in the order of the sweep: float64, shape (count,)."""
@@ -59,6 +60,7 @@ class AttractorsTable(Table, frozen=True):
     starts: Count = 200
     seed: Seed = 0
     at: dict[str, float] = field(default_factory=dict)
+    max_seconds: Seconds | None = None
 
 
 class OrbitsTable(Table, frozen=True):
@@ -105,6 +107,7 @@ class LocusTable(Table, frozen=True, kw_only=True):
     bounds: dict[str, tuple[float, float]]
     kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = KINDS
     largest_step: float = 0.1
+    max_seconds: Seconds | None = None
 
 
 class MarginTable(Table, frozen=True, kw_only=True):
@@ -119,6 +122,7 @@ class MarginTable(Table, frozen=True, kw_only=True):
     settle: Settle = 200
     directions: Count = 128
     seed: Seed = 0
+    max_seconds: Seconds | None = None
 
 
 class FitTable(Table, frozen=True, kw_only=True):
@@ -183,6 +187,7 @@ class MapTable(Table, frozen=True, kw_only=True):
     settle: Settle = 300
     patience: Count = 5000
     at: dict[str, float] = field(default_factory=dict)
+    max_seconds: Seconds | None = None
 
     @property
     def arguments(self) -> dict[str, Any]:

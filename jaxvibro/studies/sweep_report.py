@@ -24,6 +24,8 @@ def lines(found, units):
     rows += [(one.leg, size * one.first, size * one.last, one.count, _periods(one)) for one in found.stretches]
     yield columns(rows)
     yield _meaning(found)
+    if "stopped" in found.swept.attrs:
+        yield found.swept.attrs["stopped"]
 
 
 def _rest(found, units):
