@@ -189,9 +189,10 @@ def test_loci_of_a_family_end_where_the_time_is_over(fold, ticking):
         places = [np.flatnonzero((abs(other.values - each) < 1e-9).all(axis=1))[0] for each in one.values]
         assert np.diff(places).tolist() == [1] * 8
     ticking()
-    part = jv.family(*task, [0.05, 0.06], max_seconds=0.5)
+    part = jv.family(*task, [0.05, 0.06], 5e-4, 1e-3, max_seconds=0.5)
     assert part.stopped == "max_seconds reached: 0 of 2 values done"
-    assert all(one is None or "max_seconds reached" in one.reasons for one in part)
+    assert part[0].reasons == ("max_seconds reached",) * 2 and len(part[0]) > 2
+    assert part[1] is None or part[1].reasons == part[0].reasons
 
 
 @pytest.mark.slow
