@@ -13,6 +13,7 @@ import xarray as xr
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.branches import branch_tree
+from jaxvibro.problem.end import End
 from jaxvibro.problem.orbit_on_branch import OrbitPoint
 from jaxvibro.studies import command, compute, figures, scene_file
 from tests.scene_files import SCENE, check_refusal, each_of
@@ -25,6 +26,11 @@ parameter = "amplitude"
 bounds = [0.0, 4.0]
 start = {x = 0.9, v = -1.1}
 at = {amplitude = 2.0}
+"""
+LOOP = """
+[branch]
+parameter = "frequency"
+bounds = [0.5, 3.0]
 """
 
 
@@ -217,9 +223,9 @@ def point(kind, value, right, left=(), periods=1):
 class Walk(list):
     """A branch, as far as `tree` looks at it; it has as many points as special ones."""
 
-    def __init__(self, label, *special):
+    def __init__(self, label, *special, ends=(End.BOUND, End.BOUND)):
         super().__init__(special)
-        self.special, self.segments = special, [SimpleNamespace(label=label)]
+        self.special, self.segments, self.ends = special, [SimpleNamespace(label=label)], ends
 
 
 def reflected(branch):
@@ -228,7 +234,7 @@ def reflected(branch):
         replace(one, spot=one.spot._replace(times=one.spot.times + HALF, sides=-one.spot.sides))
         for one in branch.special
     ]
-    return Walk(branch.segments[0].label, *twins)
+    return Walk(branch.segments[0].label, *twins, ends=branch.ends)
 
 
 def test_a_branch_and_its_mirror_image_are_one_of_two():
@@ -308,6 +314,41 @@ def test_in_a_symmetric_scene_half_is_walked(monkeypatch):
     for first, image in ((1, 2), (3, 4)):
         pairs = zip(found[first].special, found[image].special, strict=True)
         assert all(np.array_equal(here.spot.sides, -there.spot.sides) for here, there in pairs)
+
+
+@pytest.mark.parametrize("ends", [(End.START, End.CLOSED), (End.START, End.BOUND), (End.BOUND, End.MAX_POINTS)])
+def test_a_symmetry_breaking_that_a_branch_of_asymmetric_orbits_goes_through_is_left(ends, monkeypatch):
+    """The branch goes on into its mirror images, which are no other branch: a loop wherever it was started, one within
+    bounds though more special points were seen on one side, and one that a limit cut before they were all met."""
+    sb = point("SB", 3.0, [1.0], [1.0])
+    start, fold = point("EP", 1.0, [0.5]), point("SN", 2.0, [2.0])
+    others = {End.CLOSED: (point("SN", 2.0, (), [2.0]), start), End.BOUND: (point("EP", 1.0, (), [0.5]),)}
+    loop = Walk("P101", start, fold, sb, *others.get(ends[1], ()), ends=ends)
+    halves = [
+        Walk("P111", point("EP", 3.0, [1.0], [1.0]), point("EP", end, [end], [end])) for end in (0.0, 9.0)
+    ]  # symmetric
+    found, asked = walked(monkeypatch, loop, {("SB", 3.0): halves}, symmetric=True)
+    images = 1 if End.MAX_POINTS in ends else 0
+    assert asked == [sb] and len(found) == 3 + images
+    assert found[0] is loop and found[-2:] == tuple(halves)
+
+
+@pytest.mark.slow
+def test_symmetric_orbits_that_cross_a_loop_of_asymmetric_ones_are_followed(tmp_path):
+    """The loop, P101 and P111 and their mirror images, goes through an SB, where the symmetric P111 crosses it."""
+    file = tmp_path / "loop.toml"
+    file.write_text(SCENE + LOOP)
+    numbers = {"amplitude": 0.6871, "frequency": 0.8333, "damping": 0.015, "restitution": 0.6}
+    changes = [f"scene.{key}={value}" for key, value in numbers.items()]
+    loop, *crossing = compute.study(scene_file.read(file, changes)).branches
+    (breaking,) = [one.value for one in loop.special if one.kind == "SB"]
+    assert End.CLOSED in loop.ends and breaking == pytest.approx(0.914752380254, abs=1e-9)
+    for one, value in zip(crossing, (0.5, 3.0), strict=True):
+        assert one.ends == (End.LEFT, End.BOUND) and one.values[-1] == value
+        assert one.special[0].label == "P111" and one.values[0] == pytest.approx(breaking, abs=1e-9)
+    told = [(one.kind, one.value) for one in crossing[1].special[1:-1]]
+    assert [kind for kind, _ in told] == ["SN", "GR"]
+    np.testing.assert_allclose([value for _, value in told], [2.372, 1.2985], atol=6e-5)
 
 
 def test_there_are_64_branches_at_most_and_points_without_length_are_none(monkeypatch):

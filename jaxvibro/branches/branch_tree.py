@@ -7,7 +7,7 @@ import numpy as np
 from continuation.limits import UNLIMITED, limits_of
 
 from ..orbits.orbit_comparison import is_same_orbit
-from ..problem.end import End
+from ..problem.end import LIMITS, End
 from ..problem.orbit_on_branch import impacts, place_orbit
 from ..problem.same_orbit import is_repeated
 from ..scene.check import ArgumentError
@@ -86,7 +86,7 @@ class Tree:
         return [point, _reflected(point)] if self.symmetric else [point]
 
     def _leave(self, k, point):
-        if _is_reached(point, k, self.found):
+        if _is_reached(point, k, self.found, self.symmetric):
             return
         for start in _starts(point):
             branch = branch_from(point, start, self.bounds, **{"first_step": FIRST} | self.steps)
@@ -122,15 +122,17 @@ def _starts(point):
     return [one for one in found if not is_repeated(one[0], one[1].z + ASIDE * one[1].tangent)]
 
 
-def _is_reached(point, source, found):
-    """Whether another branch than its own has come through a point: what crosses there has been walked."""
+def _is_reached(point, source, found, symmetric):
+    """Whether what crosses at a point has been walked: another branch has come through it. The mirror image of the
+    point's own branch is none: it comes through each SB of that branch."""
     times = 2 if point.kind == "PD" else 1
-    return any(
-        other.kind in ("SB", "BP", "EP") and is_orbit(point, other, times)
-        for k, branch in enumerate(found)
-        if k != source
-        for other in branch.special
-    )
+    for k, branch in enumerate(found):
+        through = (one for one in branch.special if one.kind in ("SB", "BP", "EP"))
+        if k == source or not any(is_orbit(point, one, times) for one in through):
+            continue
+        if not (symmetric and _is_mirror(branch, found[source])):
+            return True
+    return False
 
 
 def _is_retraced(branch, earlier):
@@ -155,14 +157,25 @@ def mirror_images(branches):
 
 def _is_mirror(one, other):
     """Whether the mirror images of a branch's special points are those of another."""
-    if len(one.special) != len(other.special):
+    ours, theirs = _marks(one), _marks(other)
+    if not ours or len(ours) != len(theirs):
         return False
-    return all(any(is_same(_reflected(each), two) for two in other.special) for each in one.special)
+    return all(any(is_same(_reflected(each), two) for two in theirs) for each in ours)
 
 
 def _is_own_mirror(branch):
-    """Whether the mirror images of a branch's special points are all on it."""
-    return all(any(is_same(_reflected(one), other) for other in branch.special) for one in branch.special)
+    """Whether a branch holds the mirror images of its orbits: through an SB it goes on into them, else those of its
+    special points are all on it."""
+    through = any(one.kind == "SB" for one in branch.special) and not any(end in LIMITS for end in branch.ends)
+    return through or _is_mirror(branch, branch)
+
+
+def _marks(branch):
+    """The special points that tell a branch from others: all but the EPs of a closed one, which lie where it was
+    started."""
+    if End.CLOSED not in branch.ends:
+        return branch.special
+    return tuple(one for one in branch.special if one.kind != "EP")
 
 
 def _reflected(point):
