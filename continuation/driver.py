@@ -255,14 +255,14 @@ def _part(task, points, seen, status):
     tried = upto(points, bad + 1)
     jump, known = event_search.jump(task.problem, tried, task.control, task.args, watch.passed(tried))
     met = None if over else watch.before(task, upto(points, bad if jump is None else jump))
-    if met is not None and _is_outside(task, met.points.z[-1]):
-        met = None
+    met = None if met is not None and _is_outside(task, met.points.z[-1]) else met
     if met is None and jump is not None:
         points, (end, again) = upto(points, jump), _retried(points.step[jump], task.control)
     elif met is None and bad < size and not over:
         met, step = watch.touch(task, points, view, bad), points.step[bad]
         if met is None:
             points, (end, again) = upto(points, bad), _retried(step, task.control)
+            end = End.MAX_SECONDS if task.limits.expired else end  # the search may have been given up
     if met is not None:
         points, end = met.points, met.end
     loop = watch.comes_back(task, points)

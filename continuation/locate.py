@@ -77,18 +77,23 @@ def slopes_at(problem, zs, args):
     return np.asarray(_several(problem, padded, np.int32(len(zs)), args))[: len(zs)]
 
 
-def differences(function, z):
-    """The derivative of a function of z, a number or some, by central differences: (..., len(z)).
+def differences(function, z, places=None):
+    """The derivative of a function of z, a number or some, by central differences: (..., len(z)). places: those in z of
+    the numbers that the function depends on, None: all.
 
     It is right to nine digits or so: Newton's method needs no more to come to rounding, in a step more.
     """
+    places = range(len(z)) if places is None else places
 
     def along(k):
         step = np.zeros(len(z))
         step[k] = APART * (1.0 + abs(z[k]))
         return (function(z + step) - function(z - step)) / (2.0 * step[k])
 
-    return np.stack([along(k) for k in range(len(z))], axis=-1)
+    slopes = [along(k) for k in places]
+    found = np.zeros((*np.shape(slopes[0]), len(z)))
+    found[..., list(places)] = np.stack(slopes, axis=-1)
+    return found
 
 
 def _of_each(problem, test, zs, args):

@@ -10,6 +10,7 @@ import jaxvibro as jv
 from continuation import arclength, driver, event_search, limits
 from continuation.arclength import Control, Place
 from jaxvibro.branches.explore import EXPIRED
+from jaxvibro.problem import first_touch
 from jaxvibro.problem.end import End
 
 
@@ -88,6 +89,19 @@ def test_time_ends_branches_of_orbits(orbit, ticking):
     assert part.ends == (End.MAX_SECONDS, End.MAX_SECONDS) and 1 < len(part) < 9
     assert part.reasons[0] == "max_seconds reached at 2.7"
     assert len(jv.follow_all([orbit, orbit], "frequency", (2.5, 2.9), max_seconds=0.5)) == 1
+
+
+def test_a_search_for_a_touch_is_given_up_when_the_time_is_over(orbit, monkeypatch):
+    looks, now = [], [0.0]
+    monkeypatch.setattr(limits, "clock", lambda: now[0])
+
+    def nowhere(task, *given):
+        looks.append(task)
+        now[0] = 9.0
+
+    monkeypatch.setattr(first_touch, "_first_touch", nowhere)
+    branch = jv.follow(orbit, "frequency", (1.0, 5.0), max_seconds=5.0, direction="forward")
+    assert len(looks) == 1 and branch.ends[1] is End.MAX_SECONDS
 
 
 @pytest.mark.slow

@@ -108,8 +108,8 @@ class BranchWatch(OrbitWatch):
         z = points.z[-1]
         unrest = resting.kind_at(along, z, self.length)
         if unrest:
-            ways = through_rests.exits(along, z, np.sign(points.tangent[-1, -1]), self.length)
-            return self.grazing(points, unrest, residual, ((), ways, True))
+            ways = through_rests.exits(along, z, np.sign(points.tangent[-1, -1]), self.length, task.limits)
+            return None if ways is None else self.grazing(points, unrest, residual, ((), ways, True))
         more = soft_grazing.exits(along, z, self.length)
         kind = "CH" if len(more[1]) < 2 and is_pressed(along, z, more[0]) else "GR"
         ends = kind == "CH" and along.cycle.releases is None

@@ -49,7 +49,11 @@ def go_on(along, start, asked):
                 one, way = one._replace(end=End.HALVED), None
             elif one.marks[-1].kind == "GR" and _is_slow(along, one, asked.length, SLOW if way else SLOWER):
                 z, sign = one.points.z[-1], np.sign(one.points.tangent[-1, -1])
-                one, way, rest = _into_rest(one, completed(along, z, sign, asked.length), way is not None)
+                found = completed(along, z, sign, asked.length, asked.limits)
+                if found is None and asked.limits.expired:
+                    one, way = one._replace(end=End.MAX_SECONDS), None
+                else:
+                    one, way, rest = _into_rest(one, found, way is not None)
             met.append(here)
         if one.end is End.STEP:
             way = cut_anew(along, one.points.z[-1], np.sign(one.points.tangent[-1, -1]), asked.length)

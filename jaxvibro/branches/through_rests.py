@@ -8,6 +8,7 @@ there settles on that which goes on. Where the hops next to the CH would be lost
 import numpy as np
 
 from continuation.event_search import tangent
+from continuation.limits import UNLIMITED
 from continuation.points import start_point
 
 from ..flight.wall_positions import fit
@@ -35,13 +36,15 @@ def is_chatter(along, z, length, touches=(), slow=SLOW):
     return bool(((speeds > 0) & (speeds < slow * length)).any())
 
 
-def exits(along, z, sign, length):
+def exits(along, z, sign, length, limits=UNLIMITED):
     """The `GrazingExit`s of a CH or RL, in a list: the orbits on the other side, towards greater values of the
-    parameter where sign is 1."""
+    parameter where sign is 1. None where the time is over before they are known."""
     lifted = resting.lifted(along, z, length)
     if lifted is not None:
         return [_towards(lifted, z, sign, length)]
     for aside in ASIDE:
+        if limits.expired:
+            return None
         found = _settled(along, z, z[-1] + sign * aside * (1.0 + abs(z[-1])))
         if found is not None and not is_chatter(*found, length):
             return [_towards(*found, sign, length)]
@@ -63,11 +66,14 @@ def _towards(along, z, sign, length):
     return _way(along, z, sign * np.sign(ahead[-1]) * ahead, z)
 
 
-def completed(along, z, sign, length):
+def completed(along, z, sign, length, limits=UNLIMITED):
     """(the `GrazingExit` from the CH near a grazing on, the largest error left at the CH) where the orbits that rest
-    are on one of its sides; None where none are found. sign: of the way that the branch came by."""
+    are on one of its sides; None where none are found, or the time is over. sign: of the way that the branch came
+    by."""
     for aside in ASIDE:
         for way in (sign, -sign):
+            if limits.expired:
+                return None
             value = z[-1] + way * aside * (1.0 + abs(z[-1]))
             found = _settled(along, z, value)
             if found is None or _rests(found[0]) <= _rests(along):

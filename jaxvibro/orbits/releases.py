@@ -146,8 +146,12 @@ def beginning(frame, tail):
 
 def of_each(measure, frame, cycle, found):
     """A measure of a `Tail`, as `too_fast`, of each row, (rows,); inf of rows that no release follows."""
-    every, ends = tails_of(frame, cycle, found)
-    return jnp.where(ends, jax.vmap(partial(measure, frame))(every), jnp.inf)
+
+    def one(row):
+        tail, ends = row
+        return lax.cond(ends, partial(measure, frame), lambda tail: jnp.full_like(tail.tau, jnp.inf), tail)
+
+    return lax.map(one, tails_of(frame, cycle, found))  # side by side, each would take as long as all of them
 
 
 def too_fast(frame, tail):

@@ -35,12 +35,12 @@ class OrbitWatch(Watch):
 
 def to_touch(task, points, look, bad, length):
     """(the points up to the touch before the first bad one, the largest error left there); those before, and None,
-    where none is found. task: the `driver.Task`, its args the equations; length: the scene's."""
+    where none is found, or the time is over. task: the `driver.Task`, its args the equations; length: the scene's."""
     good, far = at(points, bad - 1), float(points.step[bad])
     there, seen, low, high = at(points, bad), at(look, bad), 0.0, far
     for _ in range(HALVES):
         found = _first_touch(task, good, there, seen, low, high, length)
-        if found is not None:
+        if found is not None or task.limits.expired:
             break
         middle = between(task, points, bad - 1, 0.5 * (low + high))
         if middle is None:

@@ -56,7 +56,13 @@ def lifted(along, z, length):
 
 def located(along, z, row, measure):
     """The point near z where a measure of a row, of `excesses` or `presses`, is zero: `locate.Located`."""
-    return zero_near(along, z, lambda z: measure(along, z)[row])
+    return zero_near(along, z, lambda z: measure(along, z)[row], _known_by(along, z, row))
+
+
+def _known_by(along, z, row):
+    """The places in z of what a measure of a row depends on: its impact, the one that follows, and the parameters."""
+    rows, after = len(along.cycle.sides), (row + 1) % np.count_nonzero(along.cycle.sides)
+    return [*sorted({row, after, rows + row, rows + after}), *range(2 * rows, len(z))]
 
 
 def kind_at(along, z, length):

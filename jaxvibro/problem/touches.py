@@ -85,12 +85,13 @@ def touched(along, z, row, wall, late):
     return found if found.z is None else found._replace(z=found.z[:-1])
 
 
-def zero_near(along, z, towards):
-    """The point near z where a function of z is zero too: `locate.Located`."""
+def zero_near(along, z, towards, places=None):
+    """The point near z where a function of z is zero too: `locate.Located`. places: those in z of the unknowns that the
+    function depends on, None: all."""
 
     def system(z):
         value, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), z, along))
-        return np.append(value, towards(z)), np.vstack([slopes, locate.differences(towards, z)])
+        return np.append(value, towards(z)), np.vstack([slopes, locate.differences(towards, z, places)])
 
     return locate.newton(system, z)
 

@@ -1,0 +1,52 @@
+"""What `max_seconds` cuts short, and how often a chatter is flown, where a branch comes to a complete chatter."""
+
+import numpy as np
+import pytest
+
+import jaxvibro as jv
+from continuation import limits, locate
+from jaxvibro.branches import through_rests
+from jaxvibro.problem import resting
+from jaxvibro.problem.orbit_on_branch import place_orbit
+from jaxvibro.problem.orbit_start import point_of
+
+
+@pytest.fixture(scope="module")
+def resting_orbit():
+    """(`OrbitEquations`, z) of an orbit of one period with one rest."""
+    scene = jv.make_scene(1.5, 0.5, 0.05, 0.5, (None, 0.5))
+    orbit = jv.find_orbit(scene, jv.State(0.0, 0.0))
+    assert orbit.rests
+    return place_orbit(scene, "amplitude", point_of(orbit, 1.5))
+
+
+@pytest.mark.slow
+def test_a_measure_of_a_rest_is_looked_for_by_what_it_depends_on(resting_orbit, monkeypatch):
+    """A measure of a row depends on a few unknowns: its derivative by these is that by all, and each evaluation flies a
+    whole chatter."""
+    along, z = resting_orbit
+    count, given = [], resting.excesses
+    row = int(np.flatnonzero(np.isfinite(given(along, z)))[0])
+    whole = locate.differences(lambda z: given(along, z)[row], z)
+    assert np.count_nonzero(whole) > 2 and len(z) >= 17
+
+    def counted(along, z):
+        count.append(z)
+        return given(along, z)
+
+    seen = []
+    monkeypatch.setattr(locate, "newton", lambda system, start: seen.append(system(start)[1][-1]))
+    resting.located(along, z, row, counted)
+    np.testing.assert_array_equal(seen[0], whole)
+    assert len(count) <= 11 < 2 * len(z)
+
+
+@pytest.mark.slow
+def test_the_search_beyond_a_rest_is_given_up_when_the_time_is_over(resting_orbit, monkeypatch):
+    """Neither looks for another orbit then: that would fly for dozens of periods."""
+    along, z = resting_orbit
+    over = limits.Limits(deadline=0.0)
+    monkeypatch.setattr(through_rests, "_settled", lambda *given: pytest.fail("it is looked for"))
+    monkeypatch.setattr(resting, "lifted", lambda *given: None)
+    assert through_rests.exits(along, z, 1.0, 1.0, over) is None
+    assert through_rests.completed(along, z, 1.0, 1.0, over) is None
