@@ -249,11 +249,11 @@ def _part(task, points, seen, status):
     good = seen.good if np.array_equal(points.z, seen.z) else watch.good(points.z, view)
     good[0] = True
     size, bad, seen = len(points.z), int(np.argmin(np.append(good, False))), points.z
-    over = bad < size and task.limits.expired  # what ends the branch there may take long to find
-    if over:
-        points, end = upto(points, bad), End.MAX_SECONDS
+    late = task.limits.expired  # what ends the branch there, and whether it jumped, may take long to find
+    over = late and bad < size
+    points, end = (upto(points, bad), End.MAX_SECONDS) if over else (points, end)
     tried = upto(points, bad + 1)
-    jump, known = event_search.jump(task.problem, tried, task.control, task.args, watch.passed(tried))
+    jump, known = event_search.jump(task.problem, tried, task.control, task.args, watch.passed(tried) | late)
     met = None if over else watch.before(task, upto(points, bad if jump is None else jump))
     met = None if met is not None and _is_outside(task, met.points.z[-1]) else met
     if met is None and jump is not None:

@@ -104,6 +104,22 @@ def test_a_search_for_a_touch_is_given_up_when_the_time_is_over(orbit, monkeypat
     assert len(looks) == 1 and branch.ends[1] is End.MAX_SECONDS
 
 
+def test_no_branch_point_is_looked_for_when_the_time_is_over(monkeypatch):
+    """The branch ends before it, and a later run goes on from there."""
+
+    def begun(**more):
+        return co.trace(co.equilibria(cubic), [0.0], {"a": -0.1, "b": 0.0}, "a", (-1.0, 1.0), **more)
+
+    (point,) = [one for one in begun(direction="forward").special if one.kind == "BP"]
+    assert abs(point.p["a"]) < 1e-12
+    read, plain = iter(range(100_000)), event_search._located
+    monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
+    asked = []
+    monkeypatch.setattr(event_search, "_located", lambda *given: asked.append(given[1]) or plain(*given))
+    part = begun(max_seconds=0.5, direction="forward")
+    assert "BP" not in asked and part.p["a"][-1] < 0.0 and "max_seconds reached" in part.reasons[1]
+
+
 @pytest.mark.slow
 def test_an_exploration_is_resumed_where_its_time_was_over(orbit, monkeypatch):
     read = iter(range(100_000))
