@@ -5,7 +5,6 @@ What is watched besides the equations is a `Watch`; its methods are asked in thi
 where that puts points in, `passed`, `before`, `touch`, `comes_back`, `events`, `stops`.
 """
 
-import warnings
 from enum import Enum
 from typing import Any, NamedTuple
 
@@ -18,11 +17,11 @@ from .limits import UNLIMITED, Limits
 from .points import cut_at, pointed, to_value
 from .problem import Problem
 from .rows import at, by_field, joined, put, upto
+from .slow_progress import is_slow, warn_if_slow
 from .stretch import Mark, Stretch, glued
 
 MOST = 20_000  # points of a branch
 SMALLER = 0.25  # times the step that came to no point of the branch, to try again
-SLOW, NARROW = 100, 1e-7  # points in a row, and 1 + abs of the parameter: as many within as little are slow progress
 FEW = 4  # steps of a chunk before its points are first checked: those beyond the first bad point are of no use
 
 
@@ -42,10 +41,6 @@ class End(Enum):
 
 
 ENDS = {ON: None, OUT: End.BOUND, arclength.UNDERFLOW: End.STEP, arclength.NONFINITE: End.NUMBER}  # of a chunk
-
-
-class SlowProgress(UserWarning):
-    """A continuation takes many steps without a change of its parameter."""
 
 
 class Met(NamedTuple):
@@ -203,7 +198,8 @@ def _add(task, parts, points, seen, status):
     one = _limited(task.limits, one, count)
     parts.append(one)
     task.limits.report(_count(parts))
-    warn_if_slow(task.control, one)
+    if not any(is_slow(each) for each in parts[:-1]):  # once for a branch
+        warn_if_slow(task.control, one)
     return _place(at(one.points, -1), again) if one.end is None and again else None
 
 
@@ -223,21 +219,6 @@ def _limited(limits, one, count):
     if one.end is None and limits.expired:
         return one._replace(end=End.MAX_SECONDS)
     return one
-
-
-def warn_if_slow(control, one):
-    """Warn where many points in a row lie at nearly one value of the parameter."""
-    values, steps = one.points.z[:, -1], one.points.step
-    width, count = float(np.ptp(values)), len(values) - 1
-    if count >= SLOW and width < NARROW * (1.0 + abs(values[-1])):
-        least, most = float(steps[1:].min()), float(steps[1:].max())
-        warnings.warn(
-            f"slow progress: {count} points lie within {width:.1e} of the parameter value {values[-1]:.12g}, with steps"
-            f" of {least:.1e} to {most:.1e} (the smallest allowed is {float(control.smallest):.1e}); the curve bends"
-            " sharply or is nearly singular there; set max_points or max_seconds, or narrow the bounds",
-            SlowProgress,
-            stacklevel=2,
-        )
 
 
 def _part(task, points, seen, status):

@@ -51,17 +51,19 @@ def line_of(call):
     return line
 
 
-def given(function, x):
-    """Arguments enough for a function, one of them traced within a record or alone."""
-    names = list(inspect.signature(function).parameters)
-    return [SCENE.replace(amplitude=x) if name == "scene" else x for name in names]
+def called(function, x):
+    """The function of arguments enough, one of them traced within a record or alone."""
+    names = inspect.signature(function).parameters
+    given = {name: SCENE.replace(amplitude=x) if name == "scene" else x for name in names}
+    by_name = {name: given.pop(name) for name, one in names.items() if one.kind is one.KEYWORD_ONLY}
+    return function(*given.values(), **by_name)
 
 
 @pytest.mark.parametrize("name", HOST)
 def test_what_runs_on_the_host_says_so_at_once(name):
     function = getattr(jv, name)
     told = f"{name}: runs on the host and cannot be traced by jit, vmap or grad: call it outside; within, "
-    traced, plain = (lambda x: function(*given(function, x))), (lambda x: (function(*given(function, 2.0)), x)[1])
+    traced, plain = (lambda x: called(function, x)), (lambda x: (called(function, 2.0), x)[1])
     for one in (traced, plain):
         for transformed in (jax.jit(one), jax.grad(one), lambda x, one=one: jax.vmap(one)(jnp.full(2, x))):
             assert line_of(lambda transformed=transformed: transformed(2.0)).startswith(told)
@@ -78,7 +80,9 @@ def test_a_picture_says_what_it_is_of(name):
 
 def test_a_picture_of_a_branch_is_of_no_orbit():
     orbit = jv.find_orbit(SCENE.replace(amplitude=0.5), jv.State(0.0, 0.0))
-    assert line_of(lambda: plot.branch(orbit)).startswith("plot.branch: must be given a Branch; got Orbit(label='P100'")
+    assert line_of(lambda: plot.branch(orbit)).startswith(
+        "plot.branch: must be given a Branch (an Orbit is drawn by plot.orbit); got Orbit(label='P100'"
+    )
     assert line_of(lambda: plot.orbit(SCENE)).startswith("plot.orbit: must be given an Orbit")
     path = jv.simulate(SCENE, jv.State(0.0, 0.0))
     assert line_of(lambda: plot.diagram(path)).endswith("must be given a Dataset of sweep; got 'Dataset'")

@@ -145,5 +145,5 @@ def test_what_may_not_be(scene, orbit):
         jv.hysteresis(fold, other)
     with pytest.raises(jv.ArgumentError, match="orbits: must be given to hysteresis for an area"):
         jv.hysteresis(fold, fold).area(scene)
-    with pytest.raises(jv.ArgumentError, match="orbits: must be two Orbits"):
+    with pytest.raises(jv.ArgumentError, match="orbits: must be a pair of Orbits or None"):
         jv.hysteresis(fold, fold, (orbit, None))

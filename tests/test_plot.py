@@ -247,13 +247,21 @@ def test_special_points_have_a_marker_a_kind_and_branches_share_a_legend():
     np.testing.assert_allclose([line.get_xydata()[0] for line in marks], [[2.5, 0.3], [4.0, 0.6], [5.0, 1.8]])
     assert len({line.get_marker() for line in marks}) == 3
     plot.branch(one, "x", ax)
-    plot.branch(branch("P121"), "x", ax)
+    plot.branch(branch("P121", change=6), "x", ax)
     told = ax.get_legend_handles_labels()[1]
     assert sorted(told) == sorted(
-        ["P111, P112", "stable", "unstable", "SN: saddle-node", "PD: period doubling", "fast", "P121, P112"]
+        [
+            "P111, P112",
+            "stable",
+            "unstable",
+            "SN: saddle-node",
+            "PD: period doubling",
+            "fast",
+            "P121, P112",
+        ]
     )
     colours = [line.get_color() for line in kept(ax, "branch")]
-    assert len(set(colours[:4])) == 1 and len(set(colours)) == 2
+    assert len(set(colours[:2])) == 1 and len(set(colours)) == 2  # the same lines are not drawn again
     walls = [line for line in ax.lines if line.get_color() == style.WALL and len(line.get_xdata())]
     assert [line.get_ydata()[0] for line in walls] == [1.0]  # once; that at -1 is far off
 

@@ -152,7 +152,7 @@ def test_a_branch_has_defaults():
     assert (asked.start.x, asked.start.v, asked.at, asked.max_period) == (0.0, 0.0, {}, 1)
 
 
-KEYS = "(parameter, bounds, start, at, settle, max_period, largest_step)"
+KEYS = "(parameter, bounds, start, at, settle, max_period, largest_step, max_seconds)"
 # The change to scenes/branches.toml, the key that the error names, and what it says.
 BAD = [
     ("branch = 3", "branch", "must be a table; got 3"),

@@ -53,7 +53,11 @@ def explored(branch, tmp_path, monkeypatch):
 
 def test_what_is_asked_goes_to_explore(explored):
     ((scene, name, bounds, given),) = explored[3]
-    assert (name, bounds, given) == ("amplitude", (0.0, 4.0), {"max_period": 2, "seed": 3, "budget": 7})
+    assert (name, bounds, given) == (
+        "amplitude",
+        (0.0, 4.0),
+        {"max_period": 2, "seed": 3, "budget": 7, "max_seconds": None},
+    )
     assert [float(scene.parameter(key)) for key in ("amplitude", "frequency", "damping")] == [4.65, 2.1, 0.06]
 
 
@@ -114,7 +118,7 @@ def test_a_locus_may_follow_what_was_explored(file):
         scene_file.read(file, [*changes, "locus.bounds.damping=[0.01, 0.055]"])
 
 
-ALLOWED = "(parameter, bounds, at, max_period, seed, budget)"
+ALLOWED = "(parameter, bounds, at, max_period, seed, budget, max_seconds)"
 # The change to the file, the key that the error names, and what it says.
 BAD = [
     ("explore = 3", "explore", "must be a table; got 3"),

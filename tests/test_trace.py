@@ -427,7 +427,7 @@ def test_a_function_is_held_along_two_parameters():
     [
         ({"along": "h"}, "along"),
         ({"hold": {"size": 1.0}}, "hold"),
-        ({"hold": {abs: "1"}}, "hold"),
+        ({"hold": {abs: "1"}}, f"hold.{abs}"),
         ({"bounds": {}}, "bounds"),
     ],
 )

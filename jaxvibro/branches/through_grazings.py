@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation.driver import SlowProgress
+from continuation.slow_progress import SlowProgress
 from continuation.stretch import Mark, Stretch
 
 from ..orbits.orbit_comparison import is_same_orbit
