@@ -69,7 +69,7 @@ def unit(tangent, scale):
     return tangent / jnp.linalg.norm(scale * tangent)
 
 
-def corrected(function, solve, place, step, control, args):
+def corrected(function, solve, place, step, control, args, strays=False):
     """The branch's point a step away along the tangent: (`Point`, cosine of the angle that the tangent has turned by,
     length of Newton's changes).
 
@@ -79,8 +79,8 @@ def corrected(function, solve, place, step, control, args):
     guess = place.z + step * place.tangent
     along = jnp.zeros_like(guess).at[-1].set(1.0)
 
-    # Beyond `far` the step would be refused, and an evaluation there may take very long: flights of any length.
-    far = jnp.where(step == 0, jnp.inf, FAR * abs(step) + NEAR)
+    # Beyond `far` a step would be refused, and an evaluation there may take very long: flights of any length.
+    far = jnp.where(strays | (step == 0), jnp.inf, FAR * abs(step) + NEAR)
 
     def going(carry):
         _, _, change, _, _, count = carry
@@ -115,7 +115,7 @@ def track(function, solve, place, control, args, count, most=None):
     def attempt(place):
         on = place.status == ON  # of lanes under vmap, one may have ended before the others
         step = jnp.where(on, place.step, 0.0)
-        point, cosine, stray = corrected(function, solve, place, step, control, args)
+        point, cosine, stray = corrected(function, solve, place, step, control, args, strays=jnp.equal(most, 1))
         turn = jnp.sqrt(jnp.maximum(2.0 * (1.0 - cosine), 0.0))  # nan where the tangent is not finite
         good = point.met & (turn < LARGEST_TURN) & (stray < STRAY * abs(step))
         kept = on & good
