@@ -112,6 +112,23 @@ def test_the_cost_of_an_operation_follows_xla():
     assert parallel_tasks.cost_share(jaxpr) > 1 and not kernels.can_be_kernel(jaxpr)
 
 
+@pytest.mark.parametrize(("rows", "reads"), [(15, 15 + 2), (16, 16 + 16)])
+def test_what_many_operations_read_is_kept_in_memory(rows, reads):
+    """XLA does not fuse an operation that one fusion would evaluate more than 15 times: it is stored, and read."""
+
+    def horner(table, x):
+        for _ in range(40):
+            table = table * 1.5
+        total = x
+        for k in range(rows):
+            total = total * x + table[k]
+        return total
+
+    jaxpr = jax.make_jaxpr(horner)(np.ones((rows, 64)), np.ones(64)).jaxpr
+    flops = 40 * rows * 64 + (2 * rows * 64 if rows == 15 else 0)  # of all, or of the table alone
+    assert parallel_tasks.cost_share(jaxpr) == pytest.approx((flops + 10 * 8 * 64 * reads) / 200_000, rel=1e-12)
+
+
 def random(rng, count, low, high):
     return rng.uniform(low, high, count)
 

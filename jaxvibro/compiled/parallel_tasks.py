@@ -6,6 +6,7 @@ XLA's ``DefaultCostModel``: bytes accessed where an operation reads and writes m
 flops + 2 transcendentals + 10 bytes accessed.
 """
 
+from collections import Counter
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ ANGLES = {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", 
 TRANSCENDENTAL = EXPONENTIALS | ANGLES
 EXPENSIVE = TRANSCENDENTAL | {"div", "rem"}  # XLA keeps such a result in memory where several operations use it
 FREE = {"broadcast_in_dim", "reshape", "squeeze", "slice", "concatenate", "pad", "rev", "transpose", "iota", "copy"}
+REPEATED = 15  # evaluations of one operation in a fusion; XLA does not fuse what would need more
 IN_PLACE = {"dynamic_update_slice"}  # never split
 
 
@@ -92,6 +94,7 @@ def cost_share(jaxpr) -> float:
 
 def _walk(region, jaxpr, inputs):
     cones = dict(zip(jaxpr.invars, inputs, strict=True))
+    uses = Counter(v for equation in jaxpr.eqns for v in equation.invars if not isinstance(v, core.Literal))
     cones |= {v: region.read(v.aval) for v in jaxpr.constvars}
 
     def of(v):
@@ -100,15 +103,19 @@ def _walk(region, jaxpr, inputs):
     for equation in jaxpr.eqns:
         given = [of(v) for v in equation.invars]
         inner = list(core.jaxprs_in_params(equation.params))
-        if equation.primitive.name == "jit" and "inlineable" not in _hints(equation):
+        name = equation.primitive.name
+        if name == "jit" and "inlineable" not in _hints(equation):
             outputs = _walk(region, equation.params["jaxpr"].jaxpr, given)
-        elif inner or equation.primitive.name in IN_PLACE:
+        elif inner or name in IN_PLACE:
             for v, cone in zip(equation.invars, given, strict=True):
                 region.materialised(v.aval, cone)
             region.share = max([region.share, *map(cost_share, inner)])
             outputs = [region.read(v.aval) for v in equation.outvars]
         else:
             outputs = [region.computed(equation, given)] * len(equation.outvars)
+            if uses[equation.outvars[0]] > REPEATED:
+                region.materialised(equation.outvars[0].aval, outputs[0])
+                outputs = [region.read(equation.outvars[0].aval)]
         cones |= dict(zip(equation.outvars, outputs, strict=True))
     for v in jaxpr.outvars:
         region.materialised(v.aval, of(v))
