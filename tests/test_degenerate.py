@@ -108,7 +108,7 @@ def test_a_thousand_bounces_lose_a_few_roundings_of_the_time_that_is_gone():
         scene, state = ball(c0=9.81, bounce=bounce, frequency=0.7), jv.State(2.0, 0.0)
         length, late, speeds = 2.0 * np.pi / 0.7, [], []
         for k in range(200):
-            state, impacts = jax.device_get(jv.strobe(scene, state, slots=64))
+            state, impacts = jax.device_get(jv.strobe(scene, state, slots=1000))
             late += [mpf(k * length) + mpf(float(time)) for time in impacts.time[: impacts.count]]
             speeds += impacts.speed[: impacts.count].tolist()
             if len(late) >= 1000 or abs(state.contact) == 2:

@@ -79,11 +79,11 @@ def _ready(solver, tolerance):
 
 
 class Lane(NamedTuple):
-    """What moves one lane: its force, and the drive as a `coefficients.Frame` has it."""
+    """What moves one lane, or each of some: its force, and the drive as a `coefficients.Frame` has it."""
 
     law: Force
-    frequency: Float[jax.Array, ""]
-    force: Float[jax.Array, ""]
+    frequency: Float[jax.Array, "..."]
+    force: Float[jax.Array, "..."]
     terms: tuple[drive.Term, ...]
 
 
@@ -247,8 +247,9 @@ def pressed(frame, wall, cosine, sine):
     start = _press(frame, wall, cosine, sine, jnp.zeros_like(cosine))
 
     def terms(reach):
-        rows = [(_press(frame, wall, cosine, sine, place * reach) - start) / place for place in PLACES]
+        rows = [(_press(frame, wall, cosine, sine, place * reach) - start) / place for place in PLACES.tolist()]
         found = [start, *(sum(share * row for share, row in zip(shares, rows, strict=True)) for shares in SHARES)]
+        found = [lax.convert_element_type(each, reach.dtype) for each in found]
         sizes = [lax.abs(each) for each in found]
         return found, choose(sizes[-1] > STEADY * reduce(most, sizes[:-1]), lax.full_like(start, 1.0), 0.0)
 
