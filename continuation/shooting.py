@@ -95,6 +95,8 @@ def settled(
     count = system.segments * system.times
     fly = jax.jit(partial(_flown, system.fly))
     points = [np.asarray(start, float)]
+    if points[0].ndim != 1 or not points[0].size:
+        raise ContinuationError("start", "must be a state, one number for each equation", start)
     for _ in range(count * (rounds + 1) - 1):
         points.append(np.asarray(fly(points[-1], period / count, p, args)))
     return np.append(np.concatenate(points[-count:]), period)

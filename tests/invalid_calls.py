@@ -316,6 +316,8 @@ ERRORS = {
     "wall": lambda: jv.Wall(1.0),
 }
 LONG = {("paper", "names"), ("warm", "scene"), ("warm", "progress")}  # a valid call of these takes minutes
+OWN = {("shooting.settled", "args")}  # what a user's function is given: any value may be right, or an error of its own
+CALLABLE = {"class", "function"}  # a progress= of these is called, and its errors are its own
 
 
 def function_of(name):
@@ -331,7 +333,7 @@ def table():
         for name in bases()
         for argument in inspect.signature(function_of(name)).parameters
         for error in ERRORS
-        if (name, argument) not in LONG
+        if (name, argument) not in LONG | OWN and not (argument == "progress" and error in CALLABLE)
     ]
 
 
@@ -411,6 +413,7 @@ def named(error, call, value, given):
     told, key = str(error), str(error.key)
     stands = {call.argument, call.function, str(value)[:80]}
     stands |= {each for each in given.values() if isinstance(each, str)}
+    stands |= {"state"} if isinstance(value, jv.State) else set()  # its entries are named by themselves
     stands |= {str(each)[:80] for each in value} if isinstance(value, dict | list | tuple) else set()
     if not (key in stands or key.replace("[", ".").split(".")[0] in stands or call.argument in told):
         return f"names {key}: {told}"
