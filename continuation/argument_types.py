@@ -39,7 +39,7 @@ class Kind(NamedTuple):
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is one real number: a Python number that a float can hold, or an array or tracer of no axes."""
+    """Return True for one real number: a Python number that a float can hold, or an array or tracer without axes."""
     if isinstance(value, bool | np.bool_):
         return False
     if isinstance(value, int):
@@ -50,12 +50,12 @@ def is_number(value: Any) -> bool:
 
 
 def is_whole(value: Any) -> bool:
-    """Whether a value is a whole number; a truth value is none."""
+    """Return True for an integer that is not a bool."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
 
 def is_path(value: Any) -> bool:
-    """Whether a value may be the path of a file."""
+    """Return True for a valid file path."""
     try:
         text = os.fspath(value)
     except TypeError:
@@ -64,7 +64,7 @@ def is_path(value: Any) -> bool:
 
 
 def is_array(value: Any, axes: int | None = None) -> bool:
-    """Whether a value is an array of real numbers, or a list that makes one, with so many axes where they are given."""
+    """Return True for a real array, or a list that converts to one, with the given number of axes (None: any)."""
     if isinstance(value, list | tuple):
         try:
             value = np.asarray(value)
@@ -76,7 +76,7 @@ def is_array(value: Any, axes: int | None = None) -> bool:
 
 
 def is_sequence(value: Any) -> bool:
-    """Whether a value has a length and an order of its own, or none: a list, tuple, set or array, but no text."""
+    """Return True for a collection with a length: a list, tuple, set or array, but not a string or a mapping."""
     if isinstance(value, str | bytes | collections.abc.Mapping):
         return False
     if isinstance(value, np.ndarray | jax.Array):
@@ -124,7 +124,7 @@ def kind_of(hint: Any) -> Kind:
 
 
 def _instances_of(hint):
-    """Whether a value is of a class, or has all methods of a protocol."""
+    """Make a function that returns True for instances of a class, or for objects with all methods of a protocol."""
     if not getattr(hint, "_is_protocol", False):
         return lambda value: isinstance(value, hint)
     methods = [name for name, part in vars(hint).items() if inspect.isfunction(part) and not name.startswith("_")]
@@ -168,7 +168,7 @@ def _sequence_of(kind):
 
 
 def _iterable_of(kind):
-    """As `_sequence_of`; of what can be gone through once alone nothing is looked at."""
+    """Describe iterables like `_sequence_of`; the elements of iterators are not checked."""
     some = _sequence_of(kind)
     return Kind(lambda value: isinstance(value, collections.abc.Iterator) or some.holds(value), some.words, some.part)
 

@@ -97,7 +97,7 @@ def distrust_of(status: os.stat_result) -> str | None:
 
 
 def _is_private(group):
-    """Whether a group is the user's own: of the same name, without other members."""
+    """Return True for the user's private group: the same name, without other members."""
     try:
         name, found = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group)
     except (KeyError, AttributeError):

@@ -1,7 +1,7 @@
 """Limits of a computation: a largest number of points and a wall-clock time.
 
-One `Limits` is made where a public function begins and passed down; loops ask it between their chunks. The clock is a
-field, so that tests can replace it.
+A public function makes one `Limits` and passes it down; loops check it between chunks. The clock is a field, so that
+tests can replace it.
 """
 
 import time
@@ -56,11 +56,11 @@ class Limits:
         return None if self.points is None else max(self.points - self.done, 0)
 
     def reached(self, count: int) -> bool:
-        """True where so many points are too many, or the time is used up."""
+        """True once `count` points reach the limit of points, or the time is used up."""
         return self.expired or (self.room is not None and count >= self.room)
 
     def after(self, count: int) -> "Limits":
-        """The limits once so many further points have been computed."""
+        """The limits after `count` further points."""
         return replace(self, done=self.done + count)
 
     def halved(self) -> "Limits":
@@ -68,7 +68,7 @@ class Limits:
         return self if self.points is None else replace(self, points=max((self.points + 1) // 2, 2))
 
     def report(self, count: int) -> None:
-        """Report so many points to `progress`."""
+        """Report `count` points to `progress`."""
         if self.progress is not None:
             self.progress(self.done + count)
 

@@ -12,7 +12,7 @@ class SlowProgress(UserWarning):
 
 
 def is_slow(one):
-    """Whether a `Stretch` has many points at nearly one value of the parameter."""
+    """Return True if many points of a `Stretch` lie at nearly one value of the parameter."""
     values = one.points.z[:, -1]
     return len(values) > SLOW and float(np.ptp(values)) < NARROW * (1.0 + abs(values[-1]))
 

@@ -270,8 +270,7 @@ def run(one):
 
 def compared(one, values, found):
     """As `run`, of what was found."""
-    plain = {**one, "derivative": one["derivative"]}
-    alone = jax.jit(lambda p: reference(plain, p))
+    alone = jax.jit(lambda p: reference(one, p))
     look = jax.jit(lambda p: jv.strobe(scene_of(one["scene"], p), jv.State(p["x"], p["v"], p["phase"]), 3, 40)[1])
     rng = np.random.default_rng([20, one["seed"]])
     some = rng.choice(one["lanes"], min(CHECKED, one["lanes"]), replace=False)

@@ -109,7 +109,8 @@ def one_kernel(function, *lanes, **static):
     a kernel of fewer lanes is to be tried.
     """
     kernel, operands = traced(function, lanes, static)
-    if _sizes.get() and on_processor() and is_emitted(kernel.jaxpr.jaxpr) and cost_share(kernel.jaxpr.jaxpr) > 1:
+    jaxpr = kernel.jaxpr.jaxpr
+    if is_within_blocks() and on_processor() and is_emitted(jaxpr) and cost_share(jaxpr) > 1:
         raise TooCostly
     return jax.tree.unflatten(kernel.tree, kernel_p.bind(*operands, call_jaxpr=kernel.jaxpr, kernel=kernel))
 
@@ -125,7 +126,7 @@ def of_sizes(sizes):
 
 
 def is_within_blocks():
-    """Whether what is traced now belongs to a block whose length is already chosen."""
+    """Return True within `blocks.in_blocks`, where the length of a block is already chosen."""
     return _sizes.get() is not None
 
 
@@ -177,7 +178,7 @@ def _lowered(hints, context, *operands, call_jaxpr, kernel):
 
 
 def can_be_kernel(jaxpr) -> bool:
-    """Whether XLA compiles the loops of a jaxpr as one kernel."""
+    """Return True if XLA can compile the loops of a jaxpr as one kernel."""
     return is_emitted(jaxpr) and cost_share(jaxpr) <= 1
 
 
@@ -219,7 +220,7 @@ batching.primitive_batchers[kernel_p] = _batched
 
 @lru_cache(1024)
 def is_emitted(jaxpr) -> bool:
-    """Whether a kernel can hold every operation of a jaxpr."""
+    """Return True if a kernel can hold every operation of a jaxpr."""
     return all(
         equation.primitive.name not in NOT_EMITTED
         and not _is_left_to_library(equation)

@@ -10,7 +10,6 @@ from collections import Counter
 from functools import lru_cache
 from typing import NamedTuple
 
-import numpy as np
 from jax.extend import core
 
 COMPUTE_LIMIT = 2 * 100_000  # cost of two tasks that compute
@@ -48,7 +47,7 @@ class Region:
         name, aval = equation.primitive.name, equation.outvars[0].aval
         reads, computes = (_union(cone[k] for cone in cones) for k in (0, 1))
         if name not in FREE:
-            size = max(int(np.prod(aval.shape)), *(int(np.prod(v.aval.shape)) for v in equation.invars), 1)
+            size = max(aval.size, *(v.aval.size for v in equation.invars), 1)
             times = max(abs(equation.params["y"]).bit_length() * 2 - 2, 1) if name == "integer_pow" else 1
             self.work += [(size, name in TRANSCENDENTAL)] * times
             computes |= ((1 << times) - 1) << (len(self.work) - times)
@@ -60,7 +59,7 @@ class Region:
 
     def materialised(self, aval, cone):
         """Account for a fusion whose result is this array."""
-        count, written = int(np.prod(aval.shape)), _bytes(aval)
+        count, written = aval.size, _bytes(aval)
         reads = [self.sizes[k] for k in _bits(cone.reads)]
         if count <= 1 or (not cone.computes and reads == [written]):
             return  # a single number cannot be split; an array in memory is not computed
@@ -127,7 +126,7 @@ def _hints(equation):
 
 
 def _bytes(aval):
-    return int(np.prod(aval.shape)) * np.dtype(aval.dtype).itemsize
+    return aval.size * aval.dtype.itemsize
 
 
 def _union(masks):
