@@ -242,7 +242,7 @@ def _folder():
 
 
 def _is_distrusted(top, *folders):
-    """Whether what lies in folders of a cache is not to be used, which a warning says."""
+    """Return True, with a warning, if the folders of a cache must not be used."""
     reason = cache_file.reason_for_distrust(*folders)
     if reason is not None:
         cache_file.warn_once(top, reason)

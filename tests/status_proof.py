@@ -13,6 +13,7 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.scene.codes import Status
+from tests.degenerate_proof import wall_places
 from tests.lanes import at
 
 BLOCK = 1 << 16  # lanes of a scene
@@ -69,14 +70,8 @@ def draw(rng, count, kind, short=False):
 def beyond(scene, end):
     """How far the states are beyond a rigid wall, in roundings of the largest length; 0 where they are not."""
     worst = np.zeros(scene.shape)
-    for sign, wall in ((-1.0, scene.left), (1.0, scene.right)):
-        if wall is None or wall.soft:
-            continue
-        where, swing = np.asarray(wall.position), 0.0
-        if wall.motion is not None:
-            swing = np.asarray(wall.motion.amplitude)
-            where = where + swing * np.cos(wall.motion.harmonic * np.asarray(end.phase) + np.asarray(wall.motion.phase))
-        size = np.asarray(scene.amplitude) + abs(np.asarray(wall.position)) + abs(swing)
+    for sign, where, largest in wall_places(scene, np.asarray(end.phase)):
+        size = np.asarray(scene.amplitude) + largest
         far = sign * (np.asarray(end.x) - where) / (np.finfo(scene.dtype).eps * size)
         worst = np.maximum(worst, far)
     return worst

@@ -10,22 +10,13 @@ from importlib.metadata import version
 from pathlib import Path
 
 import jax
-import pytest
 
 import jaxvibro as jv
 from jaxvibro.compiled import compiler_hints, kernels
 from jaxvibro.compiled.hints_in_use import describe_hints
 from jaxvibro.studies import command, environment
 from jaxvibro.studies.environment import describe_environment, format_environment
-
-
-@pytest.fixture
-def cache(tmp_path):
-    """jax's compile cache in a folder of its own."""
-    before = jax.config.jax_compilation_cache_dir
-    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
-    yield tmp_path
-    jax.config.update("jax_compilation_cache_dir", before)
+from tests.test_persistent_jit import cache as cache  # a fixture
 
 
 def test_what_is_described(cache):

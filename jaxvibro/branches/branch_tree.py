@@ -55,7 +55,7 @@ class Tree:
 
     @property
     def is_spent(self):
-        """Whether there is no room for another branch, or no time."""
+        """Return True if there is no room for another branch, or no time."""
         return len(self.found) >= self.most or self.steps.get("limits", UNLIMITED).expired
 
     def has(self, branch):
@@ -156,7 +156,7 @@ def mirror_images(branches):
 
 
 def _is_mirror(one, other):
-    """Whether the mirror images of a branch's special points are those of another."""
+    """Return True if the mirror images of a branch's special points are those of another."""
     ours, theirs = _marks(one), _marks(other)
     if not ours or len(ours) != len(theirs):
         return False

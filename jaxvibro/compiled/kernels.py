@@ -230,7 +230,7 @@ def is_emitted(jaxpr) -> bool:
 
 
 def _is_left_to_library(eqn):
-    """Whether XLA calls a library for this operation, which a kernel cannot do."""
+    """Return True if XLA calls a library for this operation, which a kernel cannot do."""
     if eqn.primitive.name in ("reduce_max", "reduce_min", "reduce_sum"):
         return eqn.invars[0].aval.size >= LIBRARY_SUM
     if eqn.primitive.name != "dot_general":

@@ -1,4 +1,4 @@
-"""What a page is told of an error: one line, whatever it was."""
+"""Describe any error in one line, for a page of the explorer."""
 
 import traceback
 from typing import Any

@@ -143,7 +143,7 @@ class Explorer:
         return time.monotonic() - self.last > QUIET
 
     def allows(self, request: Any) -> bool:
-        """Whether a request has the token, and comes from this machine under its own name."""
+        """Return True if a request has the token, and comes from this machine under its own name."""
         given = request.query_arguments.get("token", [b""])[-1]
         return hmac.compare_digest(given, self.token.encode()) and is_loopback(host_of(f"//{request.host}"))
 
@@ -154,7 +154,7 @@ def host_of(url: str) -> str:
 
 
 def is_url(text: str) -> bool:
-    """Whether a text from outside can be read as a URL: Python raises for some, as for half a bracket."""
+    """Return True if a text from outside can be read as a URL: Python raises for some, as for half a bracket."""
     try:
         return bool(urlsplit(text))
     except ValueError:

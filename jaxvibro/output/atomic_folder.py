@@ -97,7 +97,7 @@ def _reserve(path):
 
 
 def _is_named(descriptor, path):
-    """Whether an open file still has its name."""
+    """Return True if an open file still has its name."""
     try:
         return os.path.samestat(os.fstat(descriptor), os.stat(path))
     except FileNotFoundError:

@@ -134,7 +134,7 @@ def covering(ax: Axes, across: Float[np.ndarray, " points"], up: Float[np.ndarra
 
 
 def _is_on(points, line):
-    """Whether points lie on a line, (2, points) both, to SAME of its extent."""
+    """Return True if points lie on a line, (2, points) both, to SAME of its extent."""
     size = np.maximum(np.nanmax(line, axis=1) - np.nanmin(line, axis=1), np.ptp(points, axis=1))[:, None]
     size = np.where(size > 0, size, 1.0)
     points, line = points / size, line / size

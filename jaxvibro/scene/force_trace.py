@@ -28,7 +28,7 @@ def without_rule(function, names, dtype, given=3):
 
 @lru_cache(256)
 def depends_on_time(function, names, dtype):
-    """Whether the time t enters the value of a force."""
+    """Return True if the time t enters the value of a force."""
     jaxpr = traced(function, names, dtype).jaxpr
     return not all(_without(jaxpr, [False] + [True] * (len(jaxpr.invars) - 1))[1])
 

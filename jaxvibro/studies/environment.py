@@ -125,6 +125,6 @@ def _cache():
 
 
 def _is_writable(folder):
-    """Whether files can be put into a folder, which may be still to be made."""
+    """Return True if files can be put into a folder, which may be still to be made."""
     nearest = next(one for one in (folder, *folder.absolute().parents) if os.path.lexists(one))
     return nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)

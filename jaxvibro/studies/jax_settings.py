@@ -62,7 +62,7 @@ def folder():
 
 
 def _is_open(folder):
-    """Whether everyone can rename what lies in a folder."""
+    """Return True if everyone can rename what lies in a folder."""
     mode = folder.stat().st_mode
     return bool(mode & stat.S_IWOTH) and not mode & stat.S_ISVTX
 

@@ -114,7 +114,7 @@ class _Trial:
         self.last, self.drawn = None, 0
 
     def is_over(self):
-        """Whether the time is over; what is found is then not complete."""
+        """Return True if the time is over; what is found is then not complete."""
         self.complete = self.complete and not self.limits.expired
         return not self.complete
 
