@@ -181,6 +181,7 @@ def test_the_first_place_is_the_scene_itself(fold, ticking):
 @pytest.mark.slow
 def test_loci_of_a_family_end_where_the_time_is_over(fold, ticking):
     task = fold, ("amplitude", "frequency"), {"amplitude": (0.0, 8.0), "frequency": (1.8, 2.4)}, "damping"
+    is_refused(lambda **more: jv.family(*task, [0.05, 0.06], **more))
     whole = jv.family(*task, [0.05, 0.06])
     assert whole.stopped == "" and all(len(one) > 12 for one in whole)
     few = jv.family(*task, [0.05, 0.06], max_points=9)
@@ -223,6 +224,7 @@ def test_rays_boundaries_and_points_near_an_orbit_are_as_many_as_time_is_for(tic
 def test_windows_of_period_adding_are_as_many_as_time_is_for(ticking):
     orbit = jv.find_orbit(jv.make_scene(6.0, 2.1, 1.2, 0.7, (None, 1.0)), jv.State(0.0, 0.0))
     (grazing,) = jv.follow(orbit, "amplitude", (6.0, 6.2), stop="GR").points("GR")
+    is_refused(lambda **more: jv.period_adding(grazing, **more))
     whole = jv.period_adding(grazing, 4)
     ticking()
     part = jv.period_adding(grazing, 4, max_seconds=1.5)
@@ -246,7 +248,7 @@ def test_a_manifold_ends_where_its_time_is_over(ticking):
 
 
 def test_times_that_cannot_be_are_refused():
-    attractors = ()
+    attractors, orbit = (), jv.find_orbit(jv.make_scene(1.5, 1.7, 0.12, 0.6, (None, 0.8)), jv.State(0.1, 0.2))
     calls = (
         lambda **more: jv.sweep(scene(), "amplitude", [1.0], START, **more),
         lambda **more: jv.spectrum(scene(), "amplitude", [1.0], START, **more),
@@ -256,15 +258,18 @@ def test_times_that_cannot_be_are_refused():
         lambda **more: jv.find_isolas(empty("all"), **more),
         lambda **more: jv.diagrams(scene(), "frequency", (1.0, 2.0), "amplitude", [1.0], **more),
         lambda **more: jv.search(scene(), "GR", {"damping": 0.1}, {}, **more),
-        lambda **more: jv.margin(None, {}, **more),
-        lambda **more: jv.place(None, None, 1.0, {}, **more),
-        lambda **more: jv.family(None, (), {}, "damping", [0.1], **more),
-        lambda **more: jv.period_adding(None, **more),
-        lambda **more: jv.manifold(None, "stable", **more),
+        lambda **more: jv.margin(orbit, {}, **more),
+        lambda **more: jv.place(lambda scene: scene.damping, None, 1.0, {}, **more),
+        lambda **more: jv.manifold(orbit, "stable", **more),
     )
     for call in calls:
-        with pytest.raises(jv.ArgumentError, match="max_seconds: must be a positive number"):
-            call(max_seconds=-1.0)
+        is_refused(call)
+
+
+def is_refused(call):
+    """Assert that the call refuses a time that cannot be."""
+    with pytest.raises(jv.ArgumentError, match="max_seconds: must be a positive number"):
+        call(max_seconds=-1.0)
 
 
 def test_a_sweep_in_a_scene_file_gives_the_values_that_are_done(ticking):

@@ -206,7 +206,7 @@ def test_a_locus_has_defaults():
     assert scene_file.read(FIG4).locus is None
 
 
-ALLOWED = "(parameters, bounds, kinds, largest_step)"
+ALLOWED = "(parameters, bounds, kinds, largest_step, max_seconds)"
 # The change to scenes/loci.toml, the key that the error names, and what it says.
 BAD = [
     ("locus = 3", "locus", "must be a table; got 3"),
