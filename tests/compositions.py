@@ -1,6 +1,6 @@
 """Random compositions of JAX transformations around the map, held against a loop of single calls."""
 
-from functools import partial
+from functools import cache, partial
 
 import equinox as eqx
 import jax
@@ -227,7 +227,13 @@ def sharded(one, function):
     """function of (batch, rest), its lanes over two devices."""
     mesh = Mesh(np.array(jax.devices()[:2]), ("lanes",))
     specs = PartitionSpec("lanes"), PartitionSpec()
-    return jax.shard_map(function, mesh=mesh, in_specs=specs, out_specs=specs[0], check_vma=one["check_vma"])
+
+    def of_a_device(batch, rest):
+        if one["check_vma"]:  # the gradient by a number that all devices share is summed over them
+            rest = jax.tree.map(lambda each: lax.pcast(jnp.asarray(each), "lanes", to="varying"), rest)
+        return function(batch, rest)
+
+    return jax.shard_map(of_a_device, mesh=mesh, in_specs=specs, out_specs=specs[0], check_vma=one["check_vma"])
 
 
 def descended(one, function, batch, rest):
@@ -270,15 +276,13 @@ def run(one):
 
 def compared(one, values, found):
     """As `run`, of what was found."""
-    alone = jax.jit(lambda p: reference(one, p))
-    look = jax.jit(lambda p: jv.strobe(scene_of(one["scene"], p), jv.State(p["x"], p["v"], p["phase"]), 3, 40)[1])
     rng = np.random.default_rng([20, one["seed"]])
     some = rng.choice(one["lanes"], min(CHECKED, one["lanes"]), replace=False)
     worst, slow, bound = 0.0, 0, 1e-12 if one["derivative"] == "value" else 1e-9
     for k in some:
         p = {name: float(value[k]) if value.ndim else float(value) for name, value in values.items()}
-        expected = jax.tree.map(np.asarray, alone(p))
-        impacts = look(p)
+        expected = reference(one, p)
+        impacts = looked_at(one["scene"])(p)
         if float(impacts.least_speed) < SLOW or int(impacts.status):
             slow += 1
             continue
@@ -291,28 +295,46 @@ def compared(one, values, found):
     return {"error": worst, "compared": len(some), "slow": slow}
 
 
+@cache
+def looked_at(kind):
+    """The impacts of one state in three periods, of a scene of this kind."""
+    return jax.jit(lambda p: jv.strobe(scene_of(kind, p), jv.State(p["x"], p["v"], p["phase"]), 3, 40)[1])
+
+
 def reference(one, p):
-    """The same derivative of one state by forward mode alone, without control flow, batch or constants."""
-    by = jnp.stack([p[name] for name in one["by"]])
+    """The same derivative of one state by forward mode, a direction at a time, without control flow or a batch."""
+    kind, way = one["derivative"], direction(one)
+    order = 0 if kind == "value" else 2 if kind in ("hessian", "jvp of vjp") else 1
+    slots = one["slots"] if one["function"] == "impacts" else 0
+    derivative = of_single(one["scene"], one["function"], one["periods"], slots, one["clearance"], order)
+    if kind == "value":
+        return np.asarray(derivative(p))
+    axes = [{name: float(name == by) for name in NAMES} for by in one["by"]]
+    if order == 2:
+        hessian = np.array([[derivative(p, a, b) for b in axes] for a in axes])
+        return [list(row) for row in hessian] if kind == "hessian" else list(hessian @ way)
+    jacobian = np.stack([derivative(p, a) for a in axes], axis=-1)
+    if kind in ("jvp", "linearize"):
+        return jacobian @ way
+    if kind == "vjp":
+        return list(np.cos(np.arange(len(jacobian))) @ jacobian)
+    return list(np.moveaxis(jacobian, -1, 0))
 
-    def of(y):
-        return of_one(one, {**p, **dict(zip(one["by"], y, strict=True))})
 
-    if one["derivative"] == "value":
-        return of(by)
+@cache
+def of_single(kind, function, periods, slots, clearance, order):
+    """The value of one state, the derivative of it by a direction, or that of its weighed sum by two."""
+    one = {"scene": kind, "function": function, "periods": periods, "slots": slots, "clearance": clearance}
+    one["derivative"] = "value" if order == 0 else "jvp"
 
-    def weighed(y):
-        out = of(y)
+    def weighed(p):
+        out = of_one(one, p)
         return jnp.sum(out * jnp.cos(jnp.arange(out.size, dtype=out.dtype)))
 
-    way = direction(one)
-    if one["derivative"] in ("jvp", "linearize"):
-        return jax.jacfwd(of)(by) @ way
-    if one["derivative"] in ("jacfwd", "jacrev"):
-        return list(jnp.moveaxis(jax.jacfwd(of)(by), -1, 0))
-    if one["derivative"] == "vjp":
-        return list(jax.jacfwd(weighed)(by))
-    hessian = jax.jacfwd(jax.jacfwd(weighed))(by)
-    if one["derivative"] == "hessian":
-        return [list(row) for row in hessian]
-    return list(hessian @ way)
+    def once(p, along):
+        return jax.jvp(lambda q: of_one(one, q), (p,), (along,))[1]
+
+    def twice(p, along, then):
+        return jax.jvp(lambda q: jax.jvp(weighed, (q,), (along,))[1], (p,), (then,))[1]
+
+    return jax.jit((lambda p: of_one(one, p), once, twice)[order])
