@@ -1,6 +1,6 @@
 """Random compositions in child processes: `python -m tests.compositions_proof COUNT [FOLDER] [FIRST]` prints failures.
 
-Fifty compositions a process; results are kept in FOLDER/results.jsonl, and a later run goes on with what is missing. A
+Ten compositions a process; results are kept in FOLDER/results.jsonl, and a later run goes on with what is missing. A
 process that dies is reported with the composition that it died of. XLA_FLAGS are handed on, so that
 `XLA_FLAGS=--xla_cpu_max_isa=AVX2` looks at another instruction set.
 """
@@ -12,7 +12,7 @@ import sys
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-EACH = 50  # compositions of a process
+EACH = 10  # compositions of a process
 KINDS = 15  # of scenes, which take turns; those of one kind share the programs of their single calls
 SECONDS = 1200.0  # for one composition; more is a failure
 
