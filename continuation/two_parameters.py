@@ -103,7 +103,7 @@ def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarra
     """
     if not isinstance(special, Special) or special.kind not in KINDS or len(special.names) != 1:
         raise ContinuationError("special", f"must be a special point of a branch, {', '.join(KINDS)}", special)
-    others = tuple(names) if isinstance(names, tuple | list) else (names,)
+    others = (names,) if isinstance(names, str) else tuple(names)
     if not others or len({*special.names, *others}) <= len(others) or not set(others) <= set(special.p):
         raise ContinuationError("names", f"must be different parameters, none {special.names[0]}", others)
     every = (*special.names, *others)

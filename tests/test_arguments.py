@@ -88,6 +88,10 @@ RAW = {
     "load store": (lambda: jv.load_store({"x"}), "path"),
     "load null": (lambda: jv.load_locus("a\0b"), "path"),
     "load diagram": (lambda: jv.load_diagram(b"x"), "folder"),
+    "physical walls": (
+        lambda: jv.scene_from_physical(1.0, 0.1, 9.0, 1.0, 2.0, 0.7, np.array([None, {}], dtype=object)),
+        "right.position",
+    ),
     "co symmetry": (lambda: co.equilibria(lambda u, p, args: u, symmetry=np.eye(2)), "symmetry"),
     "co load": (lambda: co.load(3, co.equilibria(lambda u, p, args: u)), "path"),
 }
@@ -106,6 +110,8 @@ def test_bounds_of_continuation_are_by_name():
     for call in (lambda: co.curve(point, ("a", "b"), (0.0, 1.0)), lambda: co.switch(point, bounds=(0.0, 1.0))):
         with pytest.raises(co.ContinuationError, match=r"bounds: must be a mapping from strings to .*numbers"):
             call()
+    with pytest.raises(co.ContinuationError, match=r"names: must be different parameters, none a; got \(\)"):
+        co.sensitivity(point, set())
 
 
 @pytest.mark.parametrize(

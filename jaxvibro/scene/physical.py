@@ -64,7 +64,7 @@ def scene_from_physical(
         "restitution": shared_restitution(restitution, walls),
         "damping": _one_of("damping", damping, "damping_ratio", damping_ratio),
         "frequency": _one_of("frequency", frequency, "frequency_hz", frequency_hz),
-        "length": _length(walls) if length is None else length,
+        "length": _length(walls, kind) if length is None else length,
     }
     of = {key: check.quantity(key, value, kind) for key, value in given.items()}
     check.shapes_agree(of.items())
@@ -134,15 +134,17 @@ def _scales(of):
     return Scales(**{key: float(each) for key, each in found.items()})
 
 
-def _length(walls):
+def _length(walls, kind):
+    """The right wall's position, in which lengths are measured where no other length is given."""
     right = walls[1]
     position = right.position if isinstance(right, Wall) else right
     if position is None:
         raise check.SceneError("length", "must be given where there is no right wall", None)
-    if not check.is_traced(position) and np.any(np.asarray(position) == 0):
+    position = check.real("right.position", position, kind)
+    if not check.is_traced(position) and np.any(position == 0):
         rule = "must be given where the gap, or the right wall's position, is 0: lengths are measured in it otherwise"
         raise check.SceneError("length", rule, None)
-    if not check.is_traced(position) and np.any(np.asarray(position) < 0):
+    if not check.is_traced(position) and np.any(position < 0):
         rule = "must be given where the right wall is not right of 0: are the walls the wrong way round?"
         raise check.SceneError("length", rule, None)
     return position
