@@ -440,3 +440,16 @@ def test_what_cannot_be_held_is_refused(change, key):
     with pytest.raises(co.ContinuationError) as told:
         co.trace(CUSP, [1.0], {"h": 0.0, "r": 1.0}, **(given | change))
     assert told.value.key == key
+
+
+def test_a_branch_of_an_ill_conditioned_system_is_followed_to_its_bounds():
+    """u = a^2 with slopes of 1e-7, beside which the roundings of an exact zero move u by 1e-9."""
+
+    def noisy(u, p, args):
+        angles = jnp.arange(1.0, 6.0) * u[0]
+        zero = jnp.sum(jnp.cos(angles) ** 2 + jnp.sin(angles) ** 2 - 1.0)
+        return jnp.stack([1e-7 * (u[0] - p["a"] ** 2) + zero])
+
+    branch = co.trace(co.equilibria(noisy), [0.0], {"a": 0.0}, "a", (-1.0, 2.0))
+    assert branch.reasons == ("a reached its bound -1", "a reached its bound 2")
+    assert abs(branch.u[:, 0] - branch.p["a"] ** 2).max() < 1e-8
