@@ -124,11 +124,16 @@ def kind_of(hint: Any) -> Kind:
 
 
 def _instances_of(hint):
-    """Make a function that returns True for instances of a class, or for objects with all methods of a protocol."""
+    """Make a function that returns True for instances of a class, or for objects with all members of a protocol."""
     if not getattr(hint, "_is_protocol", False):
         return lambda value: isinstance(value, hint)
-    methods = [name for name, part in vars(hint).items() if inspect.isfunction(part) and not name.startswith("_")]
-    return lambda value: not isinstance(value, type) and all(callable(getattr(value, name, None)) for name in methods)
+    members = [name for name, part in vars(hint).items() if inspect.isfunction(part) or isinstance(part, property)]
+    members = [name for name in members if not name.startswith("_")]
+
+    def has_all(value):
+        return not isinstance(value, type) and all(inspect.getattr_static(value, name, None) for name in members)
+
+    return has_all
 
 
 def _any_of(hints):

@@ -263,7 +263,7 @@ def check_settings(first_step, largest_step, tolerance, monitors, stop):
     for label, function in monitors.items():
         if not callable(function):
             raise check.ArgumentError(f"monitors.{label}", "must be a function of a point", function)
-    stop = check.sequence("stop", stop or ())
+    stop = check.sequence("stop", () if stop is None else stop)
     for label in stop:
         if label not in (known := (*MEANINGS, *monitors)):
             raise check.ArgumentError("stop", f"must be special points or monitors{check.among(label, known)}", label)

@@ -108,7 +108,7 @@ def _around(gap):
         return None
     left, right = gap if isinstance(gap, tuple | list) and len(gap) == 2 else (gap, gap)
     for one in (left, right):
-        if isinstance(one, Wall | list | tuple) or (one is not None and not check.is_traced(one) and np.ndim(one) > 0):
+        if isinstance(one, Wall | list | tuple) or (one is not None and check.real("gap", one, np.float64).ndim):
             raise check.SceneError("gap", "must be a number, or (left, right), each a number or None", gap)
     return None if left is None else -check.quantity("gap", left, np.float64), right
 
