@@ -333,6 +333,19 @@ def test_a_symmetry_breaking_that_a_branch_of_asymmetric_orbits_goes_through_is_
     assert found[0] is loop and found[-2:] == tuple(halves)
 
 
+def test_a_loop_that_goes_through_its_mirror_images_is_walked_once(monkeypatch):
+    """Both ways that leave an SB go round the same loop; the second ends in the mirror image of the first's end."""
+    sb, end = point("SB", 3.0, [1.0], [1.0]), point("GR", 4.0, [4.0, 1.0], [5.0])
+    begin, fold = point("EP", 3.0, [1.0], [1.0]), point("SN", 2.0, [2.0])
+    loop = Walk("P112", begin, fold, sb, end, ends=(End.LEFT, End.CLOSED))
+    main = Walk("P111", point("EP", 0.0, [0.5], [0.5]), sb, point("EP", 9.0, [9.0], [9.0]))
+    found, _ = walked(monkeypatch, main, {("SB", 3.0): [loop, reflected(loop)]}, symmetric=True)
+    assert found == (main, loop)
+    other = Walk("P112", begin, fold, sb, point("GR", 4.0, [4.0, 1.0], [6.0]), ends=(End.LEFT, End.CLOSED))
+    found, _ = walked(monkeypatch, main, {("SB", 3.0): [loop, other]}, symmetric=True)
+    assert found == (main, loop, other)
+
+
 @pytest.mark.slow
 def test_symmetric_orbits_that_cross_a_loop_of_asymmetric_ones_are_followed(tmp_path):
     """The loop, P101 and P111 and their mirror images, goes through an SB, where the symmetric P111 crosses it."""

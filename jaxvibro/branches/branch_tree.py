@@ -90,10 +90,17 @@ class Tree:
             return
         for start in _starts(point):
             branch = branch_from(point, start, self.bounds, **{"first_step": FIRST} | self.steps)
-            if len(branch) > 1 and not any(_is_retraced(branch, other) for other in self.found):
+            if len(branch) > 1 and not self._is_known(branch):
                 self.add(branch)
             if self.symmetric and point.kind == "SB" and not _is_own_mirror(branch):
                 break  # the other half is the mirror image; those of symmetric orbits are two
+
+    def _is_known(self, branch):
+        """Whether a branch is one of those found, the other way round, or the mirror image of one that is its own."""
+        if any(_is_retraced(branch, other) for other in self.found):
+            return True
+        own = [other for other in self.found if _is_own_mirror(other)] if self.symmetric else []
+        return bool(own) and any(_is_retraced(mirrored(branch), other) for other in own)
 
     def add(self, branch):
         """One branch more, and in a symmetric scene its mirror image."""
