@@ -415,7 +415,7 @@ def named(error, call, value, given):
     stands = {call.argument, call.function, str(value)[:80]}
     stands |= {each for each in given.values() if isinstance(each, str)}
     stands |= {"state"} if isinstance(value, jv.State) else set()  # its entries are named by themselves
-    stands |= {str(each)[:80] for each in value} if isinstance(value, ENTRIES) else set()
+    stands |= {str(each)[:80] for each in value} if isinstance(value, ENTRIES) and getattr(value, "ndim", 1) else set()
     stands |= {"walls": {"left", "right"}, "what": {"scene"}, "changes": {"scene"}}.get(call.argument, set())
     if not (key in stands or key.replace("[", ".").split(".")[0] in stands or call.argument in told):
         return f"names {key}: {told}"
