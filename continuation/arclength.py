@@ -19,7 +19,7 @@ ROUNDS = 8  # of Newton's method in a step
 TURN, LARGEST_TURN = 0.12, 0.3  # angle between tangents that steps aim at; beyond which a step is refused
 GROW, SHRINK = 2.0, 0.25  # the most that one step is longer or shorter than the last
 EXACT = 16.0  # roundings of 1 + the largest unknown: F as small is zero, and Newton's last change is a rounding's
-LOOSE = 5e-10  # so long that may be: a rounding moves unknowns of ill-conditioned systems by more than is asked for
+LOOSE = 5e-10  # largest change accepted where F is zero to rounding: ill-conditioned systems amplify rounding errors
 STRAY = 0.15  # of a step: so far may the branch lie from its tangent
 FAR, NEAR = 2.0, 1e-6  # of a step, and a length: Newton's method ends where it is farther than both from its guess
 

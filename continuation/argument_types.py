@@ -127,13 +127,13 @@ def _instances_of(hint):
     """Make a function that returns True for instances of a class, or for objects with all members of a protocol."""
     if not getattr(hint, "_is_protocol", False):
         return lambda value: isinstance(value, hint)
-    members = [name for name, part in vars(hint).items() if inspect.isfunction(part) or isinstance(part, property)]
-    members = [name for name in members if not name.startswith("_")]
+    public = {name: part for name, part in vars(hint).items() if not name.startswith("_")}
+    members = [name for name, part in public.items() if inspect.isfunction(part) or isinstance(part, property)]
 
-    def has_all(value):
+    def has_members(value):
         return not isinstance(value, type) and all(inspect.getattr_static(value, name, None) for name in members)
 
-    return has_all
+    return has_members
 
 
 def _any_of(hints):

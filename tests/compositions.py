@@ -131,6 +131,11 @@ def direction(one):
     return np.where(np.arange(len(tangents)) == 0, 0.0, tangents) if one["zero"] and len(tangents) > 1 else tangents
 
 
+def weighted_sum(results):
+    """Return a scalar function of a vector of results."""
+    return jnp.sum(results * jnp.cos(jnp.arange(results.size, dtype=results.dtype)))
+
+
 def derived(one, function):
     """The derivative that is asked for of a function of (numbers that it is by, the others)."""
     kind, way = one["derivative"], direction(one)
@@ -142,8 +147,7 @@ def derived(one, function):
         tangents = [jnp.full_like(b, w) if w else jnp.zeros_like(b) for b, w in zip(by, way, strict=True)]
 
         def weighed(y):
-            out = of(y)
-            return jnp.sum(out * jnp.cos(jnp.arange(out.size, dtype=out.dtype)))
+            return weighted_sum(of(y))
 
         if kind == "value":
             return of(by)
@@ -323,18 +327,14 @@ def reference(one, p):
 
 @cache
 def of_single(kind, function, periods, slots, clearance, order):
-    """The value of one state, the derivative of it by a direction, or that of its weighed sum by two."""
+    """Compile the value of one state, its directional derivative, or the second one of its weighted sum."""
     one = {"scene": kind, "function": function, "periods": periods, "slots": slots, "clearance": clearance}
     one["derivative"] = "value" if order == 0 else "jvp"
-
-    def weighed(p):
-        out = of_one(one, p)
-        return jnp.sum(out * jnp.cos(jnp.arange(out.size, dtype=out.dtype)))
 
     def once(p, along):
         return jax.jvp(lambda q: of_one(one, q), (p,), (along,))[1]
 
     def twice(p, along, then):
-        return jax.jvp(lambda q: jax.jvp(weighed, (q,), (along,))[1], (p,), (then,))[1]
+        return jax.jvp(lambda q: weighted_sum(once(q, along)), (p,), (then,))[1]
 
     return jax.jit((lambda p: of_one(one, p), once, twice)[order])

@@ -318,6 +318,7 @@ ERRORS = {
 LONG = {("paper", "names"), ("warm", "scene"), ("warm", "progress")}  # a valid call of these takes minutes
 OWN = {("shooting.settled", "args")}  # what a user's function is given: any value may be right, or an error of its own
 ENTRIES = (dict, list, tuple, np.ndarray)  # an error may name an entry of these
+PARTS = {"walls": {"left", "right"}, "what": {"scene"}, "changes": {"scene"}}  # also named
 CALLABLE = {"class", "function"}  # a progress= of these is called, and its errors are its own
 
 
@@ -416,7 +417,7 @@ def named(error, call, value, given):
     stands |= {each for each in given.values() if isinstance(each, str)}
     stands |= {"state"} if isinstance(value, jv.State) else set()  # its entries are named by themselves
     stands |= {str(each)[:80] for each in value} if isinstance(value, ENTRIES) and getattr(value, "ndim", 1) else set()
-    stands |= {"walls": {"left", "right"}, "what": {"scene"}, "changes": {"scene"}}.get(call.argument, set())
+    stands |= PARTS.get(call.argument, set())
     if not (key in stands or key.replace("[", ".").split(".")[0] in stands or call.argument in told):
         return f"names {key}: {told}"
     return "" if "; got " in told and error.rule else f"has no value: {told}"

@@ -1,4 +1,4 @@
-"""What `max_seconds` cuts short, and how often a chatter is flown, where a branch comes to a complete chatter."""
+"""Time limits, and the number of flights, where a branch approaches a complete chatter."""
 
 import numpy as np
 import pytest

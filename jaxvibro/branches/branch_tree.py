@@ -96,7 +96,10 @@ class Tree:
                 break  # the other half is the mirror image; those of symmetric orbits are two
 
     def _is_known(self, branch):
-        """Whether a branch is one of those found, the other way round, or the mirror image of one that is its own."""
+        """Return True if a branch, or its mirror image, retraces one found earlier.
+
+        Mirror images count only for earlier branches that contain their own mirror images.
+        """
         if any(_is_retraced(branch, other) for other in self.found):
             return True
         own = [other for other in self.found if _is_own_mirror(other)] if self.symmetric else []
@@ -130,8 +133,10 @@ def _starts(point):
 
 
 def _is_reached(point, source, found, symmetric):
-    """Whether what crosses at a point has been walked: another branch has come through it. The mirror image of the
-    point's own branch is none: it comes through each SB of that branch."""
+    """Return True if another branch passes through a point, so that the crossing branch is already known.
+
+    The mirror image of the point's own branch does not count, because it passes through each SB of that branch.
+    """
     times = 2 if point.kind == "PD" else 1
     for k, branch in enumerate(found):
         through = (one for one in branch.special if one.kind in ("SB", "BP", "EP"))
@@ -171,8 +176,10 @@ def _is_mirror(one, other):
 
 
 def _is_own_mirror(branch):
-    """Whether a branch holds the mirror images of its orbits: through an SB it goes on into them, else those of its
-    special points are all on it."""
+    """Return True if a branch contains the mirror images of its orbits.
+
+    It does if it passes through an SB, or if the mirror images of all its special points lie on it.
+    """
     through = any(one.kind == "SB" for one in branch.special) and not any(end in LIMITS for end in branch.ends)
     return through or _is_mirror(branch, branch)
 

@@ -79,7 +79,7 @@ def _ready(solver, tolerance):
 
 
 class Lane(NamedTuple):
-    """What moves one lane, or each of some: its force, and the drive as a `coefficients.Frame` has it."""
+    """Force and drive of one lane or of several; the drive is as in `coefficients.Frame`."""
 
     law: Force
     frequency: Float[jax.Array, "..."]

@@ -135,7 +135,7 @@ def _scales(of):
 
 
 def _length(walls, kind):
-    """The right wall's position, in which lengths are measured where no other length is given."""
+    """Return the right wall's position, the default unit of length."""
     right = walls[1]
     position = right.position if isinstance(right, Wall) else right
     if position is None:
