@@ -139,6 +139,26 @@ def test_a_scene_file_names_a_solver(tmp_path):
         jv.save_scene(scene("pendulum", solver=own), path, force=True)
 
 
+@pytest.mark.parametrize("gap", [1.0, 2000.0])
+@pytest.mark.parametrize("speed", [1e-5, 1e-14, 1e-40])
+def test_a_motion_much_smaller_than_its_scene_is_flown_to_its_own_size(gap, speed):
+    """Half-swings of a damped spring between impacts on a wall at 0, the other wall far away; an error of the tolerance
+    times the gap would be larger than the motion."""
+    spring, damping, bounce = 1.68, 0.1, 0.6
+    numbers = {"c0": 0.0, "c1": spring, "damping": damping}
+    force = jv.Force("polynomial", numbers, tolerance=1e-8, solver="Tsit5")
+    swings = jv.make_scene(0.0, 0.5, restitution=bounce, walls=(0.0, gap), force=force)
+    end, impacts = jv.strobe(swings, jv.State(0.0, speed, 0.0, -1.0), slots=8)
+    rate = np.sqrt(spring - damping**2)
+    time = np.pi / rate * np.arange(1, 6)
+    assert (int(impacts.status), int(impacts.count)) == (Status.OK, 5)
+    np.testing.assert_allclose(impacts.time[:5], time, rtol=0, atol=2e-4)
+    np.testing.assert_allclose(impacts.speed[:5], speed * np.exp(-damping * time) * bounce ** np.arange(5), rtol=1e-4)
+    late = 4.0 * np.pi - time[-1]
+    away = speed * bounce**5 * np.exp(-damping * 4.0 * np.pi)
+    np.testing.assert_allclose(end.x, away * np.sin(rate * late) / rate, rtol=1e-3)
+
+
 # ---- slow: every solver compiles for some seconds ----------------------------------------------------------------
 
 

@@ -20,7 +20,7 @@ import optimistix
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, most
+from ..compiled.compiler_hints import choose, least, most
 from ..scene.force import Force
 from . import drive, event, flow
 from .taylor_steps import STEADY, Ahead, Press, as_derivatives, local_size, scale
@@ -29,6 +29,8 @@ from .wall import course
 TRIES = 60  # of a step: each that fails is shorter than the last
 SHORTEST, LONGEST = 0.05, 0.8  # of the last try
 SAFETY = 0.9
+FALLS = 1.5  # power of a step by which an error falls at least, over the motion's size; one of rounding by 0 or 1
+NOISE = 64.0  # roundings of x, that an error may be
 SHORTER = 0.3  # of the last step at which the press on a wall was looked at
 SMOOTH = 24.0  # of the polynomial's error, see above
 EXACT = 4  # the last derivative of x that is taken from the force, by its own derivatives
@@ -151,30 +153,49 @@ def stiffening(frame, x, v, cosine, sine):
 
 
 def _searched(lane, x, v, cosine, sine, pull, size, longest):
+    """As `taylor_steps.Ahead`: (terms, length, remainder) of the longest step whose error is allowed, of one lane.
+
+    An error is at most the tolerance of the size. A motion that is smaller than that would be all error: where shorter
+    steps lower it, it is at most a share of the motion as well. Those that do not are rounded, or solve their own
+    equations to the tolerance alone.
+    """
     law, pull_at = lane.law, partial(_acceleration, lane, cosine, sine)
     power = -1.0 / min(_ready(law.solver, law.tolerance).order(None), 5)
+    largest, share = law.tolerance * size, math.sqrt(law.tolerance)
+    noise = NOISE * float(jnp.finfo(x.dtype).eps) * jnp.abs(x) + event.smallest(x.dtype)
 
     def attempt(time):
+        """(terms, error, the error over what is allowed) of a step."""
         end, speed, last, error = _step(lane, x, v, cosine, sine, size, time)
         terms = quintic(x, v, pull, end, speed, last, time)
         half = 0.5 * time
         there, pace = event.horner(terms, half)
         bend = event.horner([k * term for k, term in enumerate(terms)][1:], half)[1]
         pulled, drag = jax.jvp(partial(pull_at, half, there), (pace,), (jnp.ones_like(pace),))
-        between = time * time * jnp.abs(bend - pulled) / (SMOOTH + time * jnp.abs(drag)) / size
-        ratio = jnp.maximum(error, between) / law.tolerance
-        return jnp.where(jnp.isnan(ratio), jnp.inf, ratio), tuple(terms)
+        between = time * time * jnp.abs(bend - pulled) / (SMOOTH + time * jnp.abs(drag))
+        error = jnp.maximum(size * error, between)
+        error = jnp.where(jnp.isnan(error), jnp.inf, error)
+        own = most(local_size(v, pull, time), most(jnp.abs(end - x), time * jnp.abs(speed)))
+        allowed = least(largest, most(share * own, noise))
+        return tuple(terms), error, error / allowed
 
     def shorter(carry):
-        time, ratio, _, count = carry
-        time = time * jnp.clip(SAFETY * ratio**power, SHORTEST, LONGEST)
-        return time, *attempt(time), count + 1
+        time, terms, error, ratio, count, _ = carry
+        next_time = time * jnp.clip(SAFETY * ratio**power, SHORTEST, LONGEST)
+        found = (next_time, *attempt(next_time))
+        settled = (error <= largest) & ~(found[-1] < ratio * (next_time / time) ** FALLS)
+        kept = jax.tree.map(partial(choose, settled), (time, terms, error, ratio), found)
+        return *kept, count + 1, settled
 
-    start = (longest, *attempt(longest), jnp.int32(0))
-    time, ratio, terms, _ = lax.while_loop(lambda carry: (carry[1] > 1.0) & (carry[3] < TRIES), shorter, start)
+    def goes_on(carry):
+        *_, ratio, count, settled = carry
+        return (ratio > 1.0) & (count < TRIES) & ~settled
+
+    start = (longest, *attempt(longest), jnp.int32(0), jnp.zeros(x.shape, bool))
+    time, terms, error, *_ = lax.while_loop(goes_on, shorter, start)
     none, own = jnp.zeros_like(time), local_size(v, pull, time)
-    off = choose(own < law.tolerance * size, most(own, ratio * size), size)
-    rest = 2.0 * law.tolerance * off
+    off = choose(own < largest, most(law.tolerance * own, error), largest)
+    rest = 2.0 * off
     return [*terms, *[none] * (event.TERMS + 3 - len(terms))], time, rest
 
 
