@@ -317,8 +317,8 @@ ERRORS = {
 }
 LONG = {("paper", "names"), ("warm", "scene"), ("warm", "progress")}  # a valid call of these takes minutes
 OWN = {("shooting.settled", "args")}  # what a user's function is given: any value may be right, or an error of its own
-ENTRIES = (dict, list, tuple, np.ndarray)  # an error may name an entry of these
-PARTS = {"walls": {"left", "right"}, "what": {"scene"}, "changes": {"scene"}}  # also named
+ENTRIES = (dict, list, tuple, set, np.ndarray)  # an error may name an entry of these
+PARTS = {"walls": {"left", "right", "length"}, "what": {"scene"}, "changes": {"scene"}}  # also named
 CALLABLE = {"class", "function"}  # a progress= of these is called, and its errors are its own
 
 

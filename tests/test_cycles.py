@@ -124,6 +124,7 @@ def test_an_isola_of_orbits_closes_whatever_its_phase():
         (lambda: periodic_orbits(brusselator, segments=0), "segments"),
         (lambda: periodic_orbits(brusselator, tolerance=2.0), "tolerance"),
         (lambda: settled(co.equilibria(brusselator), [1.0, 1.0], 6.0, {}), "system"),
+        (lambda: settled(periodic_orbits(brusselator), [1.0, 1.0, 1.0], 6.0, {"a": 1.0, "b": 3.0}), "start"),
         (lambda: co.trace(flown(spiral, 2), np.ones(8), {"m": 0.0, "k": 0.3}, "m", (-1.0, 1.0)), "u"),
     ],
 )

@@ -26,6 +26,13 @@ def ball(c0=1.0, c1=0.0, damping=0.0, bounce=0.0, floor=0.0, frequency=1.0):
     return jv.make_scene(amplitude=0.0, frequency=frequency, restitution=bounce, walls=(floor, None), force=force)
 
 
+def test_scenes_without_lanes_have_strobes_without_lanes():
+    nothing = np.zeros(0)
+    given = {"mass": 0.5, "stiffness": 100.0, "damping_ratio": 0.02, "frequency_hz": 2.0, "gap": 0.01}
+    scene = jv.scene_from_physical(**given, force=nothing, restitution=0.7)
+    assert jv.strobe(scene, jv.State(nothing, nothing))[0].x.shape == (0,)
+
+
 def ended(scene, start):
     """((x, v, contact), impacts) after a drive period."""
     end, impacts = jax.device_get(jv.strobe(scene, start, slots=64))

@@ -48,6 +48,7 @@ def test_a_slowest_impact_is_held(tmp_path):
     for change, key in (
         ({"hold": {"speed": 1.0}}, "hold"),
         ({"hold": {"peak": np.nan}}, "hold"),
+        ({"hold": {}, "name": "amplitude"}, "hold"),
         ({"name": "amplitude"}, "name"),
         ({"bounds": (0.0, 4.0)}, "bounds"),
         ({"stop": "GR"}, "monitors"),

@@ -43,6 +43,9 @@ class HeldWatch(OrbitWatch):
 
 def asked(scene, names, bounds, hold):
     """(the two names, {name: (low, high)}, the name of the number, its value). Raises ArgumentError."""
+    given = list(hold.items()) if isinstance(hold, dict) else []
+    if len(given) != 1 or given[0][0] not in HELD or not np.isscalar(given[0][1]) or not np.isfinite(given[0][1]):
+        raise check.ArgumentError("hold", f"must be one number by its name, {' or '.join(HELD)}", hold)
     pair = tuple(names) if isinstance(names, tuple | list) else ()
     for name in pair:
         check.require_known(name, scene.names, name)
@@ -51,9 +54,6 @@ def asked(scene, names, bounds, hold):
     check.require_apart(*pair)
     if not isinstance(bounds, dict) or set(bounds) != set(pair):
         raise check.ArgumentError("bounds", f"must give (low, high) for {pair[0]} and for {pair[1]}, by name", bounds)
-    given = list(hold.items()) if isinstance(hold, dict) else []
-    if len(given) != 1 or given[0][0] not in HELD or not np.isscalar(given[0][1]) or not np.isfinite(given[0][1]):
-        raise check.ArgumentError("hold", f"must be one number by its name, {' or '.join(HELD)}", hold)
     return pair, {name: bounds_of(scene, name, bounds[name]) for name in pair}, given[0][0], float(given[0][1])
 
 
