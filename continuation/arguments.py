@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from .branch import MEANINGS
-from .errors import ContinuationError
+from .errors import ContinuationError, first_line
 from .problem import ORBITS, System
 
 DIRECTIONS = ("both", "forward", "backward")
@@ -51,8 +51,7 @@ def require_system(system, u, p, args):
     try:
         found = jax.eval_shape(asked, jax.ShapeDtypeStruct((size,), float), p)
     except Exception as error:  # whatever a user's function falls over
-        told = f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"
-        rule = f"must be a function of (u, p, args) in jax.numpy that takes u of {size} numbers ({told[:160]})"
+        rule = f"must be a function of (u, p, args) in jax.numpy that takes u of {size} numbers ({first_line(error)})"
         raise ContinuationError("function", rule, system.function) from error
     if getattr(found, "shape", None) != (size,):
         rule = f"must give an array of as many numbers as it is given, {size}, in one row"

@@ -17,4 +17,9 @@ class ContinuationError(ValueError):
         return f"{self.key}: {self.rule}; got {shown if len(shown) <= 80 else shown[:77] + '...'}"
 
 
+def first_line(error: Exception) -> str:
+    """Return the type of an exception and the first line of its message, up to 160 characters."""
+    return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"[:160]
+
+
 typed = checked(ContinuationError)  # decorates a public function, which refuses what its annotations do not allow

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 
-from .errors import ContinuationError, typed
+from .errors import ContinuationError, first_line, typed
 from .problem import ORBITS, Function, System
 
 STEPS = 16**3  # of a solver in a segment: more is taken for a failure
@@ -98,10 +98,10 @@ def settled(
     if points[0].ndim != 1 or not points[0].size:
         raise ContinuationError("start", "must be a state, one number for each equation", start)
     try:
-        jax.eval_shape(partial(_flown, system.fly), points[0], period / count, p, args)
+        jax.eval_shape(fly, points[0], period / count, p, args)
     except Exception as error:  # whatever a user's field falls over
-        told = f"{type(error).__name__}: {str(error).splitlines()[0] if str(error) else ''}"[:160]
-        raise ContinuationError("start", f"must be a state that the field takes ({told})", start) from error
+        rule = f"must be a state that the field takes with these `at` and `args` ({first_line(error)})"
+        raise ContinuationError("start", rule, start) from error
     for _ in range(count * (rounds + 1) - 1):
         points.append(np.asarray(fly(points[-1], period / count, p, args)))
     return np.append(np.concatenate(points[-count:]), period)

@@ -23,14 +23,14 @@ from jaxtyping import Float
 from ..compiled.compiler_hints import choose, least, most
 from ..scene.force import Force
 from . import drive, event, flow
-from .taylor_steps import STEADY, Ahead, Press, as_derivatives, local_size, scale
+from .taylor_steps import STEADY, Ahead, Press, as_derivatives, local_size, remainder, scale
 from .wall import course
 
 TRIES = 60  # of a step: each that fails is shorter than the last
 SHORTEST, LONGEST = 0.05, 0.8  # of the last try
 SAFETY = 0.9
-FALLS = 1.5  # power of a step by which an error falls at least, over the motion's size; one of rounding by 0 or 1
-NOISE = 64.0  # roundings of x, that an error may be
+CONVERGENCE = 1.5  # least order at which error / motion decreases with the step; rounding errors have order 0 or 1
+ROUNDINGS = 64.0  # of x; smaller errors are always accepted
 SHORTER = 0.3  # of the last step at which the press on a wall was looked at
 SMOOTH = 24.0  # of the polynomial's error, see above
 EXACT = 4  # the last derivative of x that is taken from the force, by its own derivatives
@@ -153,19 +153,19 @@ def stiffening(frame, x, v, cosine, sine):
 
 
 def _searched(lane, x, v, cosine, sine, pull, size, longest):
-    """As `taylor_steps.Ahead`: (terms, length, remainder) of the longest step whose error is allowed, of one lane.
+    """Select the step length of one lane; return (terms, length, remainder), see `taylor_steps.Ahead`.
 
-    An error is at most the tolerance of the size. A motion that is smaller than that would be all error: where shorter
-    steps lower it, it is at most a share of the motion as well. Those that do not are rounded, or solve their own
-    equations to the tolerance alone.
+    The error of an accepted step is at most `tolerance * size`. Steps are shortened further until the error is also at
+    most `sqrt(tolerance)` times the motion, so that small motions keep half of the digits. This ends where a shorter
+    step does not reduce the error: then rounding dominates, or the residual of an implicit solver's equations.
     """
     law, pull_at = lane.law, partial(_acceleration, lane, cosine, sine)
     power = -1.0 / min(_ready(law.solver, law.tolerance).order(None), 5)
     largest, share = law.tolerance * size, math.sqrt(law.tolerance)
-    noise = NOISE * float(jnp.finfo(x.dtype).eps) * jnp.abs(x) + event.smallest(x.dtype)
+    rounding = ROUNDINGS * float(jnp.finfo(x.dtype).eps) * jnp.abs(x) + event.smallest(x.dtype)
 
     def attempt(time):
-        """(terms, error, the error over what is allowed) of a step."""
+        """Return (terms, error, error / allowed error) of a step."""
         end, speed, last, error = _step(lane, x, v, cosine, sine, size, time)
         terms = quintic(x, v, pull, end, speed, last, time)
         half = 0.5 * time
@@ -176,26 +176,24 @@ def _searched(lane, x, v, cosine, sine, pull, size, longest):
         error = jnp.maximum(size * error, between)
         error = jnp.where(jnp.isnan(error), jnp.inf, error)
         own = most(local_size(v, pull, time), most(jnp.abs(end - x), time * jnp.abs(speed)))
-        allowed = least(largest, most(share * own, noise))
+        allowed = least(largest, most(share * own, rounding))
         return tuple(terms), error, error / allowed
 
     def shorter(carry):
         time, terms, error, ratio, count, _ = carry
         next_time = time * jnp.clip(SAFETY * ratio**power, SHORTEST, LONGEST)
-        found = (next_time, *attempt(next_time))
-        settled = (error <= largest) & ~(found[-1] < ratio * (next_time / time) ** FALLS)
-        kept = jax.tree.map(partial(choose, settled), (time, terms, error, ratio), found)
-        return *kept, count + 1, settled
+        next_terms, next_error, next_ratio = attempt(next_time)
+        stalled = (error <= largest) & ~(next_ratio < ratio * (next_time / time) ** CONVERGENCE)
+        current, following = (time, terms, error, ratio), (next_time, next_terms, next_error, next_ratio)
+        return *jax.tree.map(partial(choose, stalled), current, following), count + 1, stalled
 
     def goes_on(carry):
-        *_, ratio, count, settled = carry
-        return (ratio > 1.0) & (count < TRIES) & ~settled
+        *_, ratio, count, stalled = carry
+        return (ratio > 1.0) & (count < TRIES) & ~stalled
 
     start = (longest, *attempt(longest), jnp.int32(0), jnp.zeros(x.shape, bool))
     time, terms, error, *_ = lax.while_loop(goes_on, shorter, start)
-    none, own = jnp.zeros_like(time), local_size(v, pull, time)
-    off = choose(own < largest, most(law.tolerance * own, error), largest)
-    rest = 2.0 * off
+    none, rest = jnp.zeros_like(time), remainder(local_size(v, pull, time), error, size, law.tolerance)
     return [*terms, *[none] * (event.TERMS + 3 - len(terms))], time, rest
 
 

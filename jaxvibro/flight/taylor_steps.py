@@ -147,11 +147,20 @@ def _reach(before, last, longest, size, order, tolerance):
     return longest
 
 
+def remainder(own, error, size, tolerance):
+    """Bound the error of a step's polynomial.
+
+    The bound is twice the tolerance times the scene's size. A motion smaller than this, `own` (see `local_size`), is
+    bounded by the larger of its estimated error and the tolerance times the motion.
+    """
+    return 2.0 * choose(own < tolerance * size, most(tolerance * own, error), tolerance * size)
+
+
 def _rest(terms, reach, size, tolerance):
     """A bound on the terms beyond an event's over a step, and on their slope over as many; what is left out as well."""
     own, last = local_size(terms[1], 2.0 * terms[2], reach), len(terms) - 1
-    left = most(tolerance * own, most(lax.abs(terms[-2]) * reach ** (last - 1), lax.abs(terms[-1]) * reach**last))
-    total, power = 2.0 * choose(own < tolerance * size, left, tolerance * size), reach**event.TERMS
+    error = most(lax.abs(terms[-2]) * reach ** (last - 1), lax.abs(terms[-1]) * reach**last)
+    total, power = remainder(own, error, size, tolerance), reach**event.TERMS
     for k in range(event.TERMS, len(terms)):
         total = total + (k / event.TERMS) * (lax.abs(terms[k]) * power)
         power = power * reach

@@ -116,7 +116,7 @@ def _around(gap):
 def _require_amplitude(force):
     """Refuse a record of a force in time where the drive's amplitude is due: an array is a batch of scenes, and no
     amplitude of a batch needs to be below 0. Warn where an array is as long as a record."""
-    if check.is_traced(force) or not force.ndim or not force.size:
+    if check.is_traced(force) or force.size < 2:
         return
     if force.min() < 0 < force.max():
         rule = "is the drive's amplitude, not a force in time: give a number, or further harmonics as drive; an array "
