@@ -50,7 +50,7 @@ test: $(VENV)/.dev ## lint, types and the tests that take seconds
 	$(PYTEST) -m "not slow and not long and not browser"
 
 test-slow: $(VENV)/.dev ## the tests that take minutes
-	$(PYTEST) -m "slow and not long and not browser"
+	$(PYTEST) -m "(slow and not long and not browser) or smoke"
 
 test-long: $(VENV)/.dev ## what takes minutes a test
 	$(PYTEST) -m "long and not browser"

@@ -12,7 +12,7 @@ import matplotlib
 import pytest
 from hypothesis import settings
 
-from . import checked_types
+from . import checked_types, smoke
 
 LARGE = 4e9  # bytes that a process may hold: ten scenes with soft walls, each with functions of its own
 
@@ -29,6 +29,42 @@ checked_types.install()
 matplotlib.use("Agg")
 settings.register_profile("same", deadline=None, derandomize=True, print_blob=True)
 settings.load_profile("same")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items):
+    """Mark the long tests that are tried for a few seconds."""
+    for item in smoke.choose(items):
+        item.add_marker(pytest.mark.smoke)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item, nextitem):
+    """Give a long test that is only tried its time limit, its fixtures included."""
+    tried = item.get_closest_marker("smoke") and "smoke" in item.config.getoption("markexpr")
+    if tried:
+        smoke.limit(smoke.TEST_SECONDS)
+    try:
+        return (yield)
+    finally:
+        if tried:
+            smoke.limit(0)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    """A test that has run for its time without an error has passed."""
+    report = yield
+    if call.excinfo is not None and call.excinfo.errisinstance(smoke.OutOfTime):
+        report.outcome, report.longrepr = "passed", None
+        item.user_properties.append(("stopped", "after its time limit"))
+    return report
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem):
+    """Do not call a test whose fixtures took all the time."""
+    return True if pyfuncitem.user_properties and "stopped" in dict(pyfuncitem.user_properties) else None
 
 
 @pytest.fixture(autouse=True)
