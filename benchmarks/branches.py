@@ -11,10 +11,10 @@ from benchmarks import harness, ours, pictures, scipy_arclength
 from benchmarks.rows import Row, Topic, spread
 from continuation import arclength
 from jaxvibro.branches.follow import polish_orbit
-from jaxvibro.compiled.compiler_hints import OPTIONS
+from jaxvibro.compiled.compiler_hints import COMPILER_OPTIONS
 from jaxvibro.problem import diagnostics
-from jaxvibro.problem.equations import IMPACTS
-from jaxvibro.problem.touches import scales
+from jaxvibro.problem.equations import IMPACT_PROBLEM
+from jaxvibro.problem.grazing_contact import arclength_weights
 
 LANES, STEPS, POINTS, ROUNDS = 1_000, 32, 8, 9
 LARGEST = (0.1, 0.05, 0.02, 0.01, 0.005)  # steps
@@ -63,9 +63,9 @@ def many(orbit, lanes, rounds):
     """Microseconds a point, one number a round, of branches under vmap that start at so many amplitudes: tracked,
     then every point looked at."""
     along, z = polish_orbit(orbit, "amplitude")
-    scale = scales(along, 1.0)
+    scale = arclength_weights(along, 1.0)
     numbers = (jnp.asarray(each) for each in (1e-8, 0.1, 1e-10, 0.0, 1e3))
-    control = arclength.Control(jnp.asarray(scale), *numbers)
+    control = arclength.StepControl(jnp.asarray(scale), *numbers)
     begun = jaxvibro.follow(orbit, "amplitude", (1.5, 2.5), "both", 0.01, 0.001)
     places = np.linspace(0, len(begun) - 1, lanes).astype(int)
     data = begun.data.isel(point=places)
@@ -75,13 +75,13 @@ def many(orbit, lanes, rounds):
 
     zs, tangents = columns("time", "speed", "amplitude"), columns("time_slope", "speed_slope", "value_slope")
     assert zs.shape[1] == len(z)
-    start = arclength.Place(zs, tangents, np.full(lanes, 0.05), np.zeros(lanes, np.int32))
+    start = arclength.TrackState(zs, tangents, np.full(lanes, 0.05), np.zeros(lanes, np.int32))
 
     def one(place, along):
-        _, points = arclength.track(IMPACTS.function, IMPACTS.solve, place, control, along, STEPS)
-        return points.kept, jax.vmap(lambda z: diagnostics.hitting(along, z, 1))(points.z)
+        _, points = arclength.track(IMPACT_PROBLEM.function, IMPACT_PROBLEM.solve, place, control, along, STEPS)
+        return points.accepted, jax.vmap(lambda z: diagnostics.impact_diagnostics(along, z, 1))(points.z)
 
-    call = jax.jit(jax.vmap(one, in_axes=(0, None)), compiler_options=OPTIONS)
+    call = jax.jit(jax.vmap(one, in_axes=(0, None)), compiler_options=COMPILER_OPTIONS)
     jax.block_until_ready(call(start, along))
     spent = []
     for _ in range(rounds):

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.rows import spread
-from continuation import in_numpy
+from continuation import numpy_evaluation
 
 
 class Side(NamedTuple):
@@ -129,11 +129,11 @@ def undisturbed():
 @contextmanager
 def compiled():
     """What the host calls is compiled at once, as it is after some thousand calls or by `jaxvibro warm`."""
-    before, in_numpy.PATIENCE = in_numpy.PATIENCE, 0
+    before, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
     try:
         yield
     finally:
-        in_numpy.PATIENCE = before
+        numpy_evaluation.MAX_EVALUATIONS = before
 
 
 def latency(call, repeats):

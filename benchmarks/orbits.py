@@ -8,9 +8,9 @@ import numpy as np
 import jaxvibro
 from benchmarks import harness, ours, pictures
 from benchmarks.rows import Row, Topic, spread
-from jaxvibro.compiled.kernels import one_kernel
+from jaxvibro.compiled.kernels import call_as_kernel
 from jaxvibro.orbits import impact_equations
-from jaxvibro.orbits.by_impacts import padded
+from jaxvibro.orbits.orbit_from_impacts import padded_sequence
 
 MANY, REPEATS, ROUNDS = 10_000, 501, 7
 NOTES = (
@@ -23,8 +23,8 @@ def measure(size):
     """The `Topic`."""
     scene = ours.scene(2.0)
     orbit = jaxvibro.find_orbit(scene, jaxvibro.State(0.9, -1.1))
-    guess = padded(scene, orbit.impacts.time + 0.01, orbit.impacts.speed, orbit.impacts.side, 0.0, 1)
-    kernel = jax.jit(lambda scene, guess: one_kernel(impact_equations.solved, scene, guess))
+    guess = padded_sequence(scene, orbit.impacts.time + 0.01, orbit.impacts.speed, orbit.impacts.side, 0.0, 1)
+    kernel = jax.jit(lambda scene, guess: call_as_kernel(impact_equations.solve_sequence, scene, guess))
     seconds, one = harness.clock(lambda: kernel.lower(scene, guess).compile())
     newton = harness.latency(lambda: jax.block_until_ready(one(scene, guess)), size.rounds(REPEATS))
     with harness.compiled():
@@ -56,6 +56,6 @@ def together(scene, guess, count, rounds):
     off = 0.01 * np.random.default_rng(0).normal(size=(count, 2))
     guesses = jax.tree.map(lambda each: np.broadcast_to(each, (count, *np.shape(each))).copy(), guess)
     guesses = guesses._replace(times=guesses.times + off)
-    batch = jax.jit(jax.vmap(impact_equations.solved, in_axes=(None, 0)))
+    batch = jax.jit(jax.vmap(impact_equations.solve_sequence, in_axes=(None, 0)))
     seconds, many = harness.clock(lambda: batch.lower(scene, guesses).compile())
     return 1e6 / count * harness.alone(lambda: jax.block_until_ready(many(scene, guesses)), rounds), seconds

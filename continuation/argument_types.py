@@ -1,8 +1,8 @@
 """Check the arguments of a call against the annotations of the function, before any work.
 
-Annotations say what a function takes; `checked` makes a function keep to them, with an error that names the argument,
-the rule and the value. A value that passes has the right type only: the function itself checks ranges and names.
-"""
+Annotations say what a function takes; `check_arguments` makes a function keep to them, with an error that names the
+argument, the rule and the value. A value that passes has the right type only: the function itself checks ranges and
+names."""
 
 import collections.abc
 import inspect
@@ -17,25 +17,24 @@ import jax
 import numpy as np
 from jaxtyping import AbstractArray
 
-Given = ParamSpec("Given")
-Found = TypeVar("Found")
-Refuse = Callable[[str, str, Any], Exception]
+Params = ParamSpec("Params")
+Result = TypeVar("Result")
+ErrorFactory = Callable[[str, str, Any], Exception]
 
-LARGEST = float(np.finfo(float).max)
-NUMBERS, WHOLE = "fiu", "iu"  # kinds of NumPy's types
-UNIONS = (typing.Union, types.UnionType)
+LARGEST_FLOAT = float(np.finfo(float).max)
+NUMBER_DTYPE_KINDS, INTEGER_DTYPE_KINDS = "fiu", "iu"  # kinds of NumPy's types
+UNION_TYPES = (typing.Union, types.UnionType)
 
 
-class Kind(NamedTuple):
+class ArgumentType(NamedTuple):
     """A kind of value.
 
-    holds: whether a value is of this kind; words: what it is called in a message; part: the first entry of a value that
-    is not of its kind, as (its place, words, the entry), or None.
-    """
+    accepts: whether a value is of this kind; description: what it is called in a message; find_invalid: the first entry
+    of a value that is not of its kind, as (its place, words, the entry), or None."""
 
-    holds: Callable[[Any], bool]
-    words: str
-    part: Callable[[Any], tuple[str, str, Any] | None] = lambda _: None
+    accepts: Callable[[Any], bool]
+    description: str
+    find_invalid: Callable[[Any], tuple[str, str, Any] | None] = lambda _: None
 
 
 def is_number(value: Any) -> bool:
@@ -43,13 +42,13 @@ def is_number(value: Any) -> bool:
     if isinstance(value, bool | np.bool_):
         return False
     if isinstance(value, int):
-        return abs(value) <= LARGEST
+        return abs(value) <= LARGEST_FLOAT
     if isinstance(value, float | np.floating | np.integer):
         return True
-    return isinstance(value, np.ndarray | jax.Array) and value.ndim == 0 and value.dtype.kind in NUMBERS
+    return isinstance(value, np.ndarray | jax.Array) and value.ndim == 0 and value.dtype.kind in NUMBER_DTYPE_KINDS
 
 
-def is_whole(value: Any) -> bool:
+def is_integer(value: Any) -> bool:
     """Return True for an integer that is not a bool."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
 
@@ -63,7 +62,7 @@ def is_path(value: Any) -> bool:
     return isinstance(text, str) and "\0" not in text and text != ""
 
 
-def is_array(value: Any, axes: int | None = None) -> bool:
+def is_array(value: Any, n_axes: int | None = None) -> bool:
     """Return True for a real array, or a list that converts to one, with the given number of axes (None: any)."""
     if isinstance(value, list | tuple):
         try:
@@ -71,8 +70,8 @@ def is_array(value: Any, axes: int | None = None) -> bool:
         except Exception:  # ragged and endless lists, and objects with conversions of their own
             return False
     if isinstance(value, np.ndarray | jax.Array):
-        return value.dtype.kind in NUMBERS and axes in (None, value.ndim)
-    return axes in (None, 0) and is_number(value)
+        return value.dtype.kind in NUMBER_DTYPE_KINDS and n_axes in (None, value.ndim)
+    return n_axes in (None, 0) and is_number(value)
 
 
 def is_sequence(value: Any) -> bool:
@@ -84,163 +83,191 @@ def is_sequence(value: Any) -> bool:
     return isinstance(value, collections.abc.Collection)
 
 
-ANYTHING = Kind(lambda _: True, "anything")
-PLAIN = {
-    type(None): Kind(lambda value: value is None, "None"),
-    bool: Kind(lambda value: isinstance(value, bool | np.bool_), "True or False"),
-    int: Kind(is_whole, "a whole number"),
-    float: Kind(is_number, "a real number"),
-    str: Kind(lambda value: isinstance(value, str), "a string"),
+ANYTHING = ArgumentType(lambda _: True, "anything")
+PLAIN_TYPES = {
+    type(None): ArgumentType(lambda value: value is None, "None"),
+    bool: ArgumentType(lambda value: isinstance(value, bool | np.bool_), "True or False"),
+    int: ArgumentType(is_integer, "a whole number"),
+    float: ArgumentType(is_number, "a real number"),
+    str: ArgumentType(lambda value: isinstance(value, str), "a string"),
 }
-PATH = Kind(is_path, "a path")
-SEQUENCES = (collections.abc.Sequence, collections.abc.Collection, list)
+PATH = ArgumentType(is_path, "a path")
+SEQUENCE_TYPES = (collections.abc.Sequence, collections.abc.Collection, list)
 
 
-def kind_of(hint: Any) -> Kind:
-    """The `Kind` that an annotation describes; `ANYTHING` for annotations of other forms."""
-    if hint in PLAIN:
-        return PLAIN[hint]
-    origin, parts = typing.get_origin(hint), typing.get_args(hint)
-    if origin in UNIONS:
-        return _any_of(parts)
-    if origin in SEQUENCES:
-        return _sequence_of(kind_of(parts[0]))
+def argument_type(hint: Any) -> ArgumentType:
+    """The `ArgumentType` that an annotation describes; `ANYTHING` for annotations of other forms."""
+    if hint in PLAIN_TYPES:
+        return PLAIN_TYPES[hint]
+    origin, hint_args = typing.get_origin(hint), typing.get_args(hint)
+    if origin in UNION_TYPES:
+        return _union_type(hint_args)
+    if origin in SEQUENCE_TYPES:
+        return _sequence_type(argument_type(hint_args[0]))
     if origin is collections.abc.Mapping:
-        return _mapping_of(*map(kind_of, parts))
+        return _mapping_type(*map(argument_type, hint_args))
     if origin is tuple:
-        return _tuple_of(parts)
+        return _tuple_type(hint_args)
     if origin is collections.abc.Callable:
-        return Kind(callable, "a function")
+        return ArgumentType(callable, "a function")
     if origin is collections.abc.Iterable:
-        return _iterable_of(kind_of(parts[0]))
+        return _iterable_type(argument_type(hint_args[0]))
     if not inspect.isclass(hint) or hint in (Any, object):
         return ANYTHING
     if issubclass(hint, AbstractArray):
-        return _array_of(hint)
+        return _array_type(hint)
     if issubclass(hint, np.ndarray | jax.Array):
-        return Kind(lambda value: is_array(value) and not is_number(value), "an array of numbers")
+        return ArgumentType(lambda value: is_array(value) and not is_number(value), "an array of numbers")
     article = "an" if hint.__name__[0] in "AEIOU" else "a"
-    return Kind(_instances_of(hint), f"{article} {hint.__name__}")
+    return ArgumentType(_instance_test(hint), f"{article} {hint.__name__}")
 
 
-def _instances_of(hint):
+def _instance_test(hint):
     """Make a function that returns True for instances of a class, or for objects with all members of a protocol."""
     if not getattr(hint, "_is_protocol", False):
         return lambda value: isinstance(value, hint)
-    public = {name: part for name, part in vars(hint).items() if not name.startswith("_")}
-    members = [name for name, part in public.items() if inspect.isfunction(part) or isinstance(part, property)]
+    public_members = {name: member for name, member in vars(hint).items() if not name.startswith("_")}
+    member_names = [
+        name for name, member in public_members.items() if inspect.isfunction(member) or isinstance(member, property)
+    ]
 
     def has_members(value):
-        return not isinstance(value, type) and all(inspect.getattr_static(value, name, None) for name in members)
+        return not isinstance(value, type) and all(inspect.getattr_static(value, name, None) for name in member_names)
 
     return has_members
 
 
-def _any_of(hints):
+def _union_type(hints):
     if any(typing.get_origin(hint) is os.PathLike for hint in hints):
-        others = [hint for hint in hints if hint is not str and typing.get_origin(hint) is not os.PathLike]
-        kinds = [PATH, *map(kind_of, others)]
+        other_hints = [hint for hint in hints if hint is not str and typing.get_origin(hint) is not os.PathLike]
+        arg_types = [PATH, *map(argument_type, other_hints)]
     else:
-        kinds = [kind_of(hint) for hint in hints if hint is not np.number]
-    kinds.sort(key=lambda kind: kind.words == "None")
-    if ANYTHING in kinds:
+        arg_types = [argument_type(hint) for hint in hints if hint is not np.number]
+    arg_types.sort(key=lambda arg_type: arg_type.description == "None")
+    if ANYTHING in arg_types:
         return ANYTHING
-    words = dict.fromkeys(kind.words for kind in kinds)
-    if "a real number or an array" in words:
-        words = {word: None for word in words if word not in ("a real number", "a whole number")}
-    elif "a real number" in words:
-        words.pop("a whole number", None)
+    descriptions = dict.fromkeys(arg_type.description for arg_type in arg_types)
+    if "a real number or an array" in descriptions:
+        descriptions = {
+            description: None for description in descriptions if description not in ("a real number", "a whole number")
+        }
+    elif "a real number" in descriptions:
+        descriptions.pop("a whole number", None)
 
-    def part(value):
-        return next(filter(None, (kind.part(value) for kind in kinds)), None)
+    def find_invalid(value):
+        return next(filter(None, (arg_type.find_invalid(value) for arg_type in arg_types)), None)
 
-    return Kind(lambda value: any(kind.holds(value) for kind in kinds), " or ".join(words), part)
+    return ArgumentType(
+        lambda value: any(arg_type.accepts(value) for arg_type in arg_types), " or ".join(descriptions), find_invalid
+    )
 
 
-def _sequence_of(kind):
-    if kind.words == "a real number":
-        return Kind(lambda value: is_array(value, 1), "a row of real numbers")
+def _sequence_type(arg_type):
+    if arg_type.description == "a real number":
+        return ArgumentType(lambda value: is_array(value, 1), "a row of real numbers")
 
-    def holds(value):
-        return is_sequence(value) and all(map(kind.holds, value))
+    def accepts(value):
+        return is_sequence(value) and all(map(arg_type.accepts, value))
 
-    def part(value):
+    def find_invalid(value):
         if not isinstance(value, list | tuple):
             return None
-        return next(((f"[{k}]", kind.words, each) for k, each in enumerate(value) if not kind.holds(each)), None)
+        return next(
+            (
+                (f"[{index}]", arg_type.description, entry)
+                for index, entry in enumerate(value)
+                if not arg_type.accepts(entry)
+            ),
+            None,
+        )
 
-    return Kind(holds, f"a list of {_plural(kind.words)}", part)
+    return ArgumentType(accepts, f"a list of {_pluralise(arg_type.description)}", find_invalid)
 
 
-def _iterable_of(kind):
-    """Describe iterables like `_sequence_of`; the elements of iterators are not checked."""
-    some = _sequence_of(kind)
-    return Kind(lambda value: isinstance(value, collections.abc.Iterator) or some.holds(value), some.words, some.part)
+def _iterable_type(arg_type):
+    """Describe iterables like `_sequence_type`; the elements of iterators are not checked."""
+    sequence_type = _sequence_type(arg_type)
+    return ArgumentType(
+        lambda value: isinstance(value, collections.abc.Iterator) or sequence_type.accepts(value),
+        sequence_type.description,
+        sequence_type.find_invalid,
+    )
 
 
-def _mapping_of(key, value):
-    def holds(given):
-        if not isinstance(given, collections.abc.Mapping):
+def _mapping_type(key_type, value_type):
+    def accepts(mapping):
+        if not isinstance(mapping, collections.abc.Mapping):
             return False
-        return all(key.holds(each) for each in given) and all(value.holds(each) for each in given.values())
+        return all(key_type.accepts(entry) for entry in mapping) and all(
+            value_type.accepts(entry) for entry in mapping.values()
+        )
 
-    def part(given):
-        if not isinstance(given, collections.abc.Mapping) or not all(key.holds(each) for each in given):
+    def find_invalid(mapping):
+        if not isinstance(mapping, collections.abc.Mapping) or not all(key_type.accepts(entry) for entry in mapping):
             return None
-        return next(((f".{name}", value.words, each) for name, each in given.items() if not value.holds(each)), None)
+        return next(
+            (
+                (f".{name}", value_type.description, entry)
+                for name, entry in mapping.items()
+                if not value_type.accepts(entry)
+            ),
+            None,
+        )
 
-    named = "functions" if key is ANYTHING else _plural(key.words)
-    return Kind(holds, f"a mapping from {named} to {_plural(value.words)}", part)
+    key_text = "functions" if key_type is ANYTHING else _pluralise(key_type.description)
+    return ArgumentType(accepts, f"a mapping from {key_text} to {_pluralise(value_type.description)}", find_invalid)
 
 
-def _tuple_of(hints):
+def _tuple_type(hints):
     if hints == ((),) or not hints:
-        return Kind(lambda value: is_sequence(value) and not len(value), "an empty tuple")
+        return ArgumentType(lambda value: is_sequence(value) and not len(value), "an empty tuple")
     if hints[-1] is Ellipsis:
-        return _sequence_of(kind_of(hints[0]))
-    kinds = [kind_of(hint) for hint in hints]
+        return _sequence_type(argument_type(hints[0]))
+    arg_types = [argument_type(hint) for hint in hints]
 
-    def holds(value):
-        if isinstance(value, set | frozenset) or not is_sequence(value) or len(value) != len(kinds):
+    def accepts(value):
+        if isinstance(value, set | frozenset) or not is_sequence(value) or len(value) != len(arg_types):
             return False
-        return all(kind.holds(each) for kind, each in zip(kinds, value, strict=True))
+        return all(arg_type.accepts(entry) for arg_type, entry in zip(arg_types, value, strict=True))
 
-    if len({kind.words for kind in kinds}) == 1:
-        return Kind(holds, f"{'a pair' if len(kinds) == 2 else len(kinds)} of {_plural(kinds[0].words)}")
-    return Kind(holds, f"({', '.join(kind.words for kind in kinds)})")
+    if len({arg_type.description for arg_type in arg_types}) == 1:
+        return ArgumentType(
+            accepts, f"{'a pair' if len(arg_types) == 2 else len(arg_types)} of {_pluralise(arg_types[0].description)}"
+        )
+    return ArgumentType(accepts, f"({', '.join(arg_type.description for arg_type in arg_types)})")
 
 
-def _array_of(hint):
-    text = hint.dim_str.strip()
-    axes = 0 if not text else 1 if text.isidentifier() else None
-    words = {0: "a real number", 1: "a row of real numbers"}.get(axes, "a real number or an array")
+def _array_type(hint):
+    dims_text = hint.dim_str.strip()
+    n_axes = 0 if not dims_text else 1 if dims_text.isidentifier() else None
+    description = {0: "a real number", 1: "a row of real numbers"}.get(n_axes, "a real number or an array")
     if not any(str(dtype).startswith(("float", "int", "uint")) for dtype in hint.dtypes):
         return ANYTHING
-    return Kind(lambda value: is_array(value, axes), words)
+    return ArgumentType(lambda value: is_array(value, n_axes), description)
 
 
-def _plural(words):
+def _pluralise(description):
     """Kinds in the plural: "strings or lists of numbers" of "a string or a list of numbers"."""
-    found = []
-    for each in words.split(" or "):
-        noun, _, rest = each.removeprefix("an ").removeprefix("a ").partition(" of ")
+    plurals = []
+    for alternative in description.split(" or "):
+        noun, _, complement = alternative.removeprefix("an ").removeprefix("a ").partition(" of ")
         noun = noun if noun.endswith(("s", "None")) else f"{noun}es" if noun.endswith("ch") else f"{noun}s"
-        found.append(f"{noun} of {rest}" if rest else noun)
-    return " or ".join(found)
+        plurals.append(f"{noun} of {complement}" if complement else noun)
+    return " or ".join(plurals)
 
 
-def kinds_of(function: Callable[..., Any]) -> dict[str, Kind]:
-    """{parameter: its `Kind`} of a function, those that take anything left out."""
+def argument_types_of(function: Callable[..., Any]) -> dict[str, ArgumentType]:
+    """{parameter: its `ArgumentType`} of a function, those that take anything left out."""
     hints = typing.get_type_hints(function, include_extras=True)
-    found = {name: kind_of(hint) for name, hint in hints.items() if name != "return"}
-    return {name: kind for name, kind in found.items() if kind is not ANYTHING}
+    arg_types = {name: argument_type(hint) for name, hint in hints.items() if name != "return"}
+    return {name: arg_type for name, arg_type in arg_types.items() if arg_type is not ANYTHING}
 
 
-def checker(
+def make_checker(
     function: Callable[..., Any],
-    refuse: Refuse,
-    of: Callable[[inspect.Parameter], bool] = lambda _: True,
-    **more: Kind,
+    make_error: ErrorFactory,
+    selects_parameter: Callable[[inspect.Parameter], bool] = lambda _: True,
+    **overrides: ArgumentType,
 ) -> Callable[[tuple[Any, ...], dict[str, Any]], None]:
     """Make the check of a function's arguments: a function of (args, named) that raises for the first one refused.
 
@@ -256,35 +283,40 @@ def checker(
         Kinds of some parameters in place of those that their annotations describe.
     """
     parameters = inspect.signature(function).parameters
-    positions, kinds = tuple(parameters), None
+    positional_names, arg_types = tuple(parameters), None
 
-    def check(args, named):
-        nonlocal kinds
-        if kinds is None:  # at the first call, as annotations may name what is defined further below
-            every = kinds_of(function) | {name: kind for name, kind in more.items() if name in parameters}
-            kinds = {name: kind for name, kind in every.items() if of(parameters[name])}
-        for name, value in (*zip(positions, args, strict=False), *named.items()):
-            kind = kinds.get(name)
-            if kind is not None and not kind.holds(value):
-                place, words, found = kind.part(value) or ("", kind.words, value)
-                raise refuse(name + place, f"must be {words}", found)
+    def check(args, kwargs):
+        nonlocal arg_types
+        if arg_types is None:  # at the first call, as annotations may name what is defined further below
+            all_types = argument_types_of(function) | {
+                name: arg_type for name, arg_type in overrides.items() if name in parameters
+            }
+            arg_types = {name: arg_type for name, arg_type in all_types.items() if selects_parameter(parameters[name])}
+        for name, value in (*zip(positional_names, args, strict=False), *kwargs.items()):
+            arg_type = arg_types.get(name)
+            if arg_type is not None and not arg_type.accepts(value):
+                suffix, description, invalid_value = arg_type.find_invalid(value) or ("", arg_type.description, value)
+                raise make_error(name + suffix, f"must be {description}", invalid_value)
 
     return check
 
 
-def checked(
-    refuse: Refuse, of: Callable[[inspect.Parameter], bool] = lambda _: True, **more: Kind
-) -> Callable[[Callable[Given, Found]], Callable[Given, Found]]:
-    """Decorate a function to refuse arguments that its annotations do not allow; the arguments are as of `checker`."""
+def check_arguments(
+    make_error: ErrorFactory,
+    selects_parameter: Callable[[inspect.Parameter], bool] = lambda _: True,
+    **overrides: ArgumentType,
+) -> Callable[[Callable[Params, Result]], Callable[Params, Result]]:
+    """Decorate a function to refuse arguments that its annotations do not allow; the arguments are as of
+    `make_checker`."""
 
-    def decorated(function: Callable[Given, Found]) -> Callable[Given, Found]:
-        check = checker(function, refuse, of, **more)
+    def decorate(function: Callable[Params, Result]) -> Callable[Params, Result]:
+        check = make_checker(function, make_error, selects_parameter, **overrides)
 
         @wraps(function)
-        def called(*args: Given.args, **named: Given.kwargs) -> Found:
-            check(args, named)
-            return function(*args, **named)
+        def wrapper(*args: Params.args, **kwargs: Params.kwargs) -> Result:
+            check(args, kwargs)
+            return function(*args, **kwargs)
 
-        return called
+        return wrapper
 
-    return decorated
+    return decorate

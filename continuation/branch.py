@@ -8,7 +8,7 @@ from jaxtyping import Bool, Complex, Float
 
 from .problem import EQUILIBRIA, System
 
-MEANINGS = {
+KIND_MEANINGS = {
     "SN": "fold",
     "BP": "branch point",
     "SB": "symmetry breaking",
@@ -33,12 +33,12 @@ MEANINGS = {
     "NN": "double Neimark-Sacker point",
     "EP": "end",
 }
-SHOWN = 5  # numbers of u in a table
+MAX_SHOWN = 5  # numbers of u in a table
 
 
 @dataclass(frozen=True, eq=False)
 class Special:
-    """A special point. kind: SN, BP, SB, HB, PD, NS (see `MEANINGS`), a monitor's name, or EP, an end. u: (n,); p:
+    """A special point. kind: SN, BP, SB, HB, PD, NS (see `KIND_MEANINGS`), a monitor's name, or EP, an end. u: (n,); p:
     {name: number}, all parameters; names: those along which it was found; eigenvalues: (n,), of the derivative by u, of
     a map the multipliers, of a periodic orbit those but for its field's own, the largest first; residual: the largest
     error left in its equations; place: among the branch's points; tangent: of the branch there, (n + names,).
@@ -83,15 +83,15 @@ class Branch:
         return len(self.u)
 
     def __repr__(self) -> str:
-        kinds = " ".join(one.kind for one in self.special)
-        of = f"{self.kind} " if self.kind else ""
-        return f"Branch({of}along {' and '.join(self.names)}, {len(self)} points, {kinds})"
+        kinds = " ".join(special.kind for special in self.special)
+        kind_prefix = f"{self.kind} " if self.kind else ""
+        return f"Branch({kind_prefix}along {' and '.join(self.names)}, {len(self)} points, {kinds})"
 
     @property
     def stable(self) -> Bool[np.ndarray, " points"]:
         """Whether each solution attracts, (points,): all real parts below 0, of a map all multipliers within 1."""
-        found = self.eigenvalues
-        return np.all((found.real < 0.0) if self.system.kind == EQUILIBRIA else (abs(found) < 1.0), axis=1)
+        eigenvalues = self.eigenvalues
+        return np.all((eigenvalues.real < 0.0) if self.system.kind == EQUILIBRIA else (abs(eigenvalues) < 1.0), axis=1)
 
     @property
     def reason(self) -> dict[str, str]:
@@ -100,17 +100,17 @@ class Branch:
 
     def points(self, kind: str) -> tuple[Special, ...]:
         """The special points of a kind, a tuple."""
-        return tuple(one for one in self.special if one.kind == kind)
+        return tuple(special for special in self.special if special.kind == kind)
 
     def table(self) -> str:
         """The special points as a text, a line each, with the length of u and its first numbers, and why the branch
         ends."""
         rows = [("kind", *self.names, "norm", "u", "residual")]
-        for one in self.special:
-            numbers = [f"{one.p[name]:.12g}" for name in self.names]
-            told = [f"{each:.6g}" for each in one.u[:SHOWN]] + ["..."] * (len(one.u) > SHOWN)
-            norm = f"{np.linalg.norm(one.u):.9g}"
-            rows.append((one.kind, *numbers, norm, " ".join(told), f"{one.residual:.1e}"))
+        for special in self.special:
+            parameter_texts = [f"{special.p[name]:.12g}" for name in self.names]
+            u_texts = [f"{entry:.6g}" for entry in special.u[:MAX_SHOWN]] + ["..."] * (len(special.u) > MAX_SHOWN)
+            norm = f"{np.linalg.norm(special.u):.9g}"
+            rows.append((special.kind, *parameter_texts, norm, " ".join(u_texts), f"{special.residual:.1e}"))
         widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
         lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-        return "\n".join([*lines, *(f"{end} point: {why}" for end, why in self.reason.items())])
+        return "\n".join([*lines, *(f"{end} point: {reason}" for end, reason in self.reason.items())])

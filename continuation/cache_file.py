@@ -41,13 +41,13 @@ def read(path: Path) -> bytes | None:
 def write(path: Path, content: bytes) -> None:
     """Write a file completely or not at all, as on a full disk: under a unique name beside its place, then renamed."""
     with suppress(OSError):
-        handle, part = tempfile.mkstemp(dir=path.parent)
+        descriptor, temporary_path = tempfile.mkstemp(dir=path.parent)
         try:
-            with os.fdopen(handle, "wb") as file:
+            with os.fdopen(descriptor, "wb") as file:
                 file.write(_digest(path, content) + content)
-            os.replace(part, path)
+            os.replace(temporary_path, path)
         except BaseException:
-            os.unlink(part)
+            os.unlink(temporary_path)
             raise
 
 
@@ -65,8 +65,8 @@ def reason_for_distrust(*folders: Path) -> str | None:
     """
     if not hasattr(os, "geteuid"):
         return None
-    own = [Path(os.path.realpath(folder)) for folder in folders]
-    for folder in own:
+    real_folders = [Path(os.path.realpath(folder)) for folder in folders]
+    for folder in real_folders:
         try:
             reason = distrust_of(os.stat(folder))
         except (FileNotFoundError, NotADirectoryError):
@@ -75,11 +75,13 @@ def reason_for_distrust(*folders: Path) -> str | None:
             reason = f"cannot be examined ({error.strerror})"
         if reason:
             return f"{folder} {reason}"
-    for above in sorted({one for folder in own for one in folder.parents} - set(own)):
+    for parent in sorted(
+        {parent_folder for folder in real_folders for parent_folder in folder.parents} - set(real_folders)
+    ):
         with suppress(OSError):
-            mode = os.stat(above).st_mode
+            mode = os.stat(parent).st_mode
             if mode & stat.S_IWOTH and not mode & stat.S_ISVTX:
-                return f"everyone can write to {above}"
+                return f"everyone can write to {parent}"
     return None
 
 
@@ -96,13 +98,13 @@ def distrust_of(status: os.stat_result) -> str | None:
     return None
 
 
-def _is_private(group):
-    """Return True for the user's private group: the same name, without other members."""
+def _is_private(group_id):
+    """Return True for the user's private group_id: the same name, without other members."""
     try:
-        name, found = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group)
+        user_name, group_entry = pwd.getpwuid(os.geteuid()).pw_name, grp.getgrgid(group_id)
     except (KeyError, AttributeError):
         return False
-    return found.gr_name == name and set(found.gr_mem) <= {name}
+    return group_entry.gr_name == user_name and set(group_entry.gr_mem) <= {user_name}
 
 
 def warn_once(folder: Path, reason: str) -> None:

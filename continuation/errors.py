@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from .argument_types import checked
+from .argument_types import check_arguments
 
 
 class ContinuationError(ValueError):
@@ -13,8 +13,8 @@ class ContinuationError(ValueError):
         self.key, self.rule, self.value = key, rule, value
 
     def __str__(self) -> str:
-        shown = " ".join(repr(self.value).split())
-        return f"{self.key}: {self.rule}; got {shown if len(shown) <= 80 else shown[:77] + '...'}"
+        value_text = " ".join(repr(self.value).split())
+        return f"{self.key}: {self.rule}; got {value_text if len(value_text) <= 80 else value_text[:77] + '...'}"
 
 
 def first_line(error: Exception) -> str:
@@ -22,4 +22,6 @@ def first_line(error: Exception) -> str:
     return f"{type(error).__name__}: {str(error).partition(chr(10))[0]}"[:160]
 
 
-typed = checked(ContinuationError)  # decorates a public function, which refuses what its annotations do not allow
+check_types = check_arguments(
+    ContinuationError
+)  # decorates a public function, which refuses what its annotations do not allow

@@ -12,8 +12,8 @@ from typing import TypeVar
 import numpy as np
 
 clock = time.monotonic
-EXPIRED = "max_seconds reached"
-Result = TypeVar("Result", covariant=True)
+EXPIRED_REASON = "max_seconds reached"
+ResultType = TypeVar("ResultType", covariant=True)
 
 
 @dataclass(frozen=True)
@@ -76,38 +76,40 @@ class Limits:
 UNLIMITED = Limits()
 
 
-class Results(tuple[Result, ...]):
+class Results(tuple[ResultType, ...]):
     """A tuple of results. stopped: why the computation ended before it was complete, else ""."""
 
     stopped: str
 
-    def __new__(cls, results: Iterable[Result] = (), stopped: str = "") -> "Results[Result]":
-        found = super().__new__(cls, tuple(results))
-        found.stopped = stopped
-        return found
+    def __new__(cls, results: Iterable[ResultType] = (), stopped: str = "") -> "Results[ResultType]":
+        instance = super().__new__(cls, tuple(results))
+        instance.stopped = stopped
+        return instance
 
 
-def partial_reason(done: int, total: int, unit: str) -> str:
+def partial_reason(n_done: int, n_total: int, unit: str) -> str:
     """The reason why a result is partial: so many of so many of a unit are done."""
-    return f"{EXPIRED}: {done} of {total} {unit} done"
+    return f"{EXPIRED_REASON}: {n_done} of {n_total} {unit} done"
 
 
 def limits_of(
     max_points: int | None,
     max_seconds: float | None,
     progress: Callable[[int], object] | None = None,
-    error: type[ValueError] = ValueError,
+    error_class: type[ValueError] = ValueError,
 ) -> Limits:
     """The `Limits` from now on. Raises the error, called with key, rule and value, for an argument that is invalid."""
     if max_points is not None:
-        whole = isinstance(max_points, int | np.integer) and not isinstance(max_points, bool)
-        if not whole or max_points < 2:
-            raise error("max_points", "must be a whole number of 2 or more, or None for no limit", max_points)
+        is_integer = isinstance(max_points, int | np.integer) and not isinstance(max_points, bool)
+        if not is_integer or max_points < 2:
+            raise error_class("max_points", "must be a whole number of 2 or more, or None for no limit", max_points)
     if max_seconds is not None:
-        number = isinstance(max_seconds, int | float | np.integer | np.floating) and not isinstance(max_seconds, bool)
-        if not number or not 0 < max_seconds < np.inf:
-            raise error("max_seconds", "must be a positive number of seconds, or None for no limit", max_seconds)
+        is_number = isinstance(max_seconds, int | float | np.integer | np.floating) and not isinstance(
+            max_seconds, bool
+        )
+        if not is_number or not 0 < max_seconds < np.inf:
+            raise error_class("max_seconds", "must be a positive number of seconds, or None for no limit", max_seconds)
     if progress is not None and not callable(progress):
-        raise error("progress", "must be a function of the number of points computed so far, or None", progress)
+        raise error_class("progress", "must be a function of the number of points computed so far, or None", progress)
     deadline = None if max_seconds is None else clock() + float(max_seconds)
     return Limits(None if max_points is None else int(max_points), deadline, clock, progress)

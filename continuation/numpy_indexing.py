@@ -6,88 +6,97 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-LANE_MODES = (lax.GatherScatterMode.FILL_OR_DROP, lax.GatherScatterMode.CLIP, lax.GatherScatterMode.PROMISE_IN_BOUNDS)
+GATHER_MODES = (lax.GatherScatterMode.FILL_OR_DROP, lax.GatherScatterMode.CLIP, lax.GatherScatterMode.PROMISE_IN_BOUNDS)
 
 
-class Unknown(Exception):
+class NoRuleError(Exception):
     """A primitive, or a use of one, that has no rule."""
 
 
-def _places(index, shape, sizes, kept, mapped, lanes):
+def _window_indices(index, shape, window_sizes, window_axes, indexed_axes, batch_axes):
     """(for each axis of an operand the indices of some windows, shaped (windows, *sizes of those kept); which windows
     are within it, (windows,)).
 
-    index: (windows, mapped); sizes: of a window along each axis; mapped: the axes that its numbers are of; lanes: pairs
-    (axis, axis of the windows) that go together.
-    """
-    batch = index.shape[:-1]
-    starts, inside = [np.zeros(batch, int)] * len(shape), np.ones(batch, bool)
-    for k, axis in enumerate(mapped):
-        first, last = index[..., k].astype(int), shape[axis] - sizes[axis]
-        inside = inside & (first >= 0) & (first <= last)
-        starts[axis] = np.clip(first, 0, last)
-    for axis, along in lanes:
-        thin = [-1 if place == along else 1 for place in range(len(batch))]
-        starts[axis] = np.broadcast_to(np.arange(shape[axis]).reshape(thin), batch)
-    whole, found = (*batch, *(sizes[axis] for axis in kept)), []
+    index: (windows, mapped); window_sizes: of a window along each axis; indexed_axes: the axes that its numbers are of;
+    batch_axes: pairs (axis, axis of the windows) that go together."""
+    batch_shape = index.shape[:-1]
+    starts, is_inside = [np.zeros(batch_shape, int)] * len(shape), np.ones(batch_shape, bool)
+    for k, axis in enumerate(indexed_axes):
+        window_start, max_start = index[..., k].astype(int), shape[axis] - window_sizes[axis]
+        is_inside = is_inside & (window_start >= 0) & (window_start <= max_start)
+        starts[axis] = np.clip(window_start, 0, max_start)
+    for axis, batch_axis in batch_axes:
+        broadcast_shape = [-1 if axis_indices == batch_axis else 1 for axis_indices in range(len(batch_shape))]
+        starts[axis] = np.broadcast_to(np.arange(shape[axis]).reshape(broadcast_shape), batch_shape)
+    index_shape, indices = (*batch_shape, *(window_sizes[axis] for axis in window_axes)), []
     for axis, start in enumerate(starts):
-        place = start.reshape((*batch, *[1] * len(kept)))
-        if axis in kept:
-            place = place + np.arange(sizes[axis]).reshape([-1 if other == axis else 1 for other in kept])
-        found.append(np.broadcast_to(place, whole))
-    return tuple(found), inside
+        axis_indices = start.reshape((*batch_shape, *[1] * len(window_axes)))
+        if axis in window_axes:
+            axis_indices = axis_indices + np.arange(window_sizes[axis]).reshape(
+                [-1 if window_axis == axis else 1 for window_axis in window_axes]
+            )
+        indices.append(np.broadcast_to(axis_indices, index_shape))
+    return tuple(indices), is_inside
 
 
 def gather(dimension_numbers: Any, slice_sizes: Any, mode: Any, fill_value: Any, **_: Any) -> Callable[..., Any]:
     """Windows of an operand at some indices: a function of (operand, indices)."""
-    how = dimension_numbers
-    if mode not in LANE_MODES:
-        raise Unknown(mode)
+    dimensions = dimension_numbers
+    if mode not in GATHER_MODES:
+        raise NoRuleError(mode)
 
     def run(x, index):
-        dropped = (*how.collapsed_slice_dims, *how.operand_batching_dims)
-        kept = [axis for axis in range(x.ndim) if axis not in dropped]
-        lanes = list(zip(how.operand_batching_dims, how.start_indices_batching_dims, strict=True))
-        places, inside = _places(index, x.shape, slice_sizes, kept, how.start_index_map, lanes)
-        found, batch = x[places], index.ndim - 1
-        if mode == lax.GatherScatterMode.FILL_OR_DROP and not inside.all():
-            empty = fill_value
-            if empty is None:
-                empty = np.nan if x.dtype.kind == "f" else np.iinfo(x.dtype).min if x.dtype.kind == "i" else True
-            inside = inside.reshape((*inside.shape, *[1] * len(kept)))
-            found = np.where(inside, found, np.asarray(empty, x.dtype))
-        order, rest = [0] * found.ndim, iter(range(batch))
-        for place in range(found.ndim):
-            within = place in how.offset_dims
-            order[place] = batch + how.offset_dims.index(place) if within else next(rest)
-        return np.transpose(found, order)[()]
+        dropped_axes = (*dimensions.collapsed_slice_dims, *dimensions.operand_batching_dims)
+        window_axes = [x_axis for x_axis in range(x.ndim) if x_axis not in dropped_axes]
+        batch_axes = list(zip(dimensions.operand_batching_dims, dimensions.start_indices_batching_dims, strict=True))
+        indices, is_inside = _window_indices(
+            index, x.shape, slice_sizes, window_axes, dimensions.start_index_map, batch_axes
+        )
+        windows, n_batch_axes = x[indices], index.ndim - 1
+        if mode == lax.GatherScatterMode.FILL_OR_DROP and not is_inside.all():
+            fill = fill_value
+            if fill is None:
+                fill = np.nan if x.dtype.kind == "f" else np.iinfo(x.dtype).min if x.dtype.kind == "i" else True
+            is_inside = is_inside.reshape((*is_inside.shape, *[1] * len(window_axes)))
+            windows = np.where(is_inside, windows, np.asarray(fill, x.dtype))
+        order, batch_iterator = [0] * windows.ndim, iter(range(n_batch_axes))
+        for axis in range(windows.ndim):
+            is_window_axis = axis in dimensions.offset_dims
+            order[axis] = n_batch_axes + dimensions.offset_dims.index(axis) if is_window_axis else next(batch_iterator)
+        return np.transpose(windows, order)[()]
 
     return run
 
 
-def scatter(put: Callable[..., Any], dimension_numbers: Any, mode: Any, **_: Any) -> Callable[..., Any]:
+def scatter(write_windows: Callable[..., Any], dimension_numbers: Any, mode: Any, **_: Any) -> Callable[..., Any]:
     """An operand with windows put, or added, at some indices: a function of (operand, indices, windows).
 
-    put: of (array, places, windows), in place.
+    write_windows: of (array, places, windows), in place.
     """
-    how = dimension_numbers
-    if mode not in LANE_MODES:
-        raise Unknown(mode)
+    dimensions = dimension_numbers
+    if mode not in GATHER_MODES:
+        raise NoRuleError(mode)
 
-    def run(x, index, new):
-        dropped = (*how.inserted_window_dims, *how.operand_batching_dims)
-        kept = [axis for axis in range(x.ndim) if axis not in dropped]
-        sizes = [1] * x.ndim
-        for axis, place in zip(kept, how.update_window_dims, strict=True):
-            sizes[axis] = new.shape[place]
-        rest = [place for place in range(new.ndim) if place not in how.update_window_dims]
-        lanes = list(zip(how.operand_batching_dims, how.scatter_indices_batching_dims, strict=True))
-        mapped = how.scatter_dims_to_operand_dims
-        places, inside = _places(index, x.shape, sizes, kept, mapped, lanes)
+    def run(x, index, windows):
+        dropped_axes = (*dimensions.inserted_window_dims, *dimensions.operand_batching_dims)
+        window_axes = [axis for axis in range(x.ndim) if axis not in dropped_axes]
+        window_sizes = [1] * x.ndim
+        for axis, update_axis in zip(window_axes, dimensions.update_window_dims, strict=True):
+            window_sizes[axis] = windows.shape[update_axis]
+        batch_order = [
+            update_axis for update_axis in range(windows.ndim) if update_axis not in dimensions.update_window_dims
+        ]
+        batch_axes = list(zip(dimensions.operand_batching_dims, dimensions.scatter_indices_batching_dims, strict=True))
+        indexed_axes = dimensions.scatter_dims_to_operand_dims
+        indices, is_inside = _window_indices(index, x.shape, window_sizes, window_axes, indexed_axes, batch_axes)
         if mode == lax.GatherScatterMode.CLIP:
-            inside = np.ones_like(inside)
-        found = np.array(x)
-        put(found, tuple(each[inside] for each in places), np.transpose(new, [*rest, *how.update_window_dims])[inside])
-        return found[()]
+            is_inside = np.ones_like(is_inside)
+        result = np.array(x)
+        write_windows(
+            result,
+            tuple(axis_indices[is_inside] for axis_indices in indices),
+            np.transpose(windows, [*batch_order, *dimensions.update_window_dims])[is_inside],
+        )
+        return result[()]
 
     return run

@@ -12,42 +12,42 @@ import jax
 import numpy as np
 from jax import lax
 
-from .in_numpy import PLAIN
+from .numpy_evaluation import WEAK_TYPES
 
 
 class Layout:
     """How arrays lie in one row for each type. like: what has their shapes and types."""
 
-    def __init__(self, like):
-        shapes = [np.shape(each) for each in like]
-        groups, found = {}, {}
-        for place, each in enumerate(like):
-            groups.setdefault(np.dtype(each.dtype), []).append(place)
-        self.order = list(groups.values())
-        for row, group in enumerate(self.order):
-            first = 0
-            for place in group:
-                size = math.prod(shapes[place])
-                found[place] = row, first, first + size, shapes[place]
-                first += size
-        self.places = [found[place] for place in range(len(shapes))]  # of each array: (which row, from, up to, shape)
+    def __init__(self, templates):
+        shapes = [np.shape(array) for array in templates]
+        indices_by_dtype, slots = {}, {}
+        for index, array in enumerate(templates):
+            indices_by_dtype.setdefault(np.dtype(array.dtype), []).append(index)
+        self.row_indices = list(indices_by_dtype.values())
+        for row, indices in enumerate(self.row_indices):
+            start = 0
+            for index in indices:
+                size = math.prod(shapes[index])
+                slots[index] = row, start, start + size, shapes[index]
+                start += size
+        self.slots = [slots[index] for index in range(len(shapes))]  # of each array: (which row, from, up to, shape)
 
     def rows(self, arrays: Sequence[Any]) -> list[np.ndarray]:
         """The rows, of NumPy's arrays."""
-        return [np.concatenate([arrays[place] for place in group], axis=None) for group in self.order]
+        return [np.concatenate([arrays[index] for index in indices], axis=None) for indices in self.row_indices]
 
     def arrays(self, rows: Sequence[np.ndarray]) -> list[np.ndarray]:
         """The arrays in NumPy's rows."""
-        return [rows[row][first:last].reshape(shape) for row, first, last, shape in self.places]
+        return [rows[row][start:stop].reshape(shape) for row, start, stop, shape in self.slots]
 
     def traced_rows(self, arrays: Sequence[Any]) -> list[jax.Array]:
         """The rows, of jax's arrays."""
-        flat = [lax.reshape(each, (each.size,)) for each in arrays]
-        return [lax.concatenate([flat[place] for place in group], 0) for group in self.order]
+        flat = [lax.reshape(array, (array.size,)) for array in arrays]
+        return [lax.concatenate([flat[index] for index in indices], 0) for indices in self.row_indices]
 
     def traced_arrays(self, rows: Sequence[jax.Array]) -> list[jax.Array]:
         """The arrays in jax's rows."""
-        return [lax.reshape(lax.slice(rows[row], (first,), (last,)), shape) for row, first, last, shape in self.places]
+        return [lax.reshape(lax.slice(rows[row], (start,), (stop,)), shape) for row, start, stop, shape in self.slots]
 
 
 class PackedCall:
@@ -56,24 +56,26 @@ class PackedCall:
 
     def __init__(self, function: Callable[..., Any], leaves: Sequence[Any], options: dict[str, Any]) -> None:
         self.function = function
-        self.packed = [place for place, leaf in enumerate(leaves) if type(leaf) not in PLAIN]
-        self.plain = [place for place, leaf in enumerate(leaves) if type(leaf) in PLAIN]
-        self.given = Layout([leaves[place] for place in self.packed])
-        self.found: tuple[Layout, Any] | None = None
-        self.run = jax.jit(self._traced, **options)
+        self.array_indices = [index for index, leaf in enumerate(leaves) if type(leaf) not in WEAK_TYPES]
+        self.scalar_indices = [index for index, leaf in enumerate(leaves) if type(leaf) in WEAK_TYPES]
+        self.argument_layout = Layout([leaves[index] for index in self.array_indices])
+        self.result_layout: tuple[Layout, Any] | None = None
+        self.compiled_function = jax.jit(self._call_with_rows, **options)
 
-    def _traced(self, rows, plain):
-        leaves = dict(zip(self.packed, self.given.traced_arrays(rows), strict=True))
-        leaves |= zip(self.plain, plain, strict=True)
-        results, form = jax.tree.flatten(self.function(*[leaves[place] for place in range(len(leaves))]))
-        results = [jax.numpy.asarray(each) for each in results]
+    def _call_with_rows(self, rows, scalars):
+        leaves = dict(zip(self.array_indices, self.argument_layout.traced_arrays(rows), strict=True))
+        leaves |= zip(self.scalar_indices, scalars, strict=True)
+        results, treedef = jax.tree.flatten(self.function(*[leaves[index] for index in range(len(leaves))]))
+        results = [jax.numpy.asarray(array) for array in results]
         layout = Layout(results)
-        self.found = layout, form
+        self.result_layout = layout, treedef
         return layout.traced_rows(results)
 
     def __call__(self, leaves: Sequence[Any]) -> Any:
-        arrays = [leaves[place] for place in self.packed] if self.plain else leaves
-        results = self.run(self.given.rows(arrays), [leaves[place] for place in self.plain])
-        assert self.found is not None  # it has been traced
-        layout, form = self.found
-        return form.unflatten(layout.arrays([np.asarray(each) for each in results]))
+        arrays = [leaves[index] for index in self.array_indices] if self.scalar_indices else leaves
+        results = self.compiled_function(
+            self.argument_layout.rows(arrays), [leaves[index] for index in self.scalar_indices]
+        )
+        assert self.result_layout is not None  # it has been traced
+        layout, treedef = self.result_layout
+        return treedef.unflatten(layout.arrays([np.asarray(array) for array in results]))

@@ -25,30 +25,30 @@ from jax import export
 from jax.api_util import shaped_abstractify
 from jax.core import ShapedArray, Tracer
 
-from . import cache_file, in_numpy, python_program
+from . import cache_file, numpy_evaluation, python_program
 from .packed_call import PackedCall
 
 FOLDER = "modules"  # within jax's cache
-GENERATIONS = 3  # of sources, whose modules are kept
-PROGRAMS = ".code"  # how the names of programs end, those of modules have no ending
+MAX_GENERATIONS = 3  # of sources, whose modules are kept
+PROGRAM_SUFFIX = ".code"  # how the names of programs end, those of modules have no ending
 NUMBER = "number"
-SOON = {"xla_backend_optimization_level": 0}  # for what the host calls a few times: compiled in half the time
-HOSTS = {np.ndarray, np.float64, np.float32, np.int32, np.int64, np.bool_, bool, int, float}  # types of no tracer
-_ours = {__name__.split(".")[0]}  # packages whose sources decide what a traced function is
-_evaluated: list[Callable[[], None]] = []  # one for each function and kind of arguments that NumPy has met: compiles it
+FAST_COMPILE = {"xla_backend_optimization_level": 0}  # for what the host calls a few times: compiled in half the time
+HOST_TYPES = {np.ndarray, np.float64, np.float32, np.int32, np.int64, np.bool_, bool, int, float}  # types of no tracer
+_own_packages = {__name__.split(".")[0]}  # packages whose sources decide what a traced function is
+_pending: list[Callable[[], None]] = []  # one for each function and kind of arguments that NumPy has met: compiles it
 
-Given = ParamSpec("Given")
-Found = TypeVar("Found")
+Params = ParamSpec("Params")
+Result = TypeVar("Result")
 
 
-class Unknown(Exception):
+class NotPersistentError(Exception):
     """A value that has no name which says the same in every process."""
 
 
 @overload
-def persistent_jit(function: Callable[Given, Found], **options: Any) -> Callable[Given, Found]: ...
+def persistent_jit(function: Callable[Params, Result], **options: Any) -> Callable[Params, Result]: ...
 @overload
-def persistent_jit(**options: Any) -> Callable[[Callable[Given, Found]], Callable[Given, Found]]: ...
+def persistent_jit(**options: Any) -> Callable[[Callable[Params, Result]], Callable[Params, Result]]: ...
 def persistent_jit(
     function: Callable[..., Any] | None = None, numpy_first: bool | Callable[..., Any] = False, **options: Any
 ) -> Callable[..., Any]:
@@ -58,21 +58,24 @@ def persistent_jit(
     program alone: what has been exported has no derivatives and no lanes. Nothing is kept where jax has no compile
     cache, of anything but one processor, or for an argument that is known to this process alone, as a user's function.
 
-    numpy_first: whether it is evaluated by Python and NumPy (`in_numpy`) until that has cost what compiling does; a
-    function that gives the same is evaluated in its place. It then takes no arguments by name, and its results are
-    NumPy's arrays, as it is asked by the host (`packed_call`).
-    """
+    numpy_first: whether it is evaluated by Python and NumPy (`numpy_evaluation`) until that has cost what compiling
+    does; a function that gives the same is evaluated in its place. It then takes no arguments by name, and its results
+    are NumPy's arrays, as it is asked by the host (`packed_call`)."""
     if function is None:
         return partial(persistent_jit, numpy_first=numpy_first, **options)
-    _ours.add(function.__module__.split(".")[0])
-    plain = jax.jit(function, **{key: each for key, each in options.items() if key != "compiler_options"})
+    _own_packages.add(function.__module__.split(".")[0])
+    jitted = jax.jit(function, **{key: option for key, option in options.items() if key != "compiler_options"})
 
     @wraps(function)
-    def traced(*args, **named):
-        module = _module(function, args, named)
-        return function(*args, **named) if module is None else module(*_numbers((args, named)))
+    def call_module(*args, **kwargs):
+        module = _persistent_module(function, args, kwargs)
+        return function(*args, **kwargs) if module is None else module(*_tracers((args, kwargs)))
 
-    call = _from_host(function, numpy_first, plain, traced, options) if numpy_first else _called(plain, traced, options)
+    call = (
+        _make_host_call(function, numpy_first, jitted, call_module, options)
+        if numpy_first
+        else _make_call(jitted, call_module, options)
+    )
     call = wraps(function)(call)
     call.lower = jax.jit(function, **options).lower  # type: ignore[attr-defined]  # a function takes any attribute
     return call
@@ -82,116 +85,116 @@ def compile_evaluated() -> Iterator[int]:
     """Compiles what NumPy evaluates in this process, one function for one kind of arguments at each step, what was met
     last first, and tells how many are left. For a process that goes on: a compiled function takes a tenth of the time
     and less. What is called meanwhile, by other threads, is still evaluated."""
-    while _evaluated:
-        _evaluated.pop()()
-        yield len(_evaluated)
+    while _pending:
+        _pending.pop()()
+        yield len(_pending)
 
 
-def _called(plain, traced, options):
-    stored = jax.jit(traced, **options)
+def _make_call(jitted, call_module, options):
+    persistent_call = jax.jit(call_module, **options)
 
-    def call(*args, **named):
-        return plain(*args, **named) if _numbers((args, named)) else stored(*args, **named)
+    def call(*args, **kwargs):
+        return jitted(*args, **kwargs) if _tracers((args, kwargs)) else persistent_call(*args, **kwargs)
 
     return call
 
 
-def _from_host(function, numpy_first, plain, traced, options):
+def _make_host_call(function, numpy_first, jitted, call_module, options):
     static = np.atleast_1d(options.get("static_argnums", ())).astype(int).tolist()
-    evaluated = numpy_first if callable(numpy_first) else function
-    read, keep = partial(_read_way, evaluated, static), partial(_keep_way, evaluated, static)
-    tried = in_numpy.Tried(evaluated, static, {}, read, keep)
-    further = {key: each for key, each in options.items() if key != "static_argnums"}
-    compiled: dict[Any, PackedCall] = {}  # of each kind of arguments that has come so far
+    host_function = numpy_first if callable(numpy_first) else function
+    read, store = partial(_read_program, host_function, static), partial(_store_program, host_function, static)
+    evaluator = numpy_evaluation.NumpyEvaluator(host_function, static, {}, read, store)
+    jit_options = {key: option for key, option in options.items() if key != "static_argnums"}
+    compiled_calls: dict[Any, PackedCall] = {}  # of each kind of arguments that has come so far
 
-    def packed(args, form, leaves):
+    def make_packed_call(args, treedef, leaves):
         @wraps(function)
-        def of_leaves(*leaves):
-            rest = iter(form.unflatten(leaves))
-            return traced(*[each if place in static else next(rest) for place, each in enumerate(args)])
+        def call_with_leaves(*leaves):
+            leaf_iter = iter(treedef.unflatten(leaves))
+            return call_module(*[arg if index in static else next(leaf_iter) for index, arg in enumerate(args)])
 
-        return PackedCall(of_leaves, leaves, further)
+        return PackedCall(call_with_leaves, leaves, jit_options)
 
-    def ahead(args, leaves, kind):
-        if kind not in compiled:
-            own = packed(args, kind[0], leaves)
-            with jax.enable_x64(kind[-1]):
-                own(leaves)
-            compiled[kind] = own
+    def compile_signature(args, leaves, signature):
+        if signature not in compiled_calls:
+            packed_call = make_packed_call(args, signature[0], leaves)
+            with jax.enable_x64(signature[-1]):
+                packed_call(leaves)
+            compiled_calls[signature] = packed_call
 
     def call(*args):
-        leaves, kind = in_numpy.kind_of(args, static)
-        if not HOSTS.issuperset(map(type, leaves)) and _numbers(leaves):
-            return plain(*args)
-        own = compiled.get(kind)
-        if own is None:
-            is_new = kind not in tried.known
-            found = tried.of_kind(args, leaves, kind)
-            if found is not None:
+        leaves, signature = numpy_evaluation.call_signature(args, static)
+        if not HOST_TYPES.issuperset(map(type, leaves)) and _tracers(leaves):
+            return jitted(*args)
+        packed_call = compiled_calls.get(signature)
+        if packed_call is None:
+            is_new = signature not in evaluator.evaluations
+            result = evaluator.evaluate(args, leaves, signature)
+            if result is not None:
                 if is_new:
-                    _evaluated.append(partial(ahead, args, leaves, kind))
-                return found
-            own = compiled[kind] = packed(args, kind[0], leaves)
-        return own(leaves)
+                    _pending.append(partial(compile_signature, args, leaves, signature))
+                return result
+            packed_call = compiled_calls[signature] = make_packed_call(args, signature[0], leaves)
+        return packed_call(leaves)
 
     return call
 
 
-def _numbers(tree):
+def _tracers(tree):
     """What of a tree is known only to a transformation."""
     return [leaf for leaf in jax.tree.leaves(tree) if isinstance(leaf, Tracer)]
 
 
-def _module(function, args, named):
+def _persistent_module(function, args, kwargs):
     """(numbers) -> the function's result, by its module, found or made; None where there can be none."""
     try:
-        place = _place(function, args, named)
-        if place is None:
+        path = _module_path(function, args, kwargs)
+        if path is None:
             return None
-        kept = cache_file.read(place)
-        form, content = _made(function, args, named, place) if kept is None else _parts(kept)
-        module, tree = export.deserialize(bytearray(content)), jax.tree.structure(_built(form))
+        content = cache_file.read(path)
+        structure, payload = _export_module(function, args, kwargs, path) if content is None else _split_file(content)
+        module, treedef = export.deserialize(bytearray(payload)), jax.tree.structure(_build(structure))
     except Exception:  # a full disk, another's file, what jax cannot export: the function itself does without
         return None
-    return lambda *numbers: tree.unflatten(module.call(*numbers))
+    return lambda *tracers: treedef.unflatten(module.call(*tracers))
 
 
-def _program_place(function, static, args):
+def _program_path(function, static, args):
     """The file of a function's program for arguments like these; None where nothing is to be kept."""
-    kinds = (each if k in static else jax.tree.map(shaped_abstractify, each) for k, each in enumerate(args))
-    place = _place(function, tuple(kinds), {})
-    return place and place.with_suffix(PROGRAMS)
+    avals = (arg if index in static else jax.tree.map(shaped_abstractify, arg) for index, arg in enumerate(args))
+    path = _module_path(function, tuple(avals), {})
+    return path and path.with_suffix(PROGRAM_SUFFIX)
 
 
-def _read_way(function, static, args):
+def _read_program(function, static, args):
     """The `Way` of a function of the host that is kept, None where there is none."""
     try:
-        place = _program_place(function, static, args)
-        kept = None if place is None else cache_file.read(place)
-        if kept is None:
+        path = _program_path(function, static, args)
+        content = None if path is None else cache_file.read(path)
+        if content is None:
             return None
-        form, code = _parts(kept)
-        return in_numpy.Way(python_program.of_code(code), jax.tree.structure(_built(form)))
+        structure, code = _split_file(content)
+        return numpy_evaluation.Evaluation(python_program.load_program(code), jax.tree.structure(_build(structure)))
     except Exception:  # as where a module is read
         return None
 
 
-def _keep_way(function, static, args, way):
+def _store_program(function, static, args, evaluation):
     with suppress(Exception):
-        place = _program_place(function, static, args)
-        form = _described(jax.tree.unflatten(way.form, [NUMBER] * way.form.num_leaves))
-        if place and way.program.text and jax.tree.structure(_built(form)) == way.form:
-            cache_file.write(place, _joined(form, python_program.code_of(way.program.text)))
+        path = _program_path(function, static, args)
+        structure = _describe(jax.tree.unflatten(evaluation.treedef, [NUMBER] * evaluation.treedef.num_leaves))
+        if path and evaluation.program.text and jax.tree.structure(_build(structure)) == evaluation.treedef:
+            cache_file.write(path, _join_file(structure, python_program.compile_text(evaluation.program.text)))
 
 
-def _place(function, args, named):
+def _module_path(function, args, kwargs):
     """The file of a function's module for arguments of a kind, be it there or not; None where nothing is to be kept."""
     folder = _folder()
     if folder is None:
         return None
-    told = [_named(function), _described((args, named)), bool(jax.config.jax_enable_x64)]
-    told.append(str(jax.config.jax_default_matmul_precision))
-    return folder / hashlib.sha256(json.dumps(told).encode()).hexdigest()
+    key = [_qualified_name(function), _describe((args, kwargs)), bool(jax.config.jax_enable_x64)]
+    key.append(str(jax.config.jax_default_matmul_precision))
+    return folder / hashlib.sha256(json.dumps(key).encode()).hexdigest()
 
 
 def cache_folder():
@@ -201,15 +204,15 @@ def cache_folder():
 
 def reason_without_cache() -> str | None:
     """Explain why traced functions are not kept in the cache folder in this process; None if they are."""
-    return _hindrance() or cache_file.reason_for_distrust(*_folders())
+    return _reason_not_persistent() or cache_file.reason_for_distrust(*_folders())
 
 
-def _hindrance():
+def _reason_not_persistent():
     """Why nothing can be kept, whatever folder it is; None if it can."""
-    place = cache_folder()
-    if not place:
+    folder = cache_folder()
+    if not folder:
         return "no cache folder is set (JAX_COMPILATION_CACHE_DIR)"
-    if "://" in place:
+    if "://" in folder:
         return "it is not a folder of the file system"
     if jax.default_backend() != "cpu":
         return f"functions are compiled for {jax.default_backend()}, not for a processor"
@@ -218,86 +221,86 @@ def _hindrance():
 
 def _folders():
     """jax's cache folder, that of the modules in it, and that of the modules of these sources in that."""
-    top = Path(cache_folder())
-    return top, top / FOLDER, top / FOLDER / _stamp(tuple(sorted(_ours)))
+    root = Path(cache_folder())
+    return root, root / FOLDER, root / FOLDER / _source_stamp(tuple(sorted(_own_packages)))
 
 
 def _folder():
     """Where the modules of these sources are, made where it is missing; None where nothing is to be kept."""
-    if _hindrance():
+    if _reason_not_persistent():
         return None
-    top, above, folder = folders = _folders()
-    if _is_distrusted(top, top):
+    root, modules, folder = folders = _folders()
+    if _is_distrusted(root, root):
         return None
     is_new = not folder.is_dir()
-    for one in folders if is_new else ():
-        one.mkdir(mode=0o700, parents=True, exist_ok=True)
-    if _is_distrusted(top, *folders):
+    for path in folders if is_new else ():
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if _is_distrusted(root, *folders):
         return None
     if is_new:
-        others = [one for one in above.iterdir() if one != folder]
-        for one in sorted(others, key=lambda one: -one.stat().st_mtime)[GENERATIONS - 1 :]:
-            shutil.rmtree(one, ignore_errors=True)
+        other_generations = [path for path in modules.iterdir() if path != folder]
+        for path in sorted(other_generations, key=lambda path: -path.stat().st_mtime)[MAX_GENERATIONS - 1 :]:
+            shutil.rmtree(path, ignore_errors=True)
     return folder
 
 
-def _is_distrusted(top, *folders):
+def _is_distrusted(root, *folders):
     """Return True, with a warning, if the folders of a cache must not be used."""
     reason = cache_file.reason_for_distrust(*folders)
     if reason is not None:
-        cache_file.warn_once(top, reason)
+        cache_file.warn_once(root, reason)
     return reason is not None
 
 
 @lru_cache
-def _stamp(packages):
+def _source_stamp(packages):
     """A name for all that a module depends on besides the function and its arguments: sources and versions."""
     versions = (sys.version_info[:2], jax.__version__, jaxlib.__version__, np.__version__)
-    whole = hashlib.sha256(repr((*versions, sys.implementation.name, importlib.util.MAGIC_NUMBER)).encode())
+    digest = hashlib.sha256(repr((*versions, sys.implementation.name, importlib.util.MAGIC_NUMBER)).encode())
     for package in packages:
         origin = Path(sys.modules[package].__file__)
         for path in sorted(origin.parent.rglob("*.py")) if origin.name == "__init__.py" else [origin]:
             content = path.read_bytes()
-            whole.update(f"\n{package} {path.relative_to(origin.parent)} {len(content)}\n".encode() + content)
-    return whole.hexdigest()[:32]
+            digest.update(f"\n{package} {path.relative_to(origin.parent)} {len(content)}\n".encode() + content)
+    return digest.hexdigest()[:32]
 
 
-def _joined(form, content):
+def _join_file(structure, payload):
     """The form of a result and what gives it, as the content of a file."""
-    return json.dumps(form).encode() + b"\n" + content
+    return json.dumps(structure).encode() + b"\n" + payload
 
 
-def _parts(content):
+def _split_file(content):
     """(form of the result, what gives it) of a file's content."""
-    form, rest = content.split(b"\n", 1)
-    return json.loads(form), rest
+    structure, payload = content.split(b"\n", 1)
+    return json.loads(structure), payload
 
 
-def _made(function, args, named, place):
+def _export_module(function, args, kwargs, path):
     """The same of a function traced now, and written."""
-    values, tree = jax.tree.flatten((args, named))
-    form = []
+    leaves, treedef = jax.tree.flatten((args, kwargs))
+    structure = []
 
-    def flat(*numbers):
-        rest = iter(numbers)
-        args, named = tree.unflatten([next(rest) if isinstance(one, Tracer) else one for one in values])
-        result = function(*args, **named)
-        form[:] = [_described(jax.tree.map(lambda _: NUMBER, result))]
-        if jax.tree.structure(_built(*form)) != jax.tree.structure(result):
-            raise Unknown(result)
+    def flat_function(*tracers):
+        tracer_iter = iter(tracers)
+        args, kwargs = treedef.unflatten([next(tracer_iter) if isinstance(leaf, Tracer) else leaf for leaf in leaves])
+        result = function(*args, **kwargs)
+        structure[:] = [_describe(jax.tree.map(lambda _: NUMBER, result))]
+        if jax.tree.structure(_build(*structure)) != jax.tree.structure(result):
+            raise NotPersistentError(result)
         return jax.tree.leaves(result)
 
-    flat.__name__ = function.__name__
-    kinds = (jax.ShapeDtypeStruct(one.shape, one.dtype, weak_type=one.weak_type) for one in _numbers(values))
-    module = export.export(jax.jit(flat))(*kinds)
-    if any(one.weak_type for one in module.out_avals):
-        raise Unknown("a number of weak type, which is not written")
+    flat_function.__name__ = function.__name__
+    avals = (jax.ShapeDtypeStruct(aval.shape, aval.dtype, weak_type=aval.weak_type) for aval in _tracers(leaves))
+    module = export.export(jax.jit(flat_function))(*avals)
+    if any(aval.weak_type for aval in module.out_avals):
+        raise NotPersistentError("a number of weak type, which is not written")
     module = bytes(module.serialize())
-    cache_file.write(place, _joined(form[0], module))
-    return form[0], module
+    cache_file.write(path, _join_file(structure[0], module))
+    return structure[0], module
 
 
-def _described(value):
+def _describe(value):
     """A value's form as lists and texts: of numbers under a transformation their kind, of all else what it is."""
     if value is NUMBER:
         return NUMBER
@@ -306,41 +309,41 @@ def _described(value):
     if value is None or type(value) in (bool, int, float, str):
         return {"is": value}
     if type(value) in (tuple, list):
-        return {type(value).__name__: [_described(one) for one in value]}
+        return {type(value).__name__: [_describe(item) for item in value]}
     if type(value) is dict:
-        return {"dict": [_described(one) for one in value.items()]}
+        return {"dict": [_describe(item) for item in value.items()]}
     if isinstance(value, partial):
-        return {"partial": [_described(one) for one in (value.func, value.args, value.keywords)]}
+        return {"partial": [_describe(item) for item in (value.func, value.args, value.keywords)]}
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        parts = [getattr(value, field.name) for field in dataclasses.fields(value)]
-        return {"class": _named(type(value)), "parts": [_described(one) for one in parts]}
+        fields = [getattr(value, field.name) for field in dataclasses.fields(value)]
+        return {"class": _qualified_name(type(value)), "parts": [_describe(item) for item in fields]}
     if isinstance(value, tuple):
-        return {"class": _named(type(value)), "parts": [_described(one) for one in value]}
-    return {"function": _named(value)}
+        return {"class": _qualified_name(type(value)), "parts": [_describe(item) for item in value]}
+    return {"function": _qualified_name(value)}
 
 
-def _built(form):
+def _build(structure):
     """The value of a described form, 0 for each number."""
-    if form == NUMBER:
+    if structure == NUMBER:
         return 0
-    if "class" in form:
-        return _known(form["class"])(*(_built(one) for one in form["parts"]))
-    ((kind, parts),) = form.items()
-    return parts if kind == "is" else {"tuple": tuple, "list": list, "dict": dict}[kind](_built(one) for one in parts)
+    if "class" in structure:
+        return _resolve_name(structure["class"])(*(_build(item) for item in structure["parts"]))
+    ((kind, items),) = structure.items()
+    return items if kind == "is" else {"tuple": tuple, "list": list, "dict": dict}[kind](_build(item) for item in items)
 
 
-def _named(value):
+def _qualified_name(value):
     """module:name of a function or class of ours. Raises Unknown for any other value."""
     name = f"{getattr(value, '__module__', '')}:{getattr(value, '__qualname__', '')}"
-    found = _known(name)
-    if value not in (found, getattr(found, "__wrapped__", None)):
-        raise Unknown(name)
+    resolved = _resolve_name(name)
+    if value not in (resolved, getattr(resolved, "__wrapped__", None)):
+        raise NotPersistentError(name)
     return name
 
 
-def _known(name):
+def _resolve_name(name):
     """The function or class of ours with a name."""
-    module, path = name.split(":")
-    if module.split(".")[0] not in _ours:
-        raise Unknown(name)
-    return reduce(getattr, path.split("."), sys.modules[module])
+    module, qualname = name.split(":")
+    if module.split(".")[0] not in _own_packages:
+        raise NotPersistentError(name)
+    return reduce(getattr, qualname.split("."), sys.modules[module])

@@ -8,37 +8,41 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-from .numpy_indexing import Unknown
-from .numpy_rules import rules
+from .numpy_indexing import NoRuleError
+from .numpy_primitives import rules
 
-_TYPES = (lax.GatherDimensionNumbers, lax.ScatterDimensionNumbers, lax.GatherScatterMode, lax.RoundingMethod)
-NAMED = {each.__name__: each for each in _TYPES}  # types that a text may name
+_NAMED_TYPES = (lax.GatherDimensionNumbers, lax.ScatterDimensionNumbers, lax.GatherScatterMode, lax.RoundingMethod)
+TYPES_BY_NAME = {named_type.__name__: named_type for named_type in _NAMED_TYPES}  # types that a text may name
 
 
-def literal(value: Any) -> str:
+def literal_text(value: Any) -> str:
     """Python's text of a value. Raises Unknown where it has none."""
     if value is None or type(value) in (bool, int, float, str):
         return repr(value)
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biuf" and value.dtype.isbuiltin:
-        return f"np.array({value.ravel().tolist()}, {literal(value.dtype)}).reshape({value.shape})[()]"
+        return f"np.array({value.ravel().tolist()}, {literal_text(value.dtype)}).reshape({value.shape})[()]"
     if isinstance(value, np.dtype) and value.isbuiltin:
         return f"np.dtype({value.str!r})"
-    kind = type(value)
-    if NAMED.get(kind.__name__) is kind and isinstance(value, Enum):
-        return f"{kind.__name__}.{value.name}"
-    if NAMED.get(kind.__name__) is kind and isinstance(value, tuple):
-        return f"{kind.__name__}{literal(tuple(value))}"
-    if kind is tuple:
-        return f"({''.join(f'{literal(each)}, ' for each in value)})"
-    raise Unknown(value)
+    value_type = type(value)
+    if TYPES_BY_NAME.get(value_type.__name__) is value_type and isinstance(value, Enum):
+        return f"{value_type.__name__}.{value.name}"
+    if TYPES_BY_NAME.get(value_type.__name__) is value_type and isinstance(value, tuple):
+        return f"{value_type.__name__}{literal_text(tuple(value))}"
+    if value_type is tuple:
+        return f"({''.join(f'{literal_text(entry)}, ' for entry in value)})"
+    raise NoRuleError(value)
 
 
 def rule_text(name: str, params: dict[str, Any]) -> str:
     """The text of a primitive's rule with the parameters that it takes."""
-    taken = [f"{key}={literal(params[key])}" for key in _taken(name) if key in params]
-    return f"rules[{name!r}]({', '.join(taken)})"
+    argument_texts = [f"{key}={literal_text(params[key])}" for key in _rule_parameters(name) if key in params]
+    return f"rules[{name!r}]({', '.join(argument_texts)})"
 
 
 @lru_cache
-def _taken(name):
-    return [key for key, each in signature(rules[name]).parameters.items() if each.kind is not Parameter.VAR_KEYWORD]
+def _rule_parameters(name):
+    return [
+        key
+        for key, parameter in signature(rules[name]).parameters.items()
+        if parameter.kind is not Parameter.VAR_KEYWORD
+    ]

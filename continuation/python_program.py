@@ -15,22 +15,22 @@ import numpy as np
 from jax.extend import core
 from jax.interpreters import partial_eval
 
-from . import python_forms
-from .numpy_indexing import Unknown
-from .numpy_rules import COMPILED, rules
-from .python_literals import NAMED, literal, rule_text
-from .python_text import Block, Chosen, Line, Repeated, count, needed, written
+from . import scalar_expressions
+from .numpy_indexing import NoRuleError
+from .numpy_primitives import UNSUPPORTED, rules
+from .python_literals import TYPES_BY_NAME, literal_text, rule_text
+from .python_source import Block, Conditional, Line, Loop, count_lines, prune_lines, write_lines
 
-SMALL = 20  # numbers of an array that are written one by one
-KINDS = tuple(map(np.dtype, (np.float64, bool, np.int32, np.int64)))  # of which Python has the same
-CALLS = {"closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "jit", "pjit", "checkpoint"}
-CALLED = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # names for the function that these call
+MAX_SCALARS = 20  # numbers of an array that are written one by one
+PYTHON_DTYPES = tuple(map(np.dtype, (np.float64, bool, np.int32, np.int64)))  # of which Python has the same
+CALL_PRIMITIVES = {"closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "jit", "pjit", "checkpoint"}
+CALLED_JAXPR_KEYS = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # names for the function that these call
 
 Value = Any  # of a variable: the numbers of its entries, an array of its shape, where it is small; else its own number
 
 
-def is_small(kind):
-    return math.prod(kind.shape) <= SMALL and np.dtype(kind.dtype) in KINDS
+def is_small(aval):
+    return math.prod(aval.shape) <= MAX_SCALARS and np.dtype(aval.dtype) in PYTHON_DTYPES
 
 
 def divided(x, y):
@@ -44,19 +44,19 @@ def wrapped(bits, x):
     return (x + half) % (2 * half) - half
 
 
-def kept_lanes(on, new, old):
+def kept_lanes(active, new, old):
     """Of lanes: the new values of those that go on."""
-    return np.where(on.reshape(on.shape + (1,) * (new.ndim - on.ndim)), new, old)
+    return np.where(active.reshape(active.shape + (1,) * (new.ndim - active.ndim)), new, old)
 
 
-def without_unused(closed):
+def without_unused(closed_jaxpr):
     """A closed jaxpr without equations that no result needs, those within the functions that it calls among them."""
-    jaxpr, _ = partial_eval.dce_jaxpr(closed.jaxpr, [True] * len(closed.jaxpr.outvars), instantiate=True)
-    return closed.replace(jaxpr=jaxpr)
+    jaxpr, _ = partial_eval.dce_jaxpr(closed_jaxpr.jaxpr, [True] * len(closed_jaxpr.jaxpr.outvars), instantiate=True)
+    return closed_jaxpr.replace(jaxpr=jaxpr)
 
 
-SPACE: dict[str, Any] = {"np": np, "math": math, "nan": math.nan, "inf": math.inf, "rules": rules} | NAMED
-SPACE |= {each.__name__: each for each in (divided, wrapped, kept_lanes)}  # what a text may name
+NAMESPACE: dict[str, Any] = {"np": np, "math": math, "nan": math.nan, "inf": math.inf, "rules": rules} | TYPES_BY_NAME
+NAMESPACE |= {function.__name__: function for function in (divided, wrapped, kept_lanes)}  # what a text may name
 
 
 class Program(NamedTuple):
@@ -68,273 +68,277 @@ class Program(NamedTuple):
     text: str | None = None
 
 
-def program(closed: core.ClosedJaxpr) -> Program:
+def build_program(closed_jaxpr: core.ClosedJaxpr) -> Program:
     """That of a closed jaxpr. Raises Unknown where an equation has no rule."""
-    writer = Writer(closed)
-    space = SPACE | writer.held
-    exec(writer.text, space)  # the text is the writer's own, of a jaxpr
-    return Program(space["run"], space["size"], None if writer.held else writer.text)
+    writer = Writer(closed_jaxpr)
+    namespace = NAMESPACE | writer.objects
+    exec(writer.text, namespace)  # the text is the writer's own, of a jaxpr
+    return Program(namespace["run"], namespace["size"], None if writer.objects else writer.text)
 
 
-def code_of(text: str) -> bytes:
+def compile_text(text: str) -> bytes:
     """Translate a program's text as Python does for its own cache, so that a later process need not."""
     return marshal.dumps(compile(text, "<program>", "exec", dont_inherit=True))
 
 
-def of_code(content: bytes) -> Program:
-    """The program whose text `code_of` has translated: executed, so the content must come from a source that is trusted
-    and be undamaged (`cache_file`)."""
-    space = dict(SPACE)
-    exec(marshal.loads(content), space)
-    return Program(space["run"], space["size"])
+def load_program(content: bytes) -> Program:
+    """The program whose text `compile_text` has translated: executed, so the content must come from a source that is
+    trusted and be undamaged (`cache_file`)."""
+    namespace = dict(NAMESPACE)
+    exec(marshal.loads(content), namespace)
+    return Program(namespace["run"], namespace["size"])
 
 
 class Writer:
-    """The text of a closed jaxpr's program. held: functions and arrays that it names and cannot hold."""
+    """The text of a closed jaxpr's program. objects: functions and arrays that it names and cannot hold."""
 
-    def __init__(self, closed):
-        self.count, self.texts, self.values, self.constants = 0, {}, {}, {}
-        self.names, self.held = {}, {}  # {text of a function or an array: its name}, {name: what has no text}
+    def __init__(self, closed_jaxpr):
+        self.last_number, self.texts, self.values, self.constant_numbers = 0, {}, {}, {}
+        self.names, self.objects = {}, {}  # {text of a function or an array: its name}, {name: what has no text}
         self.block = Block()
-        arguments, given = [self.new() for _ in closed.jaxpr.invars], []
-        for one, var in zip(arguments, closed.jaxpr.invars, strict=True):
-            given.append(self.unpacked(one, var.aval) if is_small(var.aval) else one)
-        found = self.equations(without_unused(closed), given)
-        results = [self.whole(*each) for each in zip(found, _kinds(closed.jaxpr.outvars), strict=True)]
-        lines = needed(self.block.lines, set(results))
-        text = [f"{name} = {each}" for each, name in self.names.items()]
-        text += [f"size = {count(lines)}", f"def run({', '.join(map(self.name, arguments))}):"]
-        text += [f"    spent = {len(lines)}", *written(lines, self.name, "    ")]
+        arguments, inputs = [self.new_number() for _ in closed_jaxpr.jaxpr.invars], []
+        for number, var in zip(arguments, closed_jaxpr.jaxpr.invars, strict=True):
+            inputs.append(self.unpack(number, var.aval) if is_small(var.aval) else number)
+        values = self.write_jaxpr(without_unused(closed_jaxpr), inputs)
+        results = [self.pack(*item) for item in zip(values, _avals(closed_jaxpr.jaxpr.outvars), strict=True)]
+        lines = prune_lines(self.block.lines, set(results))
+        text = [f"{name} = {item}" for item, name in self.names.items()]
+        text += [f"size = {count_lines(lines)}", f"def run({', '.join(map(self.name, arguments))}):"]
+        text += [f"    spent = {len(lines)}", *write_lines(lines, self.name, "    ")]
         text.append(f"    return [{', '.join(map(self.name, results))}], spent")
         self.text = "\n".join(text)
 
     # values
 
-    def new(self):
-        self.count += 1
-        return self.count
+    def new_number(self):
+        self.last_number += 1
+        return self.last_number
 
-    def name(self, one):
-        return self.texts.get(one) or f"v{one}"
+    def name(self, number):
+        return self.texts.get(number) or f"v{number}"
 
     def constant(self, value: Any) -> int:
         """A number of Python's, or an array."""
-        small = isinstance(value, float | int)
-        key = (type(value), repr(value)) if small else (value.shape, value.dtype, value.tobytes())
-        if key not in self.constants:
-            one = self.constants[key] = self.new()
-            self.values[one], self.texts[one] = (
+        is_scalar = isinstance(value, float | int)
+        key = (type(value), repr(value)) if is_scalar else (value.shape, value.dtype, value.tobytes())
+        if key not in self.constant_numbers:
+            number = self.constant_numbers[key] = self.new_number()
+            self.values[number], self.texts[number] = (
                 value,
-                repr(value) if small else self.named(value, partial(literal, value)),
+                repr(value) if is_scalar else self.object_name(value, partial(literal_text, value)),
             )
-            if small and self.texts[one].startswith("-"):
-                self.texts[one] = f"({self.texts[one]})"
-        return self.constants[key]
+            if is_scalar and self.texts[number].startswith("-"):
+                self.texts[number] = f"({self.texts[number]})"
+        return self.constant_numbers[key]
 
-    def constants_of(self, array: Any, kind: Any) -> Value:
-        array = np.asarray(array, kind.dtype)
-        if not is_small(kind):
+    def constants_of(self, array: Any, aval: Any) -> Value:
+        array = np.asarray(array, aval.dtype)
+        if not is_small(aval):
             return self.constant(array[()])
-        return np.array([self.constant(each) for each in array.ravel().tolist()], int).reshape(array.shape)
+        return np.array([self.constant(entry) for entry in array.ravel().tolist()], int).reshape(array.shape)
 
-    def known(self, value: Value, kind: Any) -> Any:
+    def constant_array(self, value: Value, aval: Any) -> Any:
         """A constant as an array, None where it is none."""
         if not isinstance(value, np.ndarray):
             return self.values.get(value)
-        ids = value.ravel().tolist()
-        if any(one not in self.values for one in ids):
+        numbers = value.ravel().tolist()
+        if any(number not in self.values for number in numbers):
             return None
-        return np.array([self.values[one] for one in ids], kind.dtype).reshape(value.shape)[()]
+        return np.array([self.values[number] for number in numbers], aval.dtype).reshape(value.shape)[()]
 
-    def line(self, text: str, given: Sequence[int], count: int | None = None, key: Any = None) -> Any:
+    def emit(self, text: str, inputs: Sequence[int], n_values: int | None = None, key: Any = None) -> Any:
         """What a text gives of some values, once: one value, or a list of so many."""
-        key = (text if key is None else key, tuple(given))
-        found = self.block.find(key)
-        if found is None:
-            found = [self.new() for _ in range(count or 1)] if count != 0 else []
-            self.block.lines.append(Line(found, given, text, count is not None))
-            self.block.known[key] = found
-        return found[0] if count is None else found
+        key = (text if key is None else key, tuple(inputs))
+        numbers = self.block.find(key)
+        if numbers is None:
+            numbers = [self.new_number() for _ in range(n_values or 1)] if n_values != 0 else []
+            self.block.lines.append(Line(numbers, inputs, text, n_values is not None))
+            self.block.known_results[key] = numbers
+        return numbers[0] if n_values is None else numbers
 
-    def whole(self, value: Value, kind: Any) -> int:
+    def pack(self, value: Value, aval: Any) -> int:
         """As one value of NumPy's."""
         if not isinstance(value, np.ndarray):
             return value
-        constant = self.known(value, kind)
+        constant = self.constant_array(value, aval)
         if constant is not None:
             return self.constant(constant)
-        ids, dtype = value.ravel().tolist(), f"np.{np.dtype(kind.dtype).name}"
+        numbers, dtype = value.ravel().tolist(), f"np.{np.dtype(aval.dtype).name}"
         dtype = "np.bool_" if dtype == "np.bool" else dtype
         if not value.ndim:
-            return self.line(f"{dtype}({{0}})", ids)
-        places = ", ".join(f"{{{k}}}" for k in range(len(ids)))
-        shaped = f".reshape({value.shape})" if value.ndim > 1 else ""
-        return self.line(f"np.array([{places}], {dtype}){shaped}", ids)
+            return self.emit(f"{dtype}({{0}})", numbers)
+        placeholders = ", ".join(f"{{{k}}}" for k in range(len(numbers)))
+        reshape_text = f".reshape({value.shape})" if value.ndim > 1 else ""
+        return self.emit(f"np.array([{placeholders}], {dtype}){reshape_text}", numbers)
 
-    def unpacked(self, one: int, kind: Any) -> Value:
+    def unpack(self, number: int, aval: Any) -> Value:
         """As numbers of Python's."""
-        if not kind.shape:
-            return np.array(self.line("{0}.item()", [one]))
-        return np.array(self.line("{0}.ravel().tolist()", [one], math.prod(kind.shape)), int).reshape(kind.shape)
+        if not aval.shape:
+            return np.array(self.emit("{0}.item()", [number]))
+        return np.array(self.emit("{0}.ravel().tolist()", [number], math.prod(aval.shape)), int).reshape(aval.shape)
 
-    def named(self, value: Any, told: Callable[[], str]) -> str:
-        """The name of a function or an array. told: gives its text, raises Unknown where it has none."""
+    def object_name(self, value: Any, make_text: Callable[[], str]) -> str:
+        """The name of a function or an array. make_text: gives its text, raises Unknown where it has none."""
         try:
-            text = told()
-        except Unknown:
-            name = f"h{self.new()}"
-            self.held[name] = value
+            text = make_text()
+        except NoRuleError:
+            name = f"h{self.new_number()}"
+            self.objects[name] = value
             return name
         return self.names.setdefault(text, f"n{len(self.names)}")
 
     # equations
 
-    def equations(self, closed: Any, given: Sequence[Value]) -> list[Value]:
+    def write_jaxpr(self, closed_jaxpr: Any, inputs: Sequence[Value]) -> list[Value]:
         """The values of a closed jaxpr's results, those of its arguments being given."""
-        jaxpr = closed.jaxpr
-        places = dict(zip(jaxpr.invars, given, strict=True))
-        for var, value in zip(jaxpr.constvars, closed.consts, strict=True):
-            places[var] = self.constants_of(value, var.aval)
+        jaxpr = closed_jaxpr.jaxpr
+        value_of_variable = dict(zip(jaxpr.invars, inputs, strict=True))
+        for var, value in zip(jaxpr.constvars, closed_jaxpr.consts, strict=True):
+            value_of_variable[var] = self.constants_of(value, var.aval)
 
-        def place(var):
+        def lookup_value(var):
             if isinstance(var, core.Literal):
                 return self.constants_of(var.val, var.aval)
-            return places[var]
+            return value_of_variable[var]
 
         for equation in jaxpr.eqns:
-            found = self.equation(equation, [place(var) for var in equation.invars])
-            places |= zip(equation.outvars, found, strict=True)
-        return [place(var) for var in jaxpr.outvars]
+            results = self.write_equation(equation, [lookup_value(var) for var in equation.invars])
+            value_of_variable |= zip(equation.outvars, results, strict=True)
+        return [lookup_value(var) for var in jaxpr.outvars]
 
-    def equation(self, equation: Any, given: list[Value]) -> list[Value]:
+    def write_equation(self, equation: Any, inputs: list[Value]) -> list[Value]:
         name, params = equation.primitive.name, equation.params
-        inner = next((params[key] for key in CALLED if key in params), None)
-        if isinstance(inner, core.ClosedJaxpr) and (name in CALLS or "call_jaxpr" in params):
-            return self.equations(inner, given)
+        called_jaxpr = next((params[key] for key in CALLED_JAXPR_KEYS if key in params), None)
+        if isinstance(called_jaxpr, core.ClosedJaxpr) and (name in CALL_PRIMITIVES or "call_jaxpr" in params):
+            return self.write_jaxpr(called_jaxpr, inputs)
         if name == "while":
-            return self.repeated(params, given, _kinds(equation.outvars))
+            return self.write_while(params, inputs, _avals(equation.outvars))
         if name == "scan":
-            return self.scanned(params, given, _kinds(equation.outvars))
+            return self.write_scan(params, inputs, _avals(equation.outvars))
         if name == "cond":
-            return self.chosen(params["branches"], given, _kinds(equation.outvars))
-        if name not in rules or any(var.aval.dtype.kind in COMPILED.get(name, "") for var in equation.invars):
-            raise Unknown(name)
-        return self.primitive(name, params, given, _kinds(equation.invars), _kinds(equation.outvars))
+            return self.write_cond(params["branches"], inputs, _avals(equation.outvars))
+        if name not in rules or any(var.aval.dtype.kind in UNSUPPORTED.get(name, "") for var in equation.invars):
+            raise NoRuleError(name)
+        return self.write_primitive(name, params, inputs, _avals(equation.invars), _avals(equation.outvars))
 
-    def primitive(self, name, params, given, kinds, outs):
-        several = name in python_forms.SEVERAL
-        fixed = [self.known(*each) for each in zip(given, kinds, strict=True)]
-        if all(each is not None for each in fixed):
+    def write_primitive(self, name, params, inputs, avals, out_avals):
+        is_list = name in scalar_expressions.LIST_PRIMITIVES
+        constants = [self.constant_array(*pair) for pair in zip(inputs, avals, strict=True)]
+        if all(pair is not None for pair in constants):
             with np.errstate(all="ignore"):
-                found = rules[name](**params)(*fixed)
-            return [self.constants_of(*each) for each in zip(found if several else [found], outs, strict=True)]
-        if all(isinstance(value, np.ndarray) for value in given) and all(map(is_small, outs)):
-            found = python_forms.small(self, name, params, given, fixed, kinds, outs)
-            if found is not None:
-                return found
-        wholes = [self.whole(*each) for each in zip(given, kinds, strict=True)]
-        key = (name, *sorted((key, str(each)) for key, each in params.items()))
-        function = self.named(rules[name](**params), partial(rule_text, name, params))
-        text = f"{function}({', '.join(f'{{{k}}}' for k in range(len(wholes)))})"
-        found = self.line(text, wholes, len(outs) if several else None, key)
-        return self.taken(found if several else [found], outs)
+                results = rules[name](**params)(*constants)
+            return [self.constants_of(*pair) for pair in zip(results if is_list else [results], out_avals, strict=True)]
+        if all(isinstance(value, np.ndarray) for value in inputs) and all(map(is_small, out_avals)):
+            results = scalar_expressions.write_scalars(self, name, params, inputs, constants, avals, out_avals)
+            if results is not None:
+                return results
+        arrays = [self.pack(*pair) for pair in zip(inputs, avals, strict=True)]
+        key = (name, *sorted((key, str(pair)) for key, pair in params.items()))
+        function = self.object_name(rules[name](**params), partial(rule_text, name, params))
+        text = f"{function}({', '.join(f'{{{k}}}' for k in range(len(arrays)))})"
+        results = self.emit(text, arrays, len(out_avals) if is_list else None, key)
+        return self.unpack_small(results if is_list else [results], out_avals)
 
-    def taken(self, found, kinds):
+    def unpack_small(self, values, avals):
         """Values of NumPy's, those that are small number by number."""
-        pairs = zip(found, kinds, strict=True)
-        return [self.unpacked(one, kind) if is_small(kind) else one for one, kind in pairs]
+        pairs = zip(values, avals, strict=True)
+        return [self.unpack(value, aval) if is_small(aval) else value for value, aval in pairs]
 
     # loops and choices
 
-    def within(self, around, closed, given):
+    def write_block(self, outer, closed_jaxpr, inputs):
         """(lines, values of the results) of a closed jaxpr in a block of its own."""
-        self.block = Block(around)
-        found = self.equations(without_unused(closed), given)
-        return self.block, found
+        self.block = Block(outer)
+        results = self.write_jaxpr(without_unused(closed_jaxpr), inputs)
+        return self.block, results
 
-    def fresh(self, kinds):
+    def new_values(self, avals):
         """New values of some kinds."""
         return [
-            np.array([self.new() for _ in range(math.prod(kind.shape))], int).reshape(kind.shape)
-            if is_small(kind)
-            else self.new()
-            for kind in kinds
+            np.array([self.new_number() for _ in range(math.prod(aval.shape))], int).reshape(aval.shape)
+            if is_small(aval)
+            else self.new_number()
+            for aval in avals
         ]
 
-    def repeated(self, params, given, kinds):
-        first, second = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
-        asked, fixed, begin, around = given[:first], given[first:second], given[second:], self.block
-        carry = self.fresh(kinds)
-        test, (on,) = self.within(around, params["cond_jaxpr"], [*asked, *carry])
-        (on_kind,) = _kinds(params["cond_jaxpr"].jaxpr.outvars)
-        if on_kind.shape:  # of lanes, those that are through stay as they are
-            lanes = self.whole(on, on_kind)
-            going = self.line("{0}.any()", [lanes])
+    def write_while(self, params, inputs, avals):
+        n_cond, n_consts = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
+        cond_args, body_args, init, outer = inputs[:n_cond], inputs[n_cond:n_consts], inputs[n_consts:], self.block
+        carry = self.new_values(avals)
+        cond_block, (is_active,) = self.write_block(outer, params["cond_jaxpr"], [*cond_args, *carry])
+        (is_active_aval,) = _avals(params["cond_jaxpr"].jaxpr.outvars)
+        if is_active_aval.shape:  # of lanes, those that are through stay as they are
+            lanes = self.pack(is_active, is_active_aval)
+            condition = self.emit("{0}.any()", [lanes])
         else:
-            going = int(on)
-        block, after = self.within(test, params["body_jaxpr"], [*fixed, *carry])
-        if on_kind.shape:
-            columns = [[self.whole(*each) for each in zip(values, kinds, strict=True)] for values in (after, carry)]
-            found = [self.line("kept_lanes({0}, {1}, {2})", [lanes, *pair]) for pair in zip(*columns, strict=True)]
-            after = self.taken(found, kinds)
-        self.block = around
-        loop = Repeated(_flat(carry), _flat(begin), _flat(after), block.lines, test.lines, going)
-        around.lines.append(loop)
+            condition = int(is_active)
+        block, next_carry = self.write_block(cond_block, params["body_jaxpr"], [*body_args, *carry])
+        if is_active_aval.shape:
+            columns = [
+                [self.pack(*entry) for entry in zip(values, avals, strict=True)] for values in (next_carry, carry)
+            ]
+            results = [self.emit("kept_lanes({0}, {1}, {2})", [lanes, *pair]) for pair in zip(*columns, strict=True)]
+            next_carry = self.unpack_small(results, avals)
+        self.block = outer
+        loop = Loop(_flatten(carry), _flatten(init), _flatten(next_carry), block.lines, cond_block.lines, condition)
+        outer.lines.append(loop)
         return carry
 
-    def scanned(self, params, given, kinds):
-        body, fixed, carried = params["jaxpr"], params["num_consts"], params["num_carry"]
-        inner, around = _kinds(body.jaxpr.invars), self.block
-        carry, heads = self.fresh(kinds[:carried]), self.fresh(inner[fixed + carried :])
-        block, after = self.within(around, body, [*given[:fixed], *carry, *heads])
-        self.block, rows, kept, stacked = around, [], [], []
-        turn = "[::-1]" if params["reverse"] else ""
-        for value, one, kind in zip(given[fixed + carried :], heads, inner[fixed + carried :], strict=True):
-            small = is_small(kind)
-            whole = value
+    def write_scan(self, params, inputs, avals):
+        body, n_consts, n_carry = params["jaxpr"], params["num_consts"], params["num_carry"]
+        body_avals, outer = _avals(body.jaxpr.invars), self.block
+        carry, xs = self.new_values(avals[:n_carry]), self.new_values(body_avals[n_consts + n_carry :])
+        block, body_results = self.write_block(outer, body, [*inputs[:n_consts], *carry, *xs])
+        self.block, rows, output_lists, stacked_outputs = outer, [], [], []
+        flip = "[::-1]" if params["reverse"] else ""
+        for value, entry, aval in zip(inputs[n_consts + n_carry :], xs, body_avals[n_consts + n_carry :], strict=True):
+            small = is_small(aval)
+            array = value
             if isinstance(value, np.ndarray):
-                shape = (params["length"], *kind.shape)
-                whole = self.whole(value, jax.ShapeDtypeStruct(shape, kind.dtype))
-            tail = f".reshape({params['length']}, {math.prod(kind.shape)}).tolist()" if small else ""
-            rows.append((Line((), [whole], f"{{0}}{tail}{turn}"), one.ravel().tolist() if small else [one], not small))
-        for value, kind in zip(after[carried:], kinds[carried:], strict=True):
-            small, listed = isinstance(value, np.ndarray), self.new()
-            kept.append((listed, value.ravel().tolist() if small else [value], not small))
-            text = f"np.array({{0}}{turn}, np.dtype('{np.dtype(kind.dtype).str}')).reshape({kind.shape})"
-            stacked.append((text, listed))
+                shape = (params["length"], *aval.shape)
+                array = self.pack(value, jax.ShapeDtypeStruct(shape, aval.dtype))
+            tail = f".reshape({params['length']}, {math.prod(aval.shape)}).tolist()" if small else ""
+            rows.append(
+                (Line((), [array], f"{{0}}{tail}{flip}"), entry.ravel().tolist() if small else [entry], not small)
+            )
+        for value, aval in zip(body_results[n_carry:], avals[n_carry:], strict=True):
+            small, list_number = isinstance(value, np.ndarray), self.new_number()
+            output_lists.append((list_number, value.ravel().tolist() if small else [value], not small))
+            text = f"np.array({{0}}{flip}, np.dtype('{np.dtype(aval.dtype).str}')).reshape({aval.shape})"
+            stacked_outputs.append((text, list_number))
         lines, length = block.lines, params["length"]
-        loop = Repeated(
-            _flat(carry),
-            _flat(given[fixed : fixed + carried]),
-            _flat(after[:carried]),
+        loop = Loop(
+            _flatten(carry),
+            _flatten(inputs[n_consts : n_consts + n_carry]),
+            _flatten(body_results[:n_carry]),
             lines,
             (),
             None,
             length,
             rows,
-            kept,
+            output_lists,
         )
-        around.lines.append(loop)
-        found = [self.line(text, [one]) for text, one in stacked]
-        return [*carry, *self.taken(found, kinds[carried:])]
+        outer.lines.append(loop)
+        outputs = [self.emit(text, [entry]) for text, entry in stacked_outputs]
+        return [*carry, *self.unpack_small(outputs, avals[n_carry:])]
 
-    def chosen(self, branches, given, kinds):
-        which, around = int(given[0]), self.block
-        if which in self.values:
-            return self.equations(branches[min(max(int(self.values[which]), 0), len(branches) - 1)], given[1:])
+    def write_cond(self, branches, inputs, avals):
+        case, outer = int(inputs[0]), self.block
+        if case in self.values:
+            return self.write_jaxpr(branches[min(max(int(self.values[case]), 0), len(branches) - 1)], inputs[1:])
         blocks = []
         for branch in branches:
-            block, results = self.within(around, branch, given[1:])
-            blocks.append((block.lines, _flat(results)))
-        self.block, found = around, self.fresh(kinds)
-        around.lines.append(Chosen(_flat(found), which, blocks))
-        return found
+            block, branch_results = self.write_block(outer, branch, inputs[1:])
+            blocks.append((block.lines, _flatten(branch_results)))
+        self.block, results = outer, self.new_values(avals)
+        outer.lines.append(Conditional(_flatten(results), case, blocks))
+        return results
 
 
-def _kinds(variables):
+def _avals(variables):
     return [var.aval for var in variables]
 
 
-def _flat(values):
+def _flatten(values):
     """The numbers of some values in a row."""
-    return [one for each in values for one in (each.ravel().tolist() if isinstance(each, np.ndarray) else [each])]
+    return [item for value in values for item in (value.ravel().tolist() if isinstance(value, np.ndarray) else [value])]

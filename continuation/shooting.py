@@ -15,30 +15,30 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 
-from .errors import ContinuationError, first_line, typed
-from .problem import ORBITS, Function, System
+from .errors import ContinuationError, check_types, first_line
+from .problem import ORBITS, System, SystemFunction
 
-STEPS = 16**3  # of a solver in a segment: more is taken for a failure
+MAX_SOLVER_STEPS = 16**3  # of a solver in a segment: more is taken for a failure
 TOLERANCE = 1e-13  # of the solver, relative and absolute
 
 
 @dataclass(frozen=True)
-class Flight:
+class FieldFlow:
     """Flies along a field. solver: of diffrax; tolerance: of its steps, relative and absolute."""
 
-    field: Function
+    field: SystemFunction
     solver: diffrax.AbstractSolver
     tolerance: float
 
     def __call__(self, x: Any, time: Any, p: Any, args: Any) -> Any:
         """u at a time, from x on; not finite where the solver fails."""
 
-        def rate(_, u, given):
-            time, p, args = given
+        def scaled_field(_, u, ode_args):
+            time, p, args = ode_args
             return time * jnp.asarray(self.field(u, p, args))
 
-        found = diffrax.diffeqsolve(
-            diffrax.ODETerm(rate),
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(scaled_field),
             self.solver,
             0.0,
             1.0,
@@ -47,16 +47,16 @@ class Flight:
             (time, p, args),
             stepsize_controller=diffrax.PIDController(self.tolerance, self.tolerance),
             adjoint=diffrax.ForwardMode(),
-            max_steps=STEPS,
+            max_steps=MAX_SOLVER_STEPS,
             throw=False,
         )
-        assert found.ys is not None  # it is asked for the end
-        return jnp.where(found.result == diffrax.RESULTS.successful, found.ys[-1], jnp.nan)
+        assert solution.ys is not None  # it is asked for the end
+        return jnp.where(solution.result == diffrax.RESULTS.successful, solution.ys[-1], jnp.nan)
 
 
-@typed
+@check_types
 def periodic_orbits(
-    field: Function, segments: int = 8, solver: diffrax.AbstractSolver | None = None, tolerance: float = TOLERANCE
+    field: SystemFunction, segments: int = 8, solver: diffrax.AbstractSolver | None = None, tolerance: float = TOLERANCE
 ) -> System:
     """The `System` of the periodic orbits of u' = field(u, p, args), by multiple shooting with diffrax. Besides folds
     (SN) and branch points (BP), period doublings (PD) and Neimark-Sacker points (NS) are watched.
@@ -72,10 +72,12 @@ def periodic_orbits(
         raise ContinuationError("segments", "must be a whole number from 1 on", segments)
     if not (isinstance(tolerance, float) and 0 < tolerance < 1):
         raise ContinuationError("tolerance", "must be between 0 and 1", tolerance)
-    return System(field, ORBITS, 1, Flight(field, diffrax.Dopri8() if solver is None else solver, tolerance), segments)
+    return System(
+        field, ORBITS, 1, FieldFlow(field, diffrax.Dopri8() if solver is None else solver, tolerance), segments
+    )
 
 
-@typed
+@check_types
 def settled(
     system: System,
     start: Real[ArrayLike, " size"] | Sequence[float],
@@ -92,20 +94,20 @@ def settled(
     if not isinstance(system, System) or system.fly is None:
         raise ContinuationError("system", "must be one of `periodic_orbits`", system)
     p = {name: float(value) for name, value in at.items()}
-    count = system.segments * system.times
-    fly = jax.jit(partial(_flown, system.fly))
+    n_segments = system.segments * system.times
+    fly = jax.jit(partial(_fly, system.fly))
     points = [np.asarray(start, float)]
     if points[0].ndim != 1 or not points[0].size:
         raise ContinuationError("start", "must be a state, one number for each equation", start)
     try:
-        jax.eval_shape(fly, points[0], period / count, p, args)
+        jax.eval_shape(fly, points[0], period / n_segments, p, args)
     except Exception as error:  # whatever a user's field falls over
         rule = f"must be a state that the field takes with these `at` and `args` ({first_line(error)})"
         raise ContinuationError("start", rule, start) from error
-    for _ in range(count * (rounds + 1) - 1):
-        points.append(np.asarray(fly(points[-1], period / count, p, args)))
-    return np.append(np.concatenate(points[-count:]), period)
+    for _ in range(n_segments * (rounds + 1) - 1):
+        points.append(np.asarray(fly(points[-1], period / n_segments, p, args)))
+    return np.append(np.concatenate(points[-n_segments:]), period)
 
 
-def _flown(fly, x, time, p, args):
+def _fly(fly, x, time, p, args):
     return fly(x, time, p, args)

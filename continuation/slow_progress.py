@@ -4,28 +4,33 @@ import warnings
 
 import numpy as np
 
-SLOW, NARROW = 100, 1e-7  # points in a row, and 1 + abs of the parameter: as many within as little are slow progress
+SLOW_POINTS, NARROW_WIDTH = (
+    100,
+    1e-7,
+)  # points in a row, and 1 + abs of the parameter: as many within as little are slow progress
 
 
 class SlowProgress(UserWarning):
     """A continuation takes many steps without a change of its parameter."""
 
 
-def is_slow(one):
+def is_slow(segment):
     """Return True if many points of a `Stretch` lie at nearly one value of the parameter."""
-    values = one.points.z[:, -1]
-    return len(values) > SLOW and float(np.ptp(values)) < NARROW * (1.0 + abs(values[-1]))
+    values = segment.points.z[:, -1]
+    return len(values) > SLOW_POINTS and float(np.ptp(values)) < NARROW_WIDTH * (1.0 + abs(values[-1]))
 
 
-def warn_if_slow(control, one):
+def warn_if_slow(control, segment):
     """Warn where many points in a row lie at nearly one value of the parameter."""
-    if is_slow(one):
-        values, steps = one.points.z[:, -1], one.points.step
-        width, count = float(np.ptp(values)), len(values) - 1
-        least, most = float(steps[1:].min()), float(steps[1:].max())
+    if is_slow(segment):
+        values, steps = segment.points.z[:, -1], segment.points.step
+        width, n_steps = float(np.ptp(values)), len(values) - 1
+        smallest_step, largest_step = float(steps[1:].min()), float(steps[1:].max())
         warnings.warn(
-            f"slow progress: {count} points lie within {width:.1e} of the parameter value {values[-1]:.12g}, with steps"
-            f" of {least:.1e} to {most:.1e} (the smallest allowed is {float(control.smallest):.1e}); the curve bends"
+            f"slow progress: {n_steps} points lie within {width:.1e} of the parameter value {values[-1]:.12g},"
+            " with steps"
+            f" of {smallest_step:.1e} to {largest_step:.1e} (the smallest allowed is"
+            f" {float(control.min_step):.1e}); the curve bends"
             " sharply or is nearly singular there; set max_points or max_seconds, or narrow the bounds",
             SlowProgress,
             stacklevel=2,

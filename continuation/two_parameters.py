@@ -13,21 +13,21 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from . import event_search, locate
-from .arclength import bordered
-from .arguments import require_settings
+from . import augmented_systems, event_search
+from .arclength import solve_bordered
 from .branch import Branch, Special
-from .errors import ContinuationError, typed
+from .curve_events import INTERSECTIONS, CurveEventDetector
+from .errors import ContinuationError, check_types
 from .limits import limits_of
-from .on_curve import MEETING, OnCurve
-from .one_parameter import both_ways, branch_of, checked_bounds, task_of
-from .problem import Given, Problem, Test, equations_at, noise_of, singular_matrix
+from .one_parameter import assemble_branch, follow_both_directions, make_task, validate_bounds
+from .problem import Constants, Problem, TestFunction, noise_floor, residual_and_jacobian, singular_matrix
+from .validation import require_settings
 
 KINDS = ("SN", "PD", "HB", "NS", "SB")
 TOLERANCE = 1e-12  # of Newton's method, a length
 
 
-@typed
+@check_types
 def curve(
     special: Special,
     names: Sequence[str],
@@ -56,43 +56,46 @@ def curve(
     """
     if not isinstance(special, Special) or special.kind not in KINDS:
         raise ContinuationError("special", f"must be a special point of kind {', '.join(KINDS)}", special)
-    pair = tuple(names) if isinstance(names, tuple | list) else ()
-    if len(pair) != 2 or pair[0] == pair[1]:
+    name_pair = tuple(names) if isinstance(names, tuple | list) else ()
+    if len(name_pair) != 2 or name_pair[0] == name_pair[1]:
         raise ContinuationError("names", "must be two different parameters", names)
-    if set(bounds) != set(pair):
-        raise ContinuationError("bounds", f"must be given for {pair[0]} and {pair[1]}", bounds)
+    if set(bounds) != set(name_pair):
+        raise ContinuationError("bounds", f"must be given for {name_pair[0]} and {name_pair[1]}", bounds)
     require_settings("both", None, stop)
-    bounds = checked_bounds(special.p, {name: bounds[name] for name in pair})
+    bounds = validate_bounds(special.p, {name: bounds[name] for name in name_pair})
     limits = limits_of(max_points, max_seconds, progress, ContinuationError)
-    given = Given({name: value for name, value in special.p.items() if name not in pair}, special.args)
-    z = np.append(special.u, [special.p[name] for name in pair])
+    constants = Constants({name: value for name, value in special.p.items() if name not in name_pair}, special.args)
+    z = np.append(special.u, [special.p[name] for name in name_pair])
     system = special.system._replace(within=special.kind == "SB" or special.system.within)
-    watch = OnCurve(system, special.kind, pair)
-    task = task_of(system, z, bounds, given, first_step, largest_step, tolerance, stop=stop, usual=TOLERANCE)
-    task = task._replace(problem=special_problem(system, special.kind, pair), watch=watch, limits=limits)
-    ahead = event_search.tangent(task.problem, z, task.control.scale, given)
-    back, on = both_ways(task, z, ahead)
-    return branch_of(system, special.kind, bounds, given, back, on)
+    detector = CurveEventDetector(system, special.kind, name_pair)
+    task = make_task(system, z, bounds, constants, first_step, largest_step, tolerance, stop=stop, default=TOLERANCE)
+    task = task._replace(problem=curve_problem(system, special.kind, name_pair), detector=detector, limits=limits)
+    tangent = event_search.unit_tangent(task.problem, z, task.control.scale, constants)
+    backward, forward = follow_both_directions(task, z, tangent)
+    return assemble_branch(system, special.kind, bounds, constants, backward, forward)
 
 
 @lru_cache
-def special_problem(system, kind, names):
+def curve_problem(system, kind, names):
     """The `Problem` of special points of a kind along two parameters: z = (u, values of the names)."""
 
-    def singular(z, given):
-        return jnp.linalg.det(singular_matrix(system, kind, names, z, given))
+    def determinant(z, constants):
+        return jnp.linalg.det(singular_matrix(system, kind, names, z, constants))
 
-    def function(z, given):
-        value, slopes = equations_at(system, names, z, given)
-        more = jax.jacfwd(singular)(z, given)
-        return jnp.append(value, singular(z, given)), jnp.concatenate([slopes, more[None]])
+    def function(z, constants):
+        residual, jacobian = residual_and_jacobian(system, names, z, constants)
+        gradient = jax.jacfwd(determinant)(z, constants)
+        return jnp.append(residual, determinant(z, constants)), jnp.concatenate([jacobian, gradient[None]])
 
-    met = MEETING[system.kind].get(kind, {})
-    tests = tuple(Test(label, partial(singular_matrix, system, of, names)) for label, of in met.items())
-    return Problem(function, bordered, function, tests, noise=noise_of(system))
+    intersections = INTERSECTIONS[system.kind].get(kind, {})
+    test_functions = tuple(
+        TestFunction(label, partial(singular_matrix, system, other_kind, names))
+        for label, other_kind in intersections.items()
+    )
+    return Problem(function, solve_bordered, function, test_functions, noise_floor=noise_floor(system))
 
 
-@typed
+@check_types
 def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarray, " names"]:
     """How the value of a special point's parameter changes with other parameters of its system: (names,).
 
@@ -103,13 +106,17 @@ def sensitivity(special: Special, names: str | Sequence[str]) -> Float[np.ndarra
     """
     if not isinstance(special, Special) or special.kind not in KINDS or len(special.names) != 1:
         raise ContinuationError("special", f"must be a special point of a branch, {', '.join(KINDS)}", special)
-    others = (names,) if isinstance(names, str) else tuple(names)
-    if not others or len({*special.names, *others}) <= len(others) or not set(others) <= set(special.p):
-        raise ContinuationError("names", f"must be different parameters, none {special.names[0]}", others)
-    every = (*special.names, *others)
-    given = Given({name: value for name, value in special.p.items() if name not in every}, special.args)
-    z = np.append(special.u, [special.p[name] for name in every])
+    other_names = (names,) if isinstance(names, str) else tuple(names)
+    if (
+        not other_names
+        or len({*special.names, *other_names}) <= len(other_names)
+        or not set(other_names) <= set(special.p)
+    ):
+        raise ContinuationError("names", f"must be different parameters, none {special.names[0]}", other_names)
+    all_names = (*special.names, *other_names)
+    constants = Constants({name: value for name, value in special.p.items() if name not in all_names}, special.args)
+    z = np.append(special.u, [special.p[name] for name in all_names])
     system = special.system._replace(within=special.kind == "SB" or special.system.within)
-    slopes = locate.slopes_of(special_problem(system, special.kind, every), z, given)
-    size = len(z) - len(others)
-    return -np.linalg.solve(slopes[:, :size], slopes[:, size:])[-1]
+    jacobian = augmented_systems.jacobian_at(curve_problem(system, special.kind, all_names), z, constants)
+    n_unknowns = len(z) - len(other_names)
+    return -np.linalg.solve(jacobian[:, :n_unknowns], jacobian[:, n_unknowns:])[-1]

@@ -36,7 +36,7 @@ _HOMES = {
     "sections": "maps.sections",
     "SolutionStatus": "scene.codes",
     "find_orbit": "orbits.find",
-    "find_orbits": "orbits.from_starts",
+    "find_orbits": "orbits.find_orbits",
     "solve_orbits": "orbits.solve",
     "OrbitSolutions": "orbits.solve",
     "Orbit": "orbits.orbit",

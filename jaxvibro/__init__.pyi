@@ -66,7 +66,7 @@ from .maps.simulate import simulate as simulate
 from .maps.strobe import strobe as strobe
 from .maps.wall_loads import wall_loads as wall_loads
 from .orbits.find import find_orbit as find_orbit
-from .orbits.from_starts import find_orbits as find_orbits
+from .orbits.find_orbits import find_orbits as find_orbits
 from .orbits.orbit import Orbit as Orbit
 from .orbits.orbit import OrbitError as OrbitError
 from .orbits.solve import OrbitSolutions as OrbitSolutions

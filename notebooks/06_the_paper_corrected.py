@@ -29,7 +29,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.reproduction.closed import grazing, single_fold, symmetric_fold, symmetric_start
+from jaxvibro.reproduction.closed_forms import grazing_amplitude, single_fold, symmetric_fold, symmetric_start
 
 jax.config.update("jax_enable_x64", True)
 OUT = Path("out")
@@ -102,7 +102,10 @@ for frequency, high in ((1.5, 3.0), (0.8, 0.6)):
 begin, speed = (float(one) for one in symmetric_fold(0.4, DAMPING, RESTITUTION))
 scene = jv.make_scene(begin + 1e-3, 0.4, DAMPING, RESTITUTION, (-1.0, 1.0))
 orbit = jv.find_orbit(scene, symmetric_start(scene), periods=1, settle=0)
-print(f"frequency 0.4: A_c = {begin:.6f} with u = {speed:+.3f}; P100 grazes at {float(grazing(0.4, DAMPING)):.6f}")
+print(
+    f"frequency 0.4: A_c = {begin:.6f} with u = {speed:+.3f}; P100 grazes at"
+    f" {float(grazing_amplitude(0.4, DAMPING)):.6f}"
+)
 print(f"    at A = {float(scene.amplitude):.6f} {orbit.label} is {'stable' if orbit.stable else 'unstable'}")
 
 # %% [markdown]

@@ -164,7 +164,7 @@ for part, colour, told in (("real", COLOURS[0], "real part"), ("imag", COLOURS[3
     axes[1].axhline(abs(getattr(orbit.multipliers[0], part)) * (-1 if part == "real" else 1), color="black", ls=":")
 axes[1].set(ylabel="multiplier of P111")
 for ax in axes:
-    ax.set(xlabel=jv.plot.style.label("hardness"))
+    ax.set(xlabel=jv.plot.style.parameter_label("hardness"))
     ax.legend()
 keep(figure, "along_the_hardness")
 

@@ -15,13 +15,13 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.attractors.assign import assign_labels, homes
-from jaxvibro.attractors.classify import chaotic, periodic
+from jaxvibro.attractors.basin_labels import assign_labels, build_neighbourhoods
+from jaxvibro.attractors.classify import find_chaotic, find_periodic
 from jaxvibro.attractors.shares import share_bounds
 from jaxvibro.attractors.transients import settle_lanes
-from jaxvibro.maps.initial_conditions import box, random_starts
+from jaxvibro.maps.initial_conditions import draw_initial_states, initial_box
 from jaxvibro.orbits.orbit_comparison import is_same_set
-from jaxvibro.output.atomic_write import whole
+from jaxvibro.output.atomic_write import atomic_file
 from jaxvibro.scene.codes import Status
 from tests.test_tried import clearance
 
@@ -69,21 +69,21 @@ def counted(scene, known, seed):
 
     Most are soon in a trap of `basins`; the rest are settled as `find_attractors` does.
     """
-    given, (left, right, fast) = random_starts(scene, MANY, seed), (float(edge) for edge in box(scene))
+    given, (left, right, fast) = draw_initial_states(scene, MANY, seed), (float(edge) for edge in initial_box(scene))
     scale = max(abs(left), abs(right), fast)
-    label, _ = assign_labels(scene, given.x, given.v, 0.0, homes(scene, known, 0.0, scale), QUICK)
+    label, _ = assign_labels(scene, given.x, given.v, 0.0, build_neighbourhoods(scene, known, 0.0, scale), QUICK)
     counts, others = [int((label == k).sum()) for k in range(len(known))], []
     rest = np.flatnonzero(label < 0)
     if not rest.size:
         return counts, others, 0
     state = jax.tree.map(lambda leaf: leaf[rest], given)
     found, periods, scale = settle_lanes(scene, state, 300, max(abs(left), abs(right)))
-    orbits, _ = periodic(scene, found, periods, 300, scale)
-    sets, _ = chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < Status.CAP)), scale)
+    orbits, _ = find_periodic(scene, found, periods, 300, scale)
+    sets, _ = find_chaotic(scene, found, np.flatnonzero((periods == 0) & (found.status < Status.CAP)), scale)
     for one in orbits + sets:
-        home = next((k for k, other in enumerate(known) if is_same(one.numbers, other)), None)
+        home = next((k for k, other in enumerate(known) if is_same(one.fields, other)), None)
         if home is None:
-            others.append((one.numbers["label"], len(one.lanes)))
+            others.append((one.fields["label"], len(one.lanes)))
         else:
             counts[home] += len(one.lanes)
     return counts, others, MANY - sum(counts) - sum(number for _, number in others)
@@ -140,7 +140,7 @@ def main(count, folder):
         path = folder / f"{place}.json"
         if not path.exists():
             found = compared(place)
-            with whole(path) as part:
+            with atomic_file(path) as part:
                 part.write(json.dumps(found).encode())
             print(place, found["kind"], [round(each, 1) for each in found["seconds"]], len(found["rows"]), flush=True)
         results.append(json.loads(path.read_text()))

@@ -11,15 +11,15 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from continuation.arclength import Control
-from continuation.event_search import pinned
-from jaxvibro.branches.follow import place_orbit
-from jaxvibro.problem import touches as touching
-from jaxvibro.problem.equations import problem
-from jaxvibro.problem.orbit_on_branch import described_orbit
-from jaxvibro.problem.orbit_rows import row_of, spot_of
-from jaxvibro.problem.touches import scales
-from jaxvibro.scene.scale import scene_length
+from continuation.arclength import StepControl
+from continuation.event_search import solve_with_fixed_entry
+from jaxvibro.branches.follow import set_up_problem
+from jaxvibro.problem import grazing_contact as touching
+from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.problem.grazing_contact import arclength_weights
+from jaxvibro.problem.orbit_point import orbit_from_row
+from jaxvibro.problem.orbit_rows import dataset_row, parse_orbit_row
+from jaxvibro.scene.typical_scales import scene_length
 from tests.reference import special as reference
 from tests.reference.scene import Motion, Scene, Wall
 from tests.test_extend import WALLS, check_extended
@@ -94,12 +94,12 @@ def error(point):
     spot = point.spot
     touch = None
     if point.kind == "GR":
-        along, z = place_orbit(point.scene, point.name, spot)
-        touches = touching.touches(along, z, scene_length(point.scene))
-        if not any(one.own for one in touches):
+        along, z = set_up_problem(point.scene, point.name, spot)
+        touches = touching.find_grazing_contacts(along, z, scene_length(point.scene))
+        if not any(one.is_impact for one in touches):
             one = touches[0]
             begin = spot.times[one.row] if len(spot.times) else 0.0
-            touch = (one.row, begin + one.late, one.side)
+            touch = (one.row, begin + one.delay, one.side)
     rows = [part.tolist() for part in (spot.times, spot.speeds)]
     sides = [int(side) for side in spot.sides]
     true = reference.special(
@@ -161,7 +161,7 @@ def grazings(count, seed):
 
 def is_simulated(point, spot):
     """Whether the strobe sees the impacts of a `OrbitPoint`, and comes back to it."""
-    one = described_orbit(point.scene.replace(**{point.name: spot.value}), spot)
+    one = orbit_from_row(point.scene.replace(**{point.name: spot.value}), spot)
     end, impacts = jv.strobe(one.scene, one.state, one.periods, 64, slots=32)
     sides = np.asarray(impacts.side)[np.asarray(impacts.side) != 0]
     back = max(abs(float(end.x) - one.state.x), abs(float(end.v) - one.state.v))
@@ -175,19 +175,21 @@ def is_orbit(point, spot):
     exact = reference.orbit(*given)
     apart = max(abs(float(time - mine)) for (time, _), mine in zip(exact, spot.times, strict=True))
     fast = min(speed for _, speed in exact) > 0
-    clear = described_orbit(point.scene.replace(**{point.name: spot.value}), spot).least_clearance
+    clear = orbit_from_row(point.scene.replace(**{point.name: spot.value}), spot).least_clearance
     return fast and apart < 1e-9 and clear > 0
 
 
 def near(point, spot):
     """The `OrbitPoint` of an orbit that joins a GR, 1e-6 of the parameter from there; where that is far along its
     branch, or Newton's method does not come there, the one that is told."""
-    along, z = place_orbit(point.scene, point.name, spot)
+    along, z = set_up_problem(point.scene, point.name, spot)
     value = point.value + np.copysign(1e-6, spot.value - point.value)
     numbers = (np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
-    found = pinned(problem(along), z, -1, value, Control(scales(along, 1.0), *numbers), along)
-    count, rows = len(spot.times), len(along.cycle.sides)
-    if found.met and abs(found.z - z).max() < 1e-4:
+    found = solve_with_fixed_entry(
+        continuation_problem(along), z, -1, value, StepControl(arclength_weights(along, 1.0), *numbers), along
+    )
+    count, rows = len(spot.times), len(along.sequence.sides)
+    if found.converged and abs(found.z - z).max() < 1e-4:
         spot = spot._replace(value=value, times=found.z[:count], speeds=found.z[rows : rows + count])
         if not rows:
             spot = spot._replace(x=found.z[0], v=found.z[1])
@@ -257,16 +259,18 @@ def nearest(branch, other, place):
     for k in np.argsort(apart)[:8]:
         if not np.isfinite(apart[k]):
             break
-        spot = spot_of(row_of(other.data, k), other.name)
-        along, z = place_orbit(other.scene.replace(**{other.name: spot.value}), other.name, spot)
+        spot = parse_orbit_row(dataset_row(other.data, k), other.name)
+        along, z = set_up_problem(other.scene.replace(**{other.name: spot.value}), other.name, spot)
         index, goal = len(z) - 1, value
         if hit.any() and abs(slopes).max() > abs(float(row["value_slope"])):
             most = int(np.argmax(abs(slopes)))
             rank = int(np.argsort(np.argsort(speeds))[most])
             index, goal = len(z) // 2 + int(np.argsort(spot.speeds)[rank]), speeds[most]
-        control = Control(scales(along, 1.0), *(np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf)))
-        found = pinned(problem(along), z, index, goal, control, along)
-        if found.met:
+        control = StepControl(
+            arclength_weights(along, 1.0), *(np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
+        )
+        found = solve_with_fixed_entry(continuation_problem(along), z, index, goal, control, along)
+        if found.converged:
             near = np.sort(found.z[len(z) // 2 : len(z) // 2 + len(speeds)])
             off = max(abs(near - np.sort(speeds)).max(initial=0.0), abs(found.z[-1] - value))
             best = min(best, off)

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from continuation import in_numpy
+from continuation import numpy_evaluation
 from continuation.persistent_jit import persistent_jit
 
 GIVEN = np.linspace(0.1, 2.0, 5)
@@ -34,8 +34,8 @@ def evaluated(function=waves):
 
 def compiled(function=waves):
     """The same by its module."""
-    before, in_numpy.PATIENCE = in_numpy.PATIENCE, 0
+    before, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
     try:
         return evaluated(function)
     finally:
-        in_numpy.PATIENCE = before
+        numpy_evaluation.MAX_EVALUATIONS = before

@@ -120,9 +120,9 @@ def message(rng, kinds):
 def sent(desk, text):
     """What a session is told by a text from outside, as the server has it read; None if it is no message."""
     try:
-        read = messages.read(text)
+        read = messages.decode(text)
     except ArgumentError:
-        assert isinstance(messages.number_of(text), int)
+        assert isinstance(messages.message_number(text), int)
         return None
     told = desk.say(read)
     while not desk.turns.empty():
@@ -135,7 +135,7 @@ def require_answered(read, told):
     answers = [one for one in told if one["kind"] == "answer"]
     assert answers == [{"kind": "answer", "number": read.number}] and told[-1] == answers[0]
     for one in told:
-        msgspec.json.decode(messages.written(one))
+        msgspec.json.decode(messages.encode(one))
         assert one["kind"] != "told" or (one["bad"] and len(one["text"]) <= 300 and "\n" not in one["text"])
 
 

@@ -9,7 +9,7 @@ from tornado.websocket import websocket_connect
 import jaxvibro as jv
 from jaxvibro.explorer import messages
 from jaxvibro.explorer.session import Session
-from jaxvibro.scene.scene_table import table_of
+from jaxvibro.scene.scene_table import make_scene_table
 from jaxvibro.studies.schema import SceneFile
 
 SIZES = {"diagram": (400, 300), "plane": (400, 200), "portrait": (300, 300), "trace": (300, 150)}
@@ -25,10 +25,10 @@ class Desk:
 
     def __init__(self, scene=None, file=None):
         scene = two_walls() if scene is None else scene
-        file = SceneFile(scene=table_of(scene)) if file is None else file
+        file = SceneFile(scene=make_scene_table(scene)) if file is None else file
         self.told, self.turns = [], queue.Queue()
         self.session = Session(file, scene, self.told.append, self.turns.put)
-        self.session.greeted = True
+        self.session.connected = True
 
     def say(self, message):
         """Sends a message: what the page is told because of it."""
@@ -39,21 +39,21 @@ class Desk:
     def rest(self):
         """Waits until no work is under way: what the page is told meanwhile."""
         before = len(self.told)
-        while self.session.works.labels:
+        while self.session.tasks.labels:
             self.turns.get(timeout=PATIENCE)()
         return self.told[before:]
 
     def ask(self, call, **more):
         """Asks for work and waits for its end: what the page is told of it."""
-        return self.say(messages.Ask(call=call, **more)) + self.rest()
+        return self.say(messages.RunAction(call=call, **more)) + self.rest()
 
     @property
     def current(self):
-        return self.session.results[self.session.shown.current]
+        return self.session.results[self.session.page.current]
 
     @property
     def lines(self):
-        return [line.name for line in self.session.shown.lines]
+        return [line.name for line in self.session.page.lines]
 
 
 def complaints(told):

@@ -24,7 +24,7 @@ import xarray as xr
 
 import jaxvibro as jv
 from jaxvibro.reproduction import run as paper
-from jaxvibro.scene.check import LONGEST
+from jaxvibro.scene.check import MAX_MESSAGE_LENGTH
 from jaxvibro.studies import scene_file
 from tests.mutations import CHANGES, mutated
 from tests.paper_proof import stopped
@@ -86,9 +86,9 @@ def made(folder):
     (folder / "rest.toml").write_text(RUN.split("[sweep]")[0])
     jv.run(folder / "rest.toml", folder)
     jv.paper(["formulas"], folder / "paper")
-    drawn = paper.Drawn(b"picture", "", (), {"": branch.data})
-    paper._keep(folder / "paper", "fig8", "key", drawn)
-    kept = lambda name, key: lambda path: paper._kept(folder / "paper", name, key)  # noqa: E731
+    drawn = paper.FigureResult(b"picture", "", (), {"": branch.data})
+    paper._save_result(folder / "paper", "fig8", "key", drawn)
+    kept = lambda name, key: lambda path: paper._load_result(folder / "paper", name, key)  # noqa: E731
     return {
         "branch": (folder / "branch.nc", jv.load_branch),
         "diagram's index": (folder / "d" / "diagram.json", lambda path: jv.load_diagram(path.parent)),
@@ -130,7 +130,7 @@ def _outcome(read, path):
 
 
 def _is_one_line(line):
-    return 0 < len(line) <= LONGEST and "\n" not in line
+    return 0 < len(line) <= MAX_MESSAGE_LENGTH and "\n" not in line
 
 
 def flipped(whole, draw):
@@ -176,7 +176,7 @@ def _through_the_command(path, changes):
     words = [word.replace("\0", "") for change in changes for word in ("--set", change[:60_000])]
     done = subprocess.run([sys.executable, "-m", "jaxvibro", "run", str(path), *words], capture_output=True, cwd=ROOT)
     lines = done.stderr.decode(errors="replace").splitlines()
-    good = done.returncode == 2 and len(lines) == 1 and len(lines[0]) <= LONGEST + len("jaxvibro: ")
+    good = done.returncode == 2 and len(lines) == 1 and len(lines[0]) <= MAX_MESSAGE_LENGTH + len("jaxvibro: ")
     return "one line of the command" if good else f"the command ended with {done.returncode}, {len(lines)} lines"
 
 
@@ -244,7 +244,7 @@ def _paper_is_whole(place):
     broken = []
     for path in place.glob("[!.]*.json"):
         key = json.loads(path.read_bytes())["key"]
-        broken += [] if paper._kept(place, path.stem, key) is not None else [path.name]
+        broken += [] if paper._load_result(place, path.stem, key) is not None else [path.name]
     return _told(place, broken)
 
 

@@ -14,8 +14,8 @@ import numpy as np
 
 import jaxvibro as jv
 from jaxvibro.maps.iterate import iterate
-from jaxvibro.orbits.orbit_comparison import is_same_set, meetings
-from jaxvibro.surveys.matching import nearest_turn
+from jaxvibro.orbits.orbit_comparison import impacts_as_points, is_same_set
+from jaxvibro.surveys.matching import nearest_rotation
 from tests.attractors_proof import MANY, counted
 
 WALLS = (-1.0, 1.0)
@@ -36,9 +36,9 @@ def hits(scene, x, v):
     """The impacts, as points, of a long motion from a state on."""
     state, parts = jv.State(*(np.array([one], float) for one in (x, v, 0.0, 0.0))), []
     for _ in range(LONG):
-        run = iterate(scene, state, 64, few=0)
+        run = iterate(scene, state, 64, max_single_lanes=0)
         state = run.state
-        parts.append(meetings(float(scene.frequency), run.time[:, 0], run.side[:, 0], run.speed[:, 0], 3.0))
+        parts.append(impacts_as_points(float(scene.frequency), run.time[:, 0], run.side[:, 0], run.speed[:, 0], 3.0))
     return np.concatenate(parts)
 
 
@@ -90,7 +90,7 @@ def located(diagram, value, entry):
         size = abs(points).max()
         for k in np.flatnonzero((values[:-1] - value) * (values[1:] - value) <= 0):
             part = (value - values[k]) / (values[k + 1] - values[k] or 1.0)
-            line = (1.0 - part) * points[k] + part * nearest_turn(points[k + 1], points[k])
+            line = (1.0 - part) * points[k] + part * nearest_rotation(points[k + 1], points[k])
             apart = abs(line - state).max(axis=1).min() / size
             best = min(best, (apart, (b, int(k))), key=lambda one: one[0])
     return best[1]

@@ -15,9 +15,9 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.attractors.assign import assign_labels
-from jaxvibro.attractors.assign import homes as homes_of
-from jaxvibro.maps.initial_conditions import box
+from jaxvibro.attractors.basin_labels import assign_labels
+from jaxvibro.attractors.basin_labels import build_neighbourhoods as homes_of
+from jaxvibro.maps.initial_conditions import initial_box
 from tests.attractors_proof import KINDS, drawn
 from tests.force_specials import duffing
 
@@ -46,7 +46,7 @@ def scenes(first):
 
 def tried(scene, attractors, place, phase, plane, size, shocks, rng, just=False):
     """(sizes, labels) of random shocks below a size, or of just this one."""
-    left, right, fast = (float(edge) for edge in box(scene))
+    left, right, fast = (float(edge) for edge in initial_box(scene))
     homes = homes_of(scene, attractors, phase, max(abs(left), abs(right), fast))
     points = homes[place].points
     if attractors[place].kind == "chaotic":  # other states of it than those that were searched

@@ -19,7 +19,7 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED, codes, label_of
+from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED, encode_labels, label_of
 from jaxvibro.studies.scene_file import read
 
 ROOT = Path(__file__).parents[1]
@@ -66,7 +66,7 @@ def cells(count, folder):
         one = jv.spectrum(here, "frequency", [float(found["frequency"][j])], REST, error=1e-2, most=2**17)
         n, rate, error = int(one["periods"][0]), float(one["exponent"][0, 0]), float(one["error"][0, 0])
         if n:
-            known = int(codes(n, *np.rint(n * one["impacts_on"].values[0]).astype(int)))
+            known = int(encode_labels(n, *np.rint(n * one["impacts_on"].values[0]).astype(int)))
         else:
             known = CHAOTIC if rate - 3.0 * error > 0.01 else UNDECIDED
         label = int(mine["label"])

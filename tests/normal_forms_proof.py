@@ -15,15 +15,15 @@ import numpy as np
 
 import jaxvibro as jv
 from continuation import event_search
-from continuation.arclength import Control
-from continuation.branch_switching import directions
-from continuation.points import start_point
-from jaxvibro.branches.switch import starts
-from jaxvibro.problem.depths import Depth
-from jaxvibro.problem.equations import problem
-from jaxvibro.problem.orbit_on_branch import place_orbit
-from jaxvibro.problem.touches import scales, touches
-from jaxvibro.scene.scale import scene_length
+from continuation.arclength import StepControl
+from continuation.branch_switching import branch_tangents
+from continuation.intermediate_points import start_point
+from jaxvibro.branches.switch import branch_starts
+from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.problem.grazing_contact import arclength_weights, find_grazing_contacts
+from jaxvibro.problem.grazing_depths import Depth
+from jaxvibro.problem.orbit_point import set_up_problem
+from jaxvibro.scene.typical_scales import scene_length
 from tests.branch_proof import branches, called, plain
 from tests.reference.bends import bend
 
@@ -46,8 +46,8 @@ def exact(point):
 def aside(along, begun, length, far):
     """(z, s) of the orbit so far along a branch that leaves a point."""
     numbers = (np.float64(each) for each in (0.0, 1.0, 1e-11, -np.inf, np.inf))
-    scale = scales(along, length)
-    z = event_search.step(problem(along), begun, far, Control(scale, *numbers), along).z
+    scale = arclength_weights(along, length)
+    z = event_search.take_step(continuation_problem(along), begun, far, StepControl(scale, *numbers), along).z
     return z, float(np.sum((scale**2 * begun.tangent * (z - begun.z))[:-1]))
 
 
@@ -55,10 +55,12 @@ def measured(point):
     """b by points on a branch through or from the point, extrapolated: of both ways the mean is even in s."""
     length = scene_length(point.scene)
     if point.kind == "SN":
-        along, z = place_orbit(point.scene, point.name, point.spot)
-        begun = start_point(z, event_search.tangent(problem(along), z, scales(along, length), along))
+        along, z = set_up_problem(point.scene, point.name, point.spot)
+        begun = start_point(
+            z, event_search.unit_tangent(continuation_problem(along), z, arclength_weights(along, length), along)
+        )
     else:
-        along, begun = starts(symmetric(point))[0]
+        along, begun = branch_starts(symmetric(point))[0]
     means = []
     for share in (1.0, 0.5, 0.25):
         both = [aside(along, begun, length, way * share * far(point)) for way in (1.0, -1.0)]
@@ -99,9 +101,9 @@ def symmetric(point):
     """An SB as a point of its symmetric branch, which the lopsided ones leave, be it found on one of these or not."""
     if point.kind != "SB":
         return point
-    along, z = place_orbit(point.scene, point.name, point.spot)
-    both = directions(problem(along), z, scales(along, scene_length(point.scene)), along)
-    tangent, rows, count = both[np.argmax(abs(both[:, -1]))], len(along.cycle.sides), len(point.spot.times)
+    along, z = set_up_problem(point.scene, point.name, point.spot)
+    both = branch_tangents(continuation_problem(along), z, arclength_weights(along, scene_length(point.scene)), along)
+    tangent, rows, count = both[np.argmax(abs(both[:, -1]))], len(along.sequence.sides), len(point.spot.times)
     return replace(point, slopes=np.concatenate([tangent[:count], tangent[rows : rows + count], tangent[-1:]]))
 
 
@@ -168,13 +170,13 @@ def placed(scene, side, phase):
 
 def touched(point):
     """(phase, wall, its velocity) at each touch, and its `Depth`, in the same order."""
-    along, z = place_orbit(point.scene, point.name, point.spot)
+    along, z = set_up_problem(point.scene, point.name, point.spot)
     omega = float(point.scene.frequency)
-    met = touches(along, z, scene_length(point.scene))
+    met = find_grazing_contacts(along, z, scene_length(point.scene))
     found = {}
     for one in met:
-        begin = z[one.row] if len(along.cycle.sides) else 0.0
-        phase = omega * (begin + (0.0 if one.own else one.late))
+        begin = z[one.row] if len(along.sequence.sides) else 0.0
+        phase = omega * (begin + (0.0 if one.is_impact else one.delay))
         found.setdefault(one.side, (phase, *placed(point.scene, one.side, phase)))
     return found
 
@@ -183,13 +185,15 @@ def slope_by_clearance(point):
     """How the depth grows with the parameter, by the least clearance of orbits where they keep off the wall, told by
     certified flights. None where there is no such orbit so far away."""
     bare = min(point.joins, key=lambda one: len(one.times))
-    along, z = place_orbit(point.scene, point.name, bare)
-    control = Control(scales(along, 1.0), *(np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf)))
+    along, z = set_up_problem(point.scene, point.name, bare)
+    control = StepControl(
+        arclength_weights(along, 1.0), *(np.float64(each) for each in (0.0, 1.0, 1.0, -np.inf, np.inf))
+    )
     way, found = np.sign(bare.value - point.value), []
     for k in range(4):
         value = point.value + way * 4e-4 * 0.5**k * (1.0 + abs(point.value))
-        at = event_search.pinned(problem(along), z, len(z) - 1, value, control, along)
-        if not at.met:
+        at = event_search.solve_with_fixed_entry(continuation_problem(along), z, len(z) - 1, value, control, along)
+        if not at.converged:
             return None
         scene = point.scene.replace(**{point.name: value})
         found.append(clearance(scene, along, at.z) / (point.value - value))
@@ -198,9 +202,9 @@ def slope_by_clearance(point):
 
 def clearance(scene, along, z):
     """The least clearance of an orbit, by certified flights."""
-    rows = len(along.cycle.sides)
+    rows = len(along.sequence.sides)
     if rows:
-        side, omega = int(along.cycle.sides[0]), float(scene.frequency)
+        side, omega = int(along.sequence.sides[0]), float(scene.frequency)
         theta = omega * z[0]
         where, moving = placed(scene, side, theta)
         own = scene.left if side < 0 else scene.right
@@ -208,7 +212,7 @@ def clearance(scene, along, z):
         state = jv.State(where, moving - side * r * z[rows], theta, float(side))
     else:
         state = jv.State(z[0], z[1])
-    _, met = jv.strobe(scene, state, int(along.cycle.periods), clearance=True, slots=16)
+    _, met = jv.strobe(scene, state, int(along.sequence.periods), clearance=True, slots=16)
     return float(np.asarray(met.least_clearance))
 
 

@@ -18,8 +18,8 @@ from mpmath import mpf, workdps
 import jaxvibro as jv
 from jaxvibro.branches.follow import polish_orbit
 from jaxvibro.maps.strobe import strobe
-from jaxvibro.orbits import releases
-from jaxvibro.problem.equations import are_releases, codes
+from jaxvibro.orbits import chatter_and_release
+from jaxvibro.problem.equations import are_releases, side_codes
 from tests.branch_proof import plain, scene_of
 from tests.reference import rests
 from tests.reference.special import exact, place, span, with_value
@@ -81,7 +81,9 @@ def chatter(count, seed=1):
             leaving = given.right.restitution * mpf(before) if side > 0 else given.left.restitution * mpf(before)
             hits, began = rests.until_rest(given, side, now, leaving, end)
         numbers = (np.float64(each) for each in (side, float(given.omega * end), tau, before))
-        rest, _, plainly, *_ = (float(np.asarray(each).ravel()[0]) for each in releases._examined(scene, *numbers))
+        rest, _, plainly, *_ = (
+            float(np.asarray(each).ravel()[0]) for each in chatter_and_release._examine_compiled(scene, *numbers)
+        )
         if plainly <= 0:
             continue
         done += 1
@@ -149,8 +151,8 @@ def orbits(count, seed=2):
 def errors(scene, orbit):
     """(largest error of a time, of a speed; impacts and releases compared), from release to release."""
     along, z = polish_orbit(orbit, "amplitude")
-    rows, count = len(along.cycle.sides), int(np.sum(along.cycle.sides != 0))
-    sides = codes(along.cycle)[:count]
+    rows, count = len(along.sequence.sides), int(np.sum(along.sequence.sides != 0))
+    sides = side_codes(along.sequence)[:count]
     spot = SimpleNamespace(times=z[:count], speeds=z[rows : rows + count], sides=sides)
     given, length = exact(plain(scene)), 2.0 * np.pi / float(scene.frequency) * orbit.periods
     frees = np.flatnonzero(are_releases(spot.sides))

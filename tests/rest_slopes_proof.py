@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from jaxvibro.maps.one_period import SLOTS
+from jaxvibro.maps.one_period import REPLAY_SLOTS
 from tests.proof import scene_of
 from tests.reference import rest_slopes, slopes
 from tests.reference.draws import Draw
@@ -65,7 +65,7 @@ def cases(rng, structure, count):
             kind = 0
         elif last.since is None and not story.plastic:
             continue
-        elif len(last.hits) > SLOTS or story.slowest < 1e-3:
+        elif len(last.hits) > REPLAY_SLOTS or story.slowest < 1e-3:
             unfair += 1
             continue
         else:
@@ -101,8 +101,9 @@ def first(count, seed, way):
         apart, ranks = own[:, 1] > 0, own[:, 2]
         worst = own[~apart, 3:].max(0, initial=0)
         print(
-            f"{kind}: {len(own)}, {apart.sum()} decided otherwise, {int((own[:, 7] > SLOTS).sum())} with more than"
-            f" {SLOTS} impacts; ranks that differ {int(ranks.sum())}; largest errors: end {worst[0]:.2g}, its"
+            f"{kind}: {len(own)}, {apart.sum()} decided otherwise, {int((own[:, 7] > REPLAY_SLOTS).sum())} with"
+            " more than"
+            f" {REPLAY_SLOTS} impacts; ranks that differ {int(ranks.sum())}; largest errors: end {worst[0]:.2g}, its"
             f" derivatives {worst[1]:.2g} (relative {worst[2]:.2g}), impacts' {worst[3]:.2g}"
         )
 

@@ -15,11 +15,11 @@ import mpmath
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.branches.scenario import returned
-from jaxvibro.problem.one_impact import one_impact_orbits
-from jaxvibro.problem.orbit_on_branch import described_orbit
+from jaxvibro.branches.scenario import grazing_return_of
+from jaxvibro.problem.one_impact_orbits import one_impact_orbits
+from jaxvibro.problem.orbit_point import orbit_from_row
 from jaxvibro.problem.square_root_map import SquareRootMap
-from jaxvibro.scene.scale import scene_length
+from jaxvibro.scene.typical_scales import scene_length
 from tests.branch_proof import branches, called, error, plain
 from tests.reference import special as reference
 
@@ -118,7 +118,7 @@ def followed(point, one):
 
 def matrix_in_digits(point, found):
     """M by flights and rebounds in 40 digits, from impacts polished there."""
-    spot, touch = point.spot, found.touches[0]
+    spot, touch = point.spot, found.omitted_grazings[0]
     scene = plain(point.scene)
     keep = np.array([speed > 1e-7 for speed in spot.speeds], bool)
     times, speeds, sides = (each[keep].tolist() for each in (spot.times, spot.speeds, spot.sides))
@@ -128,14 +128,14 @@ def matrix_in_digits(point, found):
         whole = reference.span(exact, spot.periods)
         at = mpmath.mpf(touch.time)
         listed = sorted((at + (t - at) % whole, u, int(side)) for (t, u), side in zip(hits, sides, strict=True))
-        end = at + (reference.span(exact, spot.periods) / 2 if found.half else whole)
+        end = at + (reference.span(exact, spot.periods) / 2 if found.is_half else whole)
         matrix, last = mpmath.eye(2), at
         for t, u, side in listed:
             if t < end:
                 matrix = reference.rebound(exact, side, t, u) / u * reference.free(exact.gamma, t - last) * matrix
                 last = t
         matrix = reference.free(exact.gamma, end - last) * matrix
-        return np.array((-matrix if found.half else matrix).tolist(), float)
+        return np.array((-matrix if found.is_half else matrix).tolist(), float)
 
 
 def returns(count, seed):
@@ -145,7 +145,7 @@ def returns(count, seed):
         for point in branch.points("GR"):
             if point.orbit.rests:
                 continue
-            found, told = returned(point), jv.scenario(point)
+            found, told = grazing_return_of(point), jv.scenario(point)
             true = matrix_in_digits(point, found)
             off = abs(found.matrix - true).max() / abs(true).max()
             worst, number = max(worst, off), number + 1
@@ -158,9 +158,9 @@ def returns(count, seed):
 
 def apart(point, found, depth):
     """How far a long run comes from the orbit without impacts, a while before its touch, a contact being so deep."""
-    scene = point.scene.replace(**{point.name: point.value + depth / found.touches[0].depth.slope})
+    scene = point.scene.replace(**{point.name: point.value + depth / found.omitted_grazings[0].depth.slope})
     x, v = before(point, found)
-    state = jv.State(x, v, float(scene.frequency) * (found.touches[0].time - EARLY))
+    state = jv.State(x, v, float(scene.frequency) * (found.omitted_grazings[0].time - EARLY))
     state, _ = jv.strobe(scene, state, SETTLED)
     far = 0.0
     for _ in range(KEPT):
@@ -171,7 +171,7 @@ def apart(point, found, depth):
 
 def before(point, found):
     """(x, v) of the orbit without impacts EARLY before its touch."""
-    late = (found.touches[0].time - EARLY) % found.length
+    late = (found.omitted_grazings[0].time - EARLY) % found.return_time
     state, _ = jv.sample(point.scene, jv.State(found.z[0], found.z[1]), np.array([late]))
     return float(state.x[0]), float(state.v[0])
 
@@ -183,13 +183,13 @@ def runs(count, seed):
     given = grazings(rng, 0.3, 2.5, (*GRADUAL, "JUMP"))
     while done < count:
         point = next(given)
-        found, told = returned(point), jv.scenario(point)
-        if len(point.spot.times) or found.half or seen.get(told.follows.name, 0) > count / 3:
+        found, told = grazing_return_of(point), jv.scenario(point)
+        if len(point.spot.times) or found.is_half or seen.get(told.follows.name, 0) > count / 3:
             continue
         done += 1
         seen[told.follows.name] = seen.get(told.follows.name, 0) + 1
         near = SquareRootMap(told.root, told.matrix)
-        reach = near.window(told.deeper).q if told.deeper else min(0.1, abs(near.responses(1)[1]))
+        reach = near.window(told.deeper).linear_coefficient if told.deeper else min(0.1, abs(near.responses(1)[1]))
         far = [apart(point, found, share * reach**2) for share in SHARES]
         power = np.log10(far[0] / far[-1]) / np.log10(SHARES[0] / SHARES[-1])
         fits = power < 0.1 if told.deeper else power > 0.3
@@ -206,18 +206,18 @@ def chaos(count, seed):
     given = grazings(rng, 1.0, 2.5, GRADUAL)
     while sum(done.values()) < count:
         point = next(given)
-        found, told = returned(point), jv.scenario(point)
+        found, told = grazing_return_of(point), jv.scenario(point)
         kind = told.follows.name
-        if len(point.spot.times) or found.half or done.get(kind, 0) * 3 > count:
+        if len(point.spot.times) or found.is_half or done.get(kind, 0) * 3 > count:
             continue
         done[kind] = done.get(kind, 0) + 1
         near = SquareRootMap(told.root, told.matrix)
-        n = next(n for n in range(2, 40) if near.window(n).touch < FAR)
-        top = near.window(n).depth(near.window(n).touch)
+        n = next(n for n in range(2, 40) if near.window(n).grazing_root < FAR)
+        top = near.window(n).depth(near.window(n).grazing_root)
         depths = top * told.ratio ** -rng.random(DEPTHS)
         scene = point.scene.replace(**{point.name: point.value + top / told.rate})
         x, v = before(point, found)
-        start = jv.State(x, v, float(scene.frequency) * (found.touches[0].time - EARLY))
+        start = jv.State(x, v, float(scene.frequency) * (found.omitted_grazings[0].time - EARLY))
         seen = jv.spectrum(scene, point.name, point.value + depths / told.rate, start, settle=2000, most=2**14)
         positive = seen["exponent"].values[:, 0] > 0
         ends = [
@@ -240,21 +240,21 @@ def jumps(count, seed):
     done = 0
     while done < count:
         point = next(given)
-        told, found = jv.scenario(point), returned(point)
+        told, found = jv.scenario(point), grazing_return_of(point)
         n, near = told.deeper, SquareRootMap(told.root, told.matrix).window(told.deeper)
         orbits = one_impact_orbits(found, n, scene_length(point.scene))
-        speed, z = near.q * np.sqrt(2.0 * told.acceleration), orbits.grazing
+        speed, z = near.linear_coefficient * np.sqrt(2.0 * told.acceleration), orbits.grazing_z
         for share in np.linspace(0.1, 1.0, 10):
-            one = orbits.at(z, share * speed)
+            one = orbits.point_at_speed(z, share * speed)
             z = one.z
             if not one.met:
                 break
-        good, _ = orbits.nearest(z)
-        if not (one.met and good) or near.q > 0.1:
-            print("  far:", told.deeper, near.q, one.met, good)
+        good, _ = orbits.closest_approach(z)
+        if not (one.met and good) or near.linear_coefficient > 0.1:
+            print("  far:", told.deeper, near.linear_coefficient, one.met, good)
             continue
-        spot = orbits.spot(z, one.residual)
-        orbit = described_orbit(point.scene.replace(**{point.name: spot.value}), spot)
+        spot = orbits.orbit_row_at(z, one.residual)
+        orbit = orbit_from_row(point.scene.replace(**{point.name: spot.value}), spot)
         predicted = told.orbits[n - 1]
         size = predicted.fold - point.value
         values = (point.value + 3.0 * size, point.value - size, spot.value + size, spot.value - size)
@@ -264,8 +264,16 @@ def jumps(count, seed):
         folds = [one.value for one in branch.points("SN")]
         share = min((abs((one - point.value) / (predicted.fold - point.value) - 1.0) for one in folds), default=np.inf)
         done += 1
-        worst.append(share / near.q)
-        print(done, point.name, orbit.label, predicted.label, f"n {n}, q {near.q:.2e}, stable", orbit.stable, end=" ")
+        worst.append(share / near.linear_coefficient)
+        print(
+            done,
+            point.name,
+            orbit.label,
+            predicted.label,
+            f"n {n}, q {near.linear_coefficient:.2e}, stable",
+            orbit.stable,
+            end=" ",
+        )
         print(f"fold {predicted.fold - point.value:.4e}, off by {share:.1e} of it", branch.reasons, flush=True)
     print(f"{done} jumps: folds off by {max(worst):.2g} q of themselves at most")
 

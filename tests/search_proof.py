@@ -16,15 +16,15 @@ import numpy as np
 from scipy.optimize import minimize
 
 import jaxvibro as jv
-from continuation.implicit import in_turn
-from jaxvibro.compiled.kernels import one_kernel
+from continuation.implicit_function import loop_over_lanes
+from jaxvibro.compiled.kernels import call_as_kernel
 from jaxvibro.design import search as ours
-from jaxvibro.design.aims import FLIP, FOLD
-from jaxvibro.design.free_numbers import room_of
-from jaxvibro.design.rays import at_unknowns, tests_of
-from jaxvibro.flight.coefficients import framed
+from jaxvibro.design.bifurcation_tests import FLIP, FOLD
+from jaxvibro.design.free_parameters import allowed_changes
+from jaxvibro.design.rays import bifurcation_tests, sequence_at
+from jaxvibro.flight.coefficients import flow_coefficients
 from jaxvibro.orbits import impact_equations
-from jaxvibro.orbits.impact_equations import Cycle
+from jaxvibro.orbits.impact_equations import ImpactSequence
 
 FREE = {"amplitude": 1.0, "frequency": 0.5}
 BOUNDS = {"amplitude": (0.5, 6.0), "frequency": (1.5, 3.0)}
@@ -37,34 +37,38 @@ SOLVES = 40  # orbits that a ray solves, about
 def _tested(tree, cycle, numbers):
     def one(cycle, numbers):
         scene = tree.unflatten(list(numbers))
-        found, frame = impact_equations.solved(scene, cycle), framed(scene)
-        tests = tests_of(frame, at_unknowns(cycle, found.unknowns), found.unknowns)
+        found, frame = impact_equations.solve_sequence(scene, cycle), flow_coefficients(scene)
+        tests = bifurcation_tests(frame, sequence_at(cycle, found.unknowns), found.unknowns)
         real = (found.status == 0) & (tests[2] > 0) & (tests[3] > 0)
         return jnp.where(real, tests, jnp.nan)
 
-    return jax.vmap(in_turn(one_kernel_of(one)), in_axes=(None, 0))(cycle, numbers)
+    return jax.vmap(loop_over_lanes(one_kernel_of(one)), in_axes=(None, 0))(cycle, numbers)
 
 
 def one_kernel_of(function):
-    return lambda *arrays: one_kernel(function, *arrays)
+    return lambda *arrays: call_as_kernel(function, *arrays)
 
 
 def compared(kind, starts, seed=0):
     """{method: (the itineraries of the boundaries met, seconds, orbits solved)} of a kind."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    room = room_of(scene, FREE, BOUNDS)
-    seeds = [one for one in ours._thinned(ours._settled(scene, FREE, room, starts, 2, seed)) if len(one.impacts[0])]
-    tree, base, marks = ours._numbers(scene, FREE)
+    room = allowed_changes(scene, FREE, BOUNDS)
+    seeds = [
+        one for one in ours._thin_seeds(ours._settle_starts(scene, FREE, room, starts, 2, seed)) if len(one.impacts[0])
+    ]
+    tree, base, marks = ours._flatten_scene(scene, FREE)
     test, told = KINDS[kind], {}
     for _ in range(2):  # the second is warm
         begun = time.process_time()
-        places, rays = ours._ends(scene, FREE, room, seeds, (kind,))
-        words = [ours._word(one.seed) for one in places]
+        places, rays, _ = ours._follow_seeds(scene, FREE, room, seeds, (kind,))
+        words = [ours._itinerary_key(one.seed) for one in places]
         told["gradient"] = words, time.process_time() - begun, rays * SOLVES
     each = max(1, rays * SOLVES // len(seeds))
     rng = np.random.default_rng(seed)
     draws = [room[0] + (room[1] - room[0]) * rng.random((each, len(FREE))) for _ in seeds]
-    cycles = [Cycle(*map(jnp.asarray, one.impacts), jnp.zeros(()), jnp.asarray(float(one.periods))) for one in seeds]
+    cycles = [
+        ImpactSequence(*map(jnp.asarray, one.impacts), jnp.zeros(()), jnp.asarray(float(one.periods))) for one in seeds
+    ]
     own = [
         float(_tested(tree, c, (base + one.offset @ marks)[None])[0, test])
         for one, c in zip(seeds, cycles, strict=True)
@@ -92,7 +96,7 @@ def compared(kind, starts, seed=0):
             good, count = method(k)
             solved += count
             if good:
-                met.append(ours._word(one))
+                met.append(ours._itinerary_key(one))
         told[label] = met, time.process_time() - begun, solved
     return told
 

@@ -11,8 +11,8 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.flight.wall_positions import places
-from jaxvibro.maps.initial_conditions import box, random_starts
+from jaxvibro.flight.wall_positions import wall_states
+from jaxvibro.maps.initial_conditions import draw_initial_states, initial_box
 from tests.reference.soft_lanes import Lanes, Wall
 from tests.reference.soft_lanes import exponents as measured
 
@@ -56,7 +56,7 @@ def chaotic(scene):
 
 def middle(scene):
     """A start between the walls."""
-    (low, _), (high, _) = places(scene, 0.0)
+    (low, _), (high, _) = wall_states(scene, 0.0)
     low, high = max(float(low), -1.0), min(float(high), 1.0)
     return jv.State(0.5 * (low + high), 0.2)
 
@@ -140,7 +140,7 @@ def exponents(count=12, periods=240):
 
 def settled(scene):
     """The attractors, where they are several periodic ones with a tenth of the starts each, else None."""
-    state, _ = jv.strobe(scene, random_starts(scene, 64, 0), 600)
+    state, _ = jv.strobe(scene, draw_initial_states(scene, 64, 0), 600)
     later, apart = state, np.full(64, np.inf)
     for _ in range(8):
         later, _ = jv.strobe(scene, later)
@@ -167,7 +167,7 @@ def bistable(seed, soft, count, most=400):
 
 def grid(scene, side):
     """(x, v) of a picture's starts, past soft walls too."""
-    left, right, fast = map(float, box(scene))
+    left, right, fast = map(float, initial_box(scene))
     soft = scene.soft_sides
     more = 0.4 * (right - left)
     low, high = left - more * ("left" in soft), right + more * ("right" in soft)

@@ -21,8 +21,8 @@ import numpy as np
 import psutil
 
 import jaxvibro as jv
-from jaxvibro.stores.filling import done
-from jaxvibro.stores.zarr_store import Kept
+from jaxvibro.stores.filling import complete_study
+from jaxvibro.stores.zarr_store import OpenStore
 
 from .counted_study import Counted, counts
 from .stored_bits import bits
@@ -161,14 +161,14 @@ def workers(count, chunks, rng):
         killer = threading.Thread(target=lose, args=(log, ends, lost, rng))
         killer.start()
         try:
-            found = done(study, kept, None)
+            found = complete_study(study, kept, None)
         finally:
             ends.set()
             killer.join()
         seconds = time.perf_counter() - began
         times = counts(log)
         assert (found["label"].values[:, 0] == np.arange(chunks)).all()
-        assert Kept(str(place)).damaged() == []
+        assert OpenStore(str(place)).damaged_chunks() == []
         twice = sum(1 for each in times.values() if each > 1)
         print(f"{count} workers, {len(lost)} lost, {chunks} chunks: all done, {twice} of them begun again")
         over = 1e3 * (seconds / chunks - nap / count)

@@ -15,7 +15,7 @@ import traceback
 from pathlib import Path
 
 import jaxvibro as jv
-from jaxvibro.stores.filling import done
+from jaxvibro.stores.filling import complete_study
 
 from .counted_study import Counted
 from .stored_bits import bits
@@ -33,7 +33,7 @@ def begin(path, study, at, log):
     try:
         while time.monotonic() < at:
             pass
-        done(study, jv.Store(path, jv.LocalEngine(1)), None)
+        complete_study(study, jv.Store(path, jv.LocalEngine(1)), None)
         code = 0
     except jv.ArgumentError as error:
         log.write_text(str(error))

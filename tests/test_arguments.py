@@ -9,7 +9,7 @@ import pytest
 import continuation as co
 import jaxvibro as jv
 from continuation import shooting
-from continuation.argument_types import kind_of, kinds_of
+from continuation.argument_types import argument_type, argument_types_of
 from jaxvibro import plot
 from tests import invalid_calls
 
@@ -34,16 +34,16 @@ def checked_by_annotation(name, parameter):
 
 @pytest.mark.parametrize("name", [name for name in FUNCTIONS if name not in BY_HAND])
 def test_every_argument_is_checked_against_its_annotation(name):
-    function = inspect.unwrap(FUNCTIONS[name], stop=lambda one: one.__code__.co_name == "called")
+    function = inspect.unwrap(FUNCTIONS[name], stop=lambda one: one.__code__.co_name == "wrapper")
     refused = 0
-    kinds = kinds_of(function)
+    kinds = argument_types_of(function)
     for argument, parameter in inspect.signature(function).parameters.items():
         if argument in ANYTHING or not checked_by_annotation(name, parameter):
             continue
         assert argument in kinds, f"{argument} has no kind"
         for error, make in VALUES.items():
             value = make()
-            if kinds[argument].holds(value) or argument == "colour":
+            if kinds[argument].accepts(value) or argument == "colour":
                 continue
             with pytest.raises(invalid_calls.REFUSED, match=f"(?s)^{argument}[^:]*: must be .*; got ") as told:
                 function(**{argument: value})
@@ -127,9 +127,9 @@ def test_bounds_of_continuation_are_by_name():
     ],
 )
 def test_kinds(hint, right, wrong):
-    kind = kind_of(hint)
-    assert [value for value in right if not kind.holds(value)] == []
-    assert [value for value in wrong if kind.holds(value)] == []
+    kind = argument_type(hint)
+    assert [value for value in right if not kind.accepts(value)] == []
+    assert [value for value in wrong if kind.accepts(value)] == []
 
 
 @pytest.mark.slow

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.attractors.largest_exponent import exponents
-from jaxvibro.attractors.recurrence import returns, settled_periods
+from jaxvibro.attractors.largest_exponent import largest_exponents
+from jaxvibro.attractors.recurrence import recurrence_distances, recurrence_periods
 from jaxvibro.maps import itinerary
-from jaxvibro.maps.initial_conditions import box, forced_amplitude, random_starts
-from jaxvibro.maps.iterate import KEEP, iterate
-from jaxvibro.orbits.orbit_comparison import is_same_orbit, is_same_set, meetings, mirrored
-from jaxvibro.scene.check import MOST_PERIODS, ArgumentError
+from jaxvibro.maps.initial_conditions import draw_initial_states, forced_amplitude, initial_box
+from jaxvibro.maps.iterate import MAX_RECORDED_PERIODS, iterate
+from jaxvibro.orbits.orbit_comparison import impacts_as_points, is_same_orbit, is_same_set, mirror_points
+from jaxvibro.scene.check import MAX_ORBIT_PERIODS, ArgumentError
 from jaxvibro.scene.symmetry import is_symmetric
 
 PERIOD = 2 * np.pi / 2.1
@@ -58,7 +58,7 @@ def test_two_mirror_pairs_of_period_one(four):
         twin = four[one.mirror_of]
         assert one.kind == "periodic" and one.periods == 1 and one.points.shape == (1, 2) and one.share >= 0.04
         assert one.mirror_of != place and twin.mirror_of == place
-        assert itinerary.same(twin.itinerary, itinerary.mirrored(one.itinerary))
+        assert itinerary.is_same_itinerary(twin.itinerary, itinerary.mirror_itinerary(one.itinerary))
         assert abs(one.least_speed - twin.least_speed) < 1e-10
         assert not np.allclose(one.points, twin.points, atol=0.1)
 
@@ -68,7 +68,7 @@ def test_they_are_orbits_and_mirror_images(four):
     for one in four:
         end, impacts = jv.strobe(scene(4.65), one.state, slots=32)
         assert abs(end.x - one.state.x) < 1e-12 and abs(end.v - one.state.v) < 1e-12
-        assert itinerary.words(impacts.side[None]) == one.itinerary
+        assert itinerary.words_of_rows(impacts.side[None]) == one.itinerary
         back, hits = jv.strobe(scene(4.65), jv.State(-one.state.x, -one.state.v, phase=np.pi), slots=32)
         assert abs(back.x + one.state.x) < 1e-12 and abs(back.v + one.state.v) < 1e-12
         twin = four[one.mirror_of]
@@ -139,8 +139,8 @@ def test_longer_orbits_and_their_period():
         assert one.points.shape == (2, 2) and len(one.itinerary) == 2
         end, impacts = jv.strobe(scene(5.6), one.state, slots=32)
         assert abs(np.array([end.x, end.v]) - one.points[1]).max() < 1e-11
-        assert itinerary.words(impacts.side[None]) == one.itinerary[:1]
-        assert itinerary.least_period(one.itinerary) == 2
+        assert itinerary.words_of_rows(impacts.side[None]) == one.itinerary[:1]
+        assert itinerary.minimal_period(one.itinerary) == 2
 
 
 def test_walls_that_are_not_opposite_have_no_mirror_images():
@@ -236,19 +236,19 @@ def test_symmetry_of_scenes():
 
 
 def test_the_box_of_starts():
-    left, right, fast = box(scene(4.65))
+    left, right, fast = initial_box(scene(4.65))
     assert (left, right) == (-1.0, 1.0)
     forced = 4.65 / np.hypot(1 - 2.1**2, 2 * 0.05 * 2.1)
     assert abs(forced_amplitude(scene(4.65)) - forced) < 1e-14 and abs(fast - 3 * 2.1 * forced) < 1e-13
-    assert box(scene(0.0, walls=(None, 0.5))) == (-2.0, 0.5, 3.0)
-    assert box(scene(0.0, walls=(3.0, None)))[:2] == (3.0, 5.0)
-    assert box(scene(0.0, walls=(None, None)))[:2] == (-2.0, 2.0)
+    assert initial_box(scene(0.0, walls=(None, 0.5))) == (-2.0, 0.5, 3.0)
+    assert initial_box(scene(0.0, walls=(3.0, None)))[:2] == (3.0, 5.0)
+    assert initial_box(scene(0.0, walls=(None, None)))[:2] == (-2.0, 2.0)
     moving = jv.Wall(1.0, motion=jv.Motion(0.5, phase=np.pi / 3))
-    assert abs(box(scene(walls=(-1.0, moving)))[1] - 1.25) < 1e-15
+    assert abs(initial_box(scene(walls=(-1.0, moving)))[1] - 1.25) < 1e-15
     assert forced_amplitude(scene(2.0, 1.0, 0.0)) == 2000.0
-    some, more = random_starts(scene(), 5, 3), random_starts(scene(), 9, 3)
+    some, more = draw_initial_states(scene(), 5, 3), draw_initial_states(scene(), 9, 3)
     assert (some.x == more.x[:5]).all() and (some.v == more.v[:5]).all()
-    many = random_starts(scene(walls=(-0.3, 0.8)), 4000, 0)
+    many = draw_initial_states(scene(walls=(-0.3, 0.8)), 4000, 0)
     assert abs(many.x.mean() - 0.25) < 0.02 and abs(many.v.mean()) < 0.2
     assert many.x.min() >= -0.3 and many.x.max() <= 0.8 and abs(many.v).max() <= fast
 
@@ -262,7 +262,9 @@ def converging(multiplier, periods, start=1.0, limit=0.3):
 def test_slow_convergence_is_not_taken_for_a_longer_period(multiplier):
     whole = converging(multiplier, 60_000)
     found = [
-        settled_periods(returns(whole[: k + 64]), returns(whole[:k]), 64, 1.0, np.float64)[0]
+        recurrence_periods(recurrence_distances(whole[: k + 64]), recurrence_distances(whole[:k]), 64, 1.0, np.float64)[
+            0
+        ]
         for k in range(64, 50_000, 512)
     ]
     first = next(k for k, n in enumerate(found) if n)
@@ -274,18 +276,18 @@ def test_recurrence_of_longer_periods_and_of_none():
     three = np.tile([[0.1, 0.0], [0.5, 0.2], [-0.4, 0.1]], (50, 1))[:, None]
     golden = np.stack([np.cos(2 * np.pi * 0.6180339887 * np.arange(150)), np.zeros(150)], -1)[:, None]
     both = np.concatenate([three, golden], axis=1)
-    apart = returns(both)
-    assert apart.shape == (MOST_PERIODS, 2) and apart[2, 0] == 0.0 and apart[0, 0] == 0.9
-    assert settled_periods(apart, apart, 64, 1.0, np.float64).tolist() == [3, 0]
+    apart = recurrence_distances(both)
+    assert apart.shape == (MAX_ORBIT_PERIODS, 2) and apart[2, 0] == 0.0 and apart[0, 0] == 0.9
+    assert recurrence_periods(apart, apart, 64, 1.0, np.float64).tolist() == [3, 0]
 
 
 def test_points_at_the_walls():
     time = np.array([[0.1, 1.7, np.inf]])
     side, speed = np.array([[-1, 1, 0]]), np.array([[2.0, 3.0, 0.0]])
-    points = meetings(2.1, time, side, speed, 2.0)
+    points = impacts_as_points(2.1, time, side, speed, 2.0)
     assert points.shape == (2, 4)
-    later = meetings(2.1, time + PERIOD / 2, -side, speed, 2.0)
-    assert is_same_orbit(mirrored(points), later[::-1]) and not is_same_orbit(points, later)
+    later = impacts_as_points(2.1, time + PERIOD / 2, -side, speed, 2.0)
+    assert is_same_orbit(mirror_points(points), later[::-1]) and not is_same_orbit(points, later)
     draws = np.random.default_rng(0).random((3, 2000, 2))
     sets = [np.concatenate([np.full((2000, 1), 10.0), draw, np.zeros((2000, 1))], axis=1) for draw in draws]
     assert is_same_set(sets[0], sets[1]) and not is_same_set(sets[0], sets[2] + [0.0, 1.5, 0.0, 0.0])
@@ -300,18 +302,18 @@ def test_states_run_one_by_one_are_those_of_a_block_but_for_a_rounding():
     for each in (scene(4.65), scene(3.0, walls=(jv.Wall(-1.5, stiffness=90.0, damping=1.0), jv.Wall(1.0)))):
         block = iterate(each, start, 3)
         few = iterate(each, jax.tree.map(lambda leaf: leaf[1:9], start), 3)
-        for one, other in zip(jax.tree.leaves(few), jax.tree.leaves(block.lanes(slice(1, 9))), strict=True):
+        for one, other in zip(jax.tree.leaves(few), jax.tree.leaves(block.select_lanes(slice(1, 9))), strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-12, atol=1e-12)
 
 
 def test_exponent_of_a_free_oscillator_and_what_a_trail_keeps():
     free = scene(1.0, 1.0, 0.02, 0.7, (None, None))
-    start = random_starts(free, 3, 0)
-    rates, errors = exponents(free, start, 2.0)
+    start = draw_initial_states(free, 3, 0)
+    rates, errors = largest_exponents(free, start, 2.0)
     assert abs(rates + 0.02 * 2 * np.pi).max() < 1e-3 and errors.max() < 1e-3
-    long, short = iterate(free, start, KEEP + 7), iterate(free, start, 3)
-    assert long.x.shape == (KEEP, 3) and short.x.shape == (3, 3)
-    again = iterate(free, iterate(free, start, 7).state, KEEP)
+    long, short = iterate(free, start, MAX_RECORDED_PERIODS + 7), iterate(free, start, 3)
+    assert long.x.shape == (MAX_RECORDED_PERIODS, 3) and short.x.shape == (3, 3)
+    again = iterate(free, iterate(free, start, 7).state, MAX_RECORDED_PERIODS)
     assert (again.x == long.x).all() and (long.state.x == long.x[-1]).all()
 
 

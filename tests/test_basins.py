@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.attractors import fractal, trapping_region
-from jaxvibro.flight.wall_positions import places
-from jaxvibro.plot.basins import PALE
+from jaxvibro.flight.wall_positions import wall_states
+from jaxvibro.plot.basins import PALE_COLOURS
 
 FIG5 = {"amplitude": 4.65, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
 SCENES = {
@@ -49,7 +49,7 @@ def test_labels_are_those_of_states_run_on_alone(name, phase):
     scene, attractors = known(name)
     x, v = np.linspace(-1.4, 1.2, 27), np.linspace(-3.1, 3.0, 17)
     data = jv.basins(scene, x, v, phase, attractors)
-    (left, _), (right, _) = places(scene, phase)
+    (left, _), (right, _) = wall_states(scene, phase)
     beyond = (x < left) | (x > right)
     label = data["label"].values
     np.testing.assert_array_equal(label == -2, np.broadcast_to(beyond, label.shape))
@@ -99,7 +99,7 @@ def test_what_has_no_trap_is_not_certain():
     elastic = jv.make_scene(4.65, 2.1, 0.0, 1.0, (-1.0, 1.0))
     orbit = jv.find_orbits(elastic, 1, 16)[0]
     point = np.array([[orbit.state.x, orbit.state.v]])
-    assert trapping_region.trap(elastic, point, orbit.state.phase, 3.0) is None
+    assert trapping_region.find_trapping_region(elastic, point, orbit.state.phase, 3.0) is None
 
 
 @pytest.mark.slow
@@ -107,14 +107,14 @@ def test_no_state_of_a_trap_leaves_it():
     scene, attractors = known("figure 5")
     rng = np.random.default_rng(0)
     for one in attractors:
-        found = trapping_region.trap(scene, one.points, 0.0, 6.0)
+        found = trapping_region.find_trapping_region(scene, one.points, 0.0, 6.0)
         disc = rng.normal(size=(500, 2))
         disc *= (rng.random(500) ** 0.5 / np.hypot(*disc.T))[:, None]
-        z = one.points[0] + np.linalg.solve(found.lengths[0], disc.T).T
+        z = one.points[0] + np.linalg.solve(found.ellipse_matrices[0], disc.T).T
         z = z[abs(z[:, 0]) <= 1.0]
-        assert found.holds(z).all()
+        assert found.contains(z).all()
         end, _ = jv.strobe(scene, jv.State(*z.T), one.periods, 0)
-        after = (np.stack([end.x, end.v], -1) - one.points[0]) @ found.lengths[0].T
+        after = (np.stack([end.x, end.v], -1) - one.points[0]) @ found.ellipse_matrices[0].T
         assert np.hypot(*after.T).max() < 1.0
 
 
@@ -161,30 +161,30 @@ def test_progress_counts_starts():
 def test_entropy_of_known_pictures():
     halves = np.repeat([[0, 1]], 50, axis=1).T @ np.ones((1, 100), int)
     board = np.indices((100, 100)).sum(axis=0) % 2
-    assert fractal.entropies(board, 2) == pytest.approx((np.log(2), np.log(2)))
-    assert fractal.entropies(halves, 5) == (0.0, 0.0)  # the boundary lies between boxes
-    whole, edge = fractal.entropies(np.roll(halves, 2, axis=0), 5)
+    assert fractal.basin_entropies(board, 2) == pytest.approx((np.log(2), np.log(2)))
+    assert fractal.basin_entropies(halves, 5) == (0.0, 0.0)  # the boundary lies between boxes
+    whole, edge = fractal.basin_entropies(np.roll(halves, 2, axis=0), 5)
     part = -(0.4 * np.log(0.4) + 0.6 * np.log(0.6))
     assert (whole, edge) == pytest.approx((part * 2 / 20, part))
     thirds = np.arange(90 * 90).reshape(90, 90) % 3
-    assert fractal.entropies(thirds, 3) == pytest.approx((np.log(3), np.log(3)))
-    assert fractal.entropies(np.where(board == 1, -1, 0), 2) == (0.0, 0.0)
-    assert np.isnan(fractal.entropies(board[:3, :3])).all()
+    assert fractal.basin_entropies(thirds, 3) == pytest.approx((np.log(3), np.log(3)))
+    assert fractal.basin_entropies(np.where(board == 1, -1, 0), 2) == (0.0, 0.0)
+    assert np.isnan(fractal.basin_entropies(board[:3, :3])).all()
 
 
 def test_dimension_of_known_pictures():
     rows, columns = np.indices((1025, 1025))
-    straight = fractal.dimension((columns > 400).astype(int))
+    straight = fractal.boundary_dimension((columns > 400).astype(int))
     assert (straight.value, straight.error) == pytest.approx((1.0, 0.0), abs=1e-12)
-    np.testing.assert_allclose(straight.mixed, straight.sides / 1024)
-    slanted = fractal.dimension((columns > 0.37 * rows + 100.3).astype(int))
+    np.testing.assert_allclose(straight.mixed_shares, straight.box_sides / 1024)
+    slanted = fractal.boundary_dimension((columns > 0.37 * rows + 100.3).astype(int))
     assert slanted.value == pytest.approx(1.0, abs=0.01)
-    circle = fractal.dimension(((rows - 500) ** 2 + (columns - 510) ** 2 < 300**2).astype(int))
+    circle = fractal.boundary_dimension(((rows - 500) ** 2 + (columns - 510) ** 2 < 300**2).astype(int))
     assert circle.value == pytest.approx(1.0, abs=max(0.02, 2 * circle.error))
-    riddled = fractal.dimension(np.random.default_rng(0).integers(0, 2, (1025, 1025)))
+    riddled = fractal.boundary_dimension(np.random.default_rng(0).integers(0, 2, (1025, 1025)))
     assert riddled.value > 1.9
-    assert np.isnan(fractal.dimension(np.zeros((65, 65), int))[:2]).all()
-    assert fractal.dimension(np.where(columns == 400, -1, (columns > 400).astype(int)))[0] == pytest.approx(
+    assert np.isnan(fractal.boundary_dimension(np.zeros((65, 65), int))[:2]).all()
+    assert fractal.boundary_dimension(np.where(columns == 400, -1, (columns > 400).astype(int)))[0] == pytest.approx(
         1.0, abs=0.1
     )
 
@@ -195,7 +195,7 @@ def test_dimension_of_a_cantor_set_of_boundaries():
         third = np.arange(3**levels) // 3 ** (levels - 1 - level) % 3
         new = (third == 1) & (parity == 0)
         parity[new] = 1 + level % 2
-    found = fractal.dimension(np.tile(np.where(parity == 0, 3, parity), (2049, 1)))
+    found = fractal.boundary_dimension(np.tile(np.where(parity == 0, 3, parity), (2049, 1)))
     assert found.value == pytest.approx(1.0 + np.log(2) / np.log(3), abs=0.06)
     assert abs(found.value - 1.0 - np.log(2) / np.log(3)) < 3 * found.error
 
@@ -212,5 +212,5 @@ def test_a_picture_of_basins_tells_all_attractors_apart():
     told = [text.get_text() for text in ax.get_legend().get_texts()]
     assert told[-1] == "beyond a wall" and told[0].startswith("P111: ")
     assert "X" in ax.get_xlabel() and "omega_0" in ax.get_ylabel()
-    greys = [np.dot(to_rgb(colour), (0.299, 0.587, 0.114)) for colour in PALE]
+    greys = [np.dot(to_rgb(colour), (0.299, 0.587, 0.114)) for colour in PALE_COLOURS]
     assert (np.diff(greys) < -0.05).all()

@@ -28,7 +28,7 @@ from benchmarks import (
 from benchmarks.rows import Row, Size, Topic
 from benchmarks.sides import OURS
 from benchmarks.work import CUBIC, draw
-from continuation import in_numpy
+from continuation import numpy_evaluation
 from jaxvibro.scene.codes import Status
 
 ROOT = Path(__file__).parents[1]
@@ -139,11 +139,11 @@ def test_calls_in_turn_are_told_apart(monkeypatch):
 
 
 def test_compiled_is_for_a_while():
-    before = in_numpy.PATIENCE
+    before = numpy_evaluation.MAX_EVALUATIONS
     with pytest.raises(KeyError), harness.compiled():
-        assert in_numpy.PATIENCE == 0
+        assert numpy_evaluation.MAX_EVALUATIONS == 0
         raise KeyError
-    assert in_numpy.PATIENCE == before > 0
+    assert numpy_evaluation.MAX_EVALUATIONS == before > 0
 
 
 @pytest.mark.slow

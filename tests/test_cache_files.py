@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import cache_file, in_numpy, persistent_jit, python_program
+from continuation import cache_file, numpy_evaluation, persistent_jit, python_program
 from continuation.cache_file import distrust_of, reason_for_distrust
 
 from .cached_functions import GIVEN, compiled, evaluated, other_waves
@@ -25,7 +25,7 @@ TRUE = np.sin(GIVEN), GIVEN * np.exp(-GIVEN)
 @pytest.fixture
 def cache(tmp_path, monkeypatch):
     """jax's compile cache in a folder of its own; what was warned of before is warned of again."""
-    monkeypatch.setattr(persistent_jit, "_ours", {*persistent_jit._ours})
+    monkeypatch.setattr(persistent_jit, "_own_packages", {*persistent_jit._own_packages})
     monkeypatch.setattr(cache_file, "_warned", set())
     before = jax.config.jax_compilation_cache_dir
     folder = tmp_path / "cache"
@@ -38,9 +38,13 @@ def cache(tmp_path, monkeypatch):
 @pytest.fixture
 def traces(monkeypatch):
     """How often a function is traced because nothing is kept of it, a list."""
-    found, traced, made = [], in_numpy.Tried.traced, persistent_jit._made
-    monkeypatch.setattr(in_numpy.Tried, "traced", lambda self, args: found.append("program") or traced(self, args))
-    monkeypatch.setattr(persistent_jit, "_made", lambda *given: found.append("module") or made(*given))
+    found, traced, made = [], numpy_evaluation.NumpyEvaluator.trace_function, persistent_jit._export_module
+    monkeypatch.setattr(
+        numpy_evaluation.NumpyEvaluator,
+        "trace_function",
+        lambda self, args: found.append("program") or traced(self, args),
+    )
+    monkeypatch.setattr(persistent_jit, "_export_module", lambda *given: found.append("module") or made(*given))
     return found
 
 
@@ -85,7 +89,7 @@ def test_a_line_that_is_inserted_is_not_executed(cache, tmp_path):
     path = kept(cache)[".code"]
     content = path.read_bytes()
     line = f"open({str(mark)!r}, 'w').close()\n"
-    code = python_program.code_of(f"{line}size, run = 1, None")
+    code = python_program.compile_text(f"{line}size, run = 1, None")
     form = content[cache_file.DIGEST :].split(b"\n")[0]
     for digest in (content[: cache_file.DIGEST], b"\0" * cache_file.DIGEST):
         path.write_bytes(digest + form + b"\n" + code)

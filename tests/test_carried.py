@@ -39,10 +39,10 @@ def test_of_random_scenes_they_are_those_of_the_replay(kind, periods, monkeypatc
     given_up = np.asarray(lean(scene, start)[1])
     assert 0 < given_up.sum() < LANES / 2  # both tiers are asked
     found = slopes(scene, start, periods)
-    monkeypatch.setattr(derivatives, "_carries", lambda task, leaves: False)
-    derivatives._strobe.cache_clear()
+    monkeypatch.setattr(derivatives, "_carries_tangents", lambda task, leaves: False)
+    derivatives._differentiable_strobe.cache_clear()
     expected = slopes(scene, start, periods)
-    derivatives._strobe.cache_clear()
+    derivatives._differentiable_strobe.cache_clear()
     assert not np.array_equal(found, expected)
     assert np.array_equal(np.isnan(found), np.isnan(expected))
     assert np.nanmax(abs(found - expected) / _bent(expected)) < 1e-11

@@ -7,10 +7,10 @@ from mpmath import mpf, workdps
 from scipy.optimize import brentq
 
 import jaxvibro as jv
-from jaxvibro.flight.coefficients import frame, framed
-from jaxvibro.orbits import chatter, releases
+from jaxvibro.flight.coefficients import compute_coefficients, flow_coefficients
+from jaxvibro.orbits import chatter, chatter_and_release
 from jaxvibro.problem.equations import are_releases
-from jaxvibro.problem.orbit_start import point_of
+from jaxvibro.problem.orbit_conversion import orbit_row_of
 from tests.branch_proof import plain
 from tests.reference import rests
 from tests.reference.special import exact
@@ -34,7 +34,10 @@ def test_critical_hops_near_the_release_shrink_in_proportion(bounce):
     scene = jv.make_scene(4.65, 2.1, 0.05, bounce, (-1.0, 0.7))
     release, fall = released(scene, 0.7)
     q, side = ratio(bounce), jnp.float64(1.0)
-    near = [float(chatter.critical(frame(scene), side, release, jnp.float64(tau))) / tau**2 for tau in (-1e-4, -2e-4)]
+    near = [
+        float(chatter.critical_speed(compute_coefficients(scene), side, release, jnp.float64(tau))) / tau**2
+        for tau in (-1e-4, -2e-4)
+    ]
     assert 2.0 * near[0] - near[1] == pytest.approx(0.375 * (1.0 - q * q) * fall, rel=1e-6)
 
 
@@ -42,7 +45,7 @@ def test_critical_hops_near_the_release_shrink_in_proportion(bounce):
 @pytest.mark.parametrize("bounce", [0.3, 0.8])
 def test_a_hop_at_the_critical_speed_is_followed_by_one(bounce):
     scene = jv.make_scene(3.0, 0.8, 0.2, bounce, (None, jv.Wall(0.4, motion=jv.Motion(0.1, 1.0))))
-    built, side, phase = frame(scene), jnp.float64(1.0), 2.0 * np.pi / 5.0
+    built, side, phase = compute_coefficients(scene), jnp.float64(1.0), 2.0 * np.pi / 5.0
     times = np.linspace(0.0, 2.0 * np.pi / 0.8, 400)
     with workdps(20):
         push = [float(rests.press_alone(exact(plain(scene)), 1, mpf(time))) for time in times]
@@ -50,11 +53,11 @@ def test_a_hop_at_the_critical_speed_is_followed_by_one(bounce):
     with workdps(30):
         phase = float(0.8 * rests.release(exact(plain(scene)), 1, mpf(times[last])))
     release, tau = (jnp.cos(phase), jnp.sin(phase)), jnp.float64(-0.2)
-    speed = chatter.critical(built, side, release, tau)
+    speed = chatter.critical_speed(built, side, release, tau)
     angle = phase + 0.8 * tau
-    found = chatter.hop(built, side, (jnp.cos(angle), jnp.sin(angle)), speed)
-    after = chatter.critical(built, side, release, tau + found.time)
-    assert bounce * float(found.landing) == pytest.approx(float(after), rel=1e-11)
+    found = chatter.evaluate_hop(built, side, (jnp.cos(angle), jnp.sin(angle)), speed)
+    after = chatter.critical_speed(built, side, release, tau + found.time)
+    assert bounce * float(found.landing_speed) == pytest.approx(float(after), rel=1e-11)
 
 
 @pytest.mark.parametrize(("bounce", "speed"), [(0.0, 0.0), (0.3, 0.05), (0.6, 0.02), (0.6, 0.15), (0.9, 0.004)])
@@ -67,7 +70,9 @@ def test_hops_end_in_rest_when_those_of_50_digits_do(bounce, speed):
         before = speed / bounce if bounce else 1.0
         hits, began = rests.until_rest(given, 1, now, given.right.restitution * mpf(before), end)
         numbers = (np.float64(each) for each in (1.0, given.omega * end, now - end, before))
-        rest, hold, _, times, speeds, _ = (np.asarray(each) for each in releases._examined(scene, *numbers))
+        rest, hold, _, times, speeds, _ = (
+            np.asarray(each) for each in chatter_and_release._examine_compiled(scene, *numbers)
+        )
         assert hold == np.inf
         assert float(rest) == pytest.approx(float(end - began), abs=1e-12) if began else rest < 0
         for hit, time, pace in zip(hits[:20], times, speeds, strict=False):
@@ -84,11 +89,13 @@ def test_a_mass_drawn_off_its_wall_without_speed_comes_back_to_rest(early):
         tau = mpf(float(begin - early - end))
         hits, began = rests.until_rest(given, 1, end + tau, mpf(0), end)
         numbers = (np.float64(each) for each in (1.0, given.omega * end, tau, 1.0))
-        rest, hold, plainly, times, speeds, lifts = (np.asarray(each) for each in releases._examined(scene, *numbers))
+        rest, hold, plainly, times, speeds, lifts = (
+            np.asarray(each) for each in chatter_and_release._examine_compiled(scene, *numbers)
+        )
         assert lifts
         assert float(hold) == pytest.approx(-float(rests.press_alone(given, 1, end + tau)), rel=1e-7)
         assert float(plainly) == pytest.approx(
-            1 - float(began - end - tau) / (0.4 * float(framed(scene).reach)), rel=1e-9
+            1 - float(began - end - tau) / (0.4 * float(flow_coefficients(scene).max_step)), rel=1e-9
         )
         assert float(rest) == pytest.approx(float(end - began), abs=1e-12)
         assert float(times[0] - tau) == pytest.approx(float(hits[0].time - end - tau), rel=1e-8)
@@ -105,7 +112,7 @@ def test_a_first_hop_beyond_its_series_is_no_plain_one(speed, is_plain):
         end = rests.release(given, -1, mpf(31.6744))
         _, began = rests.until_rest(given, -1, end + tau, given.left.restitution * mpf(speed), end)
         numbers = (np.float64(each) for each in (-1.0, given.omega * end, tau, speed))
-    rest, _, plainly, *_ = (np.asarray(each) for each in releases._examined(scene, *numbers))
+    rest, _, plainly, *_ = (np.asarray(each) for each in chatter_and_release._examine_compiled(scene, *numbers))
     assert (plainly > 0) == is_plain
     assert not is_plain or float(rest) == pytest.approx(float(end - began), abs=1e-12)
 
@@ -128,6 +135,6 @@ def test_an_orbit_that_rests_is_told_from_release_to_release(scene, label):
     assert (orbit.label, orbit.rests) == (label, True)
     *worst, count, several = errors(scene, orbit)
     assert max(worst) < 1e-12
-    frees = are_releases(point_of(orbit, 1.5).sides)
+    frees = are_releases(orbit_row_of(orbit, 1.5).sides)
     assert several == frees.sum() >= 1
     assert count == (~frees).sum() >= several

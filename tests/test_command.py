@@ -17,7 +17,7 @@ import xarray as xr
 import jaxvibro as jv
 from jaxvibro.output import atomic_write
 from jaxvibro.studies import command, jax_settings, scene_file, scene_template, schema
-from jaxvibro.studies.run import ENDINGS
+from jaxvibro.studies.run import SUFFIXES
 
 ROOT = Path(__file__).parents[1]
 SCENE_FILE = ROOT / "scenes" / "branches.toml"
@@ -46,7 +46,7 @@ def done(tmp_path_factory):
 def test_a_run_writes_picture_data_and_table(done):
     out, (summary, table) = done[0], (done[1].summary, done[1].table)
     assert {one.name for one in out.iterdir()} == {"branches.png", "branches.nc", "branches.txt"}
-    assert summary["files"] == {kind: str(out / f"branches{end}") for kind, end in ENDINGS.items()}
+    assert summary["files"] == {kind: str(out / f"branches{end}") for kind, end in SUFFIXES.items()}
     assert (out / "branches.png").read_bytes().startswith(b"\x89PNG")
     assert (out / "branches.txt").read_text() == table
     assert all(word in table for word in ("sweep of amplitude", "down", "up", "attractors at amplitude = 4.65", "P111"))
@@ -62,7 +62,7 @@ def test_the_data_hold_sweep_attractors_and_job(done):
         assert (data["status"].values == 0).all()
         assert data["attractor_label"].values.tolist() == [one["label"] for one in told["attractors"]]
         job = tomllib.loads(data.attrs["job"])
-    assert scene_file.understood(job) == scene_file.read(SCENE_FILE, QUICK)
+    assert scene_file.parse_tables(job) == scene_file.read(SCENE_FILE, QUICK)
 
 
 def test_legs_side_by_side_are_the_sweeps_they_stand_for(done):
@@ -158,7 +158,7 @@ def test_init_writes_a_scene_that_runs(tmp_path, monkeypatch, capsys):
     assert called("init") == 2
     assert "scene.toml is there already" in capsys.readouterr().err
     assert called("init", "--force", "scene.toml") == 0
-    assert scene_template.SCENE.count("#") > 20
+    assert scene_template.SCENE_TEMPLATE.count("#") > 20
 
 
 TO_STARTER = [
@@ -257,29 +257,29 @@ def test_the_command_itself_turns_double_precision_on_and_keeps_compiled_code(tm
 def test_a_cache_that_cannot_be_made_is_done_without(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
-    assert jax_settings.folder() is None
+    assert jax_settings.user_cache_folder() is None
     monkeypatch.setenv("XDG_CACHE_HOME", "relative")
     monkeypatch.setenv("HOME", str(tmp_path))
-    assert jax_settings.folder() == tmp_path / ".cache" / "jaxvibro" / jax_settings.processor()
-    assert jax_settings.folder().stat().st_mode & 0o777 == 0o700
-    for mode, found in ((0o777, None), (0o1777, jax_settings.folder())):
+    assert jax_settings.user_cache_folder() == tmp_path / ".cache" / "jaxvibro" / jax_settings.processor_fingerprint()
+    assert jax_settings.user_cache_folder().stat().st_mode & 0o777 == 0o700
+    for mode, found in ((0o777, None), (0o1777, jax_settings.user_cache_folder())):
         tmp_path.chmod(mode)
-        assert jax_settings.folder() == found
+        assert jax_settings.user_cache_folder() == found
     tmp_path.chmod(0o700)
     monkeypatch.setenv("HOME", str(tmp_path / "nobody"))
-    assert jax_settings.folder() is None and not (tmp_path / "nobody").exists()
+    assert jax_settings.user_cache_folder() is None and not (tmp_path / "nobody").exists()
 
 
 def test_the_explorers_token_stays_and_is_made_anew_where_it_is_damaged(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    first = jax_settings.token()
-    assert re.fullmatch(r"[\w-]{43}", first) and jax_settings.token() == first
+    first = jax_settings.page_token()
+    assert re.fullmatch(r"[\w-]{43}", first) and jax_settings.page_token() == first
     (file,) = (tmp_path / "jaxvibro").glob("*token*")
     assert file.stat().st_mode & 0o777 == 0o600
     for damage in (b"", b"half", b"\xff" * 43):  # as a process that was killed while it wrote would leave it
         file.write_bytes(damage)
-        again = jax_settings.token()
-        assert again not in (first, None) and jax_settings.token() == again
+        again = jax_settings.page_token()
+        assert again not in (first, None) and jax_settings.page_token() == again
     assert list((tmp_path / "jaxvibro").glob("*token*")) == [file]
 
 
@@ -289,8 +289,8 @@ def test_of_two_processes_that_make_a_token_the_first_wins(tmp_path, monkeypatch
 
     def late(part, place):
         monkeypatch.setattr(os, "link", plain)
-        others.append(jax_settings.token())
+        others.append(jax_settings.page_token())
         plain(part, place)
 
     monkeypatch.setattr(os, "link", late)
-    assert [jax_settings.token()] == others and others[0] is not None
+    assert [jax_settings.page_token()] == others and others[0] is not None

@@ -5,11 +5,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from continuation import arclength, branch_switching, driver, event_search, locate, newton, problem
-from continuation.linear import solve
-from continuation.problem import Given, equilibria, fixed_points, problem_of
-from continuation.rows import at, put, upto
-from continuation.stretch import Mark
+from continuation import arclength, augmented_systems, branch_switching, driver, event_search, newton, problem
+from continuation.branch_segment import SpecialIndex
+from continuation.linear_solver import solve
+from continuation.point_rows import head, insert_row, row_at
+from continuation.problem import Constants, equilibria, fixed_points, problem_of
 from tests.test_trace import KNOTS as KNOTS_SYSTEM
 from tests.test_trace import close
 
@@ -25,16 +25,16 @@ CIRCLE, PITCHFORK, TRANSCRITICAL, TWICE, CUSP = (
 )
 HENON = problem_of(fixed_points(lambda u, p, b: jnp.stack([p["p"] - u[0] ** 2 + b * u[1], u[0]])), ("p",))
 KNOTS = problem_of(KNOTS_SYSTEM, ("p",))
-LIMITS = {"largest": 0.1, "tolerance": 1e-10, "low": -3.0, "high": 3.0}
+LIMITS = {"max_step": 0.1, "tolerance": 1e-10, "lower": -3.0, "upper": 3.0}
 
 
 def given(args=None):
-    return Given({}, args)
+    return Constants({}, args)
 
 
 def control_of(size, scale=None, **limits):
     numbers = {key: np.float64(value) for key, value in (LIMITS | limits).items()}
-    return arclength.Control(scale=np.ones(size) if scale is None else scale, smallest=np.float64(1e-7), **numbers)
+    return arclength.StepControl(scale=np.ones(size) if scale is None else scale, min_step=np.float64(1e-7), **numbers)
 
 
 def point_of(z, tangent):
@@ -44,7 +44,7 @@ def point_of(z, tangent):
 
 def place_of(z, tangent, first=0.05):
     z, tangent = np.asarray(z, float), np.asarray(tangent, float)
-    return arclength.Place(z, tangent, np.float64(first), np.int32(arclength.ON))
+    return arclength.TrackState(z, tangent, np.float64(first), np.int32(arclength.RUNNING))
 
 
 def on_circle(point):
@@ -61,7 +61,7 @@ def test_linear_systems_against_lapack():
     assert np.allclose(found, np.linalg.solve(matrices, rights[..., None])[..., 0], rtol=1e-10, atol=1e-10)
     assert np.all(worst > 0)
     assert np.allclose(determinant, np.linalg.det(matrices), rtol=1e-10)
-    assert solve(jnp.ones((3, 3)), jnp.arange(3.0)).worst == 0
+    assert solve(jnp.ones((3, 3)), jnp.arange(3.0)).pivot_ratio == 0
 
 
 def test_newton_finds_a_point_to_rounding():
@@ -82,15 +82,15 @@ def test_newton_says_why_it_failed():
     def flat(point):
         return jnp.stack([point[0] - 1.0, point[0] - 1.0]), jnp.array([[1.0, 0.0], [1.0, 0.0]])
 
-    assert newton.newton(none, jnp.array([0.3])).status == newton.SLOW
-    assert newton.newton(double, jnp.array([1.0, 1.0]), most=25).status == newton.SINGULAR
+    assert newton.newton(none, jnp.array([0.3])).status == newton.NOT_CONVERGED
+    assert newton.newton(double, jnp.array([1.0, 1.0]), max_steps=25).status == newton.SINGULAR
     assert newton.newton(flat, jnp.array([0.0, 0.0])).status == newton.SINGULAR
     assert newton.newton(on_circle, jnp.array([jnp.nan, 1.0])).status == newton.NONFINITE
 
 
 def test_a_step_is_cut_and_lanes_do_not_disturb_each_other():
     starts = jnp.array([[3.0, 0.5], [jnp.nan, 1.0], [-5.0, -4.0]])
-    found = jax.vmap(lambda start: newton.newton(on_circle, start, longest=0.5))(starts)
+    found = jax.vmap(lambda start: newton.newton(on_circle, start, max_change=0.5))(starts)
     assert np.array_equal(found.status, [newton.OK, newton.NONFINITE, newton.OK])
     assert np.allclose(found.unknowns[2], -np.sqrt(2.0), rtol=0, atol=1e-15)
 
@@ -104,39 +104,41 @@ def same_tangents(found, true, scale):
 
 def test_marks_on_a_branch():
     control = control_of(2)
-    points, _ = next(event_search.stretches(CIRCLE, place_of([1.0, 0.0], [0.0, 1.0]), control, given(1.0)))
+    points, _ = next(event_search.track_chunks(CIRCLE, place_of([1.0, 0.0], [0.0, 1.0]), control, given(1.0)))
     on, off = np.array([0.28, 0.96]), np.array([0.28, 0.96 + 1e-4])
-    assert event_search.passes_mark(CIRCLE, points, [off], control, given(1.0)) is None
-    assert event_search.passes_mark(CIRCLE, upto(points, 1), [on], control, given(1.0)) is None
+    assert event_search.find_pass(CIRCLE, points, [off], control, given(1.0)) is None
+    assert event_search.find_pass(CIRCLE, head(points, 1), [on], control, given(1.0)) is None
     begin = points.z[0] + 1e-15 * points.tangent[0]  # a rounding beyond where the branch begins
-    assert event_search.passes_mark(CIRCLE, points, [begin], control, given(1.0))[0] > 50  # once round
-    after, length = event_search.passes_mark(CIRCLE, points, [off, on], control, given(1.0))
+    assert event_search.find_pass(CIRCLE, points, [begin], control, given(1.0))[0] > 50  # once round
+    after, length = event_search.find_pass(CIRCLE, points, [off, on], control, given(1.0))
     here = jax.tree.map(lambda leaf: leaf[after], points)
-    assert close(event_search.step(CIRCLE, here, length, control, given(1.0)).z, on, 1e-12)
-    assert {k for _, _, k in event_search.meets(points, np.array([off, on, [0.0, 0.0]]), control)} == {0, 1}
+    assert close(event_search.take_step(CIRCLE, here, length, control, given(1.0)).z, on, 1e-12)
+    assert {k for _, _, k in event_search.find_near_passes(points, np.array([off, on, [0.0, 0.0]]), control)} == {0, 1}
 
 
 def test_tangents():
-    assert close(event_search.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0)), [-0.8, 0.6], 1e-15)
-    assert close(event_search.tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0), [1, 0]), [0.8, -0.6], 1e-15)
-    weighted = event_search.tangent(CIRCLE, np.array([0.6, 0.8]), np.array([2.0, 0.5]), given(1.0))
+    assert close(event_search.unit_tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0)), [-0.8, 0.6], 1e-15)
+    assert close(
+        event_search.unit_tangent(CIRCLE, np.array([0.6, 0.8]), np.ones(2), given(1.0), [1, 0]), [0.8, -0.6], 1e-15
+    )
+    weighted = event_search.unit_tangent(CIRCLE, np.array([0.6, 0.8]), np.array([2.0, 0.5]), given(1.0))
     assert close(weighted, np.array([-0.8, 0.6]) / np.hypot(1.6, 0.3), 1e-15)
-    left_out = event_search.oriented(np.array([[1.0, 7.0, -2.0]]), np.array([1.0, 0.0, 1.0]))
+    left_out = event_search.oriented_null_vector(np.array([[1.0, 7.0, -2.0]]), np.array([1.0, 0.0, 1.0]))
     assert close(left_out, np.array([2.0, 0.0, 1.0]) / np.sqrt(5), 1e-15)
 
 
 @pytest.mark.parametrize("scale", [np.ones(2), np.array([2.0, 0.5])])
 def test_directions_at_crossings(scale):
     zero = np.zeros(2)
-    fork = branch_switching.directions(PITCHFORK, zero, scale, given(0.0))
+    fork = branch_switching.branch_tangents(PITCHFORK, zero, scale, given(0.0))
     assert same_tangents(fork, [[1, 0], [0, 1]], scale)
-    assert close(abs(branch_switching.other(fork, np.array([0.1, 1.0]), scale)), [1 / scale[0], 0], 1e-14)
-    assert same_tangents(branch_switching.directions(TRANSCRITICAL, zero, scale, given()), [[1, 1], [0, 1]], scale)
+    assert close(abs(branch_switching.farther_tangent(fork, np.array([0.1, 1.0]), scale)), [1 / scale[0], 0], 1e-14)
+    assert same_tangents(branch_switching.branch_tangents(TRANSCRITICAL, zero, scale, given()), [[1, 1], [0, 1]], scale)
     crossing, wide = np.array([3, 3, 27 * np.exp(-3)]), np.append(scale, 3.0)
-    both = branch_switching.directions(KNOTS, crossing, wide, given())
+    both = branch_switching.branch_tangents(KNOTS, crossing, wide, given())
     assert same_tangents(both, [[1, 1, -18 * np.exp(-3)], [1, -1, 0]], wide)
     with pytest.raises(ValueError, match="no branches cross"):
-        branch_switching.directions(CIRCLE, zero, scale, given(0.0))
+        branch_switching.branch_tangents(CIRCLE, zero, scale, given(0.0))
 
 
 @pytest.mark.parametrize("size", [2, 3, 4, 5])
@@ -145,8 +147,8 @@ def test_pairs_have_the_products_and_sums_of_eigenvalues(size):
         values = np.linalg.eigvals(matrix)
         pairs = [(values[i], values[k]) for i in range(size) for k in range(i)]
         for function, true in (
-            (problem.products, [a * b - 1 for a, b in pairs]),
-            (problem.sums, [a + b for a, b in pairs]),
+            (problem.bialternate_product, [a * b - 1 for a, b in pairs]),
+            (problem.bialternate_sum, [a + b for a, b in pairs]),
         ):
             found = np.linalg.eigvals(np.asarray(function(jnp.array(matrix))))
             assert len(found) == len(true)
@@ -159,10 +161,10 @@ def test_lanes_of_branches_do_not_disturb_each_other():
     starts[4, 1] = np.nan
     highs = np.array([-5.0, -3.0, 5.0, 0.0, 3.0])
     tangents = np.stack(
-        [event_search.tangent(CUSP, z, np.ones(2), given(one)) for z, one in zip(starts[:4], a, strict=False)]
+        [event_search.unit_tangent(CUSP, z, np.ones(2), given(one)) for z, one in zip(starts[:4], a, strict=False)]
     )
     places = [place_of(z, t) for z, t in zip(starts, [*tangents, tangents[0]], strict=True)]
-    controls = [control_of(2, low=-9.0, high=high) for high in highs]
+    controls = [control_of(2, lower=-9.0, upper=high) for high in highs]
 
     def track(place, control, a):
         return arclength.track(CUSP.function, CUSP.solve, place, control, given(a), 80)
@@ -173,12 +175,12 @@ def test_lanes_of_branches_do_not_disturb_each_other():
     together = jax.jit(jax.vmap(track))(stacked(places), stacked(controls), a)
     alone = stacked([jax.jit(track)(*each) for each in zip(places, controls, a, strict=True)])
     (place, points), (true_place, true) = together, alone
-    assert np.array_equal(points.kept, true.kept)
-    assert len(set(points.kept.sum(axis=1).tolist())) == 5
+    assert np.array_equal(points.accepted, true.accepted)
+    assert len(set(points.accepted.sum(axis=1).tolist())) == 5
     assert np.array_equal(place.status, true_place.status)
-    assert list(place.status) == [arclength.OUT] * 2 + [arclength.ON, arclength.OUT, arclength.NONFINITE]
+    assert list(place.status) == [arclength.OUTSIDE] * 2 + [arclength.RUNNING, arclength.OUTSIDE, arclength.NONFINITE]
     for found, expected in ((points.z, true.z), (points.tangent, true.tangent), (points.step, true.step)):
-        assert close(np.where(points.kept.T, found.T, 0), np.where(true.kept.T, expected.T, 0), 1e-12)
+        assert close(np.where(points.accepted.T, found.T, 0), np.where(true.accepted.T, expected.T, 0), 1e-12)
     assert np.allclose(place.z, true_place.z, rtol=0, atol=1e-12, equal_nan=True)
 
 
@@ -186,24 +188,25 @@ def test_branches_together_are_as_one_by_one():
     a = [1.0, -0.5, 2.5]
     starts = [np.array([-2.0, -8.0 + 2.0 * each]) for each in a]
     places = [
-        place_of(z, event_search.tangent(CUSP, z, np.ones(2), given(each))) for z, each in zip(starts, a, strict=True)
+        place_of(z, event_search.unit_tangent(CUSP, z, np.ones(2), given(each)))
+        for z, each in zip(starts, a, strict=True)
     ]
-    controls = [control_of(2, largest=0.02, low=-9.0, high=high) for high in (-8.5, 40.0, 20.0)]
+    controls = [control_of(2, max_step=0.02, lower=-9.0, upper=high) for high in (-8.5, 40.0, 20.0)]
     taken = [[], [], []]
 
     def goes_on(lane, *chunk):
         taken[lane].append(chunk)
         return lane != 1 or len(taken[lane]) < 2
 
-    event_search.together(CUSP, places, controls, [given(each) for each in a], goes_on)
+    event_search.track_branches(CUSP, places, controls, [given(each) for each in a], goes_on)
     alone = [
-        list(event_search.stretches(CUSP, place, control, given(each)))
+        list(event_search.track_chunks(CUSP, place, control, given(each)))
         for place, control, each in zip(places, controls, a, strict=True)
     ]
     assert len(alone[0]) == 1 and len(alone[1]) > 2 and len(alone[2]) > len(taken[1]) == 2
     for mine, theirs in zip(taken, (alone[0], alone[1][:2], alone[2]), strict=True):
         for (points, status), (true, true_status) in zip(mine, theirs, strict=True):
-            assert status == true_status and points.kept.all()
+            assert status == true_status and points.accepted.all()
             for found, expected in zip(points[:4], true[:4], strict=True):
                 assert np.shape(found) == np.shape(expected) and close(found, expected, 1e-12)
 
@@ -217,24 +220,24 @@ def test_a_point_with_one_number_given(scale):
         (0, 0.0, [0, 1]),
         (-1, -0.28, [0.96, -0.28]),
     ):
-        found = event_search.pinned(CIRCLE, np.array([0.7, 0.7]), index, value, control, given(1.0))
-        assert found.met
+        found = event_search.solve_with_fixed_entry(CIRCLE, np.array([0.7, 0.7]), index, value, control, given(1.0))
+        assert found.converged
         assert found.z[index] == value
         assert close(found.z, true, 1e-15)
-    assert not event_search.pinned(CIRCLE, np.array([0.7, 0.7]), 0, 1.1, control, given(1.0)).kept
-    found = event_search.pinned(HENON, np.array([0.3, 0.4, 0.0]), 2, 0.3675, control_of(3), given(0.3))
+    assert not event_search.solve_with_fixed_entry(CIRCLE, np.array([0.7, 0.7]), 0, 1.1, control, given(1.0)).accepted
+    found = event_search.solve_with_fixed_entry(HENON, np.array([0.3, 0.4, 0.0]), 2, 0.3675, control_of(3), given(0.3))
     assert close(found.z, [0.35, 0.35, 0.3675], 1e-15)
 
 
 def test_lengths_are_weighted():
     scale, z = np.array([3.0, 0.5]), np.array([0.6, 0.8])
-    control = control_of(2, largest=0.1, scale=scale)
-    ahead = event_search.tangent(CIRCLE, z, scale, given(1.0))
-    task = driver.Task(CIRCLE, given(1.0), control, 0.05, ((-3.0, 3.0),), starts=(z,))
-    found = driver.run(task, point_of(z, ahead))
+    control = control_of(2, max_step=0.1, scale=scale)
+    ahead = event_search.unit_tangent(CIRCLE, z, scale, given(1.0))
+    task = driver.ContinuationTask(CIRCLE, given(1.0), control, 0.05, ((-3.0, 3.0),), starts=(z,))
+    found = driver.follow_branch(task, point_of(z, ahead))
     assert found.end is driver.End.CLOSED
-    assert [one.kind for one in found.marks] == ["SN", "SN"]
-    assert close([found.points.z[one.place] for one in found.marks], [[0, 1], [0, -1]], 1e-14)
+    assert [one.kind for one in found.specials] == ["SN", "SN"]
+    assert close([found.points.z[one.row] for one in found.specials], [[0, 1], [0, -1]], 1e-14)
     assert close(np.sum(found.points.z**2, axis=1), 1, 1e-12)
     lengths = np.linalg.norm(scale * np.diff(found.points.z, axis=0), axis=1)
     assert 0.09 < lengths.max() < 0.11
@@ -243,30 +246,35 @@ def test_lengths_are_weighted():
 def test_runs_together_are_as_one_by_one_and_may_retry():
     """The lanes of one call, each with its own numbers; a point that a `Watch` refuses is tried again nearer."""
 
-    class Short(driver.Watch):
+    class Short(driver.EventDetector):
         refused: frozenset = frozenset()  # the first points beyond -7.9: those of another step are good
 
-        def good(self, zs, view):
+        def is_admissible(self, zs, view):
             self.refused = self.refused or frozenset(z.tobytes() for z in zs[zs[:, 1] >= -7.9])
             return np.array([z.tobytes() not in self.refused for z in zs])
 
     a, highs = (1.0, -0.5, 2.5), (-5.0, 3.0, 3.0)
     starts = [np.array([-2.0, -8.0 + 2.0 * each]) for each in a]
     points = [
-        point_of(z, event_search.tangent(CUSP, z, np.ones(2), given(one))) for z, one in zip(starts, a, strict=True)
+        point_of(z, event_search.unit_tangent(CUSP, z, np.ones(2), given(one)))
+        for z, one in zip(starts, a, strict=True)
     ]
 
     def tasks():
         return [
-            driver.Task(CUSP, given(one), control_of(2, low=-9.0, high=high), 0.05, ((-9.0, high),), watch=watch)
-            for one, high, watch in zip(a, highs, (driver.Watch(), Short(), driver.Watch()), strict=True)
+            driver.ContinuationTask(
+                CUSP, given(one), control_of(2, lower=-9.0, upper=high), 0.05, ((-9.0, high),), detector=watch
+            )
+            for one, high, watch in zip(
+                a, highs, (driver.EventDetector(), Short(), driver.EventDetector()), strict=True
+            )
         ]
 
-    together = driver.run_together(tasks(), points)
+    together = driver.follow_branches(tasks(), points)
     for mine, task, point in zip(together, tasks(), points, strict=True):
-        alone = driver.run(task, point)
+        alone = driver.follow_branch(task, point)
         assert mine.end is alone.end is driver.End.BOUND
-        assert [one[:2] for one in mine.marks] == [one[:2] for one in alone.marks]
+        assert [one[:2] for one in mine.specials] == [one[:2] for one in alone.specials]
         assert close(mine.points.z, alone.points.z, 1e-12)
     assert together[1].points.step[1:].min() < 0.05 <= together[0].points.step[1:-1].min()
 
@@ -275,32 +283,34 @@ def test_runs_together_are_as_one_by_one_and_may_retry():
 def test_an_end_seen_ahead_beyond_a_bound_is_none(bound, end):
     """A `Watch` that looks ahead sees the same end from each point within half a unit of it."""
 
-    class Ahead(driver.Watch):
-        def before(self, task, points):
+    class Ahead(driver.EventDetector):
+        def find_early_end(self, task, points):
             z = np.array([np.sqrt(1 - 0.7**2), 0.7])
             (near,) = np.nonzero(abs(z[1] - 0.25 - points.z[:, 1]) < 0.25)
             if not len(near):
                 return None
-            points = put(upto(points, near[-1] + 1), near[-1] + 1, at(points, near[-1])._replace(z=z))
-            return driver.Met(points, Mark(0, "X", 0.0), driver.End.STOPPED)
+            points = insert_row(head(points, near[-1] + 1), near[-1] + 1, row_at(points, near[-1])._replace(z=z))
+            return driver.Termination(points, SpecialIndex(0, "X", 0.0), driver.End.STOPPED)
 
     z = np.array([1.0, 0.0])
-    task = driver.Task(CIRCLE, given(1.0), control_of(2, largest=0.1), 0.05, ((-3.0, bound),), watch=Ahead())
-    found = driver.run(task, point_of(z, event_search.tangent(CIRCLE, z, np.ones(2), given(1.0))))
+    task = driver.ContinuationTask(
+        CIRCLE, given(1.0), control_of(2, max_step=0.1), 0.05, ((-3.0, bound),), detector=Ahead()
+    )
+    found = driver.follow_branch(task, point_of(z, event_search.unit_tangent(CIRCLE, z, np.ones(2), given(1.0))))
     assert found.end is driver.End[end]
     assert close(found.points.z[-1, 1], min(bound, 0.7), 1e-15)
-    assert [one.kind for one in found.marks] == ["X"] * (bound > 0.7)
+    assert [one.kind for one in found.specials] == ["X"] * (bound > 0.7)
 
 
 def test_a_step_is_kept_only_where_newton_s_method_ended():
     place = place_of([1.0, 1.0], np.array([2.0, 1.0]) / np.sqrt(5))
-    points, _ = next(event_search.stretches(TWICE, place, control_of(2), given()))
+    points, _ = next(event_search.track_chunks(TWICE, place, control_of(2), given()))
     assert len(points.z) > 5
     assert abs(points.z[:, 0] - points.z[:, 1] ** 2).max() < 1e-9
 
 
 def test_no_crossing_is_located_off_the_branch():
-    found = locate.branch_point(PITCHFORK, np.array([0.01, 0.02]), given(1e-3))
+    found = augmented_systems.locate_branch_point(PITCHFORK, np.array([0.01, 0.02]), given(1e-3))
     assert found.z is None or found.residual > 1e-4
 
 
@@ -312,10 +322,10 @@ def test_a_zero_out_of_reach_is_not_looked_for():
         asked.append(y)
         return y**2 - 1.0, 2.0 * np.diag(y)
 
-    assert close(locate.newton(parabola, np.array([0.7]), 0.4).z, [1.0], 1e-14)
-    assert close(locate.newton(parabola, np.array([0.15])).z, [1.0], 1e-14)
+    assert close(augmented_systems.solve_newton(parabola, np.array([0.7]), 0.4).z, [1.0], 1e-14)
+    assert close(augmented_systems.solve_newton(parabola, np.array([0.15])).z, [1.0], 1e-14)
     asked.clear()
-    assert locate.newton(parabola, np.array([0.15]), 1.0).z is None and len(asked) == 1
+    assert augmented_systems.solve_newton(parabola, np.array([0.15]), 1.0).z is None and len(asked) == 1
 
 
 def row_of(what, zs, args, step):
@@ -323,26 +333,28 @@ def row_of(what, zs, args, step):
     control = control_of(2)
     rows = []
     for z in np.asarray(zs, float):
-        ahead = event_search.tangent(what, z, control.scale, args)
-        rows.append(event_search.step(what, point_of(z, ahead), 0.0, control, args)._replace(step=np.float64(step)))
+        ahead = event_search.unit_tangent(what, z, control.scale, args)
+        rows.append(
+            event_search.take_step(what, point_of(z, ahead), 0.0, control, args)._replace(step=np.float64(step))
+        )
     return arclength.Point(*(np.stack(each) for each in zip(*rows, strict=True))), control
 
 
 def test_a_jump_to_another_branch_is_told_from_a_crossing():
     _, middle, upper = np.sort(np.roots([-1.0, 0.0, 0.5, 0.01]).real)  # the sheets at p = 0.5: two meet in a fold
     points, control = row_of(PITCHFORK, [[upper - 0.001, 0.499], [middle, 0.5]], given(0.01), 0.8)
-    assert event_search.jump(PITCHFORK, points, control, given(0.01)) == (1, {})
+    assert event_search.find_jump(PITCHFORK, points, control, given(0.01)) == (1, {})
     points, control = row_of(PITCHFORK, [[upper - 0.001, 0.499], [upper, 0.5]], given(0.01), 0.01)
-    assert event_search.jump(PITCHFORK, points, control, given(0.01)) == (None, {})
+    assert event_search.find_jump(PITCHFORK, points, control, given(0.01)) == (None, {})
     points, control = row_of(PITCHFORK, [[0.0, -0.2], [0.0, 0.2]], given(0.0), 0.4)
-    place, known = event_search.jump(PITCHFORK, points, control, given(0.0))
+    place, known = event_search.find_jump(PITCHFORK, points, control, given(0.0))
     assert place is None and list(known) == [0] and known[0].kind == "BP" and close(known[0].z, [0, 0], 1e-12)
-    assert event_search.jump(PITCHFORK, points, control, given(0.0), np.array([True, False]))[0] is None
-    assert event_search.jump(PITCHFORK, points, control, given(0.0), np.array([False, True])) == (1, {})
+    assert event_search.find_jump(PITCHFORK, points, control, given(0.0), np.array([True, False]))[0] is None
+    assert event_search.find_jump(PITCHFORK, points, control, given(0.0), np.array([False, True])) == (1, {})
 
 
 def test_a_step_is_cut_in_all_its_entries_alike():
-    start, most = jnp.array([3.0, 0.5]), {"most": 1}
+    start, most = jnp.array([3.0, 0.5]), {"max_steps": 1}
     whole, cut = (newton.newton(on_circle, start, each, **most).unknowns - start for each in (jnp.inf, 0.5))
     assert abs(whole).max() > 1.0 and close(abs(cut).max(), 0.5, 1e-15)
     assert close(cut * abs(whole).max(), whole * 0.5, 1e-15)
@@ -351,7 +363,7 @@ def test_a_step_is_cut_in_all_its_entries_alike():
 @pytest.mark.parametrize("before, seen", [(1e-9, 0), (1e-7, 1), (0.1, 1)])
 def test_a_crossing_in_which_a_branch_begins_is_not_met_again(before, seen):
     points, control = row_of(PITCHFORK, [[0.0, -before], [0.0, 0.2]], given(0.0), 0.2 + before)
-    found = event_search.events(PITCHFORK, points, {}, control, given(0.0))
+    found = event_search.locate_events(PITCHFORK, points, {}, control, given(0.0))
     assert [one.kind for one in found] == ["BP"] * seen
 
 
@@ -359,9 +371,9 @@ def test_a_crossing_in_which_a_branch_begins_is_not_met_again(before, seen):
 def test_an_event_lies_within_its_interval(far, seen):
     """The fold of the circle, 0.6 ahead along the tangent."""
     control, z = control_of(2), np.array([0.6, 0.8])
-    here = point_of(z, event_search.tangent(CIRCLE, z, control.scale, given(1.0)))
-    near = event_search.step(CIRCLE, here, 0.1, control, given(1.0))
-    found = event_search._event(CIRCLE, "SN", here, 3, (0.0, far), near, 0.1, control, given(1.0))
+    here = point_of(z, event_search.unit_tangent(CIRCLE, z, control.scale, given(1.0)))
+    near = event_search.take_step(CIRCLE, here, 0.1, control, given(1.0))
+    found = event_search._event_between(CIRCLE, "SN", here, 3, (0.0, far), near, 0.1, control, given(1.0))
     assert (found is not None) == seen
     if found:
         assert close(found.z, [0.0, 1.0], 1e-14) and close(found.length, 0.6, 1e-14)

@@ -10,18 +10,18 @@ import pytest
 from jax import export
 
 import jaxvibro as jv
-from continuation import event_search, locate
-from continuation.arclength import Control, Place
-from jaxvibro.attractors import assign, local_manifold, sweep, tangent
-from jaxvibro.branches.follow import place_orbit
+from continuation import augmented_systems, event_search
+from continuation.arclength import StepControl, TrackState
+from jaxvibro.attractors import basin_labels, local_manifold, sweep, tangent
+from jaxvibro.branches.follow import set_up_problem
 from jaxvibro.compiled import blocks, compiler_hints, kernels
 from jaxvibro.loci import codim2
-from jaxvibro.loci.first_point import LocusStart, equations
-from jaxvibro.maps import long_run, rests, simulate
-from jaxvibro.orbits import by_impacts
-from jaxvibro.problem import diagnostics, touches
-from jaxvibro.problem.equations import problem
-from jaxvibro.problem.orbit_on_branch import OrbitPoint
+from jaxvibro.loci.locus_start import LocusStart, locus_problems
+from jaxvibro.maps import long_run, simulate, sticking_phases
+from jaxvibro.orbits import orbit_from_impacts
+from jaxvibro.problem import diagnostics, grazing_contact
+from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.problem.orbit_point import OrbitPoint
 from tests.cuda_proof import WALLS
 
 MARKS = {"two": (), "moving": pytest.mark.slow}
@@ -33,7 +33,7 @@ def on_card():
     """What these tests trace they share, and no other test."""
     with pytest.MonkeyPatch.context() as patch:
         for module in (blocks, compiler_hints, kernels):
-            patch.setattr(module, "on_processor", lambda: False)
+            patch.setattr(module, "on_cpu", lambda: False)
         jax.clear_caches()
         yield
     jax.clear_caches()
@@ -76,28 +76,28 @@ def test_long_runs(walls):
     states = [np.asarray(each) for each in (LANES.x, LANES.v, LANES.phase, LANES.contact)]
     begun = np.zeros(LANES.x.shape, np.int32)
     for lean in (False, True)[: 1 + (walls == "two")]:
-        run = partial(long_run._run.__wrapped__, slots=16, lean=lean)
+        run = partial(long_run._run_block.__wrapped__, slots=16, fast=lean)
         lowered(lambda *given, run=run: run(one, *given), LANES, begun, 3)
-    lowered(lambda state: simulate._sampled(one, state, 1, 20), jax.tree.map(lambda leaf: leaf[0], LANES))
+    lowered(lambda state: simulate._sample_trajectory(one, state, 1, 20), jax.tree.map(lambda leaf: leaf[0], LANES))
     values = np.linspace(1.0, 2.0, 3)[:, None] * np.ones(16)
-    chunk = partial(sweep._chunk.__wrapped__, name="amplitude", keep=2)
+    chunk = partial(sweep._sweep_chunk.__wrapped__, name="amplitude", keep=2)
     lowered(lambda *given: chunk(one, *given), values, 3, LANES, LANES, 5)
-    lowered(lambda *given: rests._watched.__wrapped__(one, *given), *_single())
+    lowered(lambda *given: sticking_phases._scan_period.__wrapped__(one, *given), *_single())
     if walls == "two":
         wide = [np.resize(each, 64) for each in states]
-        lowered(lambda *given: assign._round.__wrapped__(one, *given), wide[0], wide[1], wide[3], 0.0, 1)
+        lowered(lambda *given: basin_labels._advance_lanes.__wrapped__(one, *given), wide[0], wide[1], wide[3], 0.0, 1)
         for back in (False, True):
-            run = partial(local_manifold._run.__wrapped__, one, back=back)
+            run = partial(local_manifold._iterate_blocks.__wrapped__, one, inverse=back)
             lowered(run, wide[0], wide[1], 0.0, 2, 1)
         unit = np.ones_like(LANES.x)
         lanes = tangent.TangentLanes(LANES, unit, 0.0 * unit)
-        lanes = long_run.padded(lanes, 0, tangent.STRIP * kernels.WIDTH)
-        lowered(lambda lanes: tangent._run.__wrapped__(one, lanes, 2, 2), lanes)
+        lanes = long_run.padded_block(lanes, 0, tangent.BLOCKS_PER_CALL * kernels.BLOCK_WIDTH)
+        lowered(lambda lanes: tangent._run_strip.__wrapped__(one, lanes, 2, 2), lanes)
 
 
 def _single():
     state = jax.tree.map(lambda leaf: leaf[0], LANES)
-    return state, rests.SinceRelease(*np.array([1.0, 0.0, 0.0, 1.0, 0.0, np.nan]))
+    return state, sticking_phases.ReleaseMatrix(*np.array([1.0, 0.0, 0.0, 1.0, 0.0, np.nan]))
 
 
 def spot():
@@ -108,27 +108,29 @@ def spot():
 @pytest.mark.parametrize("walls", ["two", pytest.param("soft", marks=pytest.mark.slow)])
 def test_orbits_and_branches(walls):
     one = scene(walls)
-    guess = by_impacts.padded(one, *spot()[1:4], 0.0, 1)
-    lowered(by_impacts.solution, one, guess)
-    lowered(by_impacts._many, one, jax.tree.map(lambda leaf: np.stack([leaf] * 4), guess))
-    along, z = place_orbit(one, "amplitude", spot())
+    guess = orbit_from_impacts.padded_sequence(one, *spot()[1:4], 0.0, 1)
+    lowered(orbit_from_impacts.solve_guess, one, guess)
+    lowered(orbit_from_impacts._solve_guesses_compiled, one, jax.tree.map(lambda leaf: np.stack([leaf] * 4), guess))
+    along, z = set_up_problem(one, "amplitude", spot())
     carried(along, z)
-    seen = partial(diagnostics._seen.__wrapped__, diagnostics.hitting, periods=1)
+    seen = partial(diagnostics._evaluate_compiled.__wrapped__, diagnostics.impact_diagnostics, n_periods=1)
     lowered(lambda zs: seen(along, zs, np.int32(2)), np.stack([z, z]))
     row = np.int32(0)
-    lowered(lambda y: touches._contact.__wrapped__(y, along, row, row), np.append(z, 0.1))
+    lowered(lambda y: grazing_contact._relative_motion.__wrapped__(y, along, row, row), np.append(z, 0.1))
 
 
 def carried(along, z):
     """What a branch or locus is carried by."""
-    task, size = problem(along), len(z)
+    task, size = continuation_problem(along), len(z)
     numbers = (np.float64(each) for each in (1e-8, 0.1, 1e-10, -9.0, 9.0))
-    place = Place(z, np.eye(size)[-1], np.float64(0.1), np.int32(0))
-    track = partial(event_search._track.__wrapped__, task, count=8)
+    place = TrackState(z, np.eye(size)[-1], np.float64(0.1), np.int32(0))
+    track = partial(event_search._track_chunk.__wrapped__, task, capacity=8)
     lowered(
-        lambda place, control: track(place, control, along, most=np.int32(8)), place, Control(np.ones(size), *numbers)
+        lambda place, control: track(place, control, along, max_steps=np.int32(8)),
+        place,
+        StepControl(np.ones(size), *numbers),
     )
-    lowered(lambda z: locate.evaluated.__wrapped__(task, z, along), z)
+    lowered(lambda z: augmented_systems.evaluate.__wrapped__(task, z, along), z)
 
 
 @pytest.mark.parametrize(
@@ -136,11 +138,11 @@ def carried(along, z):
 )
 def test_loci(kind, walls):
     start = LocusStart(kind, "amplitude", scene(walls), spot())
-    ((curve, z),) = equations(start, ("amplitude", "left.position"))
+    ((curve, z),) = locus_problems(start, ("amplitude", "left.position"))
     carried(curve, z)
-    blank = tuple(np.zeros((2, 2 * len(curve.cycle.sides))))
+    blank = tuple(np.zeros((2, 2 * len(curve.sequence.sides))))
     for order in (2, 3):
-        bend = partial(codim2._bending.__wrapped__, order=order, fine=True)
+        bend = partial(codim2._evaluate_normal_forms.__wrapped__, order=order, high_accuracy=True)
         lowered(lambda zs, bend=bend: bend(curve, zs, blank, np.int32(2)), jnp.stack([z, z]))
 
 

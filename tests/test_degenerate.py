@@ -8,7 +8,7 @@ from mpmath import mp, mpf
 
 import jaxvibro as jv
 from jaxvibro.scene.codes import Status
-from jaxvibro.scene.scale import is_driven
+from jaxvibro.scene.typical_scales import is_driven
 from tests import degenerate_proof
 
 REST = -2.0  # contact of a mass that rests on the left wall

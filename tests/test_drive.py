@@ -11,16 +11,16 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.attractors.sweep import equation, static
-from jaxvibro.design.first_return import Impact, Motion
-from jaxvibro.flight.coefficients import framed
-from jaxvibro.maps.initial_conditions import box, forced_amplitude
-from jaxvibro.maps.inverse import backward
+from jaxvibro.attractors.sweep import equation_text, static_attributes
+from jaxvibro.design.next_impact import Impact, Motion
+from jaxvibro.flight.coefficients import flow_coefficients
+from jaxvibro.maps.initial_conditions import forced_amplitude, initial_box
+from jaxvibro.maps.inverse import strobe_backward
 from jaxvibro.orbits.free_response import free_response
-from jaxvibro.scene.scale import scene_length
-from jaxvibro.scene.scene_table import table_of
-from jaxvibro.scene.symmetry import is_symmetric, stays_symmetric, symmetric_part
-from jaxvibro.studies.scene_file import parsed, understood
+from jaxvibro.scene.scene_table import make_scene_table
+from jaxvibro.scene.symmetry import is_symmetric, stays_symmetric, symmetrise_scene
+from jaxvibro.scene.typical_scales import scene_length
+from jaxvibro.studies.scene_file import parse_tables, parse_toml
 from tests import harmonics_proof
 from tests.lanes import one_by_one
 from tests.proof import SLOTS
@@ -206,7 +206,7 @@ def test_the_product_of_p_and_q_is_the_derivative():
 def test_the_way_back_leads_back():
     scene, state = driven(*TERMS), starts(1)
     end, hits = jv.strobe(scene, state)
-    back, _ = jax.jit(backward, static_argnums=2)(scene, end, 1)
+    back, _ = jax.jit(strobe_backward, static_argnums=2)(scene, end, 1)
     assert int(np.sum(hits.count)) > LANES / 2
     assert max(abs(np.asarray(back.x) - state.x).max(), abs(np.asarray(back.v) - state.v).max()) < 1e-11
 
@@ -264,7 +264,7 @@ def test_searched_impacts_are_those_of_ball_arithmetic():
     record = orbit.strobe(rigid, 0.3, 2.5, periods=3)
     times, sides = [float(time) for time in record.times], record.sides
     first = Impact(float(sides[0]), times[0], float(record.speeds[0]))
-    found = Motion(driven(*TERMS), 0.0).onward(first, times[-1] + 1e-6, len(times))
+    found = Motion(driven(*TERMS), 0.0).next_impacts(first, times[-1] + 1e-6, len(times))
     assert [one.side for one in found] == sides[1:] and len(found) > 2
     assert max(abs(one.time - time) for one, time in zip(found, times[1:], strict=True)) < 1e-9
 
@@ -287,9 +287,9 @@ def test_starts_and_scales_know_every_term():
     sizes = [abs(size) / abs(1 - (n * OMEGA) ** 2 + 2j * GAMMA * n * OMEGA) for size, n, _ in [(2.0, 1, 0), *TERMS]]
     assert abs(forced_amplitude(scene) - sum(sizes)) < 1e-14
     paces = [size * n * OMEGA for size, (_, n, _) in zip(sizes, [(2.0, 1, 0), *TERMS], strict=True)]
-    assert abs(box(scene)[2] - 3 * sum(paces)) < 1e-12
+    assert abs(initial_box(scene)[2] - 3 * sum(paces)) < 1e-12
     assert scene_length(scene) > scene_length(plain(walls=(None, None)))
-    assert float(framed(driven(*TERMS)).size) == 2.0 + 2.0 + 0.5 + 0.25 + 0.375
+    assert float(flow_coefficients(driven(*TERMS)).length_scale) == 2.0 + 2.0 + 0.5 + 0.25 + 0.375
 
 
 def test_only_odd_harmonics_are_mirrored():
@@ -297,7 +297,7 @@ def test_only_odd_harmonics_are_mirrored():
     assert not is_symmetric(driven((0.5, 0, 0.0)))
     assert not is_symmetric(jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, 1.0), drive=[(0.5, 2, 0.0)]))
     assert stays_symmetric(driven(), "drive.0.amplitude") and not stays_symmetric(driven(), "drive.1.amplitude")
-    part = symmetric_part(driven(*TERMS))
+    part = symmetrise_scene(driven(*TERMS))
     assert is_symmetric(part) and [float(term.amplitude) for term in part.drive] == [0.5, 0.0, -0.375]
 
 
@@ -310,8 +310,12 @@ def test_numbers_of_the_terms_are_parameters_by_name():
     assert float(scene.parameter("drive.0.phase")) == 0.625
     new = scene.replace(**{"drive.2.amplitude": np.array([1.0, 2.0]), "drive.0.phase": 0.1})
     assert new.shape == (2,) and float(new.drive[0].phase) == 0.1 and new.drive[0].harmonic == 3
-    assert "drive.0.harmonic" in static(scene) and "cos(3 frequency t + drive.0.phase)" in equation(scene)
-    assert plain().drive == () and equation(plain()).endswith("(y- - v)") is equation(scene).endswith("(y- - v)")
+    assert "drive.0.harmonic" in static_attributes(scene) and "cos(3 frequency t + drive.0.phase)" in equation_text(
+        scene
+    )
+    assert plain().drive == () and equation_text(plain()).endswith("(y- - v)") is equation_text(scene).endswith(
+        "(y- - v)"
+    )
 
 
 @pytest.mark.parametrize(
@@ -344,11 +348,11 @@ def test_a_scene_file_has_the_terms(tmp_path):
     )
     scene = jv.load_scene(path)
     assert [(float(d.amplitude), d.harmonic, float(d.phase)) for d in scene.drive] == [(0.4, 3, 0.5), (0.2, 0, 0.0)]
-    again = table_of(scene).make()
+    again = make_scene_table(scene).make()
     assert jax.tree.structure(again) == jax.tree.structure(scene) and jax.tree.leaves(again) == jax.tree.leaves(scene)
     for wrong, key in (("harmonic = -3", "scene.drive.0.harmonic"), ("harmonc = 3", "scene.drive[0].harmonc")):
         with pytest.raises(jv.SceneError) as caught:
-            understood(parsed("scene", path.read_text().replace("harmonic = 3", wrong)))
+            parse_tables(parse_toml("scene", path.read_text().replace("harmonic = 3", wrong)))
         assert caught.value.key == key
 
 

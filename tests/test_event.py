@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxvibro.flight import event, lean_event
+from jaxvibro.flight import event, fast_event
 
 LANES, FINE = 1_500, np.linspace(0.0, 1.0, 401)
 
@@ -13,8 +13,8 @@ LANES, FINE = 1_500, np.linspace(0.0, 1.0, 401)
 def drawn():
     """Of lanes that are clear of their wall at first, of all shapes: an `event.Progress`."""
     rng = np.random.default_rng(3)
-    sizes = 10.0 ** rng.uniform(-3.0, 0.5, (event.TERMS, LANES))
-    terms = sizes * rng.normal(size=(event.TERMS, LANES))
+    sizes = 10.0 ** rng.uniform(-3.0, 0.5, (event.N_TERMS, LANES))
+    terms = sizes * rng.normal(size=(event.N_TERMS, LANES))
     terms[0] = -(10.0 ** rng.uniform(-5.0, 0.0, LANES))
     terms[1, ::2] = abs(terms[1, ::2])
     remainder = 10.0 ** rng.uniform(-14.0, 0.5, LANES)
@@ -29,11 +29,13 @@ def worst(progress, time):
 
 
 def test_no_step_without_contact_passes_the_wall(drawn):
-    bound = event.bound(drawn, event.cubic(drawn))
-    above = -bound.clear + FINE[:, None] * (bound.slope + FINE[:, None] * (bound.bend + bound.cubic * FINE[:, None]))
-    free = event.free_step(bound)
-    sure = event.sure_step(bound, event.horizon(bound, event.quadratic(*bound[:3])), free)
-    for true in worst(drawn, FINE[:, None] + 0.0 * bound.clear):
+    bound = event.bound_progress(drawn, event.cubic_bound(drawn))
+    above = -bound.clearance + FINE[:, None] * (
+        bound.slope + FINE[:, None] * (bound.curvature + bound.cubic * FINE[:, None])
+    )
+    free = event.safe_step(bound)
+    sure = event.safe_horizon_step(bound, event.bounding_horizon(bound, event.first_quadratic_root(*bound[:3])), free)
+    for true in worst(drawn, FINE[:, None] + 0.0 * bound.clearance):
         assert (true <= above + 1e-14).all()
     for step in (free, sure):
         assert (step > 0).all() and (step <= 1).all()
@@ -45,7 +47,7 @@ def test_no_step_without_contact_passes_the_wall(drawn):
 def first_is(progress, root, slack, sure):
     """Whether progresses of the worst kind are first zero within so much of a root, in the lanes that are sure."""
     before, after = (root - slack)[sure], (root + slack)[sure]
-    near = slack[sure] < (event.MARGIN - 1.0) * root[sure]  # as far the progress is known to rise
+    near = slack[sure] < (event.ROOT_MARGIN - 1.0) * root[sure]  # as far the progress is known to rise
     some = event.Progress(tuple(np.asarray(term)[sure] for term in progress.terms), progress.remainder[sure])
     ahead = worst(some, FINE[:, None] * np.maximum(before, 0.0))
     beyond = worst(some, np.minimum(after, 1.0)[None])
@@ -53,10 +55,10 @@ def first_is(progress, root, slack, sure):
 
 
 def test_a_root_that_is_certain_is_the_first_and_as_near_as_is_said(drawn):
-    bound = event.bound(drawn, event.cubic(drawn))
-    guess = event.quadratic(*bound[:3])
-    root = event.newton(drawn, event.halley(drawn, guess))
-    slack = np.asarray(event.slack(drawn, guess, root))
+    bound = event.bound_progress(drawn, event.cubic_bound(drawn))
+    guess = event.first_quadratic_root(*bound[:3])
+    root = event.newton_step(drawn, event.halley_step(drawn, guess))
+    slack = np.asarray(event.root_error_bound(drawn, guess, root))
     sure = slack >= 0
     assert 0.1 < sure.mean() < 0.9
     assert first_is(drawn, np.asarray(root), slack, sure)
@@ -65,7 +67,7 @@ def test_a_root_that_is_certain_is_the_first_and_as_near_as_is_said(drawn):
 
 def test_a_slope_is_at_least_as_large_as_is_said(drawn):
     far = np.random.default_rng(4).uniform(0.0, 1.0, LANES)
-    least, time = np.asarray(event.rising(drawn, far)), FINE[:, None] * far
+    least, time = np.asarray(event.slope_lower_bound(drawn, far)), FINE[:, None] * far
     for sign in (-1.0, 1.0):
         more = sign * 7.0 * np.asarray(drawn.remainder) * time**6
         slope = sum(k * np.asarray(term) * time ** (k - 1) for k, term in enumerate(drawn.terms) if k) + more
@@ -73,19 +75,22 @@ def test_a_slope_is_at_least_as_large_as_is_said(drawn):
 
 
 def test_a_lean_root_that_is_certain_is_the_first(drawn):
-    guess = lean_event._guess(drawn)
-    root = lean_event._root(drawn, guess)
-    known, root = np.asarray(lean_event._known(drawn, guess, root)), np.asarray(root)
+    guess = fast_event._root_guess(drawn)
+    root = fast_event._refine_root(drawn, guess)
+    known, root = np.asarray(fast_event._root_certainty(drawn, guess, root)), np.asarray(root)
     assert np.mean(known == 2) > 0.05 and np.mean(known == 1) > 0.01
-    for sure, slack in ((known > 0, (1.0 - lean_event.JUMP) * root), (known == 2, lean_event.BEYOND + 0.0 * root)):
+    for sure, slack in (
+        (known > 0, (1.0 - fast_event.JUMP_FRACTION) * root),
+        (known == 2, fast_event.BEYOND_EVENT + 0.0 * root),
+    ):
         assert first_is(drawn, root, slack, sure)
 
 
 def test_no_lean_step_without_contact_passes_the_wall(drawn):
     g = drawn.terms
-    tail = lean_event._tail(drawn, 1.0)
+    tail = fast_event._cubic_bound(drawn, 1.0)
     for far in (1.0, 0.3):
-        over, under = lean_event._safe(-g[0], g[1], g[2], tail, jnp.full(LANES, far))
+        over, under = fast_event._safe_step(-g[0], g[1], g[2], tail, jnp.full(LANES, far))
         step = np.asarray(over / under)
         assert (step > 0).all() and (step <= far).all()
         for true in worst(drawn, FINE[:, None] * step):

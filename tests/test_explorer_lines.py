@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.explorer.lines import CALLS, SCENE, call_of, evaluated, python, resolved, tidy
+from jaxvibro.explorer.calls import CALLS, SCENE_NAME, build_call, evaluate, prune_lines, python_program, resolve
 from jaxvibro.explorer.scene_code import scales_code, scene_code
-from jaxvibro.scene.scene_table import table_of
+from jaxvibro.scene.scene_table import make_scene_table
 from jaxvibro.studies.schema import ViewTable
 
 from .explorer_pages import two_walls
@@ -21,7 +21,7 @@ SWEPT = ALONG | {"first": 2.0, "last": 1.0, "count": 3, "x": 0.0, "v": 0.0}
 GRID = {"bounds": {name: BOX[name] for name in ("frequency", "amplitude")}, "count": 3}
 
 
-def line(name, call, of=SCENE, **arguments):
+def line(name, call, of=SCENE_NAME, **arguments):
     return ViewTable(name=name, call=call, of=of, arguments=arguments)
 
 
@@ -59,10 +59,10 @@ def numbers(value):
 
 @pytest.mark.slow
 def test_the_python_that_is_shown_has_the_numbers_of_the_page():
-    results = {SCENE: two_walls()}
+    results = {SCENE_NAME: two_walls()}
     for one in LINES:
-        results[one.name] = evaluated(one, results)
-    text = python(table_of(results[SCENE]), LINES, results)
+        results[one.name] = evaluate(one, results)
+    text = python_program(make_scene_table(results[SCENE_NAME]), LINES, results)
     known = {}
     exec(compile(text, "lines.py", "exec"), known)
     for one in LINES:
@@ -73,12 +73,12 @@ def test_the_python_that_is_shown_has_the_numbers_of_the_page():
 
 
 def test_texts_of_what_takes_long():
-    results = {SCENE: two_walls(), "orbit_1": jv.find_orbit(two_walls(), jv.State(**STATE))}
+    results = {SCENE_NAME: two_walls(), "orbit_1": jv.find_orbit(two_walls(), jv.State(**STATE))}
     given = {"parameter": "amplitude", "low": 0.0, "high": 6.0, "max_period": 3}
-    explored = ViewTable(name="diagram_1", call="explore", of=SCENE, arguments=given)
-    assert call_of(explored, results).text == "jv.explore(scene_1, 'amplitude', (0.0, 6.0), max_period=3)"
+    explored = ViewTable(name="diagram_1", call="explore", of=SCENE_NAME, arguments=given)
+    assert build_call(explored, results).text == "jv.explore(scene_1, 'amplitude', (0.0, 6.0), max_period=3)"
     near = ViewTable(name="margin_1", call="margin", of="orbit_1", arguments={"free": {"amplitude": 0.2}})
-    assert call_of(near, results).text == "jv.margin(orbit_1, {'amplitude': 0.2})"
+    assert build_call(near, results).text == "jv.margin(orbit_1, {'amplitude': 0.2})"
 
 
 @pytest.mark.parametrize(
@@ -96,7 +96,7 @@ def test_texts_of_what_takes_long():
 )
 def test_a_reference_is_a_result_and_nothing_else(reference):
     with pytest.raises(jv.ArgumentError, match="must be the result of a line before"):
-        resolved(reference, {SCENE: two_walls(), "branch_1": ()})
+        resolve(reference, {SCENE_NAME: two_walls(), "branch_1": ()})
 
 
 @pytest.mark.parametrize(
@@ -112,13 +112,13 @@ def test_a_reference_is_a_result_and_nothing_else(reference):
     ],
 )
 def test_what_no_page_can_have_asked_is_refused(change, rule):
-    given = {"name": "orbit_1", "call": "find_orbit", "of": SCENE, "arguments": STATE} | change
+    given = {"name": "orbit_1", "call": "find_orbit", "of": SCENE_NAME, "arguments": STATE} | change
     with pytest.raises(jv.ArgumentError, match=rule):
-        evaluated(ViewTable(**given), {SCENE: two_walls()})
+        evaluate(ViewTable(**given), {SCENE_NAME: two_walls()})
 
 
 def test_lines_that_nothing_needs_are_left_out():
-    kept = [one.name for one in tidy(LINES, ("orbit_3", SCENE))]
+    kept = [one.name for one in prune_lines(LINES, ("orbit_3", SCENE_NAME))]
     assert kept == [one.name for one in LINES if one.name not in ("scene_2", "orbit_4", "motion_1", "orbit_2")]
 
 
@@ -149,9 +149,9 @@ SCENES = {
 @pytest.mark.parametrize("name", SCENES)
 def test_the_python_of_a_scene_makes_it(name):
     scene = SCENES[name]()
-    table = table_of(scene)
+    table = make_scene_table(scene)
     found = eval(scene_code(table), {"jv": jv})
     if scales_code(table):
         found = dataclasses.replace(found, scales=eval(scales_code(table), {"jv": jv}))
-    assert table_of(found) == table
+    assert make_scene_table(found) == table
     assert jax.tree.structure(found) == jax.tree.structure(scene)

@@ -14,7 +14,7 @@ from tornado.httpclient import AsyncHTTPClient, HTTPClientError, HTTPRequest
 from tornado.websocket import WebSocketClosedError, websocket_connect
 
 import jaxvibro as jv
-from jaxvibro.explorer import ahead, server
+from jaxvibro.explorer import precomputation, server
 from jaxvibro.explorer.server import is_loopback
 
 from .explorer_pages import PATIENCE, Page, two_walls
@@ -23,7 +23,7 @@ from .explorer_pages import PATIENCE, Page, two_walls
 @pytest.fixture(scope="module")
 def served():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(server, "QUIET", math.inf)  # nothing is compiled that other tests have evaluated
+        patch.setattr(server, "IDLE_TIME", math.inf)  # nothing is compiled that other tests have evaluated
         shown = jv.view(two_walls(), 0)
         yield shown
         shown.stop()
@@ -32,15 +32,15 @@ def served():
 @pytest.mark.slow
 def test_what_was_evaluated_is_compiled_while_nobody_waits(monkeypatch):
     done, quiet = queue.Queue(), threading.Event()
-    monkeypatch.setattr(ahead, "compile_evaluated", lambda: iter([done.put(1)]))
-    monkeypatch.setattr(ahead, "SOON", 0.0)
-    one = ahead.Ahead(two_walls(), quiet.is_set)
+    monkeypatch.setattr(precomputation, "compile_evaluated", lambda: iter([done.put(1)]))
+    monkeypatch.setattr(precomputation, "DRAWING_TIME", 0.0)
+    one = precomputation.Precomputation(two_walls(), quiet.is_set)
     assert one.ready.wait(PATIENCE)
     with pytest.raises(queue.Empty):
         done.get(timeout=1.0)
     quiet.set()
     done.get(timeout=PATIENCE)
-    one.end()
+    one.stop()
     assert not one.is_alive()
 
 
@@ -156,9 +156,9 @@ def test_a_file_that_cannot_be_made_is_answered(served, monkeypatch, capsys):
         page = await Page.open(served.url, size=False)
         base, token = served.url.split("?")
         address = f"{base}take/{page.name}/lines.py?{token}"
-        monkeypatch.setattr(server, "content", fails)
+        monkeypatch.setattr(server, "download_content", fails)
         first = await fetched(address)
-        monkeypatch.setattr(server.Line, "add", lambda line, does, replaces=None: False)  # no room, or at its end
+        monkeypatch.setattr(server.PageThread, "add", lambda line, does, replaces=None: False)  # no room, or at its end
         second = await fetched(address)
         monkeypatch.undo()
         page.socket.close()
@@ -170,7 +170,7 @@ def test_a_file_that_cannot_be_made_is_answered(served, monkeypatch, capsys):
 
 
 def test_a_line_that_has_ended_takes_nothing():
-    line, done = server.Line(True), queue.Queue()
+    line, done = server.PageThread(True), queue.Queue()
     assert line.add(lambda: done.put(1)) and line.add(None)
     assert not line.add(lambda: done.put(2))
     assert done.get(timeout=PATIENCE) == 1 and done.empty()
@@ -292,7 +292,7 @@ def test_a_page_that_goes_away_ends_its_work(served):
         page = await Page.open(served.url, size=False)
         (name,) = set(pages) - before
         await page.say(do="ask", call="explore", max_period=8)
-        (work,) = [work for _, work in pages[name].session.works._known.values()]
+        (work,) = [work for _, work in pages[name].session.tasks._tasks.values()]
         page.socket.close()
         for _ in range(600):
             if not work.is_alive():

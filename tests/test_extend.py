@@ -7,7 +7,7 @@ import pytest
 import xarray as xr
 
 import jaxvibro as jv
-from jaxvibro.problem.end import End, read
+from jaxvibro.problem.end import End, parse_end
 
 MOVING = jv.Wall(1.0, 0.8, motion=jv.Motion(0.1, 0.5))
 SOFT = jv.Wall(1.0, stiffness=20.0, damping=0.3)
@@ -134,9 +134,9 @@ def test_an_end_of_the_domain_is_not_a_bound_any_more():
 
 @pytest.mark.parametrize("one", End)
 def test_an_end_is_read_from_its_text(one):
-    assert read(one.reason(-1.25e-7, "my {bound} of 1").text) is one
+    assert parse_end(one.reason(-1.25e-7, "my {bound} of 1").text) is one
     with pytest.raises(ValueError):
-        read(one.reason().text + " or so")
+        parse_end(one.reason().text + " or so")
 
 
 def test_branches_of_before_are_loaded(tmp_path):

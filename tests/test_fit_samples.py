@@ -7,8 +7,8 @@ import pytest
 from scipy import optimize
 
 import jaxvibro as jv
-from jaxvibro.design import motion_fit
-from jaxvibro.design.least_squares import Free
+from jaxvibro.design import sample_fit
+from jaxvibro.design.least_squares import FreeParameters
 
 SIGMA = 1e-3
 CHAOTIC = jv.make_scene(1.0, 1.3, 0.05, 0.8, (jv.Wall(-1.0, 0.8), jv.Wall(1.0, 0.7)))
@@ -44,7 +44,7 @@ def away(found, scene=CHAOTIC):
 
 def free_numbers(names, begun):
     ends = np.full(len(names), np.inf)
-    return Free(names, np.full(len(names), 0.1), begun, -ends, ends, 0.0 * np.eye(len(names)))
+    return FreeParameters(names, np.full(len(names), 0.1), begun, -ends, ends, 0.0 * np.eye(len(names)))
 
 
 @pytest.mark.long
@@ -56,27 +56,33 @@ def test_derivatives_are_those_of_differences(velocities):
     names = ("left.motion.amplitude", "right.position", "phase")
     numbers = np.array([scene.numbers[name] for name in names[:2]] + [0.0])
     data = noisy(10, 3, velocities, scene=scene, phase=None)
-    samples = motion_fit.samples_of(scene, data, free_numbers(names, numbers))
+    samples = sample_fit.make_samples(scene, data, free_numbers(names, numbers))
     times, x, v = motion(10, 3, scene)
-    node = samples.shots.node
+    node = samples.shots.start_indices
     states = np.stack([x[node], v[node]], 1)
-    felt = motion_fit._felt(samples, samples.shots, states, numbers)
+    felt = sample_fit._linearise(samples, samples.shots, states, numbers)
     assert len(felt.residuals) == (2 if velocities else 1) * len(times)
-    assert abs(felt.open).max() < 1e-12
+    assert abs(felt.constraints).max() < 1e-12
     assert felt.residuals == pytest.approx(
-        np.stack([x, v], 1)[:, : 1 + velocities].ravel() / SIGMA - samples.measured.ravel() / SIGMA, abs=1e-8
+        np.stack([x, v], 1)[:, : 1 + velocities].ravel() / SIGMA - samples.measurements.ravel() / SIGMA, abs=1e-8
     )
-    size = felt.open_by.shape[1]
+    size = felt.constraint_jacobian.shape[1]
     for k in range(size):
         step = 1e-6 * (np.arange(size) == k)
         ends = [
-            motion_fit._felt(
+            sample_fit._linearise(
                 samples, samples.shots, states + way * step[:-3].reshape(-1, 2), numbers + way * 0.1 * step[-3:]
             )
             for way in (1, -1)
         ]
-        assert abs((ends[0].open - ends[1].open) / 2e-6 - felt.open_by[:, [k]].toarray()[:, 0]).max() < 1e-6
-        by = felt.residuals_by[:, [k]].toarray()[:, 0]
+        assert (
+            abs(
+                (ends[0].max_constraint - ends[1].max_constraint) / 2e-6
+                - felt.constraint_jacobian[:, [k]].toarray()[:, 0]
+            ).max()
+            < 1e-6
+        )
+        by = felt.residual_jacobian[:, [k]].toarray()[:, 0]
         assert abs((ends[0].residuals - ends[1].residuals) / 2e-6 - by).max() < 1e-6 / SIGMA
 
 

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight import flow, lean_motion, lean_numbers
-from jaxvibro.flight.coefficients import frame
+from jaxvibro.flight import fast_coefficients, fast_motion, flow
+from jaxvibro.flight.coefficients import compute_coefficients
 from jaxvibro.flight.flow import fly
 from tests.proof import flow_errors
 from tests.reference import ball
@@ -41,11 +41,13 @@ def test_a_flight_with_fewer_powers_rounds_by_what_the_lean_tier_proves():
     count, rng = 300, np.random.default_rng(4)
     damping, omega = rng.choice([0.0, 0.05, 0.5, 1.0, 5.0], count), rng.choice([0.05, 0.5, 1.0, 2.1, 20.0], count)
     amplitude, phase, (x, v) = rng.uniform(0, 10, count), rng.uniform(0, 6.3, count), rng.normal(0, 2, (2, count))
-    numbers = lean_numbers.numbers(frame(jv.make_scene(amplitude, omega, damping, 1.0, (-1.0, 1.0))))
-    reach, part = np.asarray(numbers.reach), rng.choice([0.01, 0.3, 0.7, 1.0], count)
-    gains = flow.gains(numbers.flight, numbers.frequency, part)
-    forces = lean_motion.forces(numbers, np.cos(phase), np.sin(phase))
-    ends = map(np.asarray, lean_motion.flown(numbers, x, v * reach, forces, gains))
+    numbers = fast_coefficients.scale_coefficients(
+        compute_coefficients(jv.make_scene(amplitude, omega, damping, 1.0, (-1.0, 1.0)))
+    )
+    reach, part = np.asarray(numbers.max_step), rng.choice([0.01, 0.3, 0.7, 1.0], count)
+    gains = flow.step_propagator(numbers.short_series, numbers.frequency, part)
+    forces = fast_motion.drive_forces(numbers, np.cos(phase), np.sin(phase))
+    ends = map(np.asarray, fast_motion.propagate(numbers, x, v * reach, forces, gains))
     rows = zip(damping, omega, amplitude, phase, x, v, reach * part, strict=True)
     true = np.array([[float(each) for each in ball.flow(*map(float, row))] for row in rows]).T * [np.ones(count), reach]
     largest = abs(x) + abs(v) * reach + amplitude

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import locate
+from continuation import augmented_systems
 from jaxvibro.branches import switch
-from jaxvibro.branches.follow import place_orbit
+from jaxvibro.branches.follow import set_up_problem
 from jaxvibro.problem.diagnostics import diagnose
-from jaxvibro.problem.equations import problem
-from jaxvibro.problem.orbit_on_branch import OrbitPoint
+from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.problem.orbit_point import OrbitPoint
 from tests import branch_proof
 from tests.reference import closed
 
@@ -143,9 +143,9 @@ def test_switching_and_passing_through_a_grazing(branch, lopsided):
 
 def test_a_doubled_orbit_begins_along_a_null_vector_of_its_equations(lopsided):
     """Of those of the orbit gone through twice; its halves move apart."""
-    ((along, begun),) = switch.starts(lopsided[0].points("PD")[0])
-    slopes = locate.slopes_of(problem(along), begun.z, along)
-    rows, count = len(along.cycle.sides), len(along.hits)
+    ((along, begun),) = switch.branch_starts(lopsided[0].points("PD")[0])
+    slopes = augmented_systems.jacobian_at(continuation_problem(along), begun.z, along)
+    rows, count = len(along.sequence.sides), len(along.impact_rows)
     assert abs(slopes @ begun.tangent).max() < 1e-8 * abs(slopes).max() and begun.tangent[-1] == 0.0
     first, second = begun.tangent[:count].reshape(2, -1)
     assert np.array_equal(first, -second) and abs(first).max() > 1e-3 and count == 6 and rows == 8
@@ -234,11 +234,11 @@ def test_clearances_see_a_short_hop():
         spot = OrbitPoint(1.0, np.array([0.3]), np.array([speed]), np.array([1.0]), 1, 0.0, 0.0, 0.0)
         seen = diagnose(*(each for each in _single(scene, spot)))
         _, impacts = jv.strobe(scene, jv.State(0.0, -0.1 * speed, 0.3, 1.0), 1, 8)
-        assert (impacts.time[0] < 6.0) == (seen.clear.min() < 0)
+        assert (impacts.time[0] < 6.0) == (seen.clearance.min() < 0)
 
 
 def _single(scene, spot):
-    along, z = place_orbit(scene, "amplitude", spot)
+    along, z = set_up_problem(scene, "amplitude", spot)
     return along, z[None]
 
 

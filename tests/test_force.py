@@ -87,7 +87,7 @@ def test_each_operation_has_the_taylor_coefficients_of_its_function(name):
 def _coefficients(function, order):
     def found(zero):
         time, none = Series(lambda own, k: None, zero, 1.0), Series(None, zero)
-        series = traced_force.along(jv.Force(function, {}), time, none, none)
+        series = traced_force.force_series(jv.Force(function, {}), time, none, none)
         return [zero if series[k] is None else series[k] + zero for k in range(order + 1)]
 
     return list(map(float, jax.jit(found)(jnp.zeros(()))))

@@ -7,12 +7,12 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.attractors.assign import assign_labels, homes
+from jaxvibro.attractors.basin_labels import assign_labels, build_neighbourhoods
 from jaxvibro.attractors.shares import share_bounds
-from jaxvibro.maps.initial_conditions import random_starts
-from jaxvibro.output.checksums import netcdf
-from jaxvibro.surveys.matching import distance, identities, nearest_turn
-from jaxvibro.surveys.stations import Station, carry_on, homes_of
+from jaxvibro.maps.initial_conditions import draw_initial_states
+from jaxvibro.output.checksums import netcdf_bytes
+from jaxvibro.surveys.attractor_transport import ParameterNode, assign_attractors, transport_attractors
+from jaxvibro.surveys.matching import match_attractors, median_distance, nearest_rotation
 from tests.pictures import tube
 
 STARTS, MANY = 40, 400
@@ -71,8 +71,8 @@ def test_names_stay_on_the_branches_that_are_followed(found):
 def test_shares_are_those_of_other_starts(found):
     scene = plain(amplitude=VALUES[1])
     known = jv.find_attractors(scene, 40, seed=5)
-    given = random_starts(scene, MANY, 77)
-    label, _ = assign_labels(scene, given.x, given.v, 0.0, homes(scene, known, 0.0, 6.0), 400)
+    given = draw_initial_states(scene, MANY, 77)
+    label, _ = assign_labels(scene, given.x, given.v, 0.0, build_neighbourhoods(scene, known, 0.0, 6.0), 400)
     assert (label >= 0).all() and len(known) == 4
     here = found.isel(amplitude=1)
     for place, one in enumerate(known):
@@ -105,7 +105,7 @@ def test_starts_are_those_of_the_value_alone(found):
 
 def test_files_hold_every_bit(found, tmp_path):
     path = tmp_path / "found.nc"
-    path.write_bytes(netcdf(found))
+    path.write_bytes(netcdf_bytes(found))
     loaded = jv.load_data(path)
     found.to_netcdf(tmp_path / "plain.nc", engine="scipy")
     for other in (loaded.drop_attrs(deep=False), xr.load_dataset(tmp_path / "plain.nc").drop_attrs(deep=False)):
@@ -135,24 +135,26 @@ def test_an_attractor_that_no_start_found_is_carried_on():
 
 
 def test_one_that_a_start_found_at_the_first_value_alone_is_carried_to_the_last():
-    stations = [Station(value, plain(amplitude=value), [], 0, 6.0, 0) for value in VALUES]
-    homes = homes_of(stations[0], jv.State(*(np.full(2, each) for each in (0.9, -1.1, 0.0, 0.0))), 300)
+    stations = [ParameterNode(value, plain(amplitude=value), [], 0, 6.0, 0) for value in VALUES]
+    homes = assign_attractors(stations[0], jv.State(*(np.full(2, each) for each in (0.9, -1.1, 0.0, 0.0))), 300)
     assert homes.tolist() == [0, 0]
-    carry_on(stations, "amplitude", 300)
+    transport_attractors(stations, "amplitude", 300)
     for station in stations:  # with its mirror image
-        assert [(one.numbers["label"], one.lanes) for one in station.seen] == [("P111", [])] * 2
-    names = identities(stations, "amplitude", 300)
+        assert [(one.fields["label"], one.lanes) for one in station.candidates] == [("P111", [])] * 2
+    names = match_attractors(stations, "amplitude", 300)
     assert [list(one) for one in names] == [[0, 1, 2]] * 2
     for station in stations:  # as where all settle too slowly: by where they are
-        station.ways = {
-            way: {place: one._replace(home=None) for place, one in ways.items()} for way, ways in station.ways.items()
+        station.transports = {
+            way: {place: one._replace(attractor_index=None) for place, one in ways.items()}
+            for way, ways in station.transports.items()
         }
-    assert identities(stations, "amplitude", 300) == names
+    assert match_attractors(stations, "amplitude", 300) == names
     for station in stations:  # as where all lead to the first
-        station.ways = {
-            way: {place: one._replace(home=0) for place, one in ways.items()} for way, ways in station.ways.items()
+        station.transports = {
+            way: {place: one._replace(attractor_index=0) for place, one in ways.items()}
+            for way, ways in station.transports.items()
         }
-    assert [list(one) for one in identities(stations, "amplitude", 300)] == [[0, 1, 2], [0], [1], [2]]
+    assert [list(one) for one in match_attractors(stations, "amplitude", 300)] == [[0, 1, 2], [0], [1], [2]]
 
 
 def test_two_that_lead_to_each_other_but_are_there_side_by_side_are_two():
@@ -178,8 +180,8 @@ def test_where_nothing_is_known_a_place_stands_empty(tmp_path):
 
 def test_distances_and_turns():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 2.0]])
-    assert (nearest_turn(points, np.roll(points, 1, axis=0) + 0.1) == np.roll(points, 1, axis=0)).all()
-    assert distance(points, points + np.array([0.0, 0.25])) == 0.25
+    assert (nearest_rotation(points, np.roll(points, 1, axis=0) + 0.1) == np.roll(points, 1, axis=0)).all()
+    assert median_distance(points, points + np.array([0.0, 0.25])) == 0.25
 
 
 BAD = [

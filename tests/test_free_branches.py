@@ -6,7 +6,7 @@ import pytest
 from mpmath import mp, mpf
 
 import jaxvibro as jv
-from jaxvibro.problem.orbit_on_branch import is_own_image
+from jaxvibro.problem.orbit_point import is_own_mirror_image
 
 from .reference import own_force
 
@@ -43,7 +43,7 @@ def test_a_pendulum_tilts_and_doubles_its_period_where_digits_say_so():
     assert abs(double.value - 1.0663) < 2e-4  # as printed there
     (twice,) = jv.switch(double)
     assert twice.special[1].kind == "PD" and twice.special[1].label == "P200" and twice.stable[1]
-    assert is_own_image(tilt.scene, tilt.spot) and not is_own_image(double.scene, double.spot)
+    assert is_own_mirror_image(tilt.scene, tilt.spot) and not is_own_mirror_image(double.scene, double.spot)
     for point in (tilt, double, twice.special[1]):
         with mpmath.workdps(26):
             off, matrix = matrix_of(own_force.pendulum, point)

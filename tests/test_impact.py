@@ -9,7 +9,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight import impact
-from jaxvibro.flight.coefficients import frame
+from jaxvibro.flight.coefficients import compute_coefficients
 from jaxvibro.scene.codes import Contact, Status
 
 from .lanes import one_by_one
@@ -19,16 +19,18 @@ LANES = 2_000
 
 def built(far=None, wall=1.0):
     """The `Frame` of a scene without damping, its length 3."""
-    return frame(jv.make_scene(2.0, 2.1, 0.0, 0.7, (far, wall)))
+    return compute_coefficients(jv.make_scene(2.0, 2.1, 0.0, 0.7, (far, wall)))
 
 
 def test_a_mass_rests_where_its_hop_would_be_lost_in_rounding_or_the_press_says_so():
     push = 10.0 ** np.random.default_rng(1).uniform(-3.0, 3.0, LANES)
-    height = float(np.finfo(float).eps) * float(built().size)  # of a hop: leaving^2 / (2 push)
+    height = float(np.finfo(float).eps) * float(built().length_scale)  # of a hop: leaving^2 / (2 push)
     for share, kind in ((0.99, Contact.STUCK), (1.01, Contact.LANDED)):
-        assert (impact.settle(built(), np.sqrt(2.0 * push * share * height), push, 0.0 * push) == kind).all()
+        assert (impact.next_contact(built(), np.sqrt(2.0 * push * share * height), push, 0.0 * push) == kind).all()
     none = np.zeros(5)
-    found = impact.settle(built(), none, np.array([1.0, -1.0, 0.0, 0.0, 0.0]), np.array([-1.0, 1.0, 1.0, 0.0, -1.0]))
+    found = impact.next_contact(
+        built(), none, np.array([1.0, -1.0, 0.0, 0.0, 0.0]), np.array([-1.0, 1.0, 1.0, 0.0, -1.0])
+    )
     assert found.tolist() == [Contact.STUCK, Contact.LANDED, Contact.STUCK, Contact.STUCK, Contact.RELEASED]
 
 
@@ -41,13 +43,13 @@ def test_chatter_is_certain_only_where_all_hops_end_in_time_and_the_press_outlas
     wide = built()
 
     def certain(frame, rush, time):
-        return np.asarray(impact.chatters(frame, np.full(LANES, leaving), push, bounce, rush, time))
+        return np.asarray(impact.is_complete_chatter(frame, np.full(LANES, leaving), push, bounce, rush, time))
 
     assert certain(wide, none, 1e4 * hops).all() and not certain(wide, none, 0.99 * hops).any()
     assert not certain(wide, 1.01 * push / hops, 1e4 * hops).any()
     assert certain(wide, 1e-5 * push / hops, 1e4 * hops).all()
-    assert not impact.chatters(wide, np.zeros(LANES), push, bounce, none, 1e4 * hops).any()
-    assert not impact.chatters(wide, np.full(LANES, leaving), -push, bounce, none, 1e4 * hops).any()
+    assert not impact.is_complete_chatter(wide, np.zeros(LANES), push, bounce, none, 1e4 * hops).any()
+    assert not impact.is_complete_chatter(wide, np.full(LANES, leaving), -push, bounce, none, 1e4 * hops).any()
     high = leaving**2 / (2.0 * push)
     assert not certain(built(-1.0, -1.0 + 0.99 * high.min()), none, 1e4 * hops).any()
 
@@ -78,7 +80,7 @@ def test_a_lane_is_given_up_at_a_thousand_impacts():
 
 def test_the_drives_period_has_a_low_part():
     frequency = np.random.default_rng(3).uniform(0.01, 50.0, 100)
-    given = frame(jv.make_scene(2.0, frequency, 0.05, 0.7, (-1.0, 1.0)))
+    given = compute_coefficients(jv.make_scene(2.0, frequency, 0.05, 0.7, (-1.0, 1.0)))
     with mpmath.workdps(50):
         for k in range(100):
             true = 2 * mpmath.pi / mpmath.mpf(frequency[k])

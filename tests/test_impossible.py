@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches import impossible
-from jaxvibro.branches.impossible import ImpossibleError, require_damped, require_possible
+from jaxvibro.branches import impossible_points
+from jaxvibro.branches.impossible_points import ImpossibleError, require_damped, require_possible
 
 WALLS = (jv.Wall(-1.0), jv.Wall(1.0))
 
@@ -44,7 +44,7 @@ def test_no_period_doubling_of_a_symmetric_orbit(symmetric):
 def test_no_two_multipliers_of_size_one(symmetric, kinds, monkeypatch):
     (broken,) = symmetric.points("SB")
     aside = replace(broken, spot=broken.spot._replace(speeds=broken.spot.speeds * (1.0 + 1e-6)))
-    monkeypatch.setattr(impossible, "is_own_image", lambda *_: False)
+    monkeypatch.setattr(impossible_points, "is_own_mirror_image", lambda *_: False)
     both = [replace(broken, kind=kind) for kind in kinds]
     with pytest.raises(ImpossibleError, match=f"{kinds[0]} and {kinds[1]} in one|{kinds[1]} and {kinds[0]} in one"):
         require_possible(both)
@@ -71,6 +71,6 @@ def test_follow_refuses_what_it_finds(monkeypatch):
     scene = jv.make_scene(4.75, 2.1, 0.05, 0.7, WALLS)
     orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
     assert jv.follow(orbit, "amplitude", (4.7, 4.8)).points("PD")
-    monkeypatch.setattr(impossible, "is_own_image", lambda *_: True)
+    monkeypatch.setattr(impossible_points, "is_own_mirror_image", lambda *_: True)
     with pytest.raises(ImpossibleError, match=r"amplitude = 4\.7874"):
         jv.follow(orbit, "amplitude", (4.7, 4.8))

@@ -7,10 +7,10 @@ import pytest
 from jax import lax
 
 import jaxvibro as jv
-from continuation import in_numpy, persistent_jit
-from continuation.in_numpy import Tried
-from continuation.python_program import program
-from jaxvibro.flight.wall_positions import places
+from continuation import numpy_evaluation, persistent_jit
+from continuation.numpy_evaluation import NumpyEvaluator
+from continuation.python_program import build_program
+from jaxvibro.flight.wall_positions import wall_states
 
 rng = np.random.default_rng(0)
 ROW, OTHER = rng.normal(size=(2, 6))
@@ -191,7 +191,7 @@ CASES = {
 def test_every_rule_gives_what_the_compiler_gives(name, kind):
     function, *given = CASES[name]
     given = [np.asarray(each, kind) if np.asarray(each).dtype.kind == "f" else each for each in given]
-    tried = Tried(function, (), {})
+    tried = NumpyEvaluator(function, (), {})
     found = tried(tuple(given))
     assert found is not None, "no rule"
     expected = jax.jit(function)(*given)
@@ -202,17 +202,17 @@ def test_every_rule_gives_what_the_compiler_gives(name, kind):
 
 
 def test_what_has_no_rule_is_compiled():
-    assert Tried(jnp.linalg.eigh, (), {})((SQUARE + SQUARE.T,)) is None
-    assert Tried(lambda x: lax.reduce_precision(x, 5, 10), (), {})((ROW,)) is None
+    assert NumpyEvaluator(jnp.linalg.eigh, (), {})((SQUARE + SQUARE.T,)) is None
+    assert NumpyEvaluator(lambda x: lax.reduce_precision(x, 5, 10), (), {})((ROW,)) is None
 
 
 def test_what_another_version_of_jax_tells_otherwise_is_compiled(monkeypatch):
     def otherwise(closed):
         raise KeyError("num_consts")
 
-    monkeypatch.setattr(in_numpy, "program", otherwise)
-    tried = Tried(lambda x: x + 1.0, (), {})
-    assert tried((np.float64(1.0),)) is None and list(tried.known.values()) == [None]
+    monkeypatch.setattr(numpy_evaluation, "build_program", otherwise)
+    tried = NumpyEvaluator(lambda x: x + 1.0, (), {})
+    assert tried((np.float64(1.0),)) is None and list(tried.evaluations.values()) == [None]
 
 
 def test_what_no_result_needs_is_not_written():
@@ -222,25 +222,25 @@ def test_what_no_result_needs_is_not_written():
     def plain(x):
         return lax.fori_loop(0, 3, lambda _, x: x + 1.0, x)
 
-    written = [program(jax.jit(each).trace(1.0).jaxpr) for each in (wasted, plain)]
+    written = [build_program(jax.jit(each).trace(1.0).jaxpr) for each in (wasted, plain)]
     assert written[0].text == written[1].text
 
 
 def test_it_is_compiled_once_it_has_cost_as_much(monkeypatch):
-    monkeypatch.setattr(in_numpy, "PATIENCE", 3)
-    tried = Tried(lambda x, k: x * k + 1.0, (1,), {})
+    monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", 3)
+    tried = NumpyEvaluator(lambda x, k: x * k + 1.0, (1,), {})
     assert [tried((ROW, 2)) is None for _ in range(5)] == [False] * 3 + [True] * 2
     assert tried((ROW, 3)) is not None and tried((ROW[:2], 2)) is not None  # of another kind
 
 
 def test_what_was_evaluated_is_compiled_when_there_is_time(monkeypatch):
-    monkeypatch.setattr(persistent_jit, "_evaluated", [])
+    monkeypatch.setattr(persistent_jit, "_pending", [])
     scene, phase = jv.make_scene(1.0, 2.0, 0.1, 0.7, (jv.Wall(-1.0, motion=jv.Motion(0.2, 0.5, 2)), None)), np.ones(13)
-    places(scene, phase)
-    before = places(scene, phase)
+    wall_states(scene, phase)
+    before = wall_states(scene, phase)
     assert list(persistent_jit.compile_evaluated()) == [0]  # of two calls one kind
-    monkeypatch.setattr(Tried, "of_kind", None)
-    for one, other in zip(jax.tree.leaves(places(scene, phase)), jax.tree.leaves(before), strict=True):
+    monkeypatch.setattr(NumpyEvaluator, "evaluate", None)
+    for one, other in zip(jax.tree.leaves(wall_states(scene, phase)), jax.tree.leaves(before), strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-14)
     np.testing.assert_allclose(before[0][0], -1.0 + 0.2 * np.cos(2.5), rtol=1e-14)
 
@@ -261,11 +261,13 @@ def told(scene, start):
 def test_both_ways_come_to_the_same_points_and_text(walls, monkeypatch):
     scene, start = jv.make_scene(2.0, 2.1, 0.05, 0.7, walls), jv.State(0.69, 1.8)
     ruled = []
-    traced = Tried.traced
-    monkeypatch.setattr(Tried, "traced", lambda self, args: ruled.append(traced(self, args)) or ruled[-1])
+    traced = NumpyEvaluator.trace_function
+    monkeypatch.setattr(
+        NumpyEvaluator, "trace_function", lambda self, args: ruled.append(traced(self, args)) or ruled[-1]
+    )
     found = []
     for patience in (np.inf, 0):
-        monkeypatch.setattr(in_numpy, "PATIENCE", patience)
+        monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", patience)
         found.append(told(scene, start))
     assert all(each is not None for each in ruled)
     (table, special, numbers, locus), (other_table, other_special, others, other_locus) = found
@@ -280,7 +282,7 @@ def test_orbits_by_their_state_are_the_same_both_ways(restitution, start, monkey
     scene = jv.make_scene(2.0, 2.1, 0.2, restitution, (-1.0 if restitution else -0.1, None))
     found = []
     for patience in (np.inf, 0):
-        monkeypatch.setattr(in_numpy, "PATIENCE", patience)
+        monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", patience)
         found.append(jv.find_orbit(scene, jv.State(*start)))
     one, other = found
     assert one.unknowns == other.unknowns == "state" and one.rests == other.rests

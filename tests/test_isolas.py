@@ -8,9 +8,9 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.branches.diagram import Diagram
-from jaxvibro.branches.isolas import _orders
-from jaxvibro.orbits.deflated import deflated
-from jaxvibro.orbits.impact_equations import Cycle
+from jaxvibro.branches.isolas import _wall_orders
+from jaxvibro.orbits.deflation import solve_with_deflation
+from jaxvibro.orbits.impact_equations import ImpactSequence
 from tests.reference import closed
 
 GAMMA, R, WALL, AMPLITUDE, BOUNDS = 0.05, 0.7, 1.0, 0.906, (1.0, 5.0)
@@ -27,7 +27,7 @@ def diagram():
 
 def test_each_order_of_walls_is_there_once(diagram):
     def told(scene, *given):
-        return ["".join("LR"[int(side > 0)] for side in sides) for _, sides in _orders(scene, *given)]
+        return ["".join("LR"[int(side > 0)] for side in sides) for _, sides in _wall_orders(scene, *given)]
 
     assert told(diagram.scene, 2, 3) == 2 * ["R", "RR", "RRR"]
     both = jv.make_scene(AMPLITUDE, 2.4, GAMMA, R, (-WALL, WALL))
@@ -52,14 +52,14 @@ def test_from_one_guess_to_both_orbits():
     blank = np.zeros((lanes, 2))
     times, speeds, sides = blank.copy(), blank.copy(), blank.copy()
     times[:, 0], speeds[:, 0], sides[:, 0] = [1.0, 1.5, 3.5, 4.0], true[1] + 0.1, 1.0
-    guesses = Cycle(times, speeds, sides, np.zeros(lanes), np.full(lanes, 2.0))
-    found = deflated(scene, guesses, np.full(lanes, 3.0))
+    guesses = ImpactSequence(times, speeds, sides, np.zeros(lanes), np.full(lanes, 2.0))
+    found = solve_with_deflation(scene, guesses, np.full(lanes, 3.0))
     for lane in range(lanes):
-        own = found.speeds[found.real[:, lane], lane, 0]
+        own = found.speeds[found.admissible[:, lane], lane, 0]
         assert len(own) == len(set(np.round(own, 6)))
-    speeds = found.speeds[..., 0][found.real]
+    speeds = found.speeds[..., 0][found.admissible]
     assert all(abs(speeds - each).min() < 1e-12 for each in true)
-    assert max(np.sum(found.real, axis=0)) == 2
+    assert max(np.sum(found.admissible, axis=0)) == 2
 
 
 @pytest.mark.slow

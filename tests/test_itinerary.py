@@ -13,15 +13,15 @@ WORDS = st.lists(st.text("LR", max_size=4), min_size=1, max_size=6).map(tuple)
 
 def test_words_of_sides():
     sides = [[1, -1, 0, 0], [0, 0, 0, 0], [-1, -1, 1, 0]]
-    assert itinerary.words(np.array(sides)) == ("RL", "", "LLR")
-    assert itinerary.words(np.zeros((2, 0), int)) == ("", "")
+    assert itinerary.words_of_rows(np.array(sides)) == ("RL", "", "LLR")
+    assert itinerary.words_of_rows(np.zeros((2, 0), int)) == ("", "")
 
 
 def test_an_impact_at_a_periods_end_belongs_to_the_period_that_ends():
     length = 2 * np.pi / 2.1
     time = np.array([0.0, 0.3, length, np.nextafter(2 * length, 9), 2 * length + 1e-9, np.inf])
     side = np.array([-1, 1, 1, -1, 1, 0])
-    assert itinerary.split(time, side, 3, length) == ("LRR", "L", "R")
+    assert itinerary.words_of_impacts(time, side, 3, length) == ("LRR", "L", "R")
 
 
 @pytest.mark.parametrize(
@@ -44,32 +44,32 @@ def test_labels(words, label):
 
 
 def test_least_period():
-    assert itinerary.least_period(("LR", "LR", "LR", "LR")) == 1
-    assert itinerary.least_period(("LR", "R", "LR", "R")) == 2
-    assert itinerary.least_period(("LR", "R", "LR")) == 3
-    assert itinerary.least_period("abcabc") == 3
+    assert itinerary.minimal_period(("LR", "LR", "LR", "LR")) == 1
+    assert itinerary.minimal_period(("LR", "R", "LR", "R")) == 2
+    assert itinerary.minimal_period(("LR", "R", "LR")) == 3
+    assert itinerary.minimal_period("abcabc") == 3
 
 
 def test_cyclic_comparison():
-    assert itinerary.same(("LR", "LRR"), ("LRR", "LR"))
-    assert itinerary.same(("LR",), ("RL",))  # an impact has crossed phase 0
-    assert not itinerary.same(("LRR",), ("LLR",))
-    assert not itinerary.same(("LR", ""), ("LR",))  # the same walls in twice the time
-    assert not itinerary.same(("LR", "LR"), ("LR",))
-    assert not itinerary.same(("LLRR",), ("LRLR",))
-    assert itinerary.canonical(("R", "", "LL")) == ("", "LL", "R")
+    assert itinerary.is_same_itinerary(("LR", "LRR"), ("LRR", "LR"))
+    assert itinerary.is_same_itinerary(("LR",), ("RL",))  # an impact has crossed phase 0
+    assert not itinerary.is_same_itinerary(("LRR",), ("LLR",))
+    assert not itinerary.is_same_itinerary(("LR", ""), ("LR",))  # the same walls in twice the time
+    assert not itinerary.is_same_itinerary(("LR", "LR"), ("LR",))
+    assert not itinerary.is_same_itinerary(("LLRR",), ("LRLR",))
+    assert itinerary.canonical_itinerary(("R", "", "LL")) == ("", "LL", "R")
 
 
 @given(WORDS, st.integers(0, 5))
 def test_turning_and_mirroring(words, by):
     turned = words[by % len(words) :] + words[: by % len(words)]
-    assert itinerary.canonical(turned) == itinerary.canonical(words)
-    assert itinerary.same(turned, words)
+    assert itinerary.canonical_itinerary(turned) == itinerary.canonical_itinerary(words)
+    assert itinerary.is_same_itinerary(turned, words)
     assert itinerary.label(turned) == itinerary.label(words)
-    assert itinerary.mirrored(itinerary.mirrored(words)) == words
-    twin = itinerary.mirrored(words)
+    assert itinerary.mirror_itinerary(itinerary.mirror_itinerary(words)) == words
+    twin = itinerary.mirror_itinerary(words)
     assert "".join(twin).count("L") == "".join(words).count("R")
-    assert itinerary.least_period(words * 3) == itinerary.least_period(words) <= len(words)
+    assert itinerary.minimal_period(words * 3) == itinerary.minimal_period(words) <= len(words)
 
 
 def test_the_two_readings_of_a_strobe_agree():
@@ -80,4 +80,6 @@ def test_the_two_readings_of_a_strobe_agree():
     for _ in range(3):
         state, impacts = jv.strobe(scene, state, slots=32)
         rows.append(impacts.side)
-    assert itinerary.split(whole.time, whole.side, 3, 2 * np.pi / 2.1) == itinerary.words(np.stack(rows))
+    assert itinerary.words_of_impacts(whole.time, whole.side, 3, 2 * np.pi / 2.1) == itinerary.words_of_rows(
+        np.stack(rows)
+    )

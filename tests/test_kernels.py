@@ -28,11 +28,11 @@ def test_operands_are_stacked_behind_a_barrier():
     """Whatever the operands are, a kernel takes arrays of at least two rows, which constant folding does not see."""
     lane = np.linspace(0.1, 0.4, LANES)
     programs = {
-        "operands": (lambda a, b: kernels.one_kernel(looped, a, b, a), lane, 2.0 * lane),
-        "repeated": (lambda a: kernels.one_kernel(looped, a, a, a), lane),
-        "constant": (lambda a: kernels.one_kernel(looped, a, jnp.zeros(LANES), jnp.zeros(LANES)), lane),
-        "scalar": (lambda a: kernels.one_kernel(looped, a, 0.5, a), lane),
-        "all constant": (lambda: kernels.one_kernel(looped, jnp.ones(LANES), jnp.ones(LANES), jnp.ones(LANES)),),
+        "operands": (lambda a, b: kernels.call_as_kernel(looped, a, b, a), lane, 2.0 * lane),
+        "repeated": (lambda a: kernels.call_as_kernel(looped, a, a, a), lane),
+        "constant": (lambda a: kernels.call_as_kernel(looped, a, jnp.zeros(LANES), jnp.zeros(LANES)), lane),
+        "scalar": (lambda a: kernels.call_as_kernel(looped, a, 0.5, a), lane),
+        "all constant": (lambda: kernels.call_as_kernel(looped, jnp.ones(LANES), jnp.ones(LANES), jnp.ones(LANES)),),
     }
     for name, (program, *args) in programs.items():
         (call,) = small_calls(program, *args)
@@ -45,7 +45,7 @@ def test_operands_are_stacked_behind_a_barrier():
 
 def test_a_constant_operand_is_a_parameter_with_a_use():
     """The cause of an abort: constant folding moved a constant array into a kernel, and its parameter had no use."""
-    program = jax.jit(lambda a: kernels.one_kernel(looped, a, jnp.zeros(LANES), 0.5 + jnp.zeros(LANES)))
+    program = jax.jit(lambda a: kernels.call_as_kernel(looped, a, jnp.zeros(LANES), 0.5 + jnp.zeros(LANES)))
     lane = np.linspace(0.1, 0.4, LANES)
     text = program.lower(lane).compile().as_text()
     calls = [line for line in text.splitlines() if "xla_cpu_small_call" in line and " call(" in line]
@@ -62,7 +62,7 @@ def test_a_constant_operand_is_a_parameter_with_a_use():
 def test_derivatives_and_lanes_of_a_kernel():
     """Derivatives are compiled without the attribute; a vmap keeps it where a kernel can hold what it becomes."""
     lane = np.linspace(0.1, 0.4, LANES)
-    run = lambda a: kernels.one_kernel(looped, a, 0.5 * a, a)  # noqa: E731
+    run = lambda a: kernels.call_as_kernel(looped, a, 0.5 * a, a)  # noqa: E731
     assert len(small_calls(run, lane)) == 1
     assert not small_calls(lambda a: jax.jvp(run, (a,), (a,))[1], lane)
     many = np.stack([lane, 2.0 * lane, 3.0 * lane])
@@ -90,7 +90,7 @@ def test_a_vmap_that_brings_what_a_kernel_cannot_hold(operation):
         return lax.while_loop(lambda carry: carry[0] < 2, turn, (0, values))[1]
 
     values, places = np.random.default_rng(0).normal(size=(5, 7)), np.array([0, 3, 6, 2, 1])
-    found = jax.jit(jax.vmap(lambda v, k: kernels.one_kernel(indexed, v, k)))(values, places)
+    found = jax.jit(jax.vmap(lambda v, k: kernels.call_as_kernel(indexed, v, k)))(values, places)
     alone = [jax.jit(indexed)(*one) for one in zip(values, places, strict=True)]
     np.testing.assert_array_equal(found, alone)
 

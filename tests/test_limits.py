@@ -8,10 +8,10 @@ import pytest
 import continuation as co
 import jaxvibro as jv
 from continuation import arclength, event_search, limits, slow_progress
-from continuation.arclength import Control, Place
-from continuation.stretch import Stretch
-from jaxvibro.branches.explore import EXPIRED
-from jaxvibro.problem import first_touch
+from continuation.arclength import StepControl, TrackState
+from continuation.branch_segment import BranchSegment
+from jaxvibro.branches.explore import EXPIRED_REASON
+from jaxvibro.problem import first_grazing
 from jaxvibro.problem.end import End
 
 
@@ -100,7 +100,7 @@ def test_a_search_for_a_touch_is_given_up_when_the_time_is_over(orbit, monkeypat
         looks.append(task)
         now[0] = 9.0
 
-    monkeypatch.setattr(first_touch, "_first_touch", nowhere)
+    monkeypatch.setattr(first_grazing, "_locate_first_grazing", nowhere)
     branch = jv.follow(orbit, "frequency", (1.0, 5.0), max_seconds=5.0, direction="forward")
     assert len(looks) == 1 and branch.ends[1] is End.MAX_SECONDS
 
@@ -113,10 +113,10 @@ def test_no_branch_point_is_looked_for_when_the_time_is_over(monkeypatch):
 
     (point,) = [one for one in begun(direction="forward").special if one.kind == "BP"]
     assert abs(point.p["a"]) < 1e-12
-    read, plain = iter(range(100_000)), event_search._located
+    read, plain = iter(range(100_000)), event_search._locate_event
     monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
     asked = []
-    monkeypatch.setattr(event_search, "_located", lambda *given: asked.append(given[1]) or plain(*given))
+    monkeypatch.setattr(event_search, "_locate_event", lambda *given: asked.append(given[1]) or plain(*given))
     part = begun(max_seconds=0.5, direction="forward")
     assert "BP" not in asked and part.p["a"][-1] < 0.0 and "max_seconds reached" in part.reasons[1]
 
@@ -128,7 +128,7 @@ def test_an_exploration_is_resumed_where_its_time_was_over(orbit, monkeypatch):
     whole = jv.explore(*task)
     monkeypatch.setattr(limits, "clock", lambda: float(next(read)))
     part = jv.explore(*task, max_seconds=2.5)
-    assert not part.complete and part.reason == EXPIRED == "max_seconds reached"
+    assert not part.complete and part.reason == EXPIRED_REASON == "max_seconds reached"
     again = jv.explore(*task, resume=part)
     assert again.complete and [one.ends for one in again.branches] == [one.ends for one in whole.branches]
 
@@ -155,17 +155,17 @@ def test_newton_far_from_its_guess_is_given_up():
         count += 1
         return jnp.tanh(z[:1]) - z[1:], jnp.array([[1.0 - jnp.tanh(z[0]) ** 2, -1.0]])
 
-    control = Control(np.ones(2), 1e-8, 1.0, 1e-12, -9.0, 9.0)
+    control = StepControl(np.ones(2), 1e-8, 1.0, 1e-12, -9.0, 9.0)
     here = np.array([2.0, np.tanh(2.0)])
     with jax.disable_jit():
-        across = Place(jnp.array(here), jnp.array([0.0, 1.0]), jnp.array(0.5), 0)  # the branch is flat there
-        point, _, _ = arclength.corrected(function, arclength.bordered, across, across.step, control, None)
-        assert count == 1 and not point.met
+        across = TrackState(jnp.array(here), jnp.array([0.0, 1.0]), jnp.array(0.5), 0)  # the branch is flat there
+        point, _, _ = arclength.correct_step(function, arclength.solve_bordered, across, across.step, control, None)
+        assert count == 1 and not point.converged
         along = across._replace(tangent=jnp.array([1.0, 1.0 - np.tanh(2.0) ** 2]))
-        point, _, _ = arclength.corrected(function, arclength.bordered, along, along.step, control, None)
-        assert count > 2 and point.met and abs(np.tanh(point.z[0]) - point.z[1]) < 1e-15
+        point, _, _ = arclength.correct_step(function, arclength.solve_bordered, along, along.step, control, None)
+        assert count > 2 and point.converged and abs(np.tanh(point.z[0]) - point.z[1]) < 1e-15
         still = across._replace(step=jnp.array(0.0), z=jnp.array([2.0, 0.9]))  # a point that is looked for has no limit
-        assert arclength.corrected(function, arclength.bordered, still, still.step, control, None)[0].met
+        assert arclength.correct_step(function, arclength.solve_bordered, still, still.step, control, None)[0].converged
 
 
 @pytest.mark.slow
@@ -173,14 +173,14 @@ def test_a_cascade_of_grazings_takes_few_steps(ball, monkeypatch):
     """A ball on a table has ten grazings towards its complete chatter: of each piece a few steps more are attempted
     than points are kept. SN and PD are closed forms (docs: G = pi (1 - R) / (1 + R); PD at G^2 + (2 (1 + R^2) / (1 +
     R)^2)^2; the frequency is the root of G)."""
-    steps, track = [], event_search._track
+    steps, track = [], event_search._track_chunk
 
     def counted(*args):
         found = track(*args)
         steps.append(int((found[1].step != 0).sum()))
         return found
 
-    monkeypatch.setattr(event_search, "_track", counted)
+    monkeypatch.setattr(event_search, "_track_chunk", counted)
     branch = jv.follow(ball, "frequency", (1.37, 1.84))
     assert branch.ends == (End.BOUND, End.BOUND) and len(branch) > 80
     least = np.pi * 0.85 / 1.15
@@ -192,8 +192,8 @@ def test_a_cascade_of_grazings_takes_few_steps(ball, monkeypatch):
 
 def test_slow_progress_is_reported():
     points = arclength.Point(*[np.zeros((120, 2))] * 2, *[np.full(120, 1e-8)] * 3, *[np.ones(120, bool)] * 2)
-    control = Control(np.ones(2), 1e-8, 0.1, 1e-10, -1.0, 1.0)
-    some = Stretch(None, points, None, (), None, -1, 0.0)
+    control = StepControl(np.ones(2), 1e-8, 0.1, 1e-10, -1.0, 1.0)
+    some = BranchSegment(None, points, None, (), None, -1, 0.0)
     with pytest.warns(slow_progress.SlowProgress, match=r"119 points lie within 0.0e\+00 of the parameter value 0"):
         slow_progress.warn_if_slow(control, some)
 

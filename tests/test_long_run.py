@@ -6,10 +6,10 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.maps import long_run
-from jaxvibro.maps.initial_conditions import random_starts
-from jaxvibro.maps.iterate import KEEP, SLOTS, ends, iterate
+from jaxvibro.maps.initial_conditions import draw_initial_states
+from jaxvibro.maps.iterate import MAX_RECORDED_PERIODS, PERIOD_SLOTS, final_states, iterate
 
-LANES, PERIODS = 70, KEEP + 3
+LANES, PERIODS = 70, MAX_RECORDED_PERIODS + 3
 SCENES = {
     "slow impacts": jv.make_scene(3.61, 1.06, 0.14, 0.32, (-1.21, 1.15)),
     "chatter": jv.make_scene(2.98, 2.6, 0.3, 0.33, (-1.75, 0.21)),
@@ -24,8 +24,8 @@ def strobed(scene, state, periods):
     """(x, v, contact, time, side, speed of each period; the worst status), by the public strobe."""
     rows, worst = [], np.zeros(len(state.x), int)
     for k in range(periods):
-        state, impacts = jax.device_get(jv.strobe(scene, state, slots=SLOTS))
-        told = np.where((impacts.status == 1) & (k < periods - KEEP), 0, impacts.status)
+        state, impacts = jax.device_get(jv.strobe(scene, state, slots=PERIOD_SLOTS))
+        told = np.where((impacts.status == 1) & (k < periods - MAX_RECORDED_PERIODS), 0, impacts.status)
         worst = np.where(worst >= 2, worst, np.maximum(worst, told))
         rows.append((state.x, state.v, state.contact, impacts.time, impacts.side, impacts.speed))
     return [np.stack(each) for each in zip(*rows, strict=True)], worst
@@ -35,7 +35,7 @@ def strobed(scene, state, periods):
 def counted(monkeypatch):
     """How many periods the host did in full, and how often a run was by both tiers."""
     counts = {"full": 0, "both": 0}
-    full, run = long_run._full, long_run._run
+    full, run = long_run._reference_strobe, long_run._run_block
 
     def one(*given):
         counts["full"] += 1
@@ -45,8 +45,8 @@ def counted(monkeypatch):
         counts["both"] += not given[-1]
         return run(*given)
 
-    monkeypatch.setattr(long_run, "_full", one)
-    monkeypatch.setattr(long_run, "_run", block)
+    monkeypatch.setattr(long_run, "_reference_strobe", one)
+    monkeypatch.setattr(long_run, "_run_block", block)
     return counts
 
 
@@ -54,19 +54,19 @@ def counted(monkeypatch):
 @pytest.mark.parametrize("kind, patience", [*((kind, patience) for kind in SCENES for patience in (0, np.inf)), *MIXED])
 def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, counted, monkeypatch):
     """By both tiers, by the host, and by one after the other."""
-    monkeypatch.setattr(long_run, "PATIENCE", patience)
+    monkeypatch.setattr(long_run, "MAX_RETRY_COST", patience)
     scene = SCENES[kind]
-    starts = random_starts(scene, LANES, 4)
+    starts = draw_initial_states(scene, LANES, 4)
     starts.x[7] = np.nan if scene.left is None else -9.0
     (*rows, sides, speeds), worst = strobed(scene, starts, PERIODS)
     found = iterate(scene, starts, PERIODS)
     assert (counted["full"] > 0) == (patience > 0) and (counted["both"] > 0) == (patience < np.inf)
     np.testing.assert_array_equal(found.status, worst)
-    np.testing.assert_array_equal(found.side, sides[-KEEP:])
+    np.testing.assert_array_equal(found.side, sides[-MAX_RECORDED_PERIODS:])
     for one, other in zip((*found[2:6], found.speed), (*rows, speeds), strict=True):
-        np.testing.assert_allclose(one, other[-KEEP:], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(one, other[-MAX_RECORDED_PERIODS:], rtol=0, atol=1e-9)
     np.testing.assert_array_equal(found.state.x, found.x[-1])
-    last, status = ends(scene, starts, PERIODS)
+    last, status = final_states(scene, starts, PERIODS)
     for one, other in zip(jax.tree.leaves((last, status)), jax.tree.leaves((found.state, worst)), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -75,19 +75,29 @@ def test_lanes_that_lean_steps_give_up_go_as_the_strobe_says(kind, patience, cou
 def test_lanes_of_a_batch_of_scenes(counted):
     rng = np.random.default_rng(5)
     scene = jv.make_scene(rng.uniform(1.0, 3.0, LANES), 2.6, 0.3, 0.33, (-1.75, 0.21))
-    starts = random_starts(scene, LANES, 4)
+    starts = draw_initial_states(scene, LANES, 4)
     rows, worst = strobed(scene, starts, PERIODS)
     found = iterate(scene, starts, PERIODS)
     assert counted["full"] > 0
     np.testing.assert_array_equal(found.status, worst)
     for one, other in zip(found[2:], rows, strict=True):
-        np.testing.assert_allclose(one, other[-KEEP:], rtol=0, atol=1e-9)
+        np.testing.assert_allclose(one, other[-MAX_RECORDED_PERIODS:], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("periods", [1, KEEP - 1, KEEP, KEEP + 1, KEEP + 2, 3 * KEEP])
+@pytest.mark.parametrize(
+    "periods",
+    [
+        1,
+        MAX_RECORDED_PERIODS - 1,
+        MAX_RECORDED_PERIODS,
+        MAX_RECORDED_PERIODS + 1,
+        MAX_RECORDED_PERIODS + 2,
+        3 * MAX_RECORDED_PERIODS,
+    ],
+)
 def test_the_kept_periods_are_told_in_order(periods):
-    ring = np.zeros(KEEP)
+    ring = np.zeros(MAX_RECORDED_PERIODS)
     for k in range(periods):
-        ring[k % KEEP] = k
-    (told,) = long_run.in_order((ring,), periods)
-    assert told.tolist() == list(range(max(0, periods - KEEP), periods))
+        ring[k % MAX_RECORDED_PERIODS] = k
+    (told,) = long_run.unroll_ring_buffers((ring,), periods)
+    assert told.tolist() == list(range(max(0, periods - MAX_RECORDED_PERIODS), periods))

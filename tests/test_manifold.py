@@ -9,14 +9,14 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.attractors.local_manifold import germ, mapped
-from jaxvibro.compiled.compiler_hints import OPTIONS
-from jaxvibro.maps.inverse import backward
+from jaxvibro.attractors.local_manifold import compute_local_manifold, iterate_map
+from jaxvibro.compiled.compiler_hints import COMPILER_OPTIONS
+from jaxvibro.maps.inverse import strobe_backward
 
 from .basins_proof import SCENE, bisected, distance
 from .test_basins import SCENES
 
-BACK = jax.jit(lambda scene, state: backward(scene, state, 16), compiler_options=OPTIONS)
+BACK = jax.jit(lambda scene, state: strobe_backward(scene, state, 16), compiler_options=COMPILER_OPTIONS)
 
 
 @cache
@@ -81,17 +81,19 @@ def test_a_germ_is_led_into_itself(back):
     values, vectors = np.linalg.eig(np.asarray(jv.monodromy(orbit.scene, jv.State(state.x, state.v))))
     place = np.argmin(abs(values)) if back else np.argmax(abs(values))
     rate = 1.0 / values[place] if back else values[place]
-    found = germ(orbit.scene, np.array([state.x, state.v], float), vectors[:, place], rate, 1, 0.0, back, 1.0)
-    along = found.reach * np.linspace(-1.0, 1.0, 101)
-    z, _, good = mapped(orbit.scene, found.at(found.back(along)), 0.0, 1, back)
-    assert good.all() and found.reach > 0.05
-    assert abs(z - found.at(along)).max() < 1e-12
-    assert found.back(1e-4) == pytest.approx(1e-4 / rate, rel=1e-3)
+    found = compute_local_manifold(
+        orbit.scene, np.array([state.x, state.v], float), vectors[:, place], rate, 1, 0.0, back, 1.0
+    )
+    along = found.radius * np.linspace(-1.0, 1.0, 101)
+    z, _, good = iterate_map(orbit.scene, found.points_at(found.preimage(along)), 0.0, 1, back)
+    assert good.all() and found.radius > 0.05
+    assert abs(z - found.points_at(along)).max() < 1e-12
+    assert found.preimage(1e-4) == pytest.approx(1e-4 / rate, rel=1e-3)
 
 
 def stays(data, scene, given, back):
     """Assert that the map, or its inverse where `back`, leads points of a manifold into it."""
-    z, _, good = mapped(scene, given, data.attrs["phase"], 1, back)
+    z, _, good = iterate_map(scene, given, data.attrs["phase"], 1, back)
     matrix = np.asarray(jv.monodromy(scene, jv.State(*(z if back else given).T, data.attrs["phase"])))
     with np.errstate(divide="ignore", over="ignore"):
         stretch = abs(matrix).max(axis=(1, 2)) / (abs(np.linalg.det(matrix)) if back else 1.0)
@@ -163,7 +165,7 @@ def test_a_saddle_that_flips_has_two_sides_too():
     orbit = saddle("P112", 4.85, -1.0)
     data = jv.manifold(orbit, "unstable", 0.3, 0.0, 0.002, 0.005)
     some = np.flatnonzero(data["image"].values > 0)[::11]
-    z, _, _ = mapped(orbit.scene, points(data)[some], 0.0, 1, True)
+    z, _, _ = iterate_map(orbit.scene, points(data)[some], 0.0, 1, True)
     assert distance(data, z).max() < 1e-8
     other = data.isel(point=data["side"].values != data["side"].values[some[0]])
     assert distance(other, z[:1])[0] < 1e-8

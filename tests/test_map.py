@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro.output import label_codes
-from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED, code_of, codes, label_of, period_of
+from jaxvibro.output.label_codes import CHAOTIC, UNDECIDED, code_of, encode_labels, label_of, period_of
 from jaxvibro.plot.map import label_colour
 
 REST = jv.State(0.0, 0.0)
@@ -30,7 +30,7 @@ def single(scene, state=REST):
     n, rate, error = int(found["periods"][0]), float(found["exponent"][0, 0]), float(found["error"][0, 0])
     if n:
         hits = found["impacts_on"].values[0] * (found["rests"].values[0] == 0)
-        return int(codes(n, *np.rint(n * hits).astype(int))), rate, error
+        return int(encode_labels(n, *np.rint(n * hits).astype(int))), rate, error
     return (CHAOTIC if rate - 3.0 * error > 0.01 else UNDECIDED), rate, error
 
 
@@ -41,8 +41,8 @@ def agree(found, cells):
         mine, rate, error = (found[name].values[place] for name in ("label", "exponent", "exponent_error"))
         code, known, unsure = single(scene)
         if UNDECIDED not in (mine, code):
-            if code % label_codes.PERIODS == 0 and np.isneginf(known):
-                mine = label_codes.PERIODS * period_of(mine)
+            if code % label_codes.PERIODS_FACTOR == 0 and np.isneginf(known):
+                mine = label_codes.PERIODS_FACTOR * period_of(mine)
             assert label_of(mine) == label_of(code), place
             apart = abs(rate - known) if np.isfinite(known) or np.isfinite(rate) else 0.0
             assert apart <= (1e-7 if code != CHAOTIC else 5.0 * (error + unsure)), place
@@ -53,7 +53,7 @@ def agree(found, cells):
 def test_codes_and_labels():
     for label in ("P100", "P111", "P8-8-16", "P1-0-inf", "P32-998-0", "chaotic", "undecided", "not done"):
         assert label_of(code_of(label)) == label
-    assert codes(3, 2, 998) == code_of("P3-2-998")
+    assert encode_labels(3, 2, 998) == code_of("P3-2-998")
     np.testing.assert_array_equal(period_of(np.array([code_of("P464"), CHAOTIC, UNDECIDED, -1])), [4, 0, 0, 0])
     assert code_of("unresolved") == UNDECIDED
 
@@ -235,4 +235,4 @@ def test_picture_of_a_map():
         jv.plot.map(drawn().expand_dims(way=[1, -1]))
     with pytest.raises(jv.ArgumentError, match="must be given a Dataset of map_parameters"):
         jv.plot.map(xr.Dataset())
-    assert label_codes.RULE.startswith("1000000 n")
+    assert label_codes.CODE_RULE.startswith("1000000 n")

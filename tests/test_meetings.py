@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches.branch_tree import is_same
+from jaxvibro.branches.branch_tree import is_same_point
 from jaxvibro.maps import itinerary
-from jaxvibro.orbits.by_impacts import by_section
-from jaxvibro.orbits.orbit_comparison import is_same_orbit, meetings, mirrored, times_round
+from jaxvibro.orbits.orbit_comparison import impacts_as_points, is_same_orbit, mirror_points, repetition_count
+from jaxvibro.orbits.orbit_from_impacts import orbit_of_exact_impacts
 from jaxvibro.problem.end import End
-from jaxvibro.problem.orbit_on_branch import OrbitPoint
-from jaxvibro.problem.orbit_on_branch import itinerary as walls
+from jaxvibro.problem.orbit_point import OrbitPoint
+from jaxvibro.problem.orbit_point import itinerary as walls
 from tests.test_extend import drawn
 
 NEAR = 1e-6
@@ -27,7 +27,7 @@ def drawn_orbit(seed):
 
 def seen(impacts, frequency):
     times, speeds, sides = impacts
-    return meetings(frequency, times, sides, speeds, 1.0)
+    return impacts_as_points(frequency, times, sides, speeds, 1.0)
 
 
 def turned(impacts, periods, frequency, by):
@@ -50,11 +50,13 @@ def test_the_same_orbit_is_known_however_it_is_counted(seed):
     times, speeds, sides = impacts
     for again in (2, 3):
         more = np.concatenate([times + k * length for k in range(again)]), np.tile(speeds, again), np.tile(sides, again)
-        assert times_round(seen(more, frequency), again * periods, NEAR) == again * times_round(points, periods, NEAR)
+        assert repetition_count(seen(more, frequency), again * periods, NEAR) == again * repetition_count(
+            points, periods, NEAR
+        )
         assert is_same_orbit(points, seen(more, frequency), NEAR)
         changed = more[0], more[1] + 1e-3 * (np.arange(len(more[1])) == 0), more[2]
         assert not is_same_orbit(points, seen(changed, frequency), NEAR)
-        assert times_round(seen(changed, frequency), again * periods, NEAR) == 1
+        assert repetition_count(seen(changed, frequency), again * periods, NEAR) == 1
     touch = np.append(times, 0.3), np.append(speeds, 1e-9), np.append(sides, 1.0)
     assert is_same_orbit(points, seen(touch, frequency), NEAR)
     later = times + 1e-3, speeds, sides
@@ -69,16 +71,20 @@ def test_mirror_images_are_told(seed):
     half = np.pi / frequency
     twin = seen((times + half, speeds, -sides), frequency)
     points = seen(impacts, frequency)
-    assert is_same_orbit(mirrored(points), twin, NEAR) and not is_same_orbit(points, twin, NEAR)
+    assert is_same_orbit(mirror_points(points), twin, NEAR) and not is_same_orbit(points, twin, NEAR)
     both = np.concatenate([times, times + half]), np.tile(speeds, 2), np.concatenate([sides, -sides])
     own = seen(both, frequency)
-    assert is_same_orbit(mirrored(own), own, NEAR)
+    assert is_same_orbit(mirror_points(own), own, NEAR)
 
 
 def test_without_impacts_there_is_one_orbit():
     none = seen(np.zeros((3, 0)), 2.0)
     still = seen((np.array([0.4]), np.array([0.0]), np.array([1.0])), 2.0)
-    assert is_same_orbit(none, still, NEAR) and times_round(still, 3, NEAR) == 3 and times_round(none, 1, NEAR) == 1
+    assert (
+        is_same_orbit(none, still, NEAR)
+        and repetition_count(still, 3, NEAR) == 3
+        and repetition_count(none, 1, NEAR) == 1
+    )
     assert not is_same_orbit(none, seen((np.array([0.4]), np.array([0.5]), np.array([1.0])), 2.0), NEAR)
 
 
@@ -93,7 +99,7 @@ def test_an_itinerary_is_written_in_one_way(seed):
             spot = OrbitPoint(0.0, late, np.roll(speeds, shift), np.roll(sides, shift), periods, 0.0, 0.0, 0.0)
             written.add(walls(spot, frequency))
     (one,) = written
-    assert one == itinerary.canonical(one)
+    assert one == itinerary.canonical_itinerary(one)
 
 
 def test_an_impact_at_phase_0_belongs_to_the_period_that_ends():
@@ -109,11 +115,13 @@ def test_an_impact_at_phase_0_belongs_to_the_period_that_ends():
 def test_an_orbit_is_written_in_one_way_whichever_of_its_periods_came_first(seed):
     impacts, periods, frequency = drawn_orbit(seed)
     scene, rng = jv.make_scene(6.4, frequency, 0.05, 0.7, (-1.0, 1.0)), np.random.default_rng(seed)
-    orbit = by_section(scene, *impacts, periods, 0.0)
-    assert orbit.itinerary == itinerary.canonical(orbit.itinerary)
+    orbit = orbit_of_exact_impacts(scene, *impacts, periods, 0.0)
+    assert orbit.itinerary == itinerary.canonical_itinerary(orbit.itinerary)
     for by in range(periods):
         times, speeds, sides = turned(impacts, periods, frequency, by)
-        again = by_section(scene, times + 1e-14 * rng.standard_normal(len(times)), speeds, sides, periods, 0.0)
+        again = orbit_of_exact_impacts(
+            scene, times + 1e-14 * rng.standard_normal(len(times)), speeds, sides, periods, 0.0
+        )
         assert again.itinerary == orbit.itinerary
         one, other = ([each.state.x, each.state.v, each.state.phase] for each in (orbit, again))
         assert np.allclose(one, other, rtol=0, atol=1e-10 * (1.0 + abs(orbit.state.v)))
@@ -126,6 +134,6 @@ def test_a_branch_does_not_go_back_along_itself_under_another_itinerary():
     branch = jv.follow(orbit, parameter, (2.4, 4.0))
     assert [one.label for one in branch.segments] == ["P201"] and End.HALVED in branch.ends
     kinds = [one for one in branch.special if one.kind != "EP"]
-    assert not any(is_same(one, other) for k, one in enumerate(kinds) for other in kinds[:k])
+    assert not any(is_same_point(one, other) for k, one in enumerate(kinds) for other in kinds[:k])
     (touch,) = branch.points("GR")
     assert sorted(one.label for one in touch.meets).count("P201") == 1

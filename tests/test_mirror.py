@@ -1,14 +1,14 @@
-"""`mirrored`, against the other half that `switch` follows by itself; which scenes stay symmetric."""
+"""`mirror_branch`, against the other half that `switch` follows by itself; which scenes stay symmetric."""
 
 import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import locate
-from jaxvibro.branches.follow import place_orbit
-from jaxvibro.branches.mirror import mirrored
-from jaxvibro.problem.equations import problem
-from jaxvibro.problem.orbit_rows import row_of, spot_of
+from continuation import augmented_systems
+from jaxvibro.branches.follow import set_up_problem
+from jaxvibro.branches.mirror_image import mirror_branch
+from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.problem.orbit_rows import dataset_row, parse_orbit_row
 from jaxvibro.scene.symmetry import stays_symmetric
 
 
@@ -26,7 +26,7 @@ def halves(scene, name, bounds, wide):
 
 def test_the_other_half_of_a_pitchfork(scene):
     one, other = halves(scene, "amplitude", (3.0, 4.7), (3.0, 4.7))
-    image, period = mirrored(one), 2.0 * np.pi / 2.1
+    image, period = mirror_branch(one), 2.0 * np.pi / 2.1
     assert len(other) == len(image) > 10
     assert np.allclose(image.values, other.values, rtol=0, atol=1e-9)
     for key in ("x", "v", "multiplier_real", "least_clearance"):
@@ -46,18 +46,23 @@ def test_the_other_half_of_a_pitchfork(scene):
 
 def test_an_image_along_the_frequency(scene):
     one, _ = halves(scene, "frequency", (2.08, 2.3), (1.9, 2.3))
-    image = mirrored(one)
+    image = mirror_branch(one)
     for place in (1, 4, 7):
-        there, spot = scene.replace(frequency=image.values[place]), spot_of(row_of(image.data, place), "frequency")
+        there, spot = (
+            scene.replace(frequency=image.values[place]),
+            parse_orbit_row(dataset_row(image.data, place), "frequency"),
+        )
         end, impacts = jv.strobe(there, jv.State(spot.x, spot.v), slots=32)
         assert abs(end.x - spot.x) + abs(end.v - spot.v) < 1e-9
         period = 2.0 * np.pi / image.values[place]
         times = np.sort(np.mod(spot.times, period))
         assert np.allclose(np.asarray(impacts.time)[:2], times, rtol=0, atol=1e-9)
-        along, z = place_orbit(there, "frequency", spot)
-        row = row_of(image.data, place)
+        along, z = set_up_problem(there, "frequency", spot)
+        row = dataset_row(image.data, place)
         ahead = np.concatenate([row["time_slope"], row["speed_slope"], [row["value_slope"]]])
-        assert abs(np.asarray(locate.evaluated(problem(along), z, along)[1]) @ ahead).max() < 1e-9
+        assert (
+            abs(np.asarray(augmented_systems.evaluate(continuation_problem(along), z, along)[1]) @ ahead).max() < 1e-9
+        )
 
 
 def test_which_scenes_stay_symmetric(scene):

@@ -8,11 +8,11 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.branches import normal_form as forms
-from jaxvibro.output.checksums import netcdf
-from jaxvibro.problem.depths import depths
-from jaxvibro.problem.orbit_on_branch import place_orbit
+from jaxvibro.output.checksums import netcdf_bytes
+from jaxvibro.problem.grazing_depths import grazing_depths
+from jaxvibro.problem.orbit_point import set_up_problem
 from jaxvibro.problem.unfolding import Unfolding
-from jaxvibro.scene.scale import scene_length
+from jaxvibro.scene.typical_scales import scene_length
 from tests.normal_forms_proof import (
     exact,
     extrapolated,
@@ -206,7 +206,7 @@ def test_a_soft_wall_that_moves_and_pushes_at_once():
     point = jv.follow(jv.find_orbit(scene, jv.State(0.0, 0.0)), "amplitude", (0.1, 2.0)).points("GR")[0]
     wall = jv.Wall(1.0, stiffness=20.0, damping=0.6, motion=wall.motion)
     soft = jv.make_scene(point.value, 0.7, 0.05, 0.7, (None, wall))
-    (one,) = depths(soft, *place_orbit(soft, "amplitude", point.spot), 1.0)
+    (one,) = grazing_depths(soft, *set_up_problem(soft, "amplitude", point.spot), 1.0)
     (place,) = touched(point).values()
     phase, at, pace = place
 
@@ -224,14 +224,16 @@ def test_a_soft_wall_that_moves_and_pushes_at_once():
 def test_orbits_that_are_unstable_on_both_sides_are_harmless():
     """No scene with damping has one, so the rule is asked alone."""
     found = Unfolding(0.5, np.ones(2), -1.0)
-    told = [forms.unfolded(kind, found, stable) for kind in ("SN", "PD", "SB") for stable in (True, False)]
+    told = [
+        forms.normal_form_of_unfolding(kind, found, stable) for kind in ("SN", "PD", "SB") for stable in (True, False)
+    ]
     assert [one.consequence for one in told] == ["jump", "harmless", "soft", "harmless", "jump", "harmless"]
-    assert forms.unfolded("PD", found._replace(bend=np.nan), True) is None
+    assert forms.normal_form_of_unfolding("PD", found._replace(coefficient=np.nan), True) is None
 
 
 def same(one, other):
     """Whether two normal forms have the same bits."""
-    return repr(forms.plain(one)) == repr(forms.plain(other))
+    return repr(forms.normal_form_fields(one)) == repr(forms.normal_form_fields(other))
 
 
 def test_files_have_them(lopsided, tmp_path):
@@ -243,7 +245,7 @@ def test_files_have_them(lopsided, tmp_path):
     data = jv.load_data(tmp_path / "new.nc")
     old = dict(data.attrs)
     del old["normal_forms"]
-    (tmp_path / "old.nc").write_bytes(netcdf(data.assign_attrs().drop_attrs().assign_attrs(old)))
+    (tmp_path / "old.nc").write_bytes(netcdf_bytes(data.assign_attrs().drop_attrs().assign_attrs(old)))
     before = jv.load_branch(tmp_path / "old.nc")
     assert before.points("PD")[0].saved is None and before.table() == lopsided.table()
 
@@ -255,7 +257,7 @@ def test_normal_forms_that_cannot_be_are_refused(lopsided, tmp_path, change):
     text = data.attrs["normal_forms"]
     assert change in text
     wrong = text.replace(change, {"[": "[null, "}.get(change, '"much"'), 1)
-    (tmp_path / "wrong.nc").write_bytes(netcdf(data.assign_attrs(normal_forms=wrong)))
+    (tmp_path / "wrong.nc").write_bytes(netcdf_bytes(data.assign_attrs(normal_forms=wrong)))
     with pytest.raises(jv.ArgumentError, match="must be a file of Branch"):
         jv.load_branch(tmp_path / "wrong.nc")
 

@@ -1,4 +1,5 @@
-"""Every rule of `continuation.numpy_rules` against XLA, for every type of number: same type, same values, edges too."""
+"""Every rule of `continuation.numpy_primitives` against XLA, for every type of number: same type, same values, edges
+too."""
 
 import inspect
 
@@ -9,8 +10,8 @@ import pytest
 from jax import lax
 
 import continuation as co
-from continuation.in_numpy import Tried
-from continuation.numpy_rules import rules
+from continuation.numpy_evaluation import NumpyEvaluator
+from continuation.numpy_primitives import rules
 
 TYPES = ["float32", "float64", "complex64", "complex128", "bool"]
 TYPES += [f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)]
@@ -95,7 +96,7 @@ def test_every_rule_is_right_for_every_type(kind, size):
     expected = jax.jit(lambda given: {name: CASES[name](*args) for name, args in given.items()})(given)
     evaluated = 0
     for name, args in given.items():
-        found = Tried(CASES[name], (), {})(tuple(args))
+        found = NumpyEvaluator(CASES[name], (), {})(tuple(args))
         if found is None:  # compiled, always
             continue
         evaluated += 1

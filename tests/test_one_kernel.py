@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from jax import lax
 
-from jaxvibro.compiled.kernels import one_kernel
+from jaxvibro.compiled.kernels import call_as_kernel
 
 ROWS = 64
 ONES = np.ones(3)
@@ -36,5 +36,5 @@ def test_reductions_and_products_of_any_size(kind, columns):
     expected = start
     for _ in range(3):
         expected = np.cos(expected + function(np, expected))
-    found = jax.jit(lambda values: one_kernel(turned, values))(start)
+    found = jax.jit(lambda values: call_as_kernel(turned, values))(start)
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13)

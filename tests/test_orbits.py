@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.coefficients import frame
-from jaxvibro.flight.wall_positions import places
+from jaxvibro.flight.coefficients import compute_coefficients
+from jaxvibro.flight.wall_positions import wall_states
 from jaxvibro.maps import itinerary as words
 from jaxvibro.orbits import flight_clearance, impact_equations
-from jaxvibro.orbits.by_impacts import _refuse_uncertain, by_impacts, padded, solution
-from jaxvibro.orbits.by_shooting import _stepped
-from jaxvibro.reproduction import closed as exact
+from jaxvibro.orbits.orbit_from_impacts import _require_certified, orbit_from_impacts, padded_sequence, solve_guess
+from jaxvibro.orbits.shooting import _newton_step
+from jaxvibro.reproduction import closed_forms as exact
 from tests.reference import closed, floquet, grid
 from tests.reference.scene import Motion, Scene, Wall
 
@@ -54,18 +54,18 @@ def agrees(orbit, state, multipliers):
 
 @pytest.mark.parametrize("right", [1.0, jv.Wall(1.0, 0.6, motion=jv.Motion(0.1, 0.4, 2))])
 def test_the_jacobian_of_the_impacts_equations_is_their_derivative(right):
-    built = frame(jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, right)))
-    given = impact_equations.Cycle(
+    built = compute_coefficients(jv.make_scene(2.0, OMEGA, GAMMA, R, (-1.0, right)))
+    given = impact_equations.ImpactSequence(
         jnp.array([0.2, 1.1, 1.9]), jnp.array([1.0, 0.4, 2.0]), jnp.array([1.0, -1.0, 1.0]), 0.3, 1.0
     )
 
     def values(unknowns):
-        return impact_equations.equations(built, given._replace(times=unknowns[:3], speeds=unknowns[3:]))[0]
+        return impact_equations.residual_and_jacobian(built, given._replace(times=unknowns[:3], speeds=unknowns[3:]))[0]
 
     @jax.jit
     def stepped(given):
-        value, slopes = impact_equations.equations(built, given)
-        return value, impact_equations.solve(slopes, value)[0]
+        value, slopes = impact_equations.residual_and_jacobian(built, given)
+        return value, impact_equations.solve_cyclic(slopes, value)[0]
 
     value, change = stepped(given)
     jacobian = jax.jit(jax.jacfwd(values))(jnp.concatenate([given.times, given.speeds]))
@@ -181,12 +181,17 @@ def test_a_wall_passed_by_a_hair_is_refused():
             continue
         tried += 1
         rows = orbit.impacts.time, orbit.impacts.speed, orbit.impacts.side
-        reach = -50.0 + solution(far, padded(far, *rows, orbit.state.phase, orbit.periods)).calls[0][:, 0].min()
+        reach = (
+            -50.0
+            + solve_guess(far, padded_sequence(far, *rows, orbit.state.phase, orbit.periods))
+            .closest_approaches[0][:, 0]
+            .min()
+        )
         kept = jv.find_orbit(far.replace(**{"left.position": reach - 1e-9}), orbit.state, orbit.periods, settle=0)
         assert abs(kept.least_clearance - min(orbit.least_clearance, 1e-9)) < 1e-13
         near = far.replace(**{"left.position": reach + 1e-9})
         with pytest.raises(jv.OrbitError, match=r"passes through the left wall, 1e-09 deep"):
-            by_impacts(near, *rows, orbit.state.phase, orbit.periods)
+            orbit_from_impacts(near, *rows, orbit.state.phase, orbit.periods)
 
 
 def test_what_is_no_orbit_says_why(scene):
@@ -257,13 +262,13 @@ def test_a_round_that_begins_on_a_wall_ends_with_the_impact_there(right, which):
         orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
         side, speed = int(orbit.impacts.side[which]), float(orbit.impacts.speed[which])
         phase = float(scene.frequency) * float(orbit.impacts.time[which])
-        place, pace = (float(each) for each in places(scene, phase)[side > 0])
+        place, pace = (float(each) for each in wall_states(scene, phase)[side > 0])
         wall = scene.right if side > 0 else scene.left
         bounce = float(scene.restitution if wall.restitution is None else wall.restitution)
         for error in (0.0, -1e-12, 1e-12, -1e-4, 1e-4):
             start = jv.State(place, pace - side * bounce * speed * (1.0 + error), phase)
             found = jv.find_orbit(scene, start, periods=orbit.periods, settle=0)
-            assert words.same(found.itinerary, orbit.itinerary)
+            assert words.is_same_itinerary(found.itinerary, orbit.itinerary)
             np.testing.assert_allclose(np.sort(found.impacts.speed), np.sort(orbit.impacts.speed), rtol=1e-11)
         labels.append(orbit.label)
     assert "P111" in labels
@@ -273,7 +278,7 @@ def test_a_round_that_begins_on_a_wall_ends_with_the_impact_there(right, which):
 def test_an_orbit_in_a_thin_tongue_is_found_from_its_closed_form(beyond):
     omega, gamma = 0.21709371246996997, 0.35
     begin, speed = (float(each) for each in exact.symmetric_fold(omega, gamma, R))
-    amplitude = begin + beyond * (float(exact.grazing(omega, gamma)) - begin)
+    amplitude = begin + beyond * (float(exact.grazing_amplitude(omega, gamma)) - begin)
     scene = jv.make_scene(amplitude, omega, gamma, R, (-1.0, 1.0))
     found = jv.find_orbit(scene, exact.symmetric_start(scene), periods=1, settle=0)
     assert found.label == "P111" and speed < found.least_speed < 3.0 * speed
@@ -283,13 +288,13 @@ def test_what_certified_flights_do_not_confirm_is_refused(scene):
     """An impact at another time, and one on another wall."""
     orbit = jv.find_orbit(scene, jv.State(0.9, -1.1))
     rows = orbit.impacts.time, orbit.impacts.speed, orbit.impacts.side
-    found = jax.device_get(solution(scene, padded(scene, *rows, orbit.state.phase, 1)))
-    _refuse_uncertain(scene, found, 2, PERIOD)
-    length, sides = 1e-4 * PERIOD * np.array([0.0, 1.0]), found.cycle.sides * np.array([1.0, -1.0])
+    found = jax.device_get(solve_guess(scene, padded_sequence(scene, *rows, orbit.state.phase, 1)))
+    _require_certified(scene, found, 2, PERIOD)
+    length, sides = 1e-4 * PERIOD * np.array([0.0, 1.0]), found.sequence.sides * np.array([1.0, -1.0])
     late = found._replace(flights=found.flights._replace(time=found.flights.time + length))
-    for wrong in (late, found._replace(cycle=found.cycle._replace(sides=sides))):
+    for wrong in (late, found._replace(sequence=found.sequence._replace(sides=sides))):
         with pytest.raises(jv.OrbitError, match="meets another wall, or none, or not then"):
-            _refuse_uncertain(scene, wrong, 2, PERIOD)
+            _require_certified(scene, wrong, 2, PERIOD)
 
 
 def test_an_impact_from_behind_its_wall_is_refused():
@@ -304,14 +309,14 @@ def test_an_impact_from_behind_its_wall_is_refused():
     scene = jv.make_scene(5.0, OMEGA, GAMMA, R, (None, 1.0))
     rows = np.array([float(time)]) % PERIOD, np.array([float(u)]), np.array([1.0])
     with pytest.raises(jv.OrbitError, match=f"impact 1 of 1 would have the speed {float(u):.3g}"):
-        by_impacts(scene, *rows, 0.0, 1)
+        orbit_from_impacts(scene, *rows, 0.0, 1)
 
 
 def test_a_multiplier_of_1_makes_shooting_singular():
     state, miss = jv.State(0.3, 0.2), np.array([0.1, 0.1])
     with pytest.raises(jv.OrbitError, match=r"no orbit: singular .*the Jacobian is singular"):
-        _stepped(state, state, miss, np.array([[1.0, 0.3], [0.0, 0.5]]))
-    step, size = _stepped(state, state, miss, np.array([[0.75, 0.0], [0.0, 0.5]]))
+        _newton_step(state, state, miss, np.array([[1.0, 0.3], [0.0, 0.5]]))
+    step, size = _newton_step(state, state, miss, np.array([[0.75, 0.0], [0.0, 0.5]]))
     assert (float(step.x), float(step.v), size) == pytest.approx((0.7, 0.4, 0.4), abs=1e-15)
 
 
@@ -327,5 +332,5 @@ def test_a_flight_that_turns_twice_between_two_samples_is_looked_at(sign):
             (np.ones(count), sign * (height - 0.5 * bend * (time - place) ** 2), -sign * bend * (time - place))
             for time in (0.0, span)
         ]
-        crest, _, past = flight_clearance._better(3.0, span, *ends, none)
+        crest, _, past = flight_clearance._nearer_turning_point(3.0, span, *ends, none)
         assert (np.isfinite(crest) == seen).all() and ((past >= 0) & (past <= 1)).all()

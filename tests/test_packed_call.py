@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from continuation import in_numpy
+from continuation import numpy_evaluation
 from continuation.packed_call import Layout, PackedCall
 from continuation.persistent_jit import persistent_jit
 
@@ -63,7 +63,7 @@ def turned(pair, times, by):
 @pytest.mark.parametrize("patience", [np.inf, 0])
 def test_calls_of_other_kinds_are_told_apart(patience, monkeypatch):
     """Of another length, type, static argument or form; with a number of the host's own; and under transformations."""
-    monkeypatch.setattr(in_numpy, "PATIENCE", patience)
+    monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", patience)
     for size, kind in ((3, float), (5, float), (3, np.float32), (3, np.int32)):
         one, two = np.arange(size).astype(kind), np.ones(size, kind)
         for times in (1, 2):

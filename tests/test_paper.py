@@ -12,13 +12,24 @@ from scipy.integrate import quad
 
 import jaxvibro as jv
 from jaxvibro.attractors.find import Attractor
-from jaxvibro.reproduction import closed, diagrams, figures, lasting, portraits, run, stepped
-from jaxvibro.reproduction.claim import AGREES, DIFFERS, FALSE, HOLDS, OPEN, judged, number, own, statement, told
-from jaxvibro.reproduction.hysteresis import apart
-from jaxvibro.reproduction.panels import Drawn, panels
-from jaxvibro.reproduction.report import counts, page, rows, text
+from jaxvibro.reproduction import attractor_checks, closed_forms, diagrams, figures, fixed_step, portraits, run
+from jaxvibro.reproduction.claim import (
+    AGREES,
+    CANNOT_HOLD,
+    DIFFERS,
+    HOLDS,
+    UNDECIDED,
+    computed_text,
+    number_claim,
+    own_claim,
+    statement_claim,
+    value_text,
+)
+from jaxvibro.reproduction.hysteresis import loop_ranges
+from jaxvibro.reproduction.panels import FigureResult, panel_files
+from jaxvibro.reproduction.report import claim_rows, html_page, markdown_text, verdict_counts
 from jaxvibro.studies.command import main
-from jaxvibro.studies.scene_file import read, understood
+from jaxvibro.studies.scene_file import parse_tables, read
 
 SCENES = run.ROOT.parent / "scenes"
 SCENE = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "right": {"position": 1.0}}
@@ -29,44 +40,45 @@ SCENE = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7
     [
         ("3.42", (3.4246, 1e-9), AGREES),
         ("3.42", (3.4251, 1e-9), DIFFERS),
-        ("3.42", (3.4251, 2e-4), OPEN),
+        ("3.42", (3.4251, 2e-4), UNDECIDED),
         ("3.4", (3.4499, 1e-9), AGREES),
         ("1334", (1334.4, 1e-9), AGREES),
-        ("3.42", (math.nan, math.nan), FALSE),
+        ("3.42", (math.nan, math.nan), CANNOT_HOLD),
     ],
 )
 def test_a_printed_number_is_judged_to_half_a_unit_of_its_last_digit(printed, found, verdict):
-    assert number("4", "", printed, found).verdict == verdict
+    assert number_claim("4", "", printed, found).verdict == verdict
 
 
 def test_digits_cut_off_are_told():
-    assert "cut off" in number("4", "", "3.41", (3.41646, 1e-9)).reason
-    assert "cut off" not in number("4", "", "3.41", (3.4112, 1e-9)).reason
-    assert "cut off" not in number("4", "", "3.41", (3.4264, 1e-9)).reason
+    assert "cut off" in number_claim("4", "", "3.41", (3.41646, 1e-9)).reason
+    assert "cut off" not in number_claim("4", "", "3.41", (3.4112, 1e-9)).reason
+    assert "cut off" not in number_claim("4", "", "3.41", (3.4264, 1e-9)).reason
 
 
 @pytest.mark.parametrize(
-    ("found", "verdict"), [((0.2, 0.1), HOLDS), ((0.2, 0.3), OPEN), ((-0.2, 0.1), FALSE), ((math.nan, 0.0), FALSE)]
+    ("found", "verdict"),
+    [((0.2, 0.1), HOLDS), ((0.2, 0.3), UNDECIDED), ((-0.2, 0.1), CANNOT_HOLD), ((math.nan, 0.0), CANNOT_HOLD)],
 )
 def test_a_claim_in_words_holds_where_its_number_is_inside(found, verdict):
-    assert statement("4", "chaos", found, low=0.0).verdict == verdict
+    assert statement_claim("4", "chaos", found, low=0.0).verdict == verdict
 
 
 @pytest.mark.parametrize(
     ("value", "low", "high", "verdict"),
     [
-        (0.0, 1.0, math.inf, OPEN),
+        (0.0, 1.0, math.inf, UNDECIDED),
         (1.0, 1.0, math.inf, HOLDS),
-        (0.0, -math.inf, 0.0, OPEN),
-        (1.0, -math.inf, 0.0, FALSE),
-        (4.0, 4.0, 4.0, OPEN),
-        (5.0, 4.0, 4.0, FALSE),
-        (math.nan, 0.0, 1.0, OPEN),
+        (0.0, -math.inf, 0.0, UNDECIDED),
+        (1.0, -math.inf, 0.0, CANNOT_HOLD),
+        (4.0, 4.0, 4.0, UNDECIDED),
+        (5.0, 4.0, 4.0, CANNOT_HOLD),
+        (math.nan, 0.0, 1.0, UNDECIDED),
     ],
 )
 def test_what_stays_unresolved_makes_a_verdict_undecided_where_it_could_change_it(value, low, high, verdict):
-    claim = statement("4", "so many", (value, 0.0), low, high, more=math.inf)
-    assert claim.verdict == verdict and judged(claim).endswith(", perhaps more")
+    claim = statement_claim("4", "so many", (value, 0.0), low, high, excess=math.inf)
+    assert claim.verdict == verdict and computed_text(claim).endswith(", perhaps more")
 
 
 def attractor(kind, exponent, label="P111", share=0.5):
@@ -92,9 +104,9 @@ def attractor(kind, exponent, label="P111", share=0.5):
     [
         (("periodic", "chaotic"), (-0.5, 0.1), HOLDS),
         (("periodic", "unresolved"), (-0.5, 0.1), HOLDS),
-        (("periodic", "unresolved"), (-0.5, -0.1), OPEN),
-        (("periodic", "periodic"), (-0.5, -0.1), FALSE),
-        (("unresolved",), (math.nan,), OPEN),
+        (("periodic", "unresolved"), (-0.5, -0.1), UNDECIDED),
+        (("periodic", "periodic"), (-0.5, -0.1), CANNOT_HOLD),
+        (("unresolved",), (math.nan,), UNDECIDED),
     ],
 )
 def test_chaos_is_judged_by_all_that_lasts(monkeypatch, kinds, exponents, verdict):
@@ -109,38 +121,38 @@ def test_chaos_is_judged_by_all_that_lasts(monkeypatch, kinds, exponents, verdic
         return xr.Dataset(pairs)
 
     monkeypatch.setattr(diagrams, "find_attractors", lambda scene, starts: found)
-    monkeypatch.setattr(lasting, "spectrum", spectrum)
-    monkeypatch.setattr(diagrams, "onset", lambda scene, low, high: (4.98, 0.02, 8, 0.2))
+    monkeypatch.setattr(attractor_checks, "spectrum", spectrum)
+    monkeypatch.setattr(diagrams, "chaos_onset", lambda scene, low, high: (4.98, 0.02, 8, 0.2))
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    there, begins = diagrams._chaos("4", scene, "5.24", 3.4)
+    there, begins = diagrams._chaos_claims("4", scene, "5.24", 3.4)
     assert there.verdict == verdict
     assert begins.verdict == DIFFERS and "4.98" in begins.reason
 
 
-@pytest.mark.parametrize(("label", "verdict"), [("P112", HOLDS), ("P121", HOLDS), ("P223", OPEN)])
+@pytest.mark.parametrize(("label", "verdict"), [("P112", HOLDS), ("P121", HOLDS), ("P223", UNDECIDED)])
 def test_a_motion_that_is_not_found_may_be_among_unresolved_starts(label, verdict):
     scene = jv.make_scene(5.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     motions = [attractor("periodic", -0.1, label)]
-    assert portraits._there(3, scene, motions, math.inf).verdict == verdict
-    assert portraits._there(3, scene, motions, 0.0).verdict == (HOLDS if verdict == HOLDS else FALSE)
+    assert portraits._existence_claim(3, scene, motions, math.inf).verdict == verdict
+    assert portraits._existence_claim(3, scene, motions, 0.0).verdict == (HOLDS if verdict == HOLDS else CANNOT_HOLD)
 
 
 def test_our_own_rows_stand_apart():
-    claims = [number("4", "SN1", "0.5", (0.51, 0.0)), own("8", "the sum", (0.0, 0.0), high=1.0)]
+    claims = [number_claim("4", "SN1", "0.5", (0.51, 0.0)), own_claim("8", "the sum", (0.0, 0.0), high=1.0)]
     assert [one.ours for one in claims] == [False, True]
-    drawn = Drawn(None, "", tuple(claims))
-    for told_all in (page([("x", drawn)]), text([("x", None, drawn)])):
+    drawn = FigureResult(None, "", tuple(claims))
+    for told_all in (html_page([("x", drawn)]), markdown_text([("x", None, drawn)])):
         theirs, ours = told_all.split("Our own rows")[0], told_all.split("Our own rows", 1)[1]
         assert "SN1" in theirs and "SN1" not in ours
         assert "the sum" in ours and "the sum" not in theirs
-    assert counts(claims) == f"The paper's claims: 1 ({AGREES}: 1). Our own rows: 1 ({HOLDS}: 1)."
+    assert verdict_counts(claims) == f"The paper's claims: 1 ({AGREES}: 1). Our own rows: 1 ({HOLDS}: 1)."
 
 
 def test_values_are_told_to_the_digits_that_they_bear():
-    assert told(0.508057896812, 1e-15) == "0.508057896812 ± 1e-15"
-    assert told(0.1895123, 1.2e-3) == "0.1895 ± 0.001"
-    assert told(2.0, 0.0) == "2 (exact)"
-    assert told(math.nan, 0.0) == "none"
+    assert value_text(0.508057896812, 1e-15) == "0.508057896812 ± 1e-15"
+    assert value_text(0.1895123, 1.2e-3) == "0.1895 ± 0.001"
+    assert value_text(2.0, 0.0) == "2 (exact)"
+    assert value_text(math.nan, 0.0) == "none"
 
 
 def flow(frequency, damping, time):
@@ -164,9 +176,9 @@ def test_closed_forms_are_those_of_thirty_digits(seed):
     with mp.workdps(30):
         exact = double_root(w, damping, bounce, 1, 1, -1)
         single = [double_root(w, damping, bounce, place, 2 * n, 1) for n in (1, 3)]
-    assert closed.symmetric_fold(w, damping, bounce) == pytest.approx([float(one) for one in exact], rel=1e-12)
+    assert closed_forms.symmetric_fold(w, damping, bounce) == pytest.approx([float(one) for one in exact], rel=1e-12)
     for n, expected in zip((1, 3), single, strict=True):
-        found = closed.single_fold(w, damping, bounce, place, n)
+        found = closed_forms.single_fold(w, damping, bounce, place, n)
         assert found == pytest.approx([float(one) for one in expected], rel=1e-11)
 
 
@@ -178,11 +190,11 @@ def test_the_closed_forms_motion_is_an_orbit_in_every_tongue(seed):
     root = math.sqrt(1 - damping**2)
     low, high = (root, 2.5) if tongue == 0 else (root / (2 * tongue + 1), root / (2 * tongue))
     w = low + share * (high - low)
-    begin, speed = (float(one) for one in closed.symmetric_fold(w, damping, bounce))
-    end = float(closed.grazing(w, damping))
+    begin, speed = (float(one) for one in closed_forms.symmetric_fold(w, damping, bounce))
+    end = float(closed_forms.grazing_amplitude(w, damping))
     assert speed > 0 and begin < end and math.sin(math.pi * root / w) > 0
     scene = jv.make_scene(begin + 0.03 * (end - begin), w, damping, bounce, (-1.0, 1.0))  # it may graze further on
-    start = closed.symmetric_start(scene)
+    start = closed_forms.symmetric_start(scene)
     _, impacts = jv.strobe(scene, start)  # its mirror image after half a period
     side, time, speed = (np.asarray(part)[0] for part in (impacts.side, impacts.time, impacts.speed))
     assert side == -1 and time == pytest.approx(math.pi / w, rel=1e-9) and speed == pytest.approx(-start.v / bounce)
@@ -192,9 +204,9 @@ def test_the_closed_forms_motion_is_an_orbit_in_every_tongue(seed):
 def test_the_papers_method_comes_near_the_strobe():
     draw = np.random.default_rng(0)
     states = draw.uniform([-1.0, -3.0, 0.0], [1.0, 3.0, 6.0], (200, 3))
-    found = stepped.strobe(stepped.Drive(2.1, 0.05, 0.7), states, 400)
+    found = fixed_step.fixed_step_strobe(fixed_step.DriveParameters(2.1, 0.05, 0.7), states, 400)
     scene = jv.make_scene(states[:, 2], 2.1, 0.05, 0.7, (-1.0, 1.0))
-    end, impacts = jv.strobe(scene, jv.State(states[:, 0], states[:, 1]), slots=stepped.ROOM)
+    end, impacts = jv.strobe(scene, jv.State(states[:, 0], states[:, 1]), slots=fixed_step.MAX_IMPACTS)
     same = (found.sides == np.asarray(impacts.side)).all(axis=1)
     assert same.mean() > 0.97
     gaps = abs(found.ends - np.stack([end.x, end.v], axis=1))[same].max(axis=1)
@@ -212,9 +224,11 @@ def test_area_and_its_derivatives_are_those_of_quadrature(damping, bounce):
     def area(damping, bounce):
         return quad(width, math.sqrt(1 - damping**2), 3.0, args=(damping, bounce), epsabs=1e-11, epsrel=1e-11)[0]
 
-    assert float(closed.area(damping, bounce, 3.0, 48)) == pytest.approx(area(damping, bounce), abs=1e-8)
+    assert float(closed_forms.coexistence_area(damping, bounce, 3.0, 48)) == pytest.approx(
+        area(damping, bounce), abs=1e-8
+    )
     step = 1e-4
-    slopes = [float(one) for one in jax.jacfwd(closed.area, (0, 1))(damping, bounce, 3.0, 48)]
+    slopes = [float(one) for one in jax.jacfwd(closed_forms.coexistence_area, (0, 1))(damping, bounce, 3.0, 48)]
     by_damping = (area(damping + step, bounce) - area(damping - step, bounce)) / (2 * step)
     by_bounce = (area(damping, bounce + step) - area(damping, bounce - step)) / (2 * step)
     assert slopes == pytest.approx([by_damping, by_bounce], abs=1e-5)
@@ -222,7 +236,7 @@ def test_area_and_its_derivatives_are_those_of_quadrature(damping, bounce):
 
 def test_panels_have_the_values_of_their_columns():
     file = read(SCENES / "fig2.toml")
-    found = [each.scene.make() for each in panels(file)]
+    found = [each.scene.make() for each in panel_files(file)]
     assert [float(one.frequency) for one in found] == [1.9, 2.3, 1.9, 2.3]
     assert [float(one.left.position) for one in found] == [-1.0, -1.0, -1.5, -1.5]
 
@@ -242,7 +256,7 @@ def test_panels_have_the_values_of_their_columns():
 )
 def test_bad_tables_are_one_clear_error(tables, key):
     with pytest.raises(jv.ArgumentError) as error:
-        understood({"scene": SCENE} | tables)
+        parse_tables({"scene": SCENE} | tables)
     assert error.value.key == key
 
 
@@ -256,7 +270,7 @@ def test_ranges_in_which_two_legs_differ():
         settle=150,
         keep=4,
     )
-    (low, high), *rest = apart(swept.rename(lane="leg"))
+    (low, high), *rest = loop_ranges(swept.rename(lane="leg"))
     # P100 grazes at 3.416, and the step from 3.2 to 3.4 sets it swinging farther than that
     assert (low, high, rest) == (pytest.approx(0.6), pytest.approx(3.2), [])
 
@@ -268,16 +282,16 @@ def jobs(monkeypatch):
 
     def one(file, progress):
         calls.append("one")
-        claim = number("1", "a|b <i>", "0.5", (0.51, 0.0))
-        return Drawn(b"\x89PNG", "<b> & so on", (claim,), {"": xr.Dataset({"a": ("b", np.arange(3.0))})})
+        claim = number_claim("1", "a|b <i>", "0.5", (0.51, 0.0))
+        return FigureResult(b"\x89PNG", "<b> & so on", (claim,), {"": xr.Dataset({"a": ("b", np.arange(3.0))})})
 
     def two(file, progress):
         calls.append("two")
         if calls.count("two") == 1:
             raise KeyboardInterrupt
-        return Drawn(None, "", (own("2", "never", (1.0, 0.0), high=0.0, reason="Because."),))
+        return FigureResult(None, "", (own_claim("2", "never", (1.0, 0.0), high=0.0, reason="Because."),))
 
-    jobs = {name: figures.Job(name, ("formulas",), drawn) for name, drawn in (("one", one), ("two", two))}
+    jobs = {name: figures.FigureJob(name, ("formulas",), drawn) for name, drawn in (("one", one), ("two", two))}
     monkeypatch.setattr(run, "JOBS", jobs)
     return calls
 
@@ -288,7 +302,7 @@ def test_an_interrupted_run_goes_on_where_it_stopped(jobs, tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["one.json", "one.nc", "one.png"]
     done = jv.paper(out=tmp_path)
     assert jobs == ["one", "two", "two"]
-    assert [one.verdict for one in done.claims] == [AGREES, FALSE]
+    assert [one.verdict for one in done.claims] == [AGREES, CANNOT_HOLD]
     assert [one.ours for one in done.claims] == [False, True]
     jv.paper(out=tmp_path)
     assert len(jobs) == 3
@@ -334,9 +348,9 @@ def test_the_report_needs_no_other_file_and_shows_what_was_written(jobs, tmp_pat
 
 
 def test_a_reason_is_given_only_where_a_claim_is_not_right():
-    claims = [number("1", "", "0.5", (value, 0.0), "Because.") for value in (0.51, 0.61)]
-    assert [row[-1] for row in rows(claims)] == ["", "Because."]
-    assert "1 " in page([("x", Drawn(None, "", tuple(claims)))])
+    claims = [number_claim("1", "", "0.5", (value, 0.0), "Because.") for value in (0.51, 0.61)]
+    assert [row[-1] for row in claim_rows(claims)] == ["", "Because."]
+    assert "1 " in html_page([("x", FigureResult(None, "", tuple(claims)))])
 
 
 def test_an_unknown_figure_is_refused(tmp_path, capsys):
@@ -355,7 +369,7 @@ def test_formulas_and_one_wall(tmp_path):
     done = jv.paper(["formulas", "walls"], tmp_path, workers=2)  # a process each
     found = {(one.figure, one.text): one for one in done.claims}
     verdicts = [one.verdict for one in done.claims if one.figure == "one wall" and "same as" in one.text]
-    assert verdicts == [HOLDS, FALSE, FALSE]
+    assert verdicts == [HOLDS, CANNOT_HOLD, CANNOT_HOLD]
     (fold,) = (one for one in found.values() if one.figure == "(19)")
     assert fold.value == pytest.approx(0.508057896812, abs=1e-12) and fold.verdict == DIFFERS
     (moving,) = (one for one in found.values() if one.figure == "moving wall")

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import locate, persistent_jit
-from continuation.problem import Given, equilibria, problem_of
-from jaxvibro.compiled.compiler_hints import OPTIONS
-from jaxvibro.maps.strobe import _at_once
+from continuation import augmented_systems, persistent_jit
+from continuation.problem import Constants, equilibria, problem_of
+from jaxvibro.compiled.compiler_hints import COMPILER_OPTIONS
+from jaxvibro.maps.strobe import _two_tier_strobe
 
 ROOT = Path(__file__).parents[1]
 # A package of its own, so that its source can change.
@@ -81,12 +81,12 @@ def test_the_next_process_does_not_trace(toy):
 @pytest.mark.slow
 def test_another_source_is_traced_and_old_ones_go(toy):
     toy()
-    for k in range(persistent_jit.GENERATIONS):
+    for k in range(persistent_jit.MAX_GENERATIONS):
         toy.source.write_text(TOY.replace("2.0 * x", f"{3 + k}.0 * x"))
         count, numbers = toy()
         assert count == 1
         assert np.allclose(np.frombuffer(bytes.fromhex(numbers[1])), (3.0 + k) * np.linspace(0.0, 1.0, 5))
-    assert len(toy.modules()) == persistent_jit.GENERATIONS
+    assert len(toy.modules()) == persistent_jit.MAX_GENERATIONS
 
 
 @pytest.mark.parametrize(
@@ -124,27 +124,31 @@ def test_numbers(cache, fails):
         (cache / persistent_jit.FOLDER).write_text("a file in its place")
     scene = jv.make_scene(amplitude=2.0, frequency=2.1, damping=0.05, restitution=0.7, walls=(-1.0, 1.0))
     state, slots = jv.State(*(jnp.asarray(each, float) for each in (0.9, -1.1, 0.0, 0.0))), 5 + fails
-    found = _at_once(scene, state, 1, slots, False)
+    found = _two_tier_strobe(scene, state, 1, slots, False)
     assert len(list((cache / persistent_jit.FOLDER).glob("*/*"))) == (0 if fails else 1)
-    plain = jax.jit(_at_once.__wrapped__, static_argnums=(2, 3, 4), compiler_options=OPTIONS)(
+    plain = jax.jit(_two_tier_strobe.__wrapped__, static_argnums=(2, 3, 4), compiler_options=COMPILER_OPTIONS)(
         scene, state, 1, slots, False
     )
     for one, two in zip(jax.tree.leaves(found), jax.tree.leaves(plain), strict=True):
         np.testing.assert_array_equal(one, two)
     lanes = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state)
-    under = jax.vmap(lambda state: _at_once(scene, state, 1, slots, False)[0].x)(lanes)
+    under = jax.vmap(lambda state: _two_tier_strobe(scene, state, 1, slots, False)[0].x)(lanes)
     np.testing.assert_allclose(under, float(found[0].x), rtol=1e-14)
 
 
 def test_under_transformations(cache):
     """A module has no derivative and no lanes: the function itself is called."""
     circle = problem_of(equilibria(lambda u, p, args: u * u + p["p"] ** 2 - 1.0), ("p",))
-    given, z = Given({}, None), jnp.array([0.6, 0.8])
-    value, slopes = locate.evaluated(circle, z, given)
+    given, z = Constants({}, None), jnp.array([0.6, 0.8])
+    value, slopes = augmented_systems.evaluate(circle, z, given)
     zs = jnp.stack([z, 2.0 * z])
-    np.testing.assert_allclose(jax.vmap(lambda z: locate.evaluated(circle, z, given)[1])(zs)[0], slopes, rtol=1e-15)
-    np.testing.assert_allclose(jax.jacrev(lambda z: locate.evaluated(circle, z, given)[0])(z), slopes, rtol=1e-15)
-    np.testing.assert_allclose(jax.jit(lambda z: locate.evaluated(circle, z, given)[0])(z), value, rtol=1e-15)
+    np.testing.assert_allclose(
+        jax.vmap(lambda z: augmented_systems.evaluate(circle, z, given)[1])(zs)[0], slopes, rtol=1e-15
+    )
+    np.testing.assert_allclose(
+        jax.jacrev(lambda z: augmented_systems.evaluate(circle, z, given)[0])(z), slopes, rtol=1e-15
+    )
+    np.testing.assert_allclose(jax.jit(lambda z: augmented_systems.evaluate(circle, z, given)[0])(z), value, rtol=1e-15)
     assert not list(
         (cache / persistent_jit.FOLDER).glob("*/*")
     )  # the function made here is known to this process alone

@@ -8,23 +8,23 @@ import pytest
 
 import jaxvibro as jv
 from continuation.arclength import Point
-from continuation.stretch import Mark, Stretch
+from continuation.branch_segment import BranchSegment, SpecialIndex
 from jaxvibro.branches import largest_position, neimark_sacker, segment
-from jaxvibro.branches.segment import BranchWatch, GrazingPoint
-from jaxvibro.branches.through_grazings import _is_met, _onwards
-from jaxvibro.orbits.orbit_comparison import meetings
+from jaxvibro.branches.segment import BranchEventDetector, GrazingPoint
+from jaxvibro.branches.through_grazings import _choose_exit, _is_same_grazing
+from jaxvibro.orbits.orbit_comparison import impacts_as_points
 from jaxvibro.problem.end import End
 from jaxvibro.problem.grazing import GrazingExit
-from jaxvibro.problem.orbit_on_branch import OrbitPoint, place_orbit
-from jaxvibro.problem.touches import Touch
+from jaxvibro.problem.grazing_contact import GrazingContact
+from jaxvibro.problem.orbit_point import OrbitPoint, set_up_problem
 
-TOUCHES = (Touch(0, -1, 0.3, False), Touch(1, 1, 0.0, True))  # the branch has the second as an impact
+TOUCHES = (GrazingContact(0, -1, 0.3, False), GrazingContact(1, 1, 0.0, True))  # the branch has the second as an impact
 AHEAD = np.array([0.6, 0.8])
 
 
 def orbits(sides=(1.0, -1.0)):
     """Equations of orbits with impacts on these sides."""
-    return SimpleNamespace(cycle=SimpleNamespace(sides=np.array(sides), releases=None))
+    return SimpleNamespace(sequence=SimpleNamespace(sides=np.array(sides), releases=None))
 
 
 def way(first, second, tangent=AHEAD, along=None):
@@ -47,44 +47,46 @@ def test_a_branch_goes_on_as_it_came_or_else_with_the_touches_exchanged(sure):
     ):
         rows = np.stack([AHEAD, AHEAD])
         points = Point(rows, rows, *[np.zeros(2)] * 5)
-        mark = Mark(1, "GR", 0.0, GrazingPoint(TOUCHES, tuple(exits), sure))
-        one, chosen = _onwards(orbits(), Stretch(None, points, None, (mark,), End.GRAZE, -1, 0.0), np.ones(2))
+        mark = SpecialIndex(1, "GR", 0.0, GrazingPoint(TOUCHES, tuple(exits), sure))
+        one, chosen = _choose_exit(orbits(), BranchSegment(None, points, None, (mark,), End.GRAZE, -1, 0.0), np.ones(2))
         assert chosen is expected
-        assert one.marks[-1].more.aside == tuple(each is not expected and each is not back for each in exits)
+        assert one.specials[-1].details.not_followed == tuple(
+            each is not expected and each is not back for each in exits
+        )
         assert one.end is (End.GRAZE if expected or sure else End.STEP)
 
 
 def test_a_grazing_is_met_again_where_value_and_impacts_are_the_same():
     time, side = np.array([0.3, 1.2]), np.array([1, -1])
-    points, others = (meetings(2.1, time, side, np.array([speed, 1.4]), 2.0) for speed in (0.8, 0.9))
-    assert _is_met((1.0, points), (1.0 + 1e-9, points))
-    assert not _is_met((1.0, points), (1.1, points)) and not _is_met((1.0, points), (1.0, others))
+    points, others = (impacts_as_points(2.1, time, side, np.array([speed, 1.4]), 2.0) for speed in (0.8, 0.9))
+    assert _is_same_grazing((1.0, points), (1.0 + 1e-9, points))
+    assert not _is_same_grazing((1.0, points), (1.1, points)) and not _is_same_grazing((1.0, points), (1.0, others))
 
 
 @pytest.mark.parametrize("pressed", [True, False])
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
 def test_a_touch_on_which_the_mass_is_pressed_is_chatter_unless_a_branch_goes_through(count, pressed, monkeypatch):
     points = Point(np.zeros((3, 2)), np.ones((3, 2)), *[np.zeros(3)] * 5)
-    monkeypatch.setattr(segment, "to_touch", lambda *_: (points, 1e-14))
-    monkeypatch.setattr(segment.soft_grazing, "exits", lambda *_: (TOUCHES, [way(True, True)] * count, True))
-    monkeypatch.setattr(segment, "is_pressed", lambda *_: pressed)
-    monkeypatch.setattr(segment.resting, "kind_at", lambda *_: "")
-    met = BranchWatch(orbits(), 1.0, {}).touch(None, points, None, 2)
+    monkeypatch.setattr(segment, "truncate_at_grazing", lambda *_: (points, 1e-14))
+    monkeypatch.setattr(segment.soft_grazing, "find_all_exits", lambda *_: (TOUCHES, [way(True, True)] * count, True))
+    monkeypatch.setattr(segment, "is_pressed_on_wall", lambda *_: pressed)
+    monkeypatch.setattr(segment.sticking_limits, "sticking_limit_kind", lambda *_: "")
+    met = BranchEventDetector(orbits(), 1.0, {}).find_boundary_end(None, points, None, 2)
     expected = ("CH", End.REST) if pressed and count < 2 else ("GR", End.GRAZE)
-    assert (met.mark.kind, met.end) == expected
+    assert (met.special.kind, met.end) == expected
 
 
 def looked_at(scene, spot, determinants, traces, monkeypatch, end=None):
     """(the tests' values, the tangents) in which a branch looks for special points."""
     seen = []
     keep = lambda _, points, values, *__: seen.append((values, points)) or []  # noqa: E731
-    monkeypatch.setattr(segment.event_search, "events", keep)
-    along, z = place_orbit(scene, "amplitude", spot)
+    monkeypatch.setattr(segment.event_search, "locate_events", keep)
+    along, z = set_up_problem(scene, "amplitude", spot)
     flip, tangent = np.linspace(1.0, 2.0, len(traces)), np.ones((len(traces), len(z)))
     points = Point(np.tile(z, (len(traces), 1)), tangent, *[np.zeros(len(traces))] * 5)
-    view = SimpleNamespace(flip=flip, trace=np.array(traces), determinant=np.array(determinants))
+    view = SimpleNamespace(flip_test=flip, trace=np.array(traces), determinant=np.array(determinants))
     task = SimpleNamespace(problem=None, control=None, args=along)
-    BranchWatch(along, 1.0, {}).events(task, points, view, None, end)
+    BranchEventDetector(along, 1.0, {}).find_events(task, points, view, None, end)
     ((values, points),) = seen
     return values, points.tangent[:, -1]
 
@@ -94,7 +96,9 @@ def test_at_a_contact_without_speed_tests_have_the_sign_that_the_multipliers_com
     """Multipliers m and 0.4 / m: their sum passes -1.4 where one of them is -1, and 1.4 where one is 1."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, jv.Wall(1.0, stiffness=30.0)))
     spot = OrbitPoint(2.0, np.array([0.3]), np.array([0.0]), np.array([1.0]), 1, 0.0, 0.0, 0.0)
-    end = SimpleNamespace(mark=SimpleNamespace(more=SimpleNamespace(touches=(Touch(0, 1, 0.0, True),))))
+    end = SimpleNamespace(
+        special=SimpleNamespace(details=SimpleNamespace(grazing_contacts=(GrazingContact(0, 1, 0.0, True),)))
+    )
     values, tangent = looked_at(scene, spot, [0.4] * 3, [0.0, *traces], monkeypatch, end)
     assert np.array_equal(values["PD"], [1.0, 1.5, 1.5 * signs[0]]) and np.array_equal(tangent, [1.0, 1.0, signs[1]])
 
@@ -112,8 +116,8 @@ def test_a_motion_without_impacts_doubles_its_period_where_a_multiplier_is_minus
 @pytest.mark.parametrize("trace, kind", [(1.9, "NS"), (-1.9, "NS"), (2.1, "NSA"), (-2.1, "NSA")])
 def test_multipliers_whose_product_is_1_are_complex_at_a_neimark_sacker_point(trace, kind, monkeypatch):
     monkeypatch.setattr(neimark_sacker, "diagnose", lambda *_: None)
-    monkeypatch.setattr(neimark_sacker, "at", lambda *_: SimpleNamespace(trace=trace))
-    assert neimark_sacker._kind(None, SimpleNamespace(z=np.zeros(3))) == kind
+    monkeypatch.setattr(neimark_sacker, "row_at", lambda *_: SimpleNamespace(trace=trace))
+    assert neimark_sacker._event_kind(None, SimpleNamespace(z=np.zeros(3))) == kind
 
 
 def test_a_turning_point_within_a_cell_is_found_by_false_position():
@@ -125,4 +129,4 @@ def test_a_turning_point_within_a_cell_is_found_by_false_position():
         return time, late + bend * late * late
 
     low, high = jnp.zeros(300), jnp.ones(300)
-    assert abs(np.asarray(largest_position._turn(at, low, high, at(low)[1], at(high)[1])) - place).max() < 1e-9
+    assert abs(np.asarray(largest_position._turning_time(at, low, high, at(low)[1], at(high)[1])) - place).max() < 1e-9

@@ -16,24 +16,26 @@ def asked(is_virtual, bound=np.inf):
         return ["SN"] if is_virtual(float(change[0])) else []
 
     none = np.zeros(1)
-    return place._Asked(("damping",), none + 1.0, none, none - np.inf, none + bound, sloped, virtual)
+    return place._PlacementProblem(("damping",), none + 1.0, none, none - np.inf, none + bound, sloped, virtual)
 
 
 @pytest.mark.parametrize("edge", [0.003, 0.3, 0.75, 0.999])
 def test_beyond_the_end_of_a_boundary_it_is_the_last_admissible_one(edge):
-    last, held, virtual = place._approached(asked(lambda change: change > edge), np.ones(1))
-    assert edge - place.SHORTEST < last.share <= edge and last.change[0] == pytest.approx(last.share, abs=1e-12)
+    last, held, virtual = place._approach_targets(asked(lambda change: change > edge), np.ones(1))
+    assert edge - place.MIN_FRACTION < last.fraction <= edge and last.change[0] == pytest.approx(
+        last.fraction, abs=1e-12
+    )
     assert virtual == ["SN"] and not held.any()
-    told = place._why(last.share, virtual, ())
-    assert told == f"the way ends after {last.share:.3g} of it: beyond, the SN's orbit passes through a wall"
+    told = place._failure_reason(last.fraction, virtual, ())
+    assert told == f"the way ends after {last.fraction:.3g} of it: beyond, the SN's orbit passes through a wall"
 
 
 def test_a_target_beyond_a_virtual_stretch_is_met():
-    last, _, virtual = place._approached(asked(lambda change: 0.3 < change < 0.6), np.ones(1))
-    assert last.share == 1.0 and not virtual and place._why(1.0, virtual, ()) == ""
+    last, _, virtual = place._approach_targets(asked(lambda change: 0.3 < change < 0.6), np.ones(1))
+    assert last.fraction == 1.0 and not virtual and place._failure_reason(1.0, virtual, ()) == ""
 
 
 def test_where_a_bound_stops_it_that_is_told():
-    last, held, virtual = place._approached(asked(lambda change: False, 0.4), np.ones(1))
-    assert 0.4 - place.SHORTEST < last.share <= 0.4 and held.all() and not virtual
-    assert "damping is at a bound" in place._why(last.share, virtual, ("damping",))
+    last, held, virtual = place._approach_targets(asked(lambda change: False, 0.4), np.ones(1))
+    assert 0.4 - place.MIN_FRACTION < last.fraction <= 0.4 and held.all() and not virtual
+    assert "damping is at a bound" in place._failure_reason(last.fraction, virtual, ("damping",))

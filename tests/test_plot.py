@@ -12,11 +12,11 @@ from matplotlib.figure import Figure
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.attractors.find import Attractor
-from jaxvibro.branches.branch import Branch, Segment, special_of
-from jaxvibro.plot import path, style
-from jaxvibro.plot.smooth import BETWEEN, smooth
+from jaxvibro.branches.branch import Branch, Segment, make_special
+from jaxvibro.plot import impact_path, style
+from jaxvibro.plot.smooth_line import SUBDIVISIONS, smooth_line
 from jaxvibro.problem.end import End
-from jaxvibro.problem.orbit_rows import row_of
+from jaxvibro.problem.orbit_rows import dataset_row
 
 SCENE = jv.make_scene(3.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, 0.5, motion=jv.Motion(0.3, 0.5, 2))))
 
@@ -70,7 +70,7 @@ def test_only_walls_that_stand_still_are_lines_in_a_diagram():
         return [
             line
             for line in plot.diagram(swept(), variable, Figure().subplots()).lines
-            if line.get_color() == style.WALL
+            if line.get_color() == style.WALL_COLOUR
         ]
 
     assert [line.get_ydata()[0] for line in walls("x")] == [-1.1]
@@ -169,7 +169,7 @@ def branch(label="P111", periods=1, change=7):
     segments = (Segment(0, change - 1, label, ("RL",)), Segment(change, 8, "P112", ("RLR",)))
     kinds = {"EP": 0, "SN": 3, "PD": 6, "fast": 8}
     special = [
-        special_of(FREE, "amplitude", (0.0, 9.0), place, row_of(data, place), kind, 0.0)
+        make_special(FREE, "amplitude", (0.0, 9.0), place, dataset_row(data, place), kind, 0.0)
         for kind, place in kinds.items()
     ]
     return Branch("amplitude", (0.0, 9.0), FREE, data, segments, tuple(special), ("", ""), {}, (End.BOUND, End.BOUND))
@@ -186,8 +186,8 @@ def test_stable_parts_of_a_branch_are_solid_and_thick_and_unstable_ones_dashed_a
     assert plot.branch(one, "speed", ax) is ax
     solid, dashed = kept(ax, "branch")
     points = np.stack([one.values, one.data["least_speed"]], -1)  # of all its impacts
-    np.testing.assert_allclose(solid.get_xydata()[::BETWEEN], points[:4], rtol=1e-14)
-    np.testing.assert_allclose(dashed.get_xydata()[::BETWEEN], points[3:], rtol=1e-14)
+    np.testing.assert_allclose(solid.get_xydata()[::SUBDIVISIONS], points[:4], rtol=1e-14)
+    np.testing.assert_allclose(dashed.get_xydata()[::SUBDIVISIONS], points[3:], rtol=1e-14)
     assert (solid.get_linestyle(), dashed.get_linestyle()) == ("-", "--")
     assert solid.get_linewidth() > 2 * dashed.get_linewidth() and solid.get_color() == dashed.get_color()
     assert "A = F" in ax.get_xlabel() and "omega_0" in ax.get_ylabel() and "/" in ax.get_ylabel()
@@ -214,20 +214,20 @@ def test_a_line_breaks_where_an_impact_crosses_phase_0_and_where_an_itinerary_ch
 def test_a_line_is_bent_between_its_points_and_swings_beyond_none():
     way = np.linspace(0.0, 3.0, 12)
     across, up = np.cos(way), np.sin(way)
-    fine = np.array(smooth(across, up))
-    np.testing.assert_allclose(fine[:, ::BETWEEN], [across, up], atol=1e-15)
+    fine = np.array(smooth_line(across, up))
+    np.testing.assert_allclose(fine[:, ::SUBDIVISIONS], [across, up], atol=1e-15)
     assert abs(np.hypot(*fine) - 1.0).max() < 0.2 * (1.0 - np.cos(0.5 * way[1]))  # a chord's error
-    sharp = np.array(smooth(np.array([0.0, 1.0, 1.2, 1.2, 1.2]), np.array([0.3, 0.4, 1.0, np.nan, 1.0])))
+    sharp = np.array(smooth_line(np.array([0.0, 1.0, 1.2, 1.2, 1.2]), np.array([0.3, 0.4, 1.0, np.nan, 1.0])))
     assert np.nanmax(sharp[0]) == 1.2 and np.isnan(sharp[1]).sum() == 1
     many = np.linspace(0.0, 1.0, 1000)
-    assert smooth(many, many)[0] is many
+    assert smooth_line(many, many)[0] is many
 
 
 def test_a_point_that_is_there_twice_leaves_a_line_bent():
     turn = np.linspace(0.0, 1.0, 7)
     line = np.stack([turn, np.sin(turn)])
-    np.testing.assert_array_equal(smooth(*line[:, [0, *range(7), 6]]), smooth(*line))
-    assert smooth(*line).shape == (2, 6 * BETWEEN + 1)
+    np.testing.assert_array_equal(smooth_line(*line[:, [0, *range(7), 6]]), smooth_line(*line))
+    assert smooth_line(*line).shape == (2, 6 * SUBDIVISIONS + 1)
 
 
 def test_curves_are_arrays_ready_to_plot():
@@ -262,7 +262,7 @@ def test_special_points_have_a_marker_a_kind_and_branches_share_a_legend():
     )
     colours = [line.get_color() for line in kept(ax, "branch")]
     assert len(set(colours[:2])) == 1 and len(set(colours)) == 2  # the same lines are not drawn again
-    walls = [line for line in ax.lines if line.get_color() == style.WALL and len(line.get_xdata())]
+    walls = [line for line in ax.lines if line.get_color() == style.WALL_COLOUR and len(line.get_xdata())]
     assert [line.get_ydata()[0] for line in walls] == [1.0]  # once; that at -1 is far off
 
 
@@ -290,7 +290,7 @@ def test_neighbouring_colours_differ_in_grey():
 
 def test_a_path_breaks_at_impacts_and_obeys_the_impact_law():
     trajectory = jv.simulate(SCENE, jv.State(0.0, 0.0), 6, 300)
-    time, x, v, places = path.with_impacts(trajectory, SCENE)
+    time, x, v, places = impact_path.insert_impacts(trajectory, SCENE)
     assert len(places) == trajectory.sizes["impact"] > 5
     assert np.isnan(x[places + 1]).all() and np.all(np.diff(time) >= 0)
     for at, gap in ((places, -1), (places + 2, 1)):
@@ -301,10 +301,12 @@ def test_a_path_breaks_at_impacts_and_obeys_the_impact_law():
 
 def test_a_wall_in_a_picture_is_where_and_as_fast_as_it_is():
     phase, wall, small = np.linspace(0.0, 7.0, 50), SCENE.right, 1e-6
-    np.testing.assert_allclose(path.position(wall, phase), 1.0 + 0.3 * np.cos(2 * phase + 0.5))
-    rate = (path.position(wall, phase + 2.1 * small) - path.position(wall, phase - 2.1 * small)) / (2 * small)
-    np.testing.assert_allclose(path.velocity(wall, 2.1, phase), rate, atol=1e-8)
-    assert (path.position(SCENE.left, phase) == -1.0).all()
+    np.testing.assert_allclose(impact_path.wall_position(wall, phase), 1.0 + 0.3 * np.cos(2 * phase + 0.5))
+    rate = (
+        impact_path.wall_position(wall, phase + 2.1 * small) - impact_path.wall_position(wall, phase - 2.1 * small)
+    ) / (2 * small)
+    np.testing.assert_allclose(impact_path.wall_velocity(wall, 2.1, phase), rate, atol=1e-8)
+    assert (impact_path.wall_position(SCENE.left, phase) == -1.0).all()
 
 
 @pytest.mark.parametrize("draw", [plot.portrait, plot.trace])
@@ -320,4 +322,4 @@ def test_a_trajectory_is_drawn_whole(draw):
 
 @pytest.mark.parametrize("name", [*SCENE.names, "left.motion.amplitude"])
 def test_every_parameter_has_a_label(name):
-    assert "$" in style.label(name) or "rad" in style.label(name)
+    assert "$" in style.parameter_label(name) or "rad" in style.parameter_label(name)

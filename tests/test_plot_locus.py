@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.loci.first_point import KINDS
 from jaxvibro.loci.locus import MEANINGS, Locus
+from jaxvibro.loci.locus_start import KINDS
 from jaxvibro.plot import style
 
 PAIR = ("amplitude", "frequency")
@@ -48,7 +48,7 @@ def test_a_locus_is_its_points_in_the_plane_of_its_parameters():
     assert plot.locus(one, ax) is ax and plt.get_fignums() == []
     (line,) = ax.lines
     np.testing.assert_array_equal(line.get_xydata(), one.values)
-    assert (ax.get_xlabel(), ax.get_ylabel()) == tuple(style.label(name) for name in PAIR)
+    assert (ax.get_xlabel(), ax.get_ylabel()) == tuple(style.parameter_label(name) for name in PAIR)
     assert line.get_label() == "SN of P111"
     new = plot.locus(one, colour="red")
     assert new.lines[0].get_color() == "red" and len(plt.get_fignums()) == 1
@@ -105,7 +105,7 @@ def test_axes_hold_one_plane():
             plot.locus(other, ax)
         with pytest.raises(jv.ArgumentError, match="in this order"):
             plot.region(other, other, "both", ax)
-    assert len(ax.lines) == 1 and ax.get_xlabel() == style.label("amplitude")
+    assert len(ax.lines) == 1 and ax.get_xlabel() == style.parameter_label("amplitude")
     plot.locus(
         Curve("GR", "P111", [(0, 1), (1, 2)], names=("left.position", "right.motion.phase")), Figure().subplots()
     )

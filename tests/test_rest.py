@@ -6,7 +6,7 @@ from scipy.optimize import brentq
 
 import jaxvibro as jv
 from jaxvibro.maps import itinerary
-from jaxvibro.maps.rests import rests
+from jaxvibro.maps.sticking_phases import find_sticking_phases
 
 # amplitude, frequency, damping, restitution, wall, side: the mass rests on it once a period
 BY_HAND = [
@@ -85,11 +85,11 @@ def next_rest(amplitude, frequency, damping, restitution, wall, side):
 @pytest.mark.parametrize("numbers", BY_HAND)
 def test_growth_between_rests_against_the_moments_of_rest(numbers):
     given = scene(*numbers)
-    found = rests(given, settled(given, jv.State(numbers[4] - 0.2 * numbers[5], 0.0)), 1)
+    found = find_sticking_phases(given, settled(given, jv.State(numbers[4] - 0.2 * numbers[5], 0.0)), 1)
     growth, span = next_rest(*numbers)
-    assert (found.rests, found.count) == (True, 1)
-    assert found.endless == ("" if numbers[3] == 0 else "R" if numbers[5] > 0 else "L")
-    assert abs(found.rate * span * numbers[1] / (2 * np.pi) - np.log(growth)) < NEAR
+    assert (found.has_sticking, found.count) == (True, 1)
+    assert found.chatter_walls == ("" if numbers[3] == 0 else "R" if numbers[5] > 0 else "L")
+    assert abs(found.growth_rate * span * numbers[1] / (2 * np.pi) - np.log(growth)) < NEAR
 
 
 @pytest.mark.parametrize("numbers", [pytest.param(each, marks=pytest.mark.long) for each in BY_HAND[1:]])
@@ -99,9 +99,9 @@ def test_growth_between_rests_under_a_force_of_ones_own_is_that_of_the_spring(nu
     walls = given.left, given.right
     own = jv.make_scene(*numbers[:2], restitution=numbers[3], walls=walls, force=force)
     start = settled(given, jv.State(numbers[4] - 0.2 * numbers[5], 0.0))
-    exact, found = rests(given, start, 1), rests(own, start, 1)
-    assert found[:3] == exact[:3] and exact.rests
-    assert abs(found.rate - exact.rate) < 1e-6
+    exact, found = find_sticking_phases(given, start, 1), find_sticking_phases(own, start, 1)
+    assert found[:3] == exact[:3] and exact.has_sticking
+    assert abs(found.growth_rate - exact.growth_rate) < 1e-6
 
 
 @pytest.mark.long

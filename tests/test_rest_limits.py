@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import limits, locate
-from jaxvibro.branches import through_rests
-from jaxvibro.problem import resting
-from jaxvibro.problem.orbit_on_branch import place_orbit
-from jaxvibro.problem.orbit_start import point_of
+from continuation import augmented_systems, limits
+from jaxvibro.branches import through_sticking
+from jaxvibro.problem import sticking_limits
+from jaxvibro.problem.orbit_conversion import orbit_row_of
+from jaxvibro.problem.orbit_point import set_up_problem
 
 
 @pytest.fixture(scope="module")
@@ -17,7 +17,7 @@ def resting_orbit():
     scene = jv.make_scene(1.5, 0.5, 0.05, 0.5, (None, 0.5))
     orbit = jv.find_orbit(scene, jv.State(0.0, 0.0))
     assert orbit.rests
-    return place_orbit(scene, "amplitude", point_of(orbit, 1.5))
+    return set_up_problem(scene, "amplitude", orbit_row_of(orbit, 1.5))
 
 
 @pytest.mark.slow
@@ -25,9 +25,9 @@ def test_a_measure_of_a_rest_is_looked_for_by_what_it_depends_on(resting_orbit, 
     """A measure of a row depends on a few unknowns: its derivative by these is that by all, and each evaluation flies a
     whole chatter."""
     along, z = resting_orbit
-    count, given = [], resting.excesses
+    count, given = [], sticking_limits.excess_speeds
     row = int(np.flatnonzero(np.isfinite(given(along, z)))[0])
-    whole = locate.differences(lambda z: given(along, z)[row], z)
+    whole = augmented_systems.central_differences(lambda z: given(along, z)[row], z)
     assert np.count_nonzero(whole) > 2 and len(z) >= 17
 
     def counted(along, z):
@@ -35,8 +35,8 @@ def test_a_measure_of_a_rest_is_looked_for_by_what_it_depends_on(resting_orbit, 
         return given(along, z)
 
     seen = []
-    monkeypatch.setattr(locate, "newton", lambda system, start: seen.append(system(start)[1][-1]))
-    resting.located(along, z, row, counted)
+    monkeypatch.setattr(augmented_systems, "solve_newton", lambda system, start: seen.append(system(start)[1][-1]))
+    sticking_limits.locate_sticking_limit(along, z, row, counted)
     np.testing.assert_array_equal(seen[0], whole)
     assert len(count) <= 11 < 2 * len(z)
 
@@ -46,7 +46,7 @@ def test_the_search_beyond_a_rest_is_given_up_when_the_time_is_over(resting_orbi
     """Neither looks for another orbit then: that would fly for dozens of periods."""
     along, z = resting_orbit
     over = limits.Limits(deadline=0.0)
-    monkeypatch.setattr(through_rests, "_settled", lambda *given: pytest.fail("it is looked for"))
-    monkeypatch.setattr(resting, "lifted", lambda *given: None)
-    assert through_rests.exits(along, z, 1.0, 1.0, over) is None
-    assert through_rests.completed(along, z, 1.0, 1.0, over) is None
+    monkeypatch.setattr(through_sticking, "_settled_orbit", lambda *given: pytest.fail("it is looked for"))
+    monkeypatch.setattr(sticking_limits, "toggle_lift_off", lambda *given: None)
+    assert through_sticking.find_sticking_exits(along, z, 1.0, 1.0, over) is None
+    assert through_sticking.complete_chatter(along, z, 1.0, 1.0, over) is None

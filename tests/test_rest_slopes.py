@@ -9,7 +9,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.flight.flow import fly
-from jaxvibro.maps.one_period import SLOTS
+from jaxvibro.maps.one_period import REPLAY_SLOTS
 from jaxvibro.scene.codes import Contact
 from tests import rest_slopes_proof
 from tests.reference import rest_slopes, slopes
@@ -53,14 +53,14 @@ def free(draw):
 def test_more_impacts_than_slots_before_a_release():
     (by, *_), (_, impacts) = sloped(MANY, way=jax.jacrev)
     hits = impacts.time[impacts.side != 0]
-    assert len(hits) == impacts.count > SLOTS and hits[-1] < (np.arccos(1.0 / 3.0) - MANY.phase) / 0.5
+    assert len(hits) == impacts.count > REPLAY_SLOTS and hits[-1] < (np.arccos(1.0 / 3.0) - MANY.phase) / 0.5
     assert np.array_equal(by[:, 0], [0.0, 0.0])
     assert np.allclose(by, free(MANY), rtol=1e-12, atol=0)
 
 
 def test_more_impacts_than_slots_before_a_rest_that_lasts():
     (by, times, _), (end, impacts) = sloped(HELD)
-    assert impacts.count > SLOTS and end.contact == Contact.STUCK
+    assert impacts.count > REPLAY_SLOTS and end.contact == Contact.STUCK
     assert np.array_equal(by, [[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
     story = rest_slopes.story(*HELD)
     (true,) = rest_slopes.impacts(HELD, story, np.asarray(impacts.time[:1]), 1).values()
@@ -128,7 +128,7 @@ def test_a_rest_forgets_a_derivative_that_was_not_known():
         run = jax.jit(jax.vmap(jax.jacfwd(partial(end, periods), has_aux=True)))
         found.append(run(jnp.array([[float(start.x), float(start.v)]])))
     (few, (count, contact)), (both, (_, held)) = found
-    assert count > SLOTS and contact != 2 and np.isnan(few).all()
+    assert count > REPLAY_SLOTS and contact != 2 and np.isnan(few).all()
     assert held == 2 and np.array_equal(both, np.zeros((1, 2, 2)))
 
 

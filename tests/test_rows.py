@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import driver, locate, rows
+from continuation import augmented_systems, driver, point_rows
 from continuation.arclength import Point
-from continuation.driver import Watch
-from continuation.problem import Given, equilibria, problem_of
-from jaxvibro.branches.branch import scene_at
+from continuation.driver import EventDetector
+from continuation.problem import Constants, equilibria, problem_of
+from jaxvibro.branches.branch import scene_at_value
 
 rng = np.random.default_rng(11)
 
@@ -21,11 +21,11 @@ class Seen(NamedTuple):
     turned: np.ndarray
 
 
-class Counting(Watch):
+class Counting(EventDetector):
     def __init__(self):
         self.asked = 0
 
-    def view(self, zs):
+    def diagnose(self, zs):
         self.asked += len(zs)
         return Seen((zs * zs).sum(axis=1), zs[:, ::-1, None] * np.arange(2.0))
 
@@ -42,13 +42,13 @@ def drawn(count):
 
 
 def test_rows_are_those_of_lists():
-    points, one = drawn(5), rows.at(drawn(1), 0)
+    points, one = drawn(5), point_rows.row_at(drawn(1), 0)
     plain = listed(points)
-    assert listed(rows.upto(points, 3)) == plain[:3] and listed(rows.turned(points)) == plain[::-1]
-    assert tuple(np.asarray(leaf).tolist() for leaf in rows.at(points, -2)) == plain[-2]
-    assert listed(rows.joined([points, points, rows.upto(points, 2)])) == plain + plain[1:] + plain[1:2]
+    assert listed(point_rows.head(points, 3)) == plain[:3] and listed(point_rows.reverse_rows(points)) == plain[::-1]
+    assert tuple(np.asarray(leaf).tolist() for leaf in point_rows.row_at(points, -2)) == plain[-2]
+    assert listed(point_rows.join_rows([points, points, point_rows.head(points, 2)])) == plain + plain[1:] + plain[1:2]
     for place in range(1, 6):
-        found = listed(rows.put(points, place, one))
+        found = listed(point_rows.insert_row(points, place, one))
         expected = [*plain[:place], tuple(np.asarray(leaf).tolist() for leaf in one), *plain[place:]]
         if place < 5:  # what is left of the step to the row after it
             after = list(expected[place + 1])
@@ -56,19 +56,19 @@ def test_rows_are_those_of_lists():
             expected[place + 1] = tuple(after)
         assert found == expected
     assert listed(points) == plain
-    assert rows.at(None, 0) is None and rows.joined([None, None]) is None
+    assert point_rows.row_at(None, 0) is None and point_rows.join_rows([None, None]) is None
 
 
 @pytest.mark.parametrize("kept, new", [([0, 1, 2, 3], 0), ([0, 2, 3], 1), ([], 3), ([0, 1], 0), ([3], 2)])
 def test_what_is_known_is_asked_of_new_points_alone(kept, new):
     watch, before = Counting(), rng.normal(size=(4, 3))
-    view = watch.view(before)
+    view = watch.diagnose(before)
     held = [leaf.copy() for leaf in view]
     zs = rng.permutation(np.concatenate([before[kept], rng.normal(size=(new, 3))]), axis=0)
     watch.asked = 0
-    found = driver._viewed(watch, zs, before, view)
+    found = driver._diagnose(watch, zs, before, view)
     assert watch.asked == new
-    for one, other in zip(found, watch.view(zs), strict=True):
+    for one, other in zip(found, watch.diagnose(zs), strict=True):
         np.testing.assert_array_equal(one, other)
     for one, other in zip(view, held, strict=True):
         np.testing.assert_array_equal(one, other)
@@ -80,14 +80,14 @@ def curved(u, p, args):
 
 
 def test_bends_are_second_derivatives():
-    problem, given = problem_of(equilibria(curved), ("p",)), Given({}, None)
+    problem, given = problem_of(equilibria(curved), ("p",)), Constants({}, None)
     for _ in range(5):
         (x, y, p), left = rng.normal(size=3), rng.normal(size=2)
         first = np.array([[2 * y, 2 * x, -3.0], [2 * x, 0.0, 0.0], [-3.0, 0.0, 0.0]])
         second = np.array([[0.0, p * p, 2 * y * p], [p * p, 6 * y, 2 * x * p], [2 * y * p, 2 * x * p, 2 * x * y]])
         form, rights = left[0] * first + left[1] * second, list(rng.normal(size=(2, 3)))
         for some in (rights, rights[:1]):
-            found = locate.bends(problem, np.array([x, y, p]), given, left, some)
+            found = augmented_systems.bilinear_gradients(problem, np.array([x, y, p]), given, left, some)
             assert len(found) == len(some)
             for one, right in zip(found, some, strict=True):
                 np.testing.assert_allclose(one, form @ right, rtol=1e-9, atol=1e-9)
@@ -101,7 +101,7 @@ def test_the_scene_on_a_branch_is_the_one_with_another_value():
     for scene in (rigid, soft):
         for name in scene.names:
             value = 1.07 * float(scene.parameter(name)) if name != "restitution" else 0.4
-            found, expected = scene_at(scene, name, value), scene.replace(**{name: value})
+            found, expected = scene_at_value(scene, name, value), scene.replace(**{name: value})
             assert found.names == expected.names
             for one in expected.names:
                 assert found.parameter(one).dtype == expected.parameter(one).dtype

@@ -14,7 +14,7 @@ import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.branches import branch_tree
 from jaxvibro.problem.end import End
-from jaxvibro.problem.orbit_on_branch import OrbitPoint
+from jaxvibro.problem.orbit_point import OrbitPoint
 from jaxvibro.studies import command, compute, figures, scene_file
 from tests.scene_files import SCENE, check_refusal, each_of
 
@@ -38,9 +38,11 @@ bounds = [0.5, 3.0]
 def followed(tmp_path_factory):
     """What a file that asks for branches alone gives: its folder and its summary; and what was `Found`."""
     out, found = tmp_path_factory.mktemp("branch"), []
-    plain = compute.study
+    plain = compute.run_studies
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys.modules[jv.run.__module__], "study", lambda *given: found.append(plain(*given)) or found[0])
+        patch.setattr(
+            sys.modules[jv.run.__module__], "run_studies", lambda *given: found.append(plain(*given)) or found[0]
+        )
         (out / "branch.toml").write_text(SCENE + BRANCH)
         done = jv.run(out / "branch.toml", out / "out")
     return out, done, found[0]
@@ -108,10 +110,10 @@ def test_branches_are_drawn_alone_and_over_what_was_swept_along_their_parameter(
     def picked(*changes, **others):
         drawn.clear()
         file = scene_file.read(SCENE_FILE, ["branch.bounds=[0.0, 4.0]", *changes])
-        figures.picture(replace(found, file=msgspec.structs.replace(file, attractors=None), **others))
+        figures.main_picture(replace(found, file=msgspec.structs.replace(file, attractors=None), **others))
         return list(drawn)
 
-    figures.picture(found)
+    figures.main_picture(found)
     assert drawn == 3 * ["x"] + 3 * ["v"]
     assert picked() == [("x", True), *3 * ["x"], ("v", True), *3 * ["v"]]
     assert picked("branch.at.damping=0.06") == [("x", False), ("v", False)]
@@ -121,11 +123,11 @@ def test_branches_are_drawn_alone_and_over_what_was_swept_along_their_parameter(
 
 def test_a_diagram_of_branches_says_where_it_is_and_takes_what_is_of_the_same_scene(followed):
     found = followed[2]
-    assert (found.across, found.mark(found.file.branch)) == ("amplitude", 2.0)
+    assert (found.diagram_parameter, found.diagram_value(found.file.branch)) == ("amplitude", 2.0)
     at = [
         scene_file.read(SCENE_FILE, [f"orbits.at={given}"]).orbits for given in ("{amplitude=3}", "{damping=0.1}", "{}")
     ]
-    assert [found.mark(each) for each in at] == [3.0, None, 4.65]
+    assert [found.diagram_value(each) for each in at] == [3.0, None, 4.65]
     heading = figures._heading(found, "scene")
     assert "A$" not in heading and "2.1" in heading
 
@@ -148,7 +150,7 @@ def test_a_branch_has_defaults():
     assert (asked.start.x, asked.start.v, asked.settle, asked.largest_step) == (0.9, -1.1, 200, 0.1)
     table = "branch = {parameter='frequency', bounds=[1, 3]}"
     file = msgspec.to_builtins(msgspec.structs.replace(scene_file.read(SCENE_FILE), branch=None))
-    asked = scene_file.understood(scene_file.apply(file, table)).branch
+    asked = scene_file.parse_tables(scene_file.apply_change(file, table)).branch
     assert (asked.start.x, asked.start.v, asked.at, asked.max_period) == (0.0, 0.0, {}, 1)
 
 
@@ -261,13 +263,13 @@ def walked(monkeypatch, first, ways, symmetric=False, **given):
         return ways[one.kind, one.value]
 
     monkeypatch.setattr(branch_tree, "follow", lambda orbit, name, bounds, **settings: first)
-    monkeypatch.setattr(branch_tree, "_starts", starts)
-    monkeypatch.setattr(branch_tree, "branch_from", lambda one, start, bounds, **settings: start)
-    monkeypatch.setattr(branch_tree, "place_orbit", lambda scene, name, spot: (None, None))
+    monkeypatch.setattr(branch_tree, "_new_starts", starts)
+    monkeypatch.setattr(branch_tree, "follow_from_start", lambda one, start, bounds, **settings: start)
+    monkeypatch.setattr(branch_tree, "set_up_problem", lambda scene, name, spot: (None, None))
     monkeypatch.setattr(branch_tree, "is_repeated", lambda along, z: False)
     monkeypatch.setattr(branch_tree, "stays_symmetric", lambda scene, name: symmetric)
-    monkeypatch.setattr(branch_tree, "mirrored", reflected)
-    return branch_tree.followed(SimpleNamespace(scene=PLAIN), "amplitude", (0.0, 9.0), **given), asked
+    monkeypatch.setattr(branch_tree, "mirror_branch", reflected)
+    return branch_tree.follow_tree(SimpleNamespace(scene=PLAIN), "amplitude", (0.0, 9.0), **given), asked
 
 
 def test_each_special_point_is_left_once_and_mirror_images_are_two(monkeypatch):
@@ -353,7 +355,7 @@ def test_symmetric_orbits_that_cross_a_loop_of_asymmetric_ones_are_followed(tmp_
     file.write_text(SCENE + LOOP)
     numbers = {"amplitude": 0.6871, "frequency": 0.8333, "damping": 0.015, "restitution": 0.6}
     changes = [f"scene.{key}={value}" for key, value in numbers.items()]
-    loop, *crossing = compute.study(scene_file.read(file, changes)).branches
+    loop, *crossing = compute.run_studies(scene_file.read(file, changes)).branches
     (breaking,) = [one.value for one in loop.special if one.kind == "SB"]
     assert End.CLOSED in loop.ends and breaking == pytest.approx(0.914752380254, abs=1e-9)
     for one, value in zip(crossing, (0.5, 3.0), strict=True):
@@ -372,4 +374,4 @@ def test_there_are_64_branches_at_most_and_points_without_length_are_none(monkey
 
     ways = {("BP", float(k)): [half(k + 1), Walk("P101", point("EP", float(k), [1.0]))] for k in range(100)}
     found, _ = walked(monkeypatch, half(0), ways)
-    assert len(found) == branch_tree.MOST == 64
+    assert len(found) == branch_tree.MAX_BRANCHES == 64

@@ -37,7 +37,7 @@ def explored(branch, tmp_path, monkeypatch):
 
     `explore` itself is left out: it has tests of its own, which take longer.
     """
-    asked, found, plain = [], [], compute.study
+    asked, found, plain = [], [], compute.run_studies
 
     def explore(scene, name, bounds, **given):
         given.pop("progress")(1)
@@ -45,7 +45,9 @@ def explored(branch, tmp_path, monkeypatch):
         return Diagram(name, bounds, scene, (branch,), (), True, REASON, {})
 
     monkeypatch.setattr(compute, "explore", explore)
-    monkeypatch.setattr(sys.modules[jv.run.__module__], "study", lambda *each: found.append(plain(*each)) or found[0])
+    monkeypatch.setattr(
+        sys.modules[jv.run.__module__], "run_studies", lambda *each: found.append(plain(*each)) or found[0]
+    )
     (tmp_path / "all.toml").write_text(SCENE + EXPLORE)
     done = jv.run(tmp_path / "all.toml", tmp_path / "out")
     return tmp_path / "out", done, found[0], asked
@@ -63,8 +65,8 @@ def test_what_is_asked_goes_to_explore(explored):
 
 def test_branches_are_told_and_drawn_as_those_of_a_branch(explored, branch):
     out, done, found, _ = explored
-    assert (found.branches, found.drawn, found.across) == ((branch,), (branch,), "amplitude")
-    assert float(found.base.damping) == 0.06
+    assert (found.branches, found.diagram_branches, found.diagram_parameter) == ((branch,), (branch,), "amplitude")
+    assert float(found.diagram_scene.damping) == 0.06
     (told,) = done.summary["branches"]
     assert [each["kind"] for each in told["special"]] == [each.kind for each in branch.special]
     assert done.summary["explored"] == {"complete": True, "reason": REASON}
@@ -98,7 +100,7 @@ def file(tmp_path):
 
 def test_an_explore_has_defaults_and_survives_writing(file, tmp_path):
     asked = scene_file.read(file)
-    assert asked.followed is asked.explore and asked.explore.budget == 7
+    assert asked.branch_table is asked.explore and asked.explore.budget == 7
     scene_file.dump(asked, tmp_path / "copy.toml")
     assert scene_file.read(tmp_path / "copy.toml") == asked
     text = SCENE + EXPLORE[: EXPLORE.index("at = {")]

@@ -15,7 +15,7 @@ import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.loci import loci
 from jaxvibro.loci.bistability import coexistences
-from jaxvibro.loci.first_point import KINDS
+from jaxvibro.loci.locus_start import KINDS
 from jaxvibro.studies import compute, report, scene_file, schema
 from jaxvibro.studies import figures as picture
 from tests.reference import closed
@@ -36,9 +36,11 @@ SMALL = [
 def followed(tmp_path_factory):
     """What a file that asks for loci gives: its folder and its summary; and what was `Found`."""
     out, found = tmp_path_factory.mktemp("loci"), []
-    plain = compute.study
+    plain = compute.run_studies
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys.modules[jv.run.__module__], "study", lambda *given: found.append(plain(*given)) or found[0])
+        patch.setattr(
+            sys.modules[jv.run.__module__], "run_studies", lambda *given: found.append(plain(*given)) or found[0]
+        )
         done = jv.run(LOCI, out, SMALL)
     return out, done, found[0]
 
@@ -125,14 +127,14 @@ def test_the_picture_has_its_bounds_and_draws_mirror_images_once(followed, monke
     twins = [Kept(**vars(named(label))) for label in ("P112", "P121", "P111")]
     draw = plot.locus
     monkeypatch.setattr(plot, "locus", lambda each, ax, **more: axes.append(each.label) or draw(each, ax, **more))
-    monkeypatch.setattr(picture, "png", lambda figure: figures.append(figure))
-    picture.loci(SimpleNamespace(branches=(), file=found.file, loci=twins, there=found.there))
+    monkeypatch.setattr(picture, "png_bytes", lambda figure: figures.append(figure))
+    picture.loci_picture(SimpleNamespace(branches=(), file=found.file, loci=twins, scene_of_table=found.scene_of_table))
     assert axes == ["P112", "P111"]
     (figure,) = figures
     assert isinstance(figure, Figure) and figure.axes[0].get_ylim() == (LOW, HIGH)
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["SN of P112 and mirror image", "SN of P111"]
     assert "0.05" in figure.get_suptitle() and "2.1" not in figure.get_suptitle()
-    picture.loci(SimpleNamespace(branches=(), file=found.file, loci=(), there=found.there))
+    picture.loci_picture(SimpleNamespace(branches=(), file=found.file, loci=(), scene_of_table=found.scene_of_table))
     assert figures[1].axes[0].get_xlim() == (0.0, 12.0) and not figures[1].legends
 
 
@@ -154,12 +156,12 @@ def test_a_point_between_those_of_a_locus_is_told_from_one_beside_it(turn):
     draw, along = bent(turn)
     one = curve(draw(along))
     for t in np.linspace(-1.99, 1.99, 77):
-        assert loci.is_on(one, draw(t)), t
+        assert loci.contains_point(one, draw(t)), t
     off = np.array([-np.sin(turn), np.cos(turn)])
     for t in along[1:-1]:
         for aside in (1e-4, -1e-4, 0.1):
-            assert not loci.is_on(one, draw(t) + aside * off), (t, aside)
-    assert not loci.is_on(one, draw(2.05)) and not loci.is_on(one, [0.0, 0.0])
+            assert not loci.contains_point(one, draw(t) + aside * off), (t, aside)
+    assert not loci.contains_point(one, draw(2.05)) and not loci.contains_point(one, [0.0, 0.0])
 
 
 def test_special_points_on_one_locus_are_followed_once(monkeypatch):
@@ -168,17 +170,20 @@ def test_special_points_on_one_locus_are_followed_once(monkeypatch):
     branch = jv.follow(jv.find_orbit(scene, jv.State(0.9, -1.1)), "frequency", (1.0, 3.0))
     first, second = branch.points("SB")
     bounds, counts = {"amplitude": (1.0, 2.5), "frequency": (1.05, 1.7)}, []
-    found, refused = loci.loci([branch], PAIR, bounds, progress=counts.append)
+    found, refused = loci.follow_loci([branch], PAIR, bounds, progress=counts.append)
     assert [one.kind for one in found] == ["SB"] and refused == () and counts == [1, 2]
-    assert loci.count([branch], bounds) == 2 and loci.count([branch], bounds | {"frequency": (1.3, 1.7)}) == 1
-    assert all(loci.is_on(found[0], [2.0, one.value]) for one in (first, second))
-    assert not loci.is_on(found[0], [2.0, first.value + 1e-5])
+    assert (
+        loci.count_points([branch], bounds) == 2
+        and loci.count_points([branch], bounds | {"frequency": (1.3, 1.7)}) == 1
+    )
+    assert all(loci.contains_point(found[0], [2.0, one.value]) for one in (first, second))
+    assert not loci.contains_point(found[0], [2.0, first.value + 1e-5])
     followed = []
     monkeypatch.setattr(loci, "locus", lambda one, *given, **settings: followed.append(one) or found[0])
-    loci.loci([branch, branch], PAIR, bounds, ("SN", "SB"))
+    loci.follow_loci([branch, branch], PAIR, bounds, ("SN", "SB"))
     assert followed == [first]
-    loci.loci([branch], PAIR, bounds, ("SN", "PD"))
-    loci.loci([branch], PAIR, {"amplitude": (2.1, 2.5), "frequency": (1.05, 1.7)})
+    loci.follow_loci([branch], PAIR, bounds, ("SN", "PD"))
+    loci.follow_loci([branch], PAIR, {"amplitude": (2.1, 2.5), "frequency": (1.05, 1.7)})
     assert followed == [first]
 
 
@@ -186,12 +191,12 @@ def test_a_point_that_cannot_be_followed_is_told(followed):
     """A symmetry breaking is no point of a scene whose walls are unlike."""
     found = followed[2]
     names, bounds = ("amplitude", "right.position"), {"amplitude": (0.0, 9.0), "right.position": (0.5, 2.0)}
-    curves, refused = loci.loci(found.branches, names, bounds, ("SB",))
+    curves, refused = loci.follow_loci(found.branches, names, bounds, ("SB",))
     assert curves == () and [(one.kind, one.label) for one, _ in refused] == [("SB", "P111")]
     (why,) = [why for _, why in refused]
     assert why.startswith("must keep the scene symmetric")
-    told = compute.Found(found.file, found.scene, None, None, None, found.branches, None, curves, refused)
-    lines = report.table(told, "loci.toml").splitlines()
+    told = compute.StudyResults(found.file, found.scene, None, None, None, found.branches, None, curves, refused)
+    lines = report.results_table(told, "loci.toml").splitlines()
     assert f"not followed: SB of P111 at amplitude = {refused[0][0].value:.12g}: {why}" in lines
     (line,) = report.summary(told, {})["not_followed"]
     assert (line["kind"], line["label"], line["reason"]) == ("SB", "P111", why) and abs(
@@ -202,7 +207,7 @@ def test_a_point_that_cannot_be_followed_is_told(followed):
 def test_a_locus_has_defaults():
     asked = scene_file.read(LOCI, ["locus = {largest_step = 0.2}"]).locus
     assert asked.parameters == PAIR and asked.bounds == {"amplitude": (0.0, 12.0), "frequency": (1.2, 3.0)}
-    assert asked.kinds == schema.KINDS == KINDS and asked.largest_step == 0.2
+    assert asked.kinds == schema.LOCUS_KINDS == KINDS and asked.largest_step == 0.2
     assert scene_file.read(FIG4).locus is None
 
 

@@ -12,11 +12,11 @@ import xarray as xr
 import jaxvibro as jv
 from jaxvibro import plot
 from jaxvibro.branches import diagram as diagrams
-from jaxvibro.loci.locus import codim2_of
-from jaxvibro.loci.locus_file import DIMS
-from jaxvibro.output.checksums import FORMAT, MARKS, netcdf, sealed
+from jaxvibro.loci.locus import build_codim2
+from jaxvibro.loci.locus_file import DIMENSIONS
+from jaxvibro.output.checksums import FORMAT_NUMBER, HEADER_ATTRIBUTES, netcdf_bytes, seal
 
-MARKED = set(MARKS)
+MARKED = set(HEADER_ATTRIBUTES)
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +46,9 @@ def held(branch):
 @pytest.fixture(scope="module")
 def locus(held):
     """The same rows as those of a locus, with a cusp in the middle."""
-    data = held.data[["frequency", "amplitude", *DIMS]].assign_attrs(periods=1)
+    data = held.data[["frequency", "amplitude", *DIMENSIONS]].assign_attrs(periods=1)
     marks = (0, "EP"), (9, "CP"), (len(held) - 1, "EP")
-    special = tuple(codim2_of(held.scene, "SN", PLANE, data, place, kind, 1e-16) for place, kind in marks)
+    special = tuple(build_codim2(held.scene, "SN", PLANE, data, place, kind, 1e-16) for place, kind in marks)
     return jv.Locus("SN", tuple(PLANE), PLANE, held.scene, data, special, held.reasons)
 
 
@@ -61,7 +61,7 @@ def files(branch, diagram, held, locus, tmp_path_factory):
     locus.save(out / "locus.nc")
     diagram.save(out / "diagram")
     one = min((out / "diagram").glob("*.nc"))
-    (out / "data.nc").write_bytes(netcdf(branch.data.assign(word=("point", ["a", "bb"] * (len(branch) // 2)))))
+    (out / "data.nc").write_bytes(netcdf_bytes(branch.data.assign(word=("point", ["a", "bb"] * (len(branch) // 2)))))
     return {
         "branch": (out / "branch.nc", jv.load_branch),
         "held": (out / "held.nc", jv.load_held_branch),
@@ -206,7 +206,7 @@ def test_fields_that_no_curve_has_are_refused(files, kind, attrs):
     path, read = files[kind]
     data = xr.load_dataset(path, engine="scipy")
     data.attrs = {key: each for key, each in data.attrs.items() if key not in MARKED} | attrs
-    refused(path, read, netcdf(data))
+    refused(path, read, netcdf_bytes(data))
 
 
 def test_rows_that_no_curve_has_are_refused(files):
@@ -218,7 +218,7 @@ def test_rows_that_no_curve_has_are_refused(files):
             data.isel(point=slice(0, 0)),
             data.assign(amplitude=data.residual * np.inf),
         ):
-            refused(path, read, netcdf(change))
+            refused(path, read, netcdf_bytes(change))
 
 
 def test_what_is_held_is_told_and_drawn(branch, held):
@@ -261,7 +261,7 @@ NONSENSE = [
     *({"reasons": each} for each in ("[]", '["one"]', "[1, 2]", '["a", "b", "c"]')),
     *({"settings": each} for each in ("{}", "[]", '{"first_step": 1}', '{"first_step": NaN}')),
     {"settings": '{"first_step": 0.05, "largest_step": -1.0, "tolerance": 1e-10}'},
-    {"format": FORMAT + 1},
+    {"format": FORMAT_NUMBER + 1},
     {"format": "new"},
     {"format": [1, 2]},
 ]
@@ -272,8 +272,8 @@ def test_fields_that_are_nonsense_are_refused(files, attrs):
     """Whether there is no checksum, or one that fits."""
     path = files["branch"][0]
     data = xr.load_dataset(path, engine="scipy")
-    data.attrs = MARKS | {key: each for key, each in data.attrs.items() if key not in MARKED} | attrs
-    refused(path, jv.load_branch, sealed(bytes(data.to_netcdf(engine="scipy"))))
+    data.attrs = HEADER_ATTRIBUTES | {key: each for key, each in data.attrs.items() if key not in MARKED} | attrs
+    refused(path, jv.load_branch, seal(bytes(data.to_netcdf(engine="scipy"))))
 
 
 def columns(data):
@@ -292,7 +292,7 @@ def columns(data):
 def test_columns_that_no_branch_has_are_refused(files):
     path = files["branch"][0]
     for data in columns(xr.load_dataset(path, engine="scipy")):
-        refused(path, jv.load_branch, netcdf(data))
+        refused(path, jv.load_branch, netcdf_bytes(data))
 
 
 @pytest.mark.parametrize(
@@ -318,8 +318,8 @@ def test_columns_that_no_branch_has_are_refused(files):
 )
 def test_an_index_that_is_nonsense_is_refused(files, changes):
     path, read = files["index"]
-    told = json.loads(path.read_bytes()) | changes | {"checksum": MARKS["checksum"]}
-    refused(path, read, sealed(json.dumps(told).encode()))
+    told = json.loads(path.read_bytes()) | changes | {"checksum": HEADER_ATTRIBUTES["checksum"]}
+    refused(path, read, seal(json.dumps(told).encode()))
 
 
 @pytest.mark.parametrize("after", [0, 1, 2])
@@ -327,7 +327,7 @@ def test_a_diagram_saved_anew_is_whole_or_the_old_one(diagram, tmp_path, monkeyp
     """Interrupted after so many files, each of which may be a branch's or the index."""
     other = replace(diagram, branches=diagram.branches[:1], reason="another")
     other.save(tmp_path)
-    plain, count = diagrams.whole, []
+    plain, count = diagrams.atomic_file, []
 
     def stopped(*given):
         count.append(1)
@@ -335,7 +335,7 @@ def test_a_diagram_saved_anew_is_whole_or_the_old_one(diagram, tmp_path, monkeyp
             raise KeyboardInterrupt
         return plain(*given)
 
-    monkeypatch.setattr(diagrams, "whole", stopped)
+    monkeypatch.setattr(diagrams, "atomic_file", stopped)
     with pytest.raises(KeyboardInterrupt):
         diagram.save(tmp_path, force=True)
     assert jv.load_diagram(tmp_path).reason == "another"

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.branches.scenario import _decided, returned
-from jaxvibro.problem.soft_exponent import exponent_of
+from jaxvibro.branches.scenario import _classify, grazing_return_of
+from jaxvibro.problem.contact_exponent import contact_exponent
 from jaxvibro.problem.square_root_map import SquareRootMap
 from tests.branch_proof import error
 from tests.scenario_proof import followed, matrix_in_digits
@@ -104,20 +104,22 @@ def test_windows_are_those_of_the_map(matrix, n):
     near = SquareRootMap(2.0, matrix)
     one, kick, across = near.window(n), np.array([0.0, -2.0]), np.array([1.0, 0.0])
     power = np.linalg.matrix_power(matrix, n)
-    for s in (0.01, 0.3, one.fold, one.doubling, one.touch):
+    for s in (0.01, 0.3, one.fold_root, one.doubling_root, one.grazing_root):
         if not (np.isfinite(s) and s > 0):
             continue
         mu, y = one.depth(s), np.linalg.solve(np.eye(2) - power, power @ kick) * s
         assert across @ y + mu == pytest.approx(s * s, abs=1e-12)
         later = [across @ np.linalg.matrix_power(matrix, k) @ (y + kick * s) + mu for k in range(1, n)]
-        assert (max(later, default=-1.0) < 0) == (s < one.touch) or s == one.touch
+        assert (max(later, default=-1.0) < 0) == (s < one.grazing_root) or s == one.grazing_root
         roots = np.linalg.eigvals(power @ (np.eye(2) + np.outer(kick, across) / (2 * s)))
-        if s == one.touch:
+        if s == one.grazing_root:
             assert max(later) == pytest.approx(0.0, abs=1e-12)
-        elif s in (one.fold, one.doubling):
-            assert min(abs(roots - (1.0 if s == one.fold else -1.0))) < 1e-9
-        elif s < one.touch:
-            assert (abs(roots).max() < 1.0) == (s > (one.stable if np.isfinite(one.stable) else np.inf))
+        elif s in (one.fold_root, one.doubling_root):
+            assert min(abs(roots - (1.0 if s == one.fold_root else -1.0))) < 1e-9
+        elif s < one.grazing_root:
+            assert (abs(roots).max() < 1.0) == (
+                s > (one.min_stable_root if np.isfinite(one.min_stable_root) else np.inf)
+            )
 
 
 def triangular(first, other, corner=1.0):
@@ -139,15 +141,15 @@ def triangular(first, other, corner=1.0):
     ],
 )
 def test_what_signs_decide(near, follows, deeper):
-    assert _decided(near, True) == (follows, deeper)
-    assert _decided(near, False)[0] is (FOLLOWS.UNSTABLE if follows is FOLLOWS.UNSTABLE else FOLLOWS.OPEN)
+    assert _classify(near, True) == (follows, deeper)
+    assert _classify(near, False)[0] is (FOLLOWS.UNSTABLE if follows is FOLLOWS.UNSTABLE else FOLLOWS.OPEN)
 
 
 @pytest.mark.parametrize("angle", [0.3, 1.0, 2.0, 3.0])
 def test_a_turning_map_deepens_after_half_a_turn(angle):
     turned = 0.9 * np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    assert SquareRootMap(1.0, turned).first_deeper() == int(np.pi / angle) + 1
-    assert SquareRootMap(1.0, turned.T).first_deeper() == 1
+    assert SquareRootMap(1.0, turned).first_positive_response() == int(np.pi / angle) + 1
+    assert SquareRootMap(1.0, turned.T).first_positive_response() == 1
 
 
 @pytest.mark.parametrize("gamma,amplitude", [(0.05, 1.0), (1.2, 4.5)])
@@ -175,7 +177,7 @@ def test_an_orbit_with_impacts():
     """M through the impacts of the orbit without the touch, in 40 digits."""
     scene = jv.make_scene(0.7, 0.7, 0.05, 0.7, (jv.Wall(-1.0, 0.5), jv.Wall(1.0, 0.8)))
     point = first_grazing(scene, bounds=(0.6, 0.8))
-    found, bare = returned(point), min(point.meets, key=lambda one: one.impacts.count)
+    found, bare = grazing_return_of(point), min(point.meets, key=lambda one: one.impacts.count)
     assert bare.label == "P101" and found.matrix == pytest.approx(matrix_in_digits(point, found), rel=1e-10)
     told = jv.scenario(point)
     assert told.multipliers == pytest.approx(bare.multipliers, abs=1e-3)  # a little beside the point
@@ -192,7 +194,7 @@ def test_an_orbit_with_impacts_at_a_wall_that_moves():
     points = [one for one in branch.points("GR") if one.meets and min(len(each.times) for each in one.joins)]
     assert points
     for point in points[:3]:
-        found = returned(point)
+        found = grazing_return_of(point)
         assert found.matrix == pytest.approx(matrix_in_digits(point, found), rel=1e-9)
 
 
@@ -218,13 +220,13 @@ def test_powers_of_soft_walls():
         return jv.Wall(1.0, law=jv.Push(function, numbers))
 
     soft = jv.make_scene(1.0, 2.0, 0.1, 0.7, (None, jv.Wall(1.0, stiffness=9.0))).right
-    assert exponent_of(soft) == 1.5
-    assert exponent_of(law(lambda d, r, p: p["k"] * d**1.5, k=5.0)) == 2.0
-    assert exponent_of(law(lambda d, r, p: p["k"] * d**1.5 * (1 + 0.2 * r), k=5.0)) == 2.0
-    assert exponent_of(law(lambda d, r, p: p["k"] * d + 0.3 * r, k=5.0)) == 1.5
-    assert exponent_of(law(lambda d, r, p: p["k"] * d**2 + 0.3 * r, k=5.0)) == 1.5
-    assert exponent_of(law(lambda d, r, p: p["k"] * d**2, k=5.0)) == 2.5
-    assert np.isnan(exponent_of(law(lambda d, r, p: p["k"] * np.exp(-1 / d), k=5.0)))
+    assert contact_exponent(soft) == 1.5
+    assert contact_exponent(law(lambda d, r, p: p["k"] * d**1.5, k=5.0)) == 2.0
+    assert contact_exponent(law(lambda d, r, p: p["k"] * d**1.5 * (1 + 0.2 * r), k=5.0)) == 2.0
+    assert contact_exponent(law(lambda d, r, p: p["k"] * d + 0.3 * r, k=5.0)) == 1.5
+    assert contact_exponent(law(lambda d, r, p: p["k"] * d**2 + 0.3 * r, k=5.0)) == 1.5
+    assert contact_exponent(law(lambda d, r, p: p["k"] * d**2, k=5.0)) == 2.5
+    assert np.isnan(contact_exponent(law(lambda d, r, p: p["k"] * np.exp(-1 / d), k=5.0)))
 
 
 @pytest.mark.long

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import jaxvibro as jv
-from jaxvibro.scene.wall_gap import least_gap
+from jaxvibro.scene.wall_gap import minimum_gap
 
 GOOD = {"amplitude": 2.0, "frequency": 2.1, "damping": 0.05, "restitution": 0.7, "walls": (-1.0, 1.0)}
 MOVING = jv.Motion(0.5)
@@ -235,7 +235,7 @@ sizes, phases, harmonics = st.floats(-2, 2), st.floats(-7, 7), st.integers(1, 9)
 def test_least_gap_has_the_sign_of_a_dense_search(low, high, mean):
     theta = np.linspace(0.0, 2 * np.pi, 40_001)
     gap = mean + high[0] * np.cos(high[2] * theta + high[1]) - low[0] * np.cos(low[2] * theta + low[1])
-    found = least_gap(jv.Wall(0.0, None, motion=jv.Motion(*low)), jv.Wall(mean, None, motion=jv.Motion(*high)))
+    found = minimum_gap(jv.Wall(0.0, None, motion=jv.Motion(*low)), jv.Wall(mean, None, motion=jv.Motion(*high)))
     # The dense search is this far above the least value at most: (step / 2)^2 max abs f'' / 2.
     unseen = (np.pi / 40_000) ** 2 * (abs(low[0]) * low[2] ** 2 + abs(high[0]) * high[2] ** 2) / 2 + 1e-14
     assert found <= 0 if gap.min() <= 0 else found > 0 or gap.min() < unseen
@@ -250,7 +250,7 @@ def test_least_gap_of_a_flat_touch():
     # f = 3 + 4 cos(x + pi) + cos 2x = 8 sin(x/2)^4 touches with order four.
     low = jv.Wall(0.0, None, motion=jv.Motion(4.0))
     for more, opens in ((0.0, False), (-1e-9, False), (1e-9, True)):
-        assert (least_gap(low, jv.Wall(3.0 + more, None, motion=jv.Motion(1.0, 0.0, 2))) > 0) == opens
+        assert (minimum_gap(low, jv.Wall(3.0 + more, None, motion=jv.Motion(1.0, 0.0, 2))) > 0) == opens
 
 
 def physical(**changes):

@@ -244,4 +244,4 @@ def test_a_scene_survives_writing_bit_for_bit(scene, tmp_path_factory):
     path = tmp_path_factory.mktemp("scenes") / "scene.toml"
     jv.save_scene(scene, path)
     assert bits(jv.load_scene(path)) == bits(scene)
-    assert scene_table.table_of(scene) == scene_file.read(path).scene
+    assert scene_table.make_scene_table(scene) == scene_file.read(path).scene

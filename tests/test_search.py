@@ -6,9 +6,9 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.branches.follow import polish_orbit
-from jaxvibro.design.aims import FLIP, FOLD, SLOW, aims
-from jaxvibro.design.margin import cycle_of
-from jaxvibro.design.point_equations import mark, whole
+from jaxvibro.design.bifurcation_tests import FLIP, FOLD, ZERO_SPEED, differentiate_tests
+from jaxvibro.design.margin import impact_sequence_of
+from jaxvibro.design.point_equations import complete_scene, parameter_mask
 from jaxvibro.problem.diagnostics import diagnose
 
 FREE = {"amplitude": 0.5, "frequency": 0.2}
@@ -56,17 +56,19 @@ def test_aims_are_differences_of_orbits_found_again():
     scene = jv.make_scene(2.3, 2.15, 0.07, 0.75, (-1.1, jv.Wall(0.9, 0.6)))
     orbit, names, step = jv.find_orbit(scene, jv.State(0.8, -1.2)), ("amplitude", "right.position"), 1e-5
     assert orbit.impacts.count > 0
-    numbers, units = whole(scene), np.stack([mark(scene, name) * 0.1 for name in names])
+    numbers, units = complete_scene(scene), np.stack([parameter_mask(scene, name) * 0.1 for name in names])
     rows = np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(numbers)])
-    given = jax.tree.map(lambda leaf: np.asarray(leaf)[None], cycle_of(orbit))
-    tests, slopes = (np.asarray(each)[0] for each in aims(jax.tree.structure(numbers), given, rows[None], units))
+    given = jax.tree.map(lambda leaf: np.asarray(leaf)[None], impact_sequence_of(orbit))
+    tests, slopes = (
+        np.asarray(each)[0] for each in differentiate_tests(jax.tree.structure(numbers), given, rows[None], units)
+    )
 
     def seen(scene):
         along, z = polish_orbit(jv.find_orbit(scene, jv.State(0.8, -1.2)), "amplitude")
-        look, rows = diagnose(along, z[None]), along.hits + len(along.cycle.sides)
-        return np.array([look.fold[0], look.flip[0], z[rows].min()])
+        look, rows = diagnose(along, z[None]), along.impact_rows + len(along.sequence.sides)
+        return np.array([look.fold_test[0], look.flip_test[0], z[rows].min()])
 
-    chosen = [FOLD, FLIP, SLOW]
+    chosen = [FOLD, FLIP, ZERO_SPEED]
     assert tests[chosen] == pytest.approx(seen(scene), rel=1e-9)
     for k, name in enumerate(names):
         ends = [seen(scene.replace(**{name: float(scene.parameter(name)) + way})) for way in (step, -step)]

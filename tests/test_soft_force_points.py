@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.coefficients import framed
-from jaxvibro.orbits import pushed_meeting
+from jaxvibro.flight.coefficients import flow_coefficients
+from jaxvibro.orbits import force_law_contact_map
 from tests.reference import soft_force_points as reference
 from tests.test_soft_force import spring
 
@@ -56,7 +56,7 @@ def test_the_entry_itself_is_within_the_wall():
     """There the root of the depth has no slope in time."""
     speed = 0.7
     wall = jv.Wall(0.5, law=jv.Push("hertz", {"stiffness": 50.0}))
-    frame = framed(
+    frame = flow_coefficients(
         jv.make_scene(
             1.0, 2.0, restitution=0.7, walls=(None, wall), force=jv.Force("duffing", {"cubic": 0.5, "damping": 0.05})
         )
@@ -64,7 +64,7 @@ def test_the_entry_itself_is_within_the_wall():
     given = jnp.ones(1, bool), jnp.ones(1), jnp.cos(jnp.array([0.3])), jnp.sin(jnp.array([0.3])), jnp.array([speed])
 
     def at(since):
-        return jnp.stack(pushed_meeting.depth_after(frame, *given, since))[:, 0]
+        return jnp.stack(force_law_contact_map.depth_since_entry(frame, *given, since))[:, 0]
 
     value, slope = jax.jvp(at, (jnp.zeros(1),), (jnp.ones(1),))
     pull = -0.5 - 0.5 * 0.5**3 - 0.1 * speed + np.cos(0.3)

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation.in_numpy import Tried
-from jaxvibro.compiled.kernels import one_kernel
+from continuation.numpy_evaluation import NumpyEvaluator
+from jaxvibro.compiled.kernels import call_as_kernel
 from jaxvibro.flight import flow
-from jaxvibro.flight.coefficients import frame
-from jaxvibro.flight.soft_return import first_return
-from jaxvibro.flight.spring_flow import accelerations
-from jaxvibro.flight.wall import course, picked
+from jaxvibro.flight.coefficients import compute_coefficients
+from jaxvibro.flight.linear_flow import acceleration_and_jerk
+from jaxvibro.flight.soft_wall_exit import first_exit_time
+from jaxvibro.flight.wall_motion import select_lists_by_side, wall_jet
 from jaxvibro.maps import contact_duration
-from jaxvibro.orbits import saltation, stay
+from jaxvibro.orbits import contact_phase, saltation
 from jaxvibro.scene.codes import Contact
 
 WALLS = {
@@ -44,22 +44,24 @@ def entries(kind, seed=5):
 
 
 def returned(scene, side, cosine, sine, speed):
-    built = frame(scene)
-    longest = stay.LONGEST * built.period + 0.0 * speed
-    return first_return(built, side * Contact.ENTERED, side * speed, cosine, sine, longest)
+    built = compute_coefficients(scene)
+    longest = contact_phase.MAX_PERIODS * built.period + 0.0 * speed
+    return first_exit_time(built, side * Contact.ENTERED, side * speed, cosine, sine, longest)
 
 
 def certified(scene, side, cosine, sine, speed):
-    built = frame(scene)
-    longest = stay.LONGEST * built.period + 0.0 * speed
-    return contact_duration.duration(built, side * Contact.ENTERED, 0.0 * speed, side * speed, cosine, sine, longest)
+    built = compute_coefficients(scene)
+    longest = contact_phase.MAX_PERIODS * built.period + 0.0 * speed
+    return contact_duration.contact_time_of(
+        built, side * Contact.ENTERED, 0.0 * speed, side * speed, cosine, sine, longest
+    )
 
 
 def moved(function, scene, side, cosine, sine, speed, near):
     """What a function of a stay gives, and how that changes with amplitude, frequency and speed at once."""
 
     def ends(amplitude, frequency, speed):
-        built = frame(replace(scene, amplitude=amplitude, frequency=frequency))
+        built = compute_coefficients(replace(scene, amplitude=amplitude, frequency=frequency))
         return tuple(function(built, side, cosine, sine, speed, near))[:4]
 
     given = scene.amplitude, scene.frequency, jnp.asarray(speed)
@@ -71,11 +73,11 @@ def kept(built, side, cosine, sine, speed, near):
     replay's stay, and back to that time."""
 
     def before(late, faster):
-        end = contact_duration.leave(
-            built, side, *flow.rotated(cosine, sine, built.frequency * late), speed + faster, near, 2
+        end = contact_duration.solve_contact_end(
+            built, side, *flow.rotate_by_angle(cosine, sine, built.frequency * late), speed + faster, near, 2
         )
-        ways = [course(wall, built.frequency, end.cosine, end.sine, 1) for wall in built.walls]
-        where, pace = (0.0 * speed if each is None else each for each in picked(side, built.walls, ways))
+        ways = [wall_jet(wall, built.frequency, end.cosine, end.sine, 1) for wall in built.walls]
+        where, pace = (0.0 * speed if each is None else each for each in select_lists_by_side(side, built.walls, ways))
         return late + end.time, where, pace + end.v, end.cosine, end.sine
 
     none = 0.0 * speed
@@ -83,19 +85,19 @@ def kept(built, side, cosine, sine, speed, near):
 
     def back(late, faster):
         time, x, v, cosine, sine = before(late, faster)
-        return x + (begin - time) * v, v + (begin - time) * accelerations(built, x, v, cosine, sine)[0]
+        return x + (begin - time) * v, v + (begin - time) * acceleration_and_jerk(built, x, v, cosine, sine)[0]
 
     one = none + 1.0
     return [jax.jvp(back, (none, none), way)[1] for way in ((one, none), (none, one))]
 
 
 def met(built, side, cosine, sine, speed, near):
-    found = saltation.meeting(built, side, cosine, sine, speed)
-    return [found.by_time, found.by_speed]
+    found = saltation.evaluate_contact_map(built, side, cosine, sine, speed)
+    return [found.state_by_time, found.state_by_speed]
 
 
 def in_numpy(function, *args):
-    return Tried(function, (), {})(args)
+    return NumpyEvaluator(function, (), {})(args)
 
 
 @pytest.mark.parametrize("kind", SOME)
@@ -103,7 +105,7 @@ def test_first_returns_are_those_of_certified_flight(kind):
     given = entries(kind)
     found, true = in_numpy(returned, *given), in_numpy(certified, *given)
     assert (true > 0).all() and np.allclose(found, true, rtol=1e-11, atol=0.0)
-    compiled = jax.jit(partial(one_kernel, returned))(*given)
+    compiled = jax.jit(partial(call_as_kernel, returned))(*given)
     assert np.allclose(found, compiled, rtol=1e-11, atol=0.0)
 
 
@@ -111,8 +113,8 @@ def test_first_returns_are_those_of_certified_flight(kind):
 def test_ends_of_stays_and_their_changes_are_those_of_the_replay(kind):
     given = entries(kind)
     near = in_numpy(certified, *given)
-    ours = in_numpy(partial(moved, stay.leave), *given, near)
-    theirs = in_numpy(partial(moved, partial(contact_duration.leave, order=1)), *given, near)
+    ours = in_numpy(partial(moved, contact_phase.solve_contact_phase), *given, near)
+    theirs = in_numpy(partial(moved, partial(contact_duration.solve_contact_end, order=1)), *given, near)
     for one, other in zip(jax.tree.leaves(ours), jax.tree.leaves(theirs), strict=True):
         assert np.allclose(one, other, rtol=1e-9, atol=1e-12 * abs(other).max())
 
@@ -136,8 +138,8 @@ def test_second_derivatives_of_a_stay_are_differences_of_the_first(kind):
 
     def along(s, near):
         """All of a stay, where amplitude, frequency and speed are s times greater by one."""
-        built = frame(replace(scene, amplitude=scene.amplitude + s, frequency=scene.frequency + s))
-        found = stay.leave(built, side, cosine, sine, speed * (1.0 + s), near)
+        built = compute_coefficients(replace(scene, amplitude=scene.amplitude + s, frequency=scene.frequency + s))
+        found = contact_phase.solve_contact_phase(built, side, cosine, sine, speed * (1.0 + s), near)
         return jnp.stack([each for each in jax.tree.leaves(found) if jnp.shape(each)])
 
     def first(s, near):

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.maps.inverse import backward, require_reversible
+from jaxvibro.maps.inverse import require_reversible, strobe_backward
 from jaxvibro.problem.end import End
 from tests.basins_proof import bisected, distance
 from tests.graze_within_proof import branch_of, drawn, held, within
@@ -15,7 +15,7 @@ GAMMA = 0.045
 CHAOTIC = (jv.Wall(0.28, stiffness=10.0, damping=0.1), Wall(1, 0.28, None, 10.0, 0.1))
 MIXED = (jv.Wall(-0.9, stiffness=10.0, damping=0.2, motion=jv.Motion(0.1, 0.4, 2)), jv.Wall(1.0, 0.6))
 TWO = tuple(jv.Wall(place, stiffness=10.0, damping=0.3) for place in (-1.0, 1.0))
-BACK = jax.jit(lambda scene, state: backward(scene, state, 16))
+BACK = jax.jit(lambda scene, state: strobe_backward(scene, state, 16))
 
 
 def lanes(scene, walls, x, v):

@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 import jaxvibro as jv
 from jaxvibro.flight.series import RULES
 from jaxvibro.scene.codes import Status
-from jaxvibro.scene.force_trace import WITH_SERIES
+from jaxvibro.scene.force_trace import SERIES_OPS_SET
 
 OMEGA, DAMPING, R = 2.1, 0.05, 0.7
 COUNT = 64
@@ -74,7 +74,7 @@ def test_a_scene_says_how_it_flies():
 
 
 def test_the_operations_that_are_said_to_have_a_series_are_those_with_a_rule():
-    assert frozenset(RULES) == WITH_SERIES
+    assert frozenset(RULES) == SERIES_OPS_SET
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 import jaxvibro as jv
 from jaxvibro.attractors.batch_means import standard_error
-from jaxvibro.attractors.chaotic_exponents import of_motion
+from jaxvibro.attractors.chaotic_exponents import estimate_exponents
 from jaxvibro.scene.check import ArgumentError
 from jaxvibro.scene.codes import Status
 from tests.reference import closed
@@ -171,10 +171,10 @@ def test_what_settles_while_it_is_averaged_is_an_orbit(monkeypatch):
     """Near the pitchfork at 3.5439 motions settle slowly; here they are given too little time."""
     values, home = [2.0, 3.53], import_module("jaxvibro.attractors.spectrum")
     patient = jv.spectrum(scene(), "amplitude", values, START)
-    monkeypatch.setattr(home, "FEW", 1)
-    monkeypatch.setattr(home, "MANY", 1)
+    monkeypatch.setattr(home, "FEW_ROUNDS", 1)
+    monkeypatch.setattr(home, "MANY_ROUNDS", 1)
     averaged, done = [], []
-    monkeypatch.setattr(home, "of_motion", lambda *given: averaged.append(given) or of_motion(*given))
+    monkeypatch.setattr(home, "estimate_exponents", lambda *given: averaged.append(given) or estimate_exponents(*given))
     found = jv.spectrum(scene(), "amplitude", values, START, settle=0, progress=done.append)
     assert len(averaged) > 0 and done[-1] == 2
     assert (found.periods == 1).all() and abs(found.exponent - patient.exponent).max() < 1e-9

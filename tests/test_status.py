@@ -8,7 +8,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.attractors import tangent
-from jaxvibro.flight.wall_positions import places
+from jaxvibro.flight.wall_positions import wall_states
 from jaxvibro.maps.iterate import iterate
 from jaxvibro.scene.codes import Status
 from tests.lanes import at
@@ -18,13 +18,13 @@ FIXED, MOVING, SOFT, SOFT_MOVING = (False, 0), (False, 1), (True, 0), (True, 1)
 SPENT = """
 import jax, jax.numpy as jnp
 from jax import lax
-from jaxvibro.compiled.kernels import one_kernel
+from jaxvibro.compiled.kernels import call_as_kernel
 
 def carried(a, spent):
     turn = lambda carry: (carry[0] + 1, 2.0 * carry[1], carry[2])
     return lax.while_loop(lambda carry: carry[0] < 3, turn, (jnp.int32(0), a, spent))[1]
 
-print(jax.jit(lambda a, spent: one_kernel(carried, a, spent))(jnp.ones(4), jnp.float32(2.0)))
+print(jax.jit(lambda a, spent: call_as_kernel(carried, a, spent))(jnp.ones(4), jnp.float32(2.0)))
 """
 
 
@@ -50,7 +50,7 @@ def test_what_runs_lanes_on_keeps_the_status_of_those_that_are_given_up():
     scene, start, status = capped((FIXED, MOVING), 256, 1)
     free = jv.State(start.x, start.v, start.phase, np.zeros(256))
     run = iterate(scene, free, 2)
-    laps = tangent.run(scene, tangent.begin(free), 2)[1]
+    laps = tangent.run_tangents(scene, tangent.start_tangents(free), 2)[1]
     swept = jv.sweep(scene, "damping", np.asarray(scene.damping)[None], free, settle=1, keep=1)
     for found, x in ((run.status, run.x), (laps.status, laps.x), (swept.status.values[0], swept.x.values[0].T)):
         assert (found[status >= Status.CAP] >= Status.CAP).all()
@@ -75,7 +75,7 @@ def test_a_slow_start_on_a_wall_goes_as_one_without_speed(kind):
     rng, count = np.random.default_rng(8), 4096
     scene, start = draw(rng, count, kind)
     left = kind[0] is not None
-    place, pace = places(scene, start.phase)[0 if left else 1]
+    place, pace = wall_states(scene, start.phase)[0 if left else 1]
     into = (-1.0 if left else 1.0) * 10.0 ** rng.uniform(-308.0, -9.0, count)
     into[::4] *= -1.0
     still, told = jv.strobe(scene, jv.State(place, pace, start.phase), slots=0)

@@ -12,8 +12,8 @@ import jaxvibro as jv
 from jaxvibro.output import atomic_folder, file_lock
 from jaxvibro.output.atomic_folder import complete_folder, remove_abandoned
 from jaxvibro.output.file_lock import exclusive_lock, shared_lock
-from jaxvibro.stores.filling import done
-from jaxvibro.stores.zarr_store import METADATA, Kept
+from jaxvibro.stores.filling import complete_study
+from jaxvibro.stores.zarr_store import METADATA_FILE, OpenStore
 
 from .counted_study import Counted
 from .stored_bits import bits
@@ -45,13 +45,13 @@ def test_the_loser_of_a_race_refuses_another_study(tmp_path, monkeypatch):
 
     def later(place):
         monkeypatch.undo()
-        done(Counted(3), jv.Store(path), None)
+        complete_study(Counted(3), jv.Store(path), None)
         return plain(place)
 
     monkeypatch.setattr("jaxvibro.stores.zarr_store.complete_folder", later)
     with pytest.raises(jv.ArgumentError, match="must hold this study: scene is another there"):
-        done(Counted(3, offset=0.25), jv.Store(path), None)
-    done(Counted(3), jv.Store(tmp_path / "other"), None)
+        complete_study(Counted(3, offset=0.25), jv.Store(path), None)
+    complete_study(Counted(3), jv.Store(tmp_path / "other"), None)
     assert bits(path) == bits(tmp_path / "other")
     assert {one.name for one in tmp_path.iterdir()} == {"store", "other"}
 
@@ -92,9 +92,9 @@ def test_folders_of_dead_processes_alone_are_removed(tmp_path):
 def test_opening_a_store_removes_what_a_killed_creator_left(tmp_path):
     path = tmp_path / "store"
     abandoned(tmp_path, "store")
-    done(Counted(3), jv.Store(path), None)
+    complete_study(Counted(3), jv.Store(path), None)
     abandoned(tmp_path, "store")
-    done(Counted(3), jv.Store(path), None)
+    complete_study(Counted(3), jv.Store(path), None)
     assert list(tmp_path.iterdir()) == [path]
 
 
@@ -132,28 +132,28 @@ def test_without_locks_nothing_is_taken_for_abandoned(tmp_path, monkeypatch):
 
 def test_unfinished_files_stay_while_another_process_writes_a_chunk(tmp_path):
     path = tmp_path / "store"
-    done(Counted(3), jv.Store(path), None)
+    complete_study(Counted(3), jv.Store(path), None)
     unfinished = path / "label" / "c" / "0" / "0.abc.partial"
     unfinished.write_text("half")
-    with shared_lock(path / METADATA):
-        Kept(str(path)).sweep_up()
+    with shared_lock(path / METADATA_FILE):
+        OpenStore(str(path)).remove_unfinished()
         assert unfinished.exists()
-    Kept(str(path)).sweep_up()
+    OpenStore(str(path)).remove_unfinished()
     assert not unfinished.exists()
 
 
 def test_a_chunk_is_written_under_the_lock(tmp_path, monkeypatch):
     path, free = tmp_path / "store", []
-    plain = Kept._digest
+    plain = OpenStore._chunk_digest
 
     def digest(self, number):
-        with exclusive_lock(path / METADATA) as alone:
+        with exclusive_lock(path / METADATA_FILE) as alone:
             free.append(alone)
         return plain(self, number)
 
-    monkeypatch.setattr(Kept, "_digest", digest)
-    done(Counted(1), jv.Store(path, jv.LocalEngine(1)), None)
+    monkeypatch.setattr(OpenStore, "_chunk_digest", digest)
+    complete_study(Counted(1), jv.Store(path, jv.LocalEngine(1)), None)
     assert free[0] is False
-    with exclusive_lock(path / METADATA) as alone:
+    with exclusive_lock(path / METADATA_FILE) as alone:
         assert alone
     assert os.listdir(tmp_path) == ["store"]

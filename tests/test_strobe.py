@@ -107,7 +107,7 @@ def test_a_speed_that_falls_nearly_to_zero_is_no_turning_point():
     """Of full steps: Halley's step is short where the pull is zero, though the speed is not."""
     scene = jv.make_scene(4.80168422825537, 2.1, 0.05, 0.7, WALLS)
     start = jv.State(-0.15317286635469873, 0.882185742781255)
-    run = jax.jit(partial(one_period.strobe, periods=1, slots=4, least=1, clearance=True))
+    run = jax.jit(partial(one_period.strobe, periods=1, slots=4, min_lanes=1, clearance=True))
     impacts = run(scene, jax.tree.map(jnp.asarray, start))[1]
     assert impacts.count == 2 and np.isinf(impacts.least_clearance)
     assert np.isinf(measured(scene, start)[1].least_clearance)

@@ -15,7 +15,7 @@ def scene():
 
 @pytest.mark.long
 def test_basins(tmp_path, monkeypatch):
-    monkeypatch.setattr("jaxvibro.attractors.basins.CHUNK", 200)
+    monkeypatch.setattr("jaxvibro.attractors.basins.STARTS_PER_CHUNK", 200)
     here = scene().replace(amplitude=5.0)  # chaos, whose sample is kept too
     known = jv.find_attractors(here, 40)
     assert {one.kind for one in known} >= {"periodic", "chaotic"}

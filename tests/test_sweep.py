@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.flight.wall_positions import fit, places
+from jaxvibro.flight.wall_positions import clamp_to_walls, wall_states
 from jaxvibro.scene.check import ArgumentError
 from jaxvibro.scene.codes import Status
 
@@ -109,12 +109,12 @@ def test_a_wall_that_moves_over_the_mass_carries_it_along():
 
 def test_fit_at_moving_walls():
     moving = scene(walls=(-1.0, jv.Wall(1.0, motion=jv.Motion(0.25, phase=0.5, harmonic=2))))
-    (low, _), (high, pace) = places(moving, 1.3)
+    (low, _), (high, pace) = wall_states(moving, 1.3)
     assert low == -1.0 and abs(high - (1.0 + 0.25 * np.cos(3.1))) < 1e-15
     assert abs(pace + 0.25 * 2 * 2.1 * np.sin(3.1)) < 1e-15
     given = jv.State(*(jnp.array(a) for a in ([2.0, 0.3, 0.2, 0.2, -1.0], [3.0, 3.0, 3.0, 3.0, 1.0])), 1.3)
     contact = jnp.array([0.0, 0.0, 2.0, 1.0, -1.0])
-    kept = fit(moving, jv.State(given.x, given.v, 1.3, contact))
+    kept = clamp_to_walls(moving, jv.State(given.x, given.v, 1.3, contact))
     assert np.allclose(kept.x, [high, 0.3, high, high, -1.0], rtol=0, atol=0)
     assert np.allclose(kept.v, [3.0, 3.0, pace, 3.0, 1.0], rtol=0, atol=0)
     assert list(kept.contact) == [0.0, 0.0, 2.0, 0.0, -1.0]

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.compiled.kernels import WIDTH
-from jaxvibro.flight.wall_positions import places
+from jaxvibro.compiled.kernels import BLOCK_WIDTH
+from jaxvibro.flight.wall_positions import wall_states
 from jaxvibro.maps import iterate, two_tiers
 from tests.lanes import at
 from tests.status_proof import RIGID, draw
@@ -54,12 +54,14 @@ def test_no_bit_depends_on_the_batch(kind):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("count", [two_tiers.STRIP * WIDTH + 1, 2 * two_tiers.STRIP * WIDTH - 30])
+@pytest.mark.parametrize(
+    "count", [two_tiers.BLOCKS_PER_STRIP * BLOCK_WIDTH + 1, 2 * two_tiers.BLOCKS_PER_STRIP * BLOCK_WIDTH - 30]
+)
 def test_lanes_in_strips_are_those_in_blocks(count):
     scene, start = usual(np.random.default_rng(9), count, RIGID[4])
     whole = lean(scene, start)
-    for first in (0, count // 2, count - WIDTH):
-        lanes = slice(first, first + WIDTH)
+    for first in (0, count // 2, count - BLOCK_WIDTH):
+        lanes = slice(first, first + BLOCK_WIDTH)
         assert same(lean(*at((scene, start), lanes)), at(whole, lanes))
 
 
@@ -75,7 +77,7 @@ def test_turning_points_are_those_of_a_motion_sampled_densely():
             one = at((scene, start), k)
             path = jv.simulate(*one, samples=4000)
             x, time, least = np.asarray(path.x), np.asarray(path.time), np.inf
-            walls = places(one[0], one[1].phase + one[0].frequency * time)
+            walls = wall_states(one[0], one[1].phase + one[0].frequency * time)
             for sign, (place, _) in zip((-1.0, 1.0), walls, strict=True):
                 clear = sign * (np.asarray(place) - x)
                 turns = (clear[1:-1] < clear[:-2]) & (clear[1:-1] <= clear[2:])
@@ -85,11 +87,11 @@ def test_turning_points_are_those_of_a_motion_sampled_densely():
 
 def test_the_tier_of_a_scene():
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
-    assert two_tiers.takes(scene)
+    assert two_tiers.has_fast_path(scene)
     single = jax.tree.map(jnp.float32, scene)
-    assert not two_tiers.takes(single)
-    assert not two_tiers.takes(jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, None)))
-    assert not two_tiers.takes(jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, stiffness=50.0))))
+    assert not two_tiers.has_fast_path(single)
+    assert not two_tiers.has_fast_path(jv.make_scene(2.0, 2.1, 0.05, 0.7, (None, None)))
+    assert not two_tiers.has_fast_path(jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, jv.Wall(1.0, stiffness=50.0))))
 
 
 @pytest.mark.parametrize(
@@ -104,10 +106,10 @@ def test_the_tier_of_a_scene():
 )
 def test_a_few_lanes_strobed_from_the_host_are_those_of_the_compiled_run(scene, monkeypatch):
     state = jv.State(np.array([0.1, -0.3, 0.35]), np.array([1.0, 2.0, -0.5]), np.zeros(3), np.zeros(3))
-    for periods in (3, iterate.KEEP + 2):
+    for periods in (3, iterate.MAX_RECORDED_PERIODS + 2):
         found = []
-        for short in (iterate.SHORT, 0):
-            monkeypatch.setattr(iterate, "SHORT", short)
+        for short in (iterate.MAX_HOST_PERIODS, 0):
+            monkeypatch.setattr(iterate, "MAX_HOST_PERIODS", short)
             found.append(iterate.iterate(scene, state, periods))
         monkeypatch.undo()
         host, run = (jax.tree.leaves(each) for each in found)

@@ -94,7 +94,7 @@ def test_a_circle_closes(first, largest, tolerance):
     turns = -np.diff(np.unwrap(np.arctan2(found.u[:, 0], found.p["p"])))
     assert np.all(turns < 0) or np.all(turns > 0)
     assert close(abs(turns.sum()), 2 * np.pi, 1e-6)
-    assert abs(turns).max() < arclength.LARGEST_TURN
+    assert abs(turns).max() < arclength.MAX_ANGLE
     assert found.reasons == ("the start", End.CLOSED.value.format(value=0.8))
 
 
@@ -124,7 +124,7 @@ def test_a_step_that_turns_too_far_is_refused():
     found = co.trace(BEND, [0.375], {"p": 0.5}, "p", (-2.0, 1.0), direction="backward", **steps)
     angle = np.arctan(1.0 - 3.0 * found.p["p"] ** 2)
     assert close(found.u[:, 0], found.p["p"] - found.p["p"] ** 3, 1e-12)
-    assert len(found.u) > 10 and abs(np.diff(angle)).max() < arclength.LARGEST_TURN
+    assert len(found.u) > 10 and abs(np.diff(angle)).max() < arclength.MAX_ANGLE
 
 
 @pytest.mark.slow

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from jaxvibro.attractors import free_and_mirrored
+from jaxvibro.attractors import derived_candidates
 from jaxvibro.attractors.shares import share_bounds, share_text
 from jaxvibro.maps import itinerary
-from jaxvibro.scene.scene import changed
+from jaxvibro.scene.scene import replace_unchecked
 
 KINDS = ("both", "left", "moving", "right", "one moving", "soft")
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 20_001)
@@ -51,29 +51,29 @@ def drawn(kind, seed):
     near = size * 10 ** rng.uniform(-5.0, -2.0) * (1 if keeps else -1)
     wanted = {side: near if side == nearest else max(gap, 0.1 * size) for side, gap in gaps.items()}
     places = {f"{side}.position": signs[side] * (wanted[side] - gap) for side, gap in gaps.items()}
-    return changed(scene, {key: float(scene.parameter(key)) + shift for key, shift in places.items()}), keeps
+    return replace_unchecked(scene, {key: float(scene.parameter(key)) + shift for key, shift in places.items()}), keeps
 
 
 @pytest.mark.parametrize("kind", [*KINDS[:2], *(pytest.param(kind, marks=pytest.mark.slow) for kind in KINDS[2:])])
 def test_a_free_response_that_keeps_off_the_walls_is_known(kind):
     for seed in range(8):
         scene, keeps = drawn(kind, seed)
-        found = free_and_mirrored.free(scene, [])
+        found = derived_candidates.free_response(scene, [])
         assert len(found) == keeps
         for one in found:
-            numbers, (w, c) = one.numbers, (float(scene.frequency), float(scene.damping))
+            numbers, (w, c) = one.fields, (float(scene.frequency), float(scene.damping))
             slope = np.gradient(response(scene), ANGLES) * w
             assert abs(numbers["state"].x - response(scene)[0]) < 1e-12 * (1 + abs(response(scene)).max())
             assert abs(numbers["state"].v - slope[0]) < 1e-3 * (1 + abs(slope).max())
             slowest = c - np.sqrt(max(0.0, c * c - 1.0))
             assert abs(numbers["exponent"] + slowest * 2 * np.pi / w) < 1e-6
-            assert free_and_mirrored.free(scene, found) == []
+            assert derived_candidates.free_response(scene, found) == []
 
 
 @pytest.mark.parametrize("frequency", [2.1, 1.0, 0.5])
 def test_without_damping_it_does_not_attract(frequency):
     scene = jv.make_scene(1.0, frequency, 0.0, 0.7, (-1e4, 1e4))
-    assert free_and_mirrored.free(scene, []) == []
+    assert derived_candidates.free_response(scene, []) == []
 
 
 def test_stable_p100_is_listed_whatever_the_starts_say():
@@ -97,7 +97,7 @@ def test_mirror_images_are_there_from_one_start(amplitude):
         first, twin = found[0], found[found[0].mirror_of]
         assert len(found) == 1 + (first is not twin) and [one.share for one in found] == [1.0, 0.0][: len(found)]
         assert twin.mirror_of == 0 and len(twin.label) == len(first.label) and twin.kind == first.kind
-        assert itinerary.same(twin.itinerary, itinerary.mirrored(first.itinerary))
+        assert itinerary.is_same_itinerary(twin.itinerary, itinerary.mirror_itinerary(first.itinerary))
         back, _ = jv.strobe(scene, jv.State(-twin.state.x, -twin.state.v, np.pi), periods=max(1, twin.periods))
         if twin.periods:
             assert abs(back.x + twin.state.x) < 1e-11 and abs(back.v + twin.state.v) < 1e-11

@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 import continuation as co
 import jaxvibro as jv
-from continuation.arrays import Array
+from continuation.array_type import Array
 
 from . import checked_types
 from .test_architecture import FILES, name

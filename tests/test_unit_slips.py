@@ -8,8 +8,8 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.scene.unit_slips import hint, physical, require_scene_units
-from jaxvibro.studies.run import _full
+from jaxvibro.scene.unit_mistakes import physical_units, require_scene_units, unit_hint
+from jaxvibro.studies.run import _qualified_change
 
 GIVEN = {"mass": 0.5, "damping_ratio": 0.05, "stiffness": 3e4, "force": 30.0, "frequency_hz": 45.0, "restitution": 0.7}
 STATE = jv.State(0.0, 0.0)
@@ -78,13 +78,13 @@ def test_every_quantity_is_told_in_its_unit(seed):
             warnings.simplefilter("error")
             require_scene_units("values", scene, name, np.linspace(0.5, 1.5, 5) * value)
             require_scene_units("values", scene, name, np.array([value]))
-        assert hint(scene, name, *sorted((0.5 * value, 1.5 * value))) == ""
-        for unit, size in physical(scene.scales, name):
+        assert unit_hint(scene, name, *sorted((0.5 * value, 1.5 * value))) == ""
+        for unit, size in physical_units(scene.scales, name):
             if size > 10 or size < 0.1:
                 with pytest.raises(jv.ArgumentError, match="divide them by"):
                     require_scene_units("values", scene, name, np.linspace(0.8, 1.3, 5) * value * size)
                 low, high = sorted((0.8 * value * size, 1.3 * value * size))
-                assert "are these in" in hint(scene, name, low, high), unit
+                assert "are these in" in unit_hint(scene, name, low, high), unit
 
 
 def test_what_may_be_hertz_is_asked_about(scene):
@@ -136,7 +136,7 @@ def test_a_gap_is_no_parameter_yet(orbit):
 
 
 def test_a_misspelt_change_is_told_the_nearest_name(tmp_path):
-    assert _full("freqency=2") == "scene.freqency=2" and _full("swep.count=2") == "swep.count=2"
+    assert _qualified_change("freqency=2") == "scene.freqency=2" and _qualified_change("swep.count=2") == "swep.count=2"
     jv.save_scene(jv.make_scene(0.5, 2.1, 0.05, 0.7, (-1.0, 1.0)), tmp_path / "one.toml")
     with pytest.raises(jv.SceneError, match=r"scene\.freqency: is not a key here, perhaps frequency"):
         jv.run(tmp_path / "one.toml", tmp_path / "out", ["freqency=2"])

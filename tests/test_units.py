@@ -14,11 +14,11 @@ from scipy.integrate import solve_ivp
 
 import jaxvibro as jv
 from jaxvibro import plot
-from jaxvibro.branches.branch import extent
+from jaxvibro.branches.branch import describe_extent
 from jaxvibro.output.units import to_physical
-from jaxvibro.plot.branch import covering
-from jaxvibro.problem import loads, stability
-from jaxvibro.problem.end import End, read, scaled
+from jaxvibro.plot.branch import find_covering_line
+from jaxvibro.problem import impact_loads, stability
+from jaxvibro.problem.end import End, parse_end, rescale_reason
 from jaxvibro.scene.scales import Scales
 
 RIG = {"mass": 0.5, "damping_ratio": 0.05, "stiffness": 3e4, "force": 30.0, "frequency_hz": 82.0, "restitution": 0.7}
@@ -163,8 +163,8 @@ def test_a_table_tells_stability_and_names_of_other_programs(followed):
 def test_why_a_branch_ends_is_told_in_another_unit():
     for end in End:
         reason = end.reason(2.0, "SN").text
-        assert read(scaled(reason, 3.0)) is end
-        assert ("6" in scaled(reason, 3.0)) == ("2" in reason)
+        assert parse_end(rescale_reason(reason, 3.0)) is end
+        assert ("6" in rescale_reason(reason, 3.0)) == ("2" in reason)
 
 
 @pytest.mark.slow
@@ -186,27 +186,33 @@ def test_the_work_rate_is_what_drive_and_damper_leave(followed):
 
 def test_what_comes_to_rest_leaves_all_its_energy():
     sides, speeds = np.array([[2, 1, -1, 0], [1, 2, -1, 0]]), np.array([[0.0, 2.0, 3.0, np.nan]] * 2)
-    found = loads.work_rate(sides, speeds, {"left": np.array([0.5] * 2), "right": np.array([0.5] * 2)}, np.ones(2))
+    found = impact_loads.work_rate(
+        sides, speeds, {"left": np.array([0.5] * 2), "right": np.array([0.5] * 2)}, np.ones(2)
+    )
     np.testing.assert_allclose(found, [0.5 * 0.75 * 4 + 0.5 * 9, 0.5 * 0.75 * 9], atol=1e-15)
-    soft = loads.work_rate(sides[:, 1:], speeds[:, 1:], {"left": np.array([np.nan, 0.5])}, np.ones(2))
+    soft = impact_loads.work_rate(sides[:, 1:], speeds[:, 1:], {"left": np.array([np.nan, 0.5])}, np.ones(2))
     assert np.isnan(soft).tolist() == [True, False]
 
 
 def test_stability_in_words():
     pairs = np.array([[0.5, 0.2], [1.5, 0.1], [-1.5, 0.1], [-2.0, 3.0], [1.0, 0.3], [np.inf, np.inf], [0.6 + 0.6j] * 2])
     told = ["stable", "saddle", "flip saddle", "repelling", "neutral", "repelling", "stable"]
-    assert stability.words(pairs).tolist() == told
+    assert stability.stability_words(pairs).tolist() == told
 
 
 def test_a_table_s_stability_is_that_of_the_points():
     """Beside a special point it is that of the neighbours, at an end that of the end itself, also next to a PD."""
     pairs = np.array([[-0.9, -0.03], [-1.0, -0.02], [-1.1338, -0.0198]])
-    assert [stability.words_around(pairs, k) for k in range(3)] == ["stable", "stable to flip saddle", "flip saddle"]
-    assert stability.words(pairs[-1:]).tolist() == ["flip saddle"]
+    assert [stability.stability_around(pairs, k) for k in range(3)] == [
+        "stable",
+        "stable to flip saddle",
+        "flip saddle",
+    ]
+    assert stability.stability_words(pairs[-1:]).tolist() == ["flip saddle"]
     near = np.array([[0.9, 0.3], [1.0, 0.3], [1.0, 0.1], [0.8, 0.1]])  # two saddle-nodes, no point between them
-    assert [stability.words_around(near, k) for k in (1, 2)] == ["stable to neutral", "neutral to stable"]
+    assert [stability.stability_around(near, k) for k in (1, 2)] == ["stable to neutral", "neutral to stable"]
     apart = np.array([[-0.9, -0.3], [-1.0, -0.3], [1.0, 0.3], [1.2, 0.3]])  # a PD, then an SN: stable in between
-    assert [stability.words_around(apart, k) for k in (1, 2)] == ["stable", "stable to saddle"]
+    assert [stability.stability_around(apart, k) for k in (1, 2)] == ["stable", "stable to saddle"]
 
 
 def test_a_table_and_a_frame_agree_on_the_ends(followed):
@@ -220,13 +226,13 @@ def test_a_closed_branch_is_told_by_its_range(followed):
     branch = followed[1]
     low, high = branch.values.min(), branch.values.max()
     closed = replace(branch, ends=(End.CLOSED, End.CLOSED))
-    assert extent(closed) == f"closed, between {low:.12g} and {high:.12g}"
-    assert extent(closed, 2.0, 4) == f"closed, between {2 * low:.4g} and {2 * high:.4g}"
+    assert describe_extent(closed) == f"closed, between {low:.12g} and {high:.12g}"
+    assert describe_extent(closed, 2.0, 4) == f"closed, between {2 * low:.4g} and {2 * high:.4g}"
     assert repr(closed).startswith(f"Branch(amplitude closed, between {low:g} and {high:g}, ")
     first, last = branch.values[[0, -1]]
-    assert extent(branch).startswith(f"from {first:.12g} to {last:.12g}")
+    assert describe_extent(branch).startswith(f"from {first:.12g} to {last:.12g}")
     turned = replace(branch, data=branch.data.isel(point=np.r_[0 : len(branch), 0]))  # there and back
-    assert extent(turned) == f"from {first:.12g} to {first:.12g}, between {low:.12g} and {high:.12g}"
+    assert describe_extent(turned) == f"from {first:.12g} to {first:.12g}, between {low:.12g} and {high:.12g}"
 
 
 def test_lines_that_coincide_are_drawn_once(followed):
@@ -249,9 +255,11 @@ def test_lines_that_coincide_are_drawn_once(followed):
     assert f"P101, on {text}" in [one.get_label() for one in ax.lines]
     x, y = dashed[0].get_data()
     width = dashed[0].get_linewidth()
-    assert covering(ax, x[::-1][::3], y[::-1][::3], width) is dashed[0]  # at other points, the other way round
-    assert covering(ax, x, y + 0.01 * np.ptp(y), width) is None
-    assert covering(ax, x, y, 2.0 * width) is None
+    assert (
+        find_covering_line(ax, x[::-1][::3], y[::-1][::3], width) is dashed[0]
+    )  # at other points, the other way round
+    assert find_covering_line(ax, x, y + 0.01 * np.ptp(y), width) is None
+    assert find_covering_line(ax, x, y, 2.0 * width) is None
 
 
 def test_without_an_impact_the_largest_speed_is_zero(followed):
@@ -259,7 +267,7 @@ def test_without_an_impact_the_largest_speed_is_zero(followed):
         np.array([[0, 0], [1, -1], [-2, 0], [2, 1]]),
         np.array([[np.nan] * 2, [0.3, 0.7], [0.9, 0.0], [0, 1.5]]),
     )
-    assert loads.largest_speed(sides, speeds).tolist() == [0.0, 0.7, 0.0, 1.5]
+    assert impact_loads.largest_speed(sides, speeds).tolist() == [0.0, 0.7, 0.0, 1.5]
     frame = followed[1].to_frame()
     free = frame["label"] == "P100"
     assert free.any() and (frame["largest_speed"][free] == 0).all() and (frame["largest_speed"][~free] >= 0).all()

@@ -10,17 +10,17 @@ import numpy as np
 import pytest
 
 import jaxvibro as jv
-from continuation import in_numpy, locate, persistent_jit
-from jaxvibro.branches.follow import place_orbit
-from jaxvibro.problem.equations import problem
-from jaxvibro.problem.orbit_on_branch import OrbitPoint
+from continuation import augmented_systems, numpy_evaluation, persistent_jit
+from jaxvibro.branches.follow import set_up_problem
+from jaxvibro.problem.equations import continuation_problem
+from jaxvibro.problem.orbit_point import OrbitPoint
 
 ROOT = Path(__file__).parents[1]
 LATER = """
 import numpy as np, jaxvibro as jv
-from continuation.in_numpy import Tried
-traced, plain = [], Tried.traced
-Tried.traced = lambda self, args: traced.append(self.function.__name__) or plain(self, args)
+from continuation.numpy_evaluation import NumpyEvaluator
+traced, plain = [], NumpyEvaluator.trace_function
+NumpyEvaluator.trace_function = lambda self, args: traced.append(self.function.__name__) or plain(self, args)
 scene = jv.make_scene({numbers})
 state, _ = jv.strobe(scene, jv.State({start}))
 branch = jv.follow(jv.find_orbit(scene, state), "amplitude", (0.0, 6.0))
@@ -46,17 +46,19 @@ def placed():
     """(equations, z) of a motion without impacts."""
     scene = jv.make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0))
     none = np.zeros(0)
-    return place_orbit(scene, "amplitude", OrbitPoint(2.0, none, none, none, 1, 0.0, 0.0, 0.0))
+    return set_up_problem(scene, "amplitude", OrbitPoint(2.0, none, none, none, 1, 0.0, 0.0, 0.0))
 
 
 def test_the_text_is_read_and_the_module_made_only_where_it_is_compiled(placed, cache, monkeypatch):
     along, z = placed
-    asked, plain = [], in_numpy.Tried.traced
-    monkeypatch.setattr(in_numpy.Tried, "traced", lambda self, args: asked.append(1) or plain(self, args))
+    asked, plain = [], numpy_evaluation.NumpyEvaluator.trace_function
+    monkeypatch.setattr(
+        numpy_evaluation.NumpyEvaluator, "trace_function", lambda self, args: asked.append(1) or plain(self, args)
+    )
 
     def found():
-        anew = persistent_jit.persistent_jit(locate.evaluated.__wrapped__, static_argnums=0, numpy_first=True)
-        return [np.asarray(each) for each in anew(problem(along), z, along)]
+        anew = persistent_jit.persistent_jit(augmented_systems.evaluate.__wrapped__, static_argnums=0, numpy_first=True)
+        return [np.asarray(each) for each in anew(continuation_problem(along), z, along)]
 
     def kept(kind):
         return [each for each in cache.glob(f"{persistent_jit.FOLDER}/*/*") if each.is_file() and each.suffix == kind]
@@ -66,14 +68,14 @@ def test_the_text_is_read_and_the_module_made_only_where_it_is_compiled(placed, 
     for one, other in zip(first, found(), strict=True):
         np.testing.assert_array_equal(one, other)
     assert len(asked) == 1
-    monkeypatch.setattr(in_numpy, "PATIENCE", 0)
+    monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", 0)
     compiled = found()
     assert len(asked) == 1 and len(kept("")) == 1
     for one, other in zip(first, compiled, strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-13, atol=1e-13)
     (text,) = kept(".code")
     text.write_bytes(text.read_bytes()[:-20])  # half a file
-    monkeypatch.setattr(in_numpy, "PATIENCE", np.inf)
+    monkeypatch.setattr(numpy_evaluation, "MAX_EVALUATIONS", np.inf)
     for one, other in zip(first, found(), strict=True):
         np.testing.assert_array_equal(one, other)
     assert len(asked) == 2
@@ -115,4 +117,4 @@ def test_without_a_cache_it_says_so():
 def test_a_batch_of_scenes_is_refused(cache):
     with pytest.raises(jv.ArgumentError):
         jv.warm(jv.make_scene(np.array([2.0, 3.0]), 2.1, 0.05, 0.7, (-1.0, 1.0)))
-    assert in_numpy.PATIENCE > 0
+    assert numpy_evaluation.MAX_EVALUATIONS > 0

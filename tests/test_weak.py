@@ -5,7 +5,7 @@ import pytest
 
 import jaxvibro as jv
 from jaxvibro.attractors import classify
-from jaxvibro.attractors.weak_chaos import weigh
+from jaxvibro.attractors.weak_chaos import assess_weak_chaos
 from tests.attractors_proof import drawn
 from tests.reference.lyapunov import Oscillator, exponents
 
@@ -31,27 +31,27 @@ def test_where_the_first_look_decides_nothing_the_estimator_does(monkeypatch):
     """Two chaotic attractors, mirror images, and two orbits: the same starts on each as with the first look."""
     given = scene(5.0, left=-1.0)
     found = jv.find_attractors(given, starts=32)
-    first = classify.exponents
+    first = classify.largest_exponents
 
     def unsure(*numbers):
         rates, errors = first(*numbers)
         return rates, np.where(rates > 0, rates, errors)
 
-    monkeypatch.setattr(classify, "exponents", unsure)
+    monkeypatch.setattr(classify, "largest_exponents", unsure)
     again = jv.find_attractors(given, starts=32)
     assert sorted(one.label for one in again) == ["P111", "P111", "chaotic", "chaotic"]
     assert sorted((one.label, one.share) for one in again) == sorted((one.label, one.share) for one in found)
     wild = [one for one in again if one.kind == "chaotic"]
     assert all("its exponent known to" in one.note and abs(one.exponent - 0.343) < 0.01 for one in wild)
-    monkeypatch.setattr(classify, "WEIGHED", 0)
+    monkeypatch.setattr(classify, "MAX_LONG_ESTIMATES", 0)
     (*orbits, rest) = jv.find_attractors(given, starts=32)
     assert [one.kind for one in orbits] == ["periodic"] * 2 and "was not looked at for long" in rest.note
 
 
 def test_what_is_regular_is_not_taken_for_chaos():
-    rate, why = weigh(scene(4.65), lane(0.9, -1.1))
+    rate, why = assess_weak_chaos(scene(4.65), lane(0.9, -1.1))
     assert rate == -np.inf and "recurs" in why
-    rate, why = weigh(scene(0.8, left=-1.0, damping=0.0, restitution=1.0), lane(0.9, -1.1))  # a shear alone
+    rate, why = assess_weak_chaos(scene(0.8, left=-1.0, damping=0.0, restitution=1.0), lane(0.9, -1.1))  # a shear alone
     assert rate == -np.inf and "not positive beyond doubt" in why
 
 

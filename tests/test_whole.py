@@ -10,17 +10,17 @@ from pathlib import Path
 
 import pytest
 
-from jaxvibro.output.atomic_write import refuse_folder, whole
+from jaxvibro.output.atomic_write import atomic_file, require_writable_folder
 
 # Writes a file while links lie wherever its process can be guessed to put a part of it.
 PLANTED = """
 import os, sys
 from pathlib import Path
-from jaxvibro.output.atomic_write import whole
+from jaxvibro.output.atomic_write import atomic_file
 folder, victim = Path(sys.argv[1]), Path(sys.argv[2])
 for name in (f".{os.getpid()}-mine", f"{os.getpid()}-mine", f"mine.{os.getpid()}", ".mine", "mine.part", "mine.tmp"):
     (folder / name).symlink_to(victim)
-with whole(folder / "mine") as file:
+with atomic_file(folder / "mine") as file:
     getattr(file, "write_bytes", getattr(file, "write", None))(b"new")
 assert (folder / "mine").read_bytes() == b"new"
 """
@@ -38,7 +38,7 @@ def test_a_name_that_is_there_already_is_no_way_in(tmp_path, monkeypatch):
     monkeypatch.setattr("secrets.token_hex", lambda size: "guessed")
     (tmp_path / ".guessed.part").symlink_to(tmp_path / "victim")
     (tmp_path / "victim").write_text("theirs")
-    with pytest.raises(FileExistsError, match="mine"), whole(tmp_path / "mine") as file:
+    with pytest.raises(FileExistsError, match="mine"), atomic_file(tmp_path / "mine") as file:
         file.write(b"new")
     assert (tmp_path / "victim").read_text() == "theirs"
     assert {one.name for one in tmp_path.iterdir()} == {".guessed.part", "victim"}
@@ -47,7 +47,7 @@ def test_a_name_that_is_there_already_is_no_way_in(tmp_path, monkeypatch):
 def test_no_two_parts_have_a_name_in_common(tmp_path):
     seen = set()
     for _ in range(50):
-        with whole(tmp_path / ("a" * 255), force=True) as file:  # as long as a name may be
+        with atomic_file(tmp_path / ("a" * 255), overwrite=True) as file:  # as long as a name may be
             (part,) = (one.name for one in tmp_path.iterdir() if one.name.startswith("."))
             seen.add(part)
             file.write(b"new")
@@ -58,7 +58,7 @@ def test_no_two_parts_have_a_name_in_common(tmp_path):
 def test_the_mask_of_the_user_is_kept(tmp_path, mask):
     before = os.umask(mask)
     try:
-        with whole(tmp_path / "mine") as file:
+        with atomic_file(tmp_path / "mine") as file:
             assert os.fstat(file.fileno()).st_mode & 0o777 == 0o666 & ~mask
             file.write(b"new")
     finally:
@@ -69,7 +69,10 @@ def test_the_mask_of_the_user_is_kept(tmp_path, mask):
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, OSError(28, "No space left on device"), ValueError])
 def test_an_error_leaves_what_was_there(tmp_path, error):
     (tmp_path / "mine").write_text("old")
-    with pytest.raises(error if isinstance(error, type) else OSError) as caught, whole(tmp_path / "mine", True) as file:
+    with (
+        pytest.raises(error if isinstance(error, type) else OSError) as caught,
+        atomic_file(tmp_path / "mine", True) as file,
+    ):
         file.write(b"half")
         raise error
     assert [one.name for one in tmp_path.iterdir()] == ["mine"] and (tmp_path / "mine").read_text() == "old"
@@ -78,9 +81,9 @@ def test_an_error_leaves_what_was_there(tmp_path, error):
 
 def test_a_link_that_leads_nowhere_is_there_already(tmp_path):
     (tmp_path / "mine").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(FileExistsError), whole(tmp_path / "mine"):
+    with pytest.raises(FileExistsError), atomic_file(tmp_path / "mine"):
         pass
-    with whole(tmp_path / "mine", force=True) as file:
+    with atomic_file(tmp_path / "mine", overwrite=True) as file:
         file.write(b"new")
     assert not (tmp_path / "mine").is_symlink() and not (tmp_path / "nowhere").exists()
 
@@ -91,14 +94,14 @@ def test_a_full_disk_names_the_file(tmp_path, monkeypatch):
         return builtins.open("/dev/full", "wb", buffering=0)
 
     monkeypatch.setattr("jaxvibro.output.atomic_write.open", full, raising=False)
-    with pytest.raises(OSError, match="No space left on device") as caught, whole(tmp_path / "mine") as file:
+    with pytest.raises(OSError, match="No space left on device") as caught, atomic_file(tmp_path / "mine") as file:
         file.write(b"new")
     assert caught.value.filename == str(tmp_path / "mine") and not list(tmp_path.iterdir())
 
 
 def test_a_folder_on_a_full_disk_is_refused(tmp_path, monkeypatch):
-    refuse_folder(tmp_path / "new" / "below")
+    require_writable_folder(tmp_path / "new" / "below")
     monkeypatch.setattr(shutil, "disk_usage", lambda path: namedtuple("Usage", "free")(1000))
     with pytest.raises(OSError, match="No space left on device") as caught:
-        refuse_folder(tmp_path / "new")
+        require_writable_folder(tmp_path / "new")
     assert caught.value.filename == str(tmp_path / "new")

@@ -15,8 +15,8 @@ import jax
 import numpy as np
 
 import jaxvibro as jv
-from jaxvibro.compiled.blocks import LEAST
-from jaxvibro.compiled.compiler_hints import OPTIONS
+from jaxvibro.compiled.blocks import MIN_LANES
+from jaxvibro.compiled.compiler_hints import COMPILER_OPTIONS
 from jaxvibro.maps import one_period, two_tiers
 from tests.lanes import at
 from tests.status_proof import RIGID, draw
@@ -40,19 +40,19 @@ class Compared(NamedTuple):
     bits: int
 
 
-@partial(jax.jit, compiler_options=OPTIONS)
+@partial(jax.jit, compiler_options=COMPILER_OPTIONS)
 def lean(scene, start):
-    return two_tiers.lean_alone(scene, start, SLOTS, LEAST)
+    return two_tiers.fast_strobe(scene, start, SLOTS, MIN_LANES)
 
 
-@partial(jax.jit, compiler_options=OPTIONS)
+@partial(jax.jit, compiler_options=COMPILER_OPTIONS)
 def measured(scene, start):
-    return two_tiers.lean_alone(scene, start, SLOTS, LEAST, clearance=True)
+    return two_tiers.fast_strobe(scene, start, SLOTS, MIN_LANES, clearance=True)
 
 
-@partial(jax.jit, compiler_options=OPTIONS)
+@partial(jax.jit, compiler_options=COMPILER_OPTIONS)
 def full(scene, start):
-    return one_period.strobe(scene, start, 1, SLOTS, LEAST, clearance=True)
+    return one_period.strobe(scene, start, 1, SLOTS, MIN_LANES, clearance=True)
 
 
 def compared(scene, start):
@@ -158,7 +158,7 @@ def bits(rng, count, kind):
             wrong.append(name)
 
     check("permuted", run(*part((numbers, start), order)), part(whole, order))
-    cut = slice(count // 3, count // 3 + LEAST + 7)
+    cut = slice(count // 3, count // 3 + MIN_LANES + 7)
     check("cut", run(*part((numbers, start), cut)), part(whole, cut))
     check("jit", jax.jit(run)(numbers, start), whole)
     check("vmap", jax.jit(jax.vmap(run))(numbers, start), whole)

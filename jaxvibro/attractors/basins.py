@@ -8,28 +8,28 @@ from jaxtyping import ArrayLike, Float, Real
 
 from continuation.limits import limits_of
 
-from ..maps.initial_conditions import box
-from ..output.units import LENGTH, SPEED, scales_in
+from ..maps.initial_conditions import initial_box
+from ..output.units import LENGTH, SPEED, scales_attributes
 from ..scene import check
 from ..scene.scene import Scene
-from ..stores.filling import Store, done
-from .assign import OUTSIDE, homes
+from ..stores.filling import Store, complete_study
+from .basin_labels import OUTSIDE, build_neighbourhoods
 from .basins_study import BasinsStudy
 from .find import Attractor, find_attractors
-from .fractal import BOX, dimension, entropies
+from .fractal import BOX_SIZE, basin_entropies, boundary_dimension
 
-CHUNK = 1 << 16  # starts that are worked out together
-PATIENCE = 2000  # drive periods after which a start is given up
+STARTS_PER_CHUNK = 1 << 16  # starts that are worked out together
+MAX_PERIODS = 2000  # drive periods after which a start is given up
 
 
-@check.host("use strobe")
+@check.host_only("use strobe")
 def basins(
     scene: Scene,
     x: Real[ArrayLike, " columns"] | Sequence[float],
     v: Real[ArrayLike, " rows"] | Sequence[float],
     phase: Real[ArrayLike, ""] = 0.0,
     attractors: Sequence[Attractor] | None = None,
-    patience: int = PATIENCE,
+    patience: int = MAX_PERIODS,
     progress: Callable[[int], object] | None = None,
     store: Store | None = None,
     *,
@@ -63,76 +63,83 @@ def basins(
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
-    x, v = _axis("x", x), _axis("v", v)
-    angle = check.number("phase", phase, np.float64)
-    if angle.shape:
-        raise check.ArgumentError("phase", "must be a number", angle)
-    patience = check.whole("patience", patience, 1)
+    x, v = _check_axis("x", x), _check_axis("v", v)
+    phase_angle = check.finite_array("phase", phase, np.float64)
+    if phase_angle.shape:
+        raise check.ArgumentError("phase", "must be a number", phase_angle)
+    patience = check.whole_number("patience", patience, 1)
     attractors = find_attractors(scene) if attractors is None else tuple(attractors)
-    left, right, fast = box(scene)
-    found = homes(scene, attractors, float(angle), float(max(abs(left), abs(right), fast)))
-    names = tuple(one.label for one in attractors)
-    study = BasinsStudy(scene, x, v, float(angle), tuple(found), names, patience, CHUNK)
-    seen = done(study, store, progress and (lambda one: progress(one.done)), limits)
-    return _dataset(scene, float(angle), attractors, found, seen)
+    x_min, x_max, max_speed = initial_box(scene)
+    neighbourhoods = build_neighbourhoods(
+        scene, attractors, float(phase_angle), float(max(abs(x_min), abs(x_max), max_speed))
+    )
+    labels = tuple(attractor.label for attractor in attractors)
+    study = BasinsStudy(scene, x, v, float(phase_angle), tuple(neighbourhoods), labels, patience, STARTS_PER_CHUNK)
+    data = complete_study(study, store, progress and (lambda record: progress(record.done)), limits)
+    return _make_dataset(scene, float(phase_angle), attractors, neighbourhoods, data)
 
 
-def _axis(key, values) -> Float[np.ndarray, " numbers"]:
-    values = check.number(key, values, np.float64)
+def _check_axis(key, values) -> Float[np.ndarray, " numbers"]:
+    values = check.finite_array(key, values, np.float64)
     if values.ndim != 1 or len(values) < 2 or not (np.diff(values) > 0).all():
         raise check.ArgumentError(key, "must be at least two numbers in rising order", values)
     return values
 
 
-def _dataset(scene, phase, attractors, homes, seen):
-    label, most = seen["label"].values, max((len(home.points) for home in homes), default=0)
-    points = np.full((len(homes), most, 2), np.nan)
-    for row, home in zip(points, homes, strict=True):
-        row[: len(home.points)] = home.points
-    fraction, error = _fractions(label, len(homes))
-    size = dimension(label)
-    entropy, at_boundary = entropies(label)
-    mirrors = [-1 if one.mirror_of is None else one.mirror_of for one in attractors]
+def _make_dataset(scene, phase, attractors, neighbourhoods, data):
+    labels, max_points = (
+        data["label"].values,
+        max((len(neighbourhood.points) for neighbourhood in neighbourhoods), default=0),
+    )
+    points = np.full((len(neighbourhoods), max_points, 2), np.nan)
+    for point_row, neighbourhood in zip(points, neighbourhoods, strict=True):
+        point_row[: len(neighbourhood.points)] = neighbourhood.points
+    fractions, fraction_errors = _basin_fractions(labels, len(neighbourhoods))
+    boundary = boundary_dimension(labels)
+    entropy, boundary_entropy = basin_entropies(labels)
+    mirror_indices = [-1 if attractor.mirror_of is None else attractor.mirror_of for attractor in attractors]
     return xr.Dataset(
         {
-            "label": seen["label"],
-            "periods": seen["periods"],
-            "fraction": ("attractor", fraction, {"long_name": "share of the starts beyond no rigid wall"}),
-            "fraction_error": ("attractor", error),
+            "label": data["label"],
+            "periods": data["periods"],
+            "fraction": ("attractor", fractions, {"long_name": "share of the starts beyond no rigid wall"}),
+            "fraction_error": ("attractor", fraction_errors),
             "point_x": (("attractor", "point"), points[..., 0], {"units": LENGTH}),
             "point_v": (("attractor", "point"), points[..., 1], {"units": SPEED}),
-            "mixed": ("side", size.mixed, {"long_name": "share of boxes with more than one label"}),
+            "mixed": ("side", boundary.mixed_shares, {"long_name": "share of boxes with more than one label"}),
         },
         coords={
-            "x": seen["x"],
-            "v": seen["v"],
-            "name": ("attractor", [one.label for one in attractors]),
-            "kind": ("attractor", [one.kind for one in attractors]),
-            "mirror_of": ("attractor", np.array(mirrors, int)),
-            "side": ("side", size.sides, {"units": "cells"}),
+            "x": data["x"],
+            "v": data["v"],
+            "name": ("attractor", [attractor.label for attractor in attractors]),
+            "kind": ("attractor", [attractor.kind for attractor in attractors]),
+            "mirror_of": ("attractor", np.array(mirror_indices, int)),
+            "side": ("side", boundary.box_sides, {"units": "cells"}),
         },
         attrs={
             **scene.numbers,
-            **scales_in(scene),
-            **{key: seen.attrs[key] for key in ("stopped",) if key in seen.attrs},
+            **scales_attributes(scene),
+            **{key: data.attrs[key] for key in ("stopped",) if key in data.attrs},
             "phase": phase,
             "basin_entropy": entropy,
-            "boundary_basin_entropy": at_boundary,
-            "entropy_box": BOX,
-            "boundary_dimension": float(size.value),
-            "boundary_dimension_error": float(size.error),
+            "boundary_basin_entropy": boundary_entropy,
+            "entropy_box": BOX_SIZE,
+            "boundary_dimension": float(boundary.value),
+            "boundary_dimension_error": float(boundary.error),
         },
     )
 
 
-def _fractions(label, count):
+def _basin_fractions(labels, n_attractors):
     """(shares of the starts beyond no rigid wall, their errors), each (count,)."""
 
-    def shares(part):
-        inside = max(1, (part != OUTSIDE).sum())
-        return np.array([(part == place).sum() for place in range(count)]) / inside
+    def basin_shares(subgrid_labels):
+        n_inside = max(1, (subgrid_labels != OUTSIDE).sum())
+        return np.array([(subgrid_labels == index).sum() for index in range(n_attractors)]) / n_inside
 
-    parts = [shares(label[row::2, column::2]) for row in (0, 1) for column in (0, 1)]
-    inside, outside = label.size, int((label == OUTSIDE).sum())
-    unresolved = float((label < 0).sum() - outside) / max(1, inside - outside)
-    return shares(label), np.std(parts, axis=0, ddof=1) + unresolved
+    subgrid_fractions = [
+        basin_shares(labels[row_offset::2, column_offset::2]) for row_offset in (0, 1) for column_offset in (0, 1)
+    ]
+    n_starts, n_outside = labels.size, int((labels == OUTSIDE).sum())
+    unresolved_share = float((labels < 0).sum() - n_outside) / max(1, n_starts - n_outside)
+    return basin_shares(labels), np.std(subgrid_fractions, axis=0, ddof=1) + unresolved_share

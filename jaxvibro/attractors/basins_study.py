@@ -11,55 +11,66 @@ from jaxtyping import Float
 
 from ..output.units import LENGTH, SPEED
 from ..scene.scene import Scene
-from ..scene.scene_table import scene_text, scene_text_or_none
-from ..stores.engines import ThisThread
-from ..stores.study import Column, Grid, axis_text
-from .assign import OUTSIDE, UNRESOLVED, Home, labelled
-from .trapping_region import Cloud, Trap
+from ..scene.scene_table import scene_toml, scene_toml_or_empty
+from ..stores.engines import SerialPool
+from ..stores.study import Column, Grid, fingerprint_axis
+from .basin_labels import OUTSIDE, UNRESOLVED, AttractorNeighbourhood, label_starts
+from .trapping_region import PointCloud, TrappingRegion
 
-MOST_SMALL = 32_000  # drive periods of patience up to which numbers of them take two bytes
+MAX_INT16_PERIODS = 32_000  # drive periods of patience up to which numbers of them take two bytes
 NOT_DONE = -3  # label of a start whose chunk is not done
 
 
 @dataclass(frozen=True)
 class BasinsStudy:
-    """Basins as a `Study`. x, v: of the starts; phase: rad; homes: of the attractors, which are called so;
-    size: starts of a chunk, about."""
+    """Basins as a `Study`. x, v: of the starts; phase: rad; neighbourhoods: of the attractors, which are called so;
+    chunk_size: starts of a chunk, about."""
 
     scene: Scene
     x: Float[np.ndarray, " columns"]
     v: Float[np.ndarray, " rows"]
     phase: float
-    homes: tuple[Home, ...]
-    names: tuple[str, ...]
-    patience: int
-    size: int
+    neighbourhoods: tuple[AttractorNeighbourhood, ...]
+    labels: tuple[str, ...]
+    max_periods: int
+    chunk_size: int
 
     def __reduce__(self):
         """Sent to a worker without the traps, which may be large: it reads them from the store."""
-        homes = tuple(Home(home.points, None) for home in self.homes)
-        return BasinsStudy, (self.scene, self.x, self.v, self.phase, homes, self.names, self.patience, self.size)
+        neighbourhoods = tuple(
+            AttractorNeighbourhood(neighbourhood.points, None) for neighbourhood in self.neighbourhoods
+        )
+        return BasinsStudy, (
+            self.scene,
+            self.x,
+            self.v,
+            self.phase,
+            neighbourhoods,
+            self.labels,
+            self.max_periods,
+            self.chunk_size,
+        )
 
     @cached_property
     def grid(self) -> Grid:
-        rows, columns = len(self.v), len(self.x)
-        bands = -(-rows * columns // self.size)
-        return Grid({"v": rows, "x": columns}, (-(-rows // bands), columns))
+        n_rows, n_columns = len(self.v), len(self.x)
+        n_bands = -(-n_rows * n_columns // self.chunk_size)
+        return Grid({"v": n_rows, "x": n_columns}, (-(-n_rows // n_bands), n_columns))
 
     @property
     def columns(self) -> dict[str, Column]:
-        whole = np.int16 if self.patience <= MOST_SMALL else np.int32
-        label = f"attractor, {UNRESOLVED} unresolved, {OUTSIDE} beyond a rigid wall"
+        period_type = np.int16 if self.max_periods <= MAX_INT16_PERIODS else np.int32
+        label_text = f"attractor, {UNRESOLVED} unresolved, {OUTSIDE} beyond a rigid wall"
         return {
-            "label": Column(np.dtype(np.int16), NOT_DONE, {"long_name": label}),
-            "periods": Column(np.dtype(whole), 0, {"long_name": "drive periods after which it was seen"}),
+            "label": Column(np.dtype(np.int16), NOT_DONE, {"long_name": label_text}),
+            "periods": Column(np.dtype(period_type), 0, {"long_name": "drive periods after which it was seen"}),
         }
 
     @cached_property
     def identity(self) -> dict[str, str]:
-        axes = {name: axis_text(getattr(self, name)) for name in ("x", "v")}
-        plain = {"phase": repr(self.phase), "patience": repr(self.patience), "attractors": repr(self.names)}
-        return {"scene": scene_text(self.scene), **axes, **plain, "dtype": str(self.scene.dtype)}
+        axis_texts = {name: fingerprint_axis(getattr(self, name)) for name in ("x", "v")}
+        setting_texts = {"phase": repr(self.phase), "patience": repr(self.max_periods), "attractors": repr(self.labels)}
+        return {"scene": scene_toml(self.scene), **axis_texts, **setting_texts, "dtype": str(self.scene.dtype)}
 
     @cached_property
     def frame(self) -> xr.Dataset:
@@ -67,31 +78,44 @@ class BasinsStudy:
             "x": ("x", self.x, {"long_name": "displacement", "units": LENGTH}),
             "v": ("v", self.v, {"long_name": "velocity", "units": SPEED}),
         }
-        parts: dict[str, Any] = {}
-        for k, home in enumerate(self.homes):
-            parts[f"points_{k}"] = ((f"point_{k}", "axis"), home.points)
-            if isinstance(home.trap, Trap):
-                parts[f"lengths_{k}"] = ((f"point_{k}", "side", "axis"), home.trap.lengths)
-            if isinstance(home.trap, Cloud):
-                parts[f"sample_{k}"] = ((f"place_{k}", "axis"), np.asarray(home.trap.tree.data))
-                parts[f"near_{k}"] = ((), home.trap.near)
-        return xr.Dataset(parts, coords, {"scene_file": scene_text_or_none(self.scene), "names": list(self.names)})
+        variables: dict[str, Any] = {}
+        for index, neighbourhood in enumerate(self.neighbourhoods):
+            variables[f"points_{index}"] = ((f"point_{index}", "axis"), neighbourhood.points)
+            if isinstance(neighbourhood.region, TrappingRegion):
+                variables[f"lengths_{index}"] = (
+                    (f"point_{index}", "side", "axis"),
+                    neighbourhood.region.ellipse_matrices,
+                )
+            if isinstance(neighbourhood.region, PointCloud):
+                variables[f"sample_{index}"] = ((f"place_{index}", "axis"), np.asarray(neighbourhood.region.tree.data))
+                variables[f"near_{index}"] = ((), neighbourhood.region.max_distance)
+        return xr.Dataset(
+            variables, coords, {"scene_file": scene_toml_or_empty(self.scene), "names": list(self.labels)}
+        )
 
     def compute(self, number: int, frame: xr.Dataset) -> tuple[dict[str, np.ndarray], int]:
-        rows, columns = self.grid.cut(number)
-        across, along = np.meshgrid(self.x[columns], self.v[rows])
-        homes = self.homes if frame is self.frame else [_home(frame, k) for k in range(len(self.homes))]
-        starts = across.ravel(), along.ravel()
-        label, periods = labelled(ThisThread, self.scene, *starts, self.phase, homes, self.patience)
-        found = {name: each.astype(self.columns[name].dtype) for name, each in (("label", label), ("periods", periods))}
-        return {name: each.reshape(across.shape) for name, each in found.items()}, int((label == UNRESOLVED).sum())
+        row_slice, column_slice = self.grid.chunk_slices(number)
+        x_grid, v_grid = np.meshgrid(self.x[column_slice], self.v[row_slice])
+        neighbourhoods = (
+            self.neighbourhoods
+            if frame is self.frame
+            else [_read_neighbourhood(frame, index) for index in range(len(self.neighbourhoods))]
+        )
+        starts = x_grid.ravel(), v_grid.ravel()
+        labels, periods = label_starts(SerialPool, self.scene, *starts, self.phase, neighbourhoods, self.max_periods)
+        results = {
+            name: array.astype(self.columns[name].dtype) for name, array in (("label", labels), ("periods", periods))
+        }
+        return {name: array.reshape(x_grid.shape) for name, array in results.items()}, int((labels == UNRESOLVED).sum())
 
 
-def _home(frame, k):
-    """The `Home` of an attractor as a store's frame has it."""
-    points = frame[f"points_{k}"].values
-    if f"lengths_{k}" in frame:
-        return Home(points, Trap(points, frame[f"lengths_{k}"].values))
-    if f"sample_{k}" in frame:
-        return Home(points, Cloud(scipy.spatial.cKDTree(frame[f"sample_{k}"].values), float(frame[f"near_{k}"])))
-    return Home(points, None)
+def _read_neighbourhood(frame, index):
+    """The `AttractorNeighbourhood` of an attractor as a store's frame has it."""
+    points = frame[f"points_{index}"].values
+    if f"lengths_{index}" in frame:
+        return AttractorNeighbourhood(points, TrappingRegion(points, frame[f"lengths_{index}"].values))
+    if f"sample_{index}" in frame:
+        return AttractorNeighbourhood(
+            points, PointCloud(scipy.spatial.cKDTree(frame[f"sample_{index}"].values), float(frame[f"near_{index}"]))
+        )
+    return AttractorNeighbourhood(points, None)

@@ -11,132 +11,172 @@ import jax
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..compiled.kernels import WIDTH
-from ..maps.initial_conditions import box
+from ..compiled.kernels import BLOCK_WIDTH
+from ..maps.initial_conditions import initial_box
 from ..scene.codes import Contact, Status
 from ..scene.state import State
 from .batch_means import standard_error
-from .orbit_exponents import Rates, areas, lost, shrinkage
-from .recurrence import returns, settled_periods
-from .tangent import LAPS, TangentLanes, begin, run, worse_on_host
+from .orbit_exponents import ExponentEstimate, log_determinant, measured_area_growth, undefined_estimate
+from .recurrence import recurrence_distances, recurrence_periods
+from .tangent import RECORDED_PERIODS, TangentLanes, run_tangents, start_tangents, worse_status_on_host
 
-BLOCK = 16  # periods whose growth is summed
-FIRST = 16  # times LAPS periods before the error is first looked at
-SLOWEST = 0.02  # growth a period below which copies of a motion may stay together for thousands of periods
+BLOCK_PERIODS = 16  # periods whose growth is summed
+INITIAL_CHUNKS = 16  # times LAPS periods before the error is first looked at
+MIN_GROWTH_RATE = 0.02  # growth a period below which copies of a motion may stay together for thousands of periods
 
 
-class Settled(NamedTuple):
+class SettledLanes(NamedTuple):
     """Lanes that have been run for a while, NumPy arrays, lanes last.
 
-    lanes: where they are; status: the worst met; periods: after which each recurs, 0 for not at all; rate: mean growth;
-    visits: states on the way, LAPS periods apart, leaves (visits, lanes); scale: of x and v, the largest.
-    """
+    lanes: where they are; status: the worst met; periods: after which each recurs, 0 for not at all; growth_rate: mean
+    growth; visited_states: states on the way, LAPS periods apart, leaves (visits, lanes); scale: of x and v, the
+    largest."""
 
     lanes: TangentLanes
     status: Int[np.ndarray, " lanes"]
     periods: Int[np.ndarray, " lanes"]
-    rate: Float[np.ndarray, " lanes"]
-    visits: State
+    growth_rate: Float[np.ndarray, " lanes"]
+    visited_states: State
     scale: Float[np.ndarray, " lanes"]
 
     @property
-    def is_well(self) -> bool:
+    def is_valid(self) -> bool:
         """Whether a single lane has not met its end."""
         return bool(np.isfinite(np.ravel(self.lanes.state.x)[0]))
 
     @property
-    def goes_on(self) -> bool:
+    def is_unsettled(self) -> bool:
         """Whether a single lane has yet to settle."""
-        return self.is_well and not self.periods[0]
+        return self.is_valid and not self.periods[0]
 
 
-def settled(scene, lanes, settle, rounds):
-    """`Settled`: lanes run on for `settle` periods, then for LAPS, so many times or until all recur.
+def run_until_recurrence(scene, lanes, settle, max_rounds):
+    """`SettledLanes`: lanes run on for `settle` periods, then for LAPS, so many times or until all recur.
 
     scene: a single one or a lane of a batch each.
     """
-    lanes, laps = run(scene, lanes, settle + LAPS)
-    before, status, dtype = returns(laps.points), laps.status, lanes.state.x.dtype
-    left, right, _ = box(scene)
-    fast = np.max(abs(laps.v), where=np.isfinite(laps.v), initial=0.0)
-    scale = max(abs(left).max(), abs(right).max(), fast)
-    periods, rate, visits = np.zeros(len(lanes.state.x), int), [], []
-    for _ in range(rounds):
-        lanes, laps = run(scene, lanes, LAPS)
-        now = returns(laps.points)
-        periods = np.where(periods > 0, periods, settled_periods(now, before, LAPS, scale, dtype))
-        rate.append(laps.growth.mean(axis=0))
-        visits.append(lanes.state)
-        before, status = now, worse_on_host(status, laps.status)
+    lanes, records = run_tangents(scene, lanes, settle + RECORDED_PERIODS)
+    previous_distances, status, dtype = recurrence_distances(records.points), records.status, lanes.state.x.dtype
+    x_min, x_max, _ = initial_box(scene)
+    max_speed = np.max(abs(records.v), where=np.isfinite(records.v), initial=0.0)
+    scale = max(abs(x_min).max(), abs(x_max).max(), max_speed)
+    periods, growth_rates, visited_states = np.zeros(len(lanes.state.x), int), [], []
+    for _ in range(max_rounds):
+        lanes, records = run_tangents(scene, lanes, RECORDED_PERIODS)
+        distances = recurrence_distances(records.points)
+        periods = np.where(
+            periods > 0, periods, recurrence_periods(distances, previous_distances, RECORDED_PERIODS, scale, dtype)
+        )
+        growth_rates.append(records.growth.mean(axis=0))
+        visited_states.append(lanes.state)
+        previous_distances, status = distances, worse_status_on_host(status, records.status)
         if np.all((periods > 0) | ~np.isfinite(lanes.state.x)):
             break
-    visits = jax.tree.map(lambda *parts: np.stack(parts), *visits)
-    return Settled(lanes, status, periods, np.mean(rate, axis=0), visits, np.full(len(periods), scale))
+    visited_states = jax.tree.map(lambda *leaves: np.stack(leaves), *visited_states)
+    return SettledLanes(
+        lanes, status, periods, np.mean(growth_rates, axis=0), visited_states, np.full(len(periods), scale)
+    )
 
 
-def of_motion(scene, start, goal, most):
-    """(`Rates`, None) of the motion of a single scene; where it ends on a periodic orbit after all, `Settled` as well.
+def estimate_exponents(scene, settled_lanes, target_error, max_periods):
+    """(`ExponentEstimate`, None) of the motion of a single scene; where it ends on a periodic orbit after all,
+    `SettledLanes` as well.
 
-    start: `Settled`, of one lane; goal: the standard error to come to, with at most about so many periods. WIDTH
-    copies of the motion are run: from states that it visited, with speeds a little off, until the copies have gone
-    their own ways; where they hardly part, from one state, so that what they have in common is seen as such.
+    settled_lanes: `SettledLanes`, of one lane; target_error: the standard error to come to, with at most about so many
+    periods. WIDTH copies of the motion are run: from states that it visited, with speeds a little off, until the copies
+    have gone their own ways; where they hardly part, from one state, so that what they have in common is seen as such.
     """
-    scale = start.scale[0]
-    lanes = _copies(start, scale)
+    scale = settled_lanes.scale[0]
+    lanes = _make_copies(settled_lanes, scale)
     dtype = lanes.state.x.dtype
-    pace = start.rate[0] if start.rate[0] > SLOWEST else SLOWEST
-    span = np.log(np.finfo(dtype).eps ** -0.5) / pace
-    lanes, laps = run(scene, lanes, LAPS * (1 + int(span / LAPS)))
-    sums, status, chunks = [], laps.status, max(2, min(FIRST, most // (LAPS * WIDTH)))
+    growth_rate = settled_lanes.growth_rate[0] if settled_lanes.growth_rate[0] > MIN_GROWTH_RATE else MIN_GROWTH_RATE
+    separation_periods = np.log(np.finfo(dtype).eps ** -0.5) / growth_rate
+    lanes, records = run_tangents(scene, lanes, RECORDED_PERIODS * (1 + int(separation_periods / RECORDED_PERIODS)))
+    block_sums, status, n_chunks = (
+        [],
+        records.status,
+        max(2, min(INITIAL_CHUNKS, max_periods // (RECORDED_PERIODS * BLOCK_WIDTH))),
+    )
     while True:
-        for _ in range(chunks - len(sums)):
-            before, (lanes, laps) = laps, run(scene, lanes, LAPS)
-            within = np.moveaxis(laps.within, -1, 0)
-            rows = np.stack([laps.growth, laps.left, laps.right, laps.count, areas(scene, laps), *within])
-            sums.append(rows.reshape(len(rows), -1, BLOCK, WIDTH).sum(2))
-            status = worse_on_host(status, laps.status)
-        rates = _averaged(scene, np.concatenate(sums, axis=1), int(status.max()))
-        periods = settled_periods(returns(laps.points), returns(before.points), LAPS, scale, dtype)
+        for _ in range(n_chunks - len(block_sums)):
+            previous_records, (lanes, records) = records, run_tangents(scene, lanes, RECORDED_PERIODS)
+            time_within = np.moveaxis(records.time_within, -1, 0)
+            quantities = np.stack(
+                [
+                    records.growth,
+                    records.left_impacts,
+                    records.right_impacts,
+                    records.n_impacts,
+                    measured_area_growth(scene, records),
+                    *time_within,
+                ]
+            )
+            block_sums.append(quantities.reshape(len(quantities), -1, BLOCK_PERIODS, BLOCK_WIDTH).sum(2))
+            status = worse_status_on_host(status, records.status)
+        estimate = _average_blocks(scene, np.concatenate(block_sums, axis=1), int(status.max()))
+        periods = recurrence_periods(
+            recurrence_distances(records.points),
+            recurrence_distances(previous_records.points),
+            RECORDED_PERIODS,
+            scale,
+            dtype,
+        )
         if status.max() < Status.CAP and periods.any():
-            lane = np.flatnonzero(periods)[:1]
-            return rates, start._replace(lanes=_some(lanes, lane), periods=periods[lane])
-        worst = rates.error.max()
-        if not worst > goal or rates.count >= most:
-            return rates, None
-        wanted = len(sums) * min(2.0, 1.05 * (worst / goal) ** 2)
-        chunks = min(max(len(sums) + 1, int(np.ceil(wanted))), -(-most // (LAPS * WIDTH)))
+            recurrent_lane = np.flatnonzero(periods)[:1]
+            return estimate, settled_lanes._replace(
+                lanes=_select_lanes(lanes, recurrent_lane), periods=periods[recurrent_lane]
+            )
+        max_error = estimate.error.max()
+        if not max_error > target_error or estimate.count >= max_periods:
+            return estimate, None
+        n_chunks_needed = len(block_sums) * min(2.0, 1.05 * (max_error / target_error) ** 2)
+        n_chunks = min(
+            max(len(block_sums) + 1, int(np.ceil(n_chunks_needed))), -(-max_periods // (RECORDED_PERIODS * BLOCK_WIDTH))
+        )
 
 
-def _some(lanes, index):
-    return jax.tree.map(lambda leaf: leaf[index], lanes)
+def _select_lanes(lanes, selection):
+    return jax.tree.map(lambda leaf: leaf[selection], lanes)
 
 
-def _copies(start, scale):
+def _make_copies(settled_lanes, scale):
     """The `TangentLanes` of WIDTH copies of a motion."""
-    count = len(start.visits.x) if start.rate[0] > SLOWEST else 1
-    places = -1 - np.arange(WIDTH) % count
-    state = jax.tree.map(lambda leaf: leaf[places, 0], start.visits)
+    n_visits = len(settled_lanes.visited_states.x) if settled_lanes.growth_rate[0] > MIN_GROWTH_RATE else 1
+    visit_indices = -1 - np.arange(BLOCK_WIDTH) % n_visits
+    state = jax.tree.map(lambda leaf: leaf[visit_indices, 0], settled_lanes.visited_states)
     dtype = state.x.dtype
-    off = np.random.default_rng(0).normal(size=WIDTH) * np.finfo(dtype).eps ** 0.4 * scale
-    held = (state.contact == 0) | (abs(state.contact) == Contact.WITHIN)
-    v = np.where(held, state.v + off.astype(dtype), state.v)
-    return begin(State(state.x, v, state.phase, state.contact))
+    speed_offsets = np.random.default_rng(0).normal(size=BLOCK_WIDTH) * np.finfo(dtype).eps ** 0.4 * scale
+    is_movable = (state.contact == 0) | (abs(state.contact) == Contact.WITHIN)
+    v = np.where(is_movable, state.v + speed_offsets.astype(dtype), state.v)
+    return start_tangents(State(state.x, v, state.phase, state.contact))
 
 
-def _averaged(scene, sums, status):
-    """The `Rates` of sums of growth, impacts (left, right, all), `areas` and the time within each wall over blocks,
-    shape (7, blocks, copies)."""
-    growth, left, right, hits, area, *within = sums
-    count = growth.size * BLOCK
+def _average_blocks(scene, block_sums, status):
+    """The `ExponentEstimate` of sums of growth, impacts (left, right, all), `measured_area_growth` and the time within
+    each wall over blocks, shape (7, blocks, copies)."""
+    growth, left_impacts, right_impacts, all_impacts, area_growth, *time_within = block_sums
+    n_periods = growth.size * BLOCK_PERIODS
     if status >= Status.CAP or np.isnan(growth).any() or np.isposinf(growth).any():
-        return lost(status if status else Status.NONFINITE)
-    first, both = growth.sum() / count, shrinkage(scene, left.sum(), right.sum(), count, area.sum()) / count
-    impacts, within = (np.array([part.sum() for part in each]) / count for each in ((hits, left, right), within))
-    if np.isneginf(first):
-        return Rates(np.full(2, -np.inf), np.zeros(2), impacts, within, 0, status, count)
-    error = np.array([standard_error(growth, BLOCK), 0.0])
-    if np.isfinite(both):
-        error[1] = standard_error(shrinkage(scene, left, right, BLOCK, area) - growth, BLOCK)
-    if abs(first) < SLOWEST:
-        error = np.maximum(error, 1.0 / (len(growth) * BLOCK))  # a shear alone grows like ln(time), which looks steady
-    return Rates(np.array([first, both - first]), error, impacts, within, 0, status, count)
+        return undefined_estimate(status if status else Status.NONFINITE)
+    exponent, exponent_sum = (
+        growth.sum() / n_periods,
+        log_determinant(scene, left_impacts.sum(), right_impacts.sum(), n_periods, area_growth.sum()) / n_periods,
+    )
+    impact_rates, time_within = (
+        np.array([block_values.sum() for block_values in quantities]) / n_periods
+        for quantities in ((all_impacts, left_impacts, right_impacts), time_within)
+    )
+    if np.isneginf(exponent):
+        return ExponentEstimate(np.full(2, -np.inf), np.zeros(2), impact_rates, time_within, 0, status, n_periods)
+    errors = np.array([standard_error(growth, BLOCK_PERIODS), 0.0])
+    if np.isfinite(exponent_sum):
+        errors[1] = standard_error(
+            log_determinant(scene, left_impacts, right_impacts, BLOCK_PERIODS, area_growth) - growth, BLOCK_PERIODS
+        )
+    if abs(exponent) < MIN_GROWTH_RATE:
+        errors = np.maximum(
+            errors, 1.0 / (len(growth) * BLOCK_PERIODS)
+        )  # a shear alone grows like ln(time), which looks steady
+    return ExponentEstimate(
+        np.array([exponent, exponent_sum - exponent]), errors, impact_rates, time_within, 0, status, n_periods
+    )

@@ -7,102 +7,110 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from continuation.limits import EXPIRED, UNLIMITED
+from continuation.limits import EXPIRED_REASON, UNLIMITED
 
 from ..maps import itinerary
-from ..maps.iterate import KEEP, Trail, iterate
-from ..maps.rests import NO_RESTS, may_rest, rests
-from ..orbits.orbit_comparison import is_same_set, meetings
+from ..maps.iterate import MAX_RECORDED_PERIODS, Iterates, iterate
+from ..maps.sticking_phases import NO_STICKING, find_sticking_phases, may_stick
+from ..orbits.orbit_comparison import impacts_as_points, is_same_set
 from ..scene.codes import Status
-from ..scene.scale import force_rates
 from ..scene.state import State
-from .largest_exponent import exponents
-from .transients import clusters, orbit_of
-from .weak_chaos import weigh
+from ..scene.typical_scales import force_rates
+from .largest_exponent import largest_exponents
+from .transients import cluster_orbits, extract_orbit
+from .weak_chaos import assess_weak_chaos
 
-POLISH = 4  # times `settle` periods that a periodic orbit is run on before it is read
-WIDE = 1000  # slots for an orbit with more impacts in a period than `iterate` records: as many as the impact cap
-LEAST_EXPONENT = 0.01  # per period, of chaos: mere shear passes for 0.002 over the periods that `exponents` averages
-WEIGHED = 4  # sets of motion at most that the spectrum's estimator is asked about
-SAMPLES = 8  # times KEEP periods of chaos that are looked at
+POLISH_FACTOR = 4  # times `settle` periods that a periodic orbit is run on before it is read
+MAX_SLOTS = 1000  # slots for an orbit with more impacts in a period than `iterate` records: as many as the impact cap
+MIN_CHAOS_EXPONENT = (
+    0.01  # per period, of chaos: mere shear passes for 0.002 over the periods that `largest_exponents` averages
+)
+MAX_LONG_ESTIMATES = 4  # sets of motion at most that the spectrum's estimator is asked about
+SAMPLE_ROUNDS = 8  # times KEEP periods of chaos that are looked at
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class AttractorCandidate:
     """An attractor before its share and its mirror image are known.
 
-    lanes: those that are on it; hits: its impacts as points (`orbit_comparison`); numbers: the fields of `Attractor`,
-    the note without the exponent.
-    """
+    lanes: those that are on it; impact_points: its impacts as points (`orbit_comparison`); fields: the fields of
+    `Attractor`, the note without the exponent."""
 
     lanes: list[int]
-    hits: Float[np.ndarray, "impacts 4"]
-    numbers: dict[str, Any]
+    impact_points: Float[np.ndarray, "impacts 4"]
+    fields: dict[str, Any]
 
 
-def periodic(scene, found, periods, settle, scale):
-    """(periodic attractors, why other lanes that recur are on none): a list of `Evidence`, and {lane: reason}.
+def find_periodic(scene, iterates, periods, settle, scale):
+    """(periodic attractors, why other lanes that recur are on none): a list of `AttractorCandidate`, and {lane:
+    reason}.
 
-    found: a `Trail`; periods: those after which its lanes recur, 0 for none; scale: of x and v, the largest.
+    iterates: a `Iterates`; periods: those after which its lanes recur, 0 for none; scale: of x and v, the largest.
     """
-    eps, lost, seen = float(np.finfo(scene.dtype).eps), {}, []
-    near, neutral = eps**0.4 * scale, 4.0 * eps**0.5
-    known = clusters(found, periods, near)
-    if not known:
-        return seen, lost
-    starts = _chosen(found.state, [one.lanes[0] for one in known])
-    rates, _ = exponents(scene, starts, scale)
-    run = iterate(scene, starts, POLISH * max(settle, KEEP), few=0)
-    for k, (one, rate) in enumerate(zip(known, rates.tolist(), strict=True)):
-        last, n = whole(scene, run.lanes([k])), len(one.points)
-        apart = float(abs(last.points[-n:] - last.points[-2 * n : -n]).max())
-        if rate < -neutral and apart <= near:
-            told = {"exponent": rate, "note": f"recurs to within {apart:.0e}"}
-            seen.append(read_orbit(scene, last, one.lanes, n, scale, told))
+    eps, failures, candidates = float(np.finfo(scene.dtype).eps), {}, []
+    tolerance, neutral_growth = eps**0.4 * scale, 4.0 * eps**0.5
+    orbit_clusters = cluster_orbits(iterates, periods, tolerance)
+    if not orbit_clusters:
+        return candidates, failures
+    start_states = _select_lanes(iterates.state, [cluster.lanes[0] for cluster in orbit_clusters])
+    growth_rates, _ = largest_exponents(scene, start_states, scale)
+    long_iterates = iterate(scene, start_states, POLISH_FACTOR * max(settle, MAX_RECORDED_PERIODS), max_single_lanes=0)
+    for index, (cluster, growth_rate) in enumerate(zip(orbit_clusters, growth_rates.tolist(), strict=True)):
+        lane_iterates, n_periods = complete_iterates(scene, long_iterates.select_lanes([index])), len(cluster.points)
+        return_distance = float(
+            abs(lane_iterates.points[-n_periods:] - lane_iterates.points[-2 * n_periods : -n_periods]).max()
+        )
+        if growth_rate < -neutral_growth and return_distance <= tolerance:
+            extra_fields = {"exponent": growth_rate, "note": f"recurs to within {return_distance:.0e}"}
+            candidates.append(periodic_candidate(scene, lane_iterates, cluster.lanes, n_periods, scale, extra_fields))
         else:
-            lost |= dict.fromkeys(one.lanes, "recurs but does not attract")
-    return seen, lost
+            failures |= dict.fromkeys(cluster.lanes, "recurs but does not attract")
+    return candidates, failures
 
 
-def _chosen(state, lanes):
+def _select_lanes(state, lanes):
     return jax.tree.map(lambda leaf: leaf[lanes], state)
 
 
-def watch(scene, state):
+def record_iterates(scene, state):
     """The trail of the state of one lane over KEEP periods, with all of its impacts."""
-    return whole(scene, iterate(scene, state, KEEP, few=0))
+    return complete_iterates(scene, iterate(scene, state, MAX_RECORDED_PERIODS, max_single_lanes=0))
 
 
-def whole(scene, last):
+def complete_iterates(scene, iterates):
     """The trail of one lane, or, where its slots are full, one that goes on from there with all impacts."""
-    return iterate(scene, last.state, KEEP, WIDE) if last.status[0] == Status.FULL else last
+    return (
+        iterate(scene, iterates.state, MAX_RECORDED_PERIODS, MAX_SLOTS)
+        if iterates.status[0] == Status.FULL
+        else iterates
+    )
 
 
-def read_orbit(scene, last, lanes, n, scale, told):
+def periodic_candidate(scene, iterates, lanes, n_periods, scale, extra_fields):
     """A periodic attractor from a trail of one lane on it, read from its least rotation on."""
-    points, words = orbit_of(last, 0, n)
-    after = words[1:] + words[:1]
-    turn = itinerary.first(after, points)
-    impacts = [part[-n:, 0] for part in (last.time, last.side, last.speed)]
-    state = _state(last, turn - n)
-    may = may_rest(scene, last.status, last.contact[-n:])
-    resting = rests(scene, state, n) if may else NO_RESTS
-    numbers = {
-        "label": itinerary.label(words, resting.endless),
+    points, itinerary_words = extract_orbit(iterates, 0, n_periods)
+    rotated_words = itinerary_words[1:] + itinerary_words[:1]
+    rotation = itinerary.canonical_start(rotated_words, points)
+    impacts = [record[-n_periods:, 0] for record in (iterates.time, iterates.side, iterates.speed)]
+    state = _state_at(iterates, rotation - n_periods)
+    can_stick = may_stick(scene, iterates.status, iterates.contact[-n_periods:])
+    sticking = find_sticking_phases(scene, state, n_periods) if can_stick else NO_STICKING
+    fields = {
+        "label": itinerary.label(itinerary_words, sticking.chatter_walls),
         "kind": "periodic",
-        "rests": resting.rests,
+        "rests": sticking.has_sticking,
         "state": state,
-        "periods": n,
-        "itinerary": itinerary.turned(after, turn),
-        "points": np.roll(points, -turn, axis=0),
+        "periods": n_periods,
+        "itinerary": itinerary.rotate(rotated_words, rotation),
+        "points": np.roll(points, -rotation, axis=0),
         "least_speed": _least_speed(*impacts[1:]),
     }
-    return Evidence(lanes, meetings(float(scene.frequency), *impacts, scale), numbers | told)
+    return AttractorCandidate(lanes, impacts_as_points(float(scene.frequency), *impacts, scale), fields | extra_fields)
 
 
-def _state(one, period):
+def _state_at(iterates, period):
     """The state at the end of a kept period of a trail of one lane."""
-    x, v, contact = (float(part[period, 0]) for part in (one.x, one.v, one.contact))
+    x, v, contact = (float(record[period, 0]) for record in (iterates.x, iterates.v, iterates.contact))
     return State(x, v, 0.0, contact)
 
 
@@ -110,102 +118,117 @@ def _least_speed(side, speed):
     return float(np.min(speed, where=side != 0, initial=np.inf))
 
 
-def dissipates(scene):
+def is_dissipative(scene):
     """Whether motions of a single scene draw together at all: it is damped, or a wall is not elastic. Of a force of the
     user's own it is taken for granted where the force depends on the speed."""
     if scene.force is not None:
         return force_rates(scene)[1] > 0 or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)
-    damped = any(bool(scene.parameter(name) > 0) for name in scene.names if name.endswith("damping"))
-    return damped or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)  # -1: a soft one
+    is_damped = any(bool(scene.parameter(name) > 0) for name in scene.names if name.endswith("damping"))
+    return is_damped or any(bool(abs(scene.bounce(side)) < 1) for side in scene.walls)  # -1: a soft one
 
 
-def chaotic(scene, found, lanes, scale, limits=UNLIMITED):
-    """(chaotic attractors, why other lanes are on none), of the lanes that do not recur; as `periodic`. limits: no
+def find_chaotic(scene, iterates, lanes, scale, limits=UNLIMITED):
+    """(chaotic attractors, why other lanes are on none), of the lanes that do not recur; as `find_periodic`. limits: no
     further lane is looked at once their time is over."""
-    seen, lost = [], {}
+    candidates, failures = [], {}
     if not lanes.size or limits.expired:
-        return seen, dict.fromkeys(lanes.tolist(), EXPIRED)
-    rates, errors = exponents(scene, _chosen(found.state, lanes), scale)
+        return candidates, dict.fromkeys(lanes.tolist(), EXPIRED_REASON)
+    growth_rates, errors = largest_exponents(scene, _select_lanes(iterates.state, lanes), scale)
     with np.errstate(invalid="ignore"):
-        wild = rates - 3.0 * errors > LEAST_EXPONENT
-    if not dissipates(scene):
-        lost |= dict.fromkeys(lanes[~wild].tolist(), "does not recur")
-        return seen, lost | dict.fromkeys(lanes[wild].tolist(), "chaotic, but the scene loses no energy")
-    order = np.argsort(~wild, kind="stable")
-    lanes, rates, wild = lanes[order], rates[order], wild[order]
-    return seen, lost | _grouped(scene, _chosen(found.state, lanes), lanes, rates, wild, scale, seen, limits)
+        is_certain = growth_rates - 3.0 * errors > MIN_CHAOS_EXPONENT
+    if not is_dissipative(scene):
+        failures |= dict.fromkeys(lanes[~is_certain].tolist(), "does not recur")
+        return candidates, failures | dict.fromkeys(
+            lanes[is_certain].tolist(), "chaotic, but the scene loses no energy"
+        )
+    order = np.argsort(~is_certain, kind="stable")
+    lanes, growth_rates, is_certain = lanes[order], growth_rates[order], is_certain[order]
+    return candidates, failures | _group_chaotic_lanes(
+        scene, _select_lanes(iterates.state, lanes), lanes, growth_rates, is_certain, scale, candidates, limits
+    )
 
 
-def _grouped(scene, state, lanes, rates, wild, scale, seen, limits):
-    """Puts chaotic lanes that fill the same set together, into `seen`; {lane: reason} of those that are on none.
+def _group_chaotic_lanes(scene, state, lanes, growth_rates, is_certain, scale, candidates, limits):
+    """Puts chaotic lanes that fill the same set together, into `candidates`; {lane: reason} of those that are on none.
 
-    wild: the lanes whose exponents, the rates, are positive beyond doubt. Of each set of others one lane is weighed,
-    and of those that may rest, as nearby trajectories that rest at other times part without chaos.
-    """
-    roams, lost, weighed = roam(scene, state), {}, []
-    for k, lane in enumerate(lanes.tolist()):
+    is_certain: the lanes whose exponents, the rates, are positive beyond doubt. Of each set of others one lane is
+    weighed, and of those that may rest, as nearby trajectories that rest at other times part without chaos."""
+    iterates, failures, verdicts = sample_motion(scene, state), {}, []
+    for index, lane in enumerate(lanes.tolist()):
         if limits.expired:
-            lost[lane] = EXPIRED
+            failures[lane] = EXPIRED_REASON
             continue
-        one = roams.lanes([k])
-        if one.status[0] >= Status.CAP:
-            lost[lane] = f"status {Status(one.status[0]).word}"
+        motion = iterates.select_lanes([index])
+        if motion.status[0] >= Status.CAP:
+            failures[lane] = f"status {Status(motion.status[0]).word}"
             continue
-        this = read_set(scene, one, scale, {})
-        home = next((other for other in seen if is_same_set(this.hits, other.hits)), None)
-        if home is None:
-            sure = bool(wild[k]) and not may_rest(scene, one.status, one.contact)
-            why = None if sure else _refused(scene, one.state, this, weighed, bool(wild[k]))
-            if why is not None:
-                lost[lane] = why
+        candidate = chaotic_candidate(scene, motion, scale, {})
+        match = next((known for known in candidates if is_same_set(candidate.impact_points, known.impact_points)), None)
+        if match is None:
+            accepted = bool(is_certain[index]) and not may_stick(scene, motion.status, motion.contact)
+            reason = (
+                None
+                if accepted
+                else _rejection_reason(scene, motion.state, candidate, verdicts, bool(is_certain[index]))
+            )
+            if reason is not None:
+                failures[lane] = reason
                 continue
-            home = this
-            seen.append(home)
-        home.lanes.append(lane)
-    for one in seen:
-        if "note" not in one.numbers:
-            own = rates[np.isin(lanes, one.lanes)]
-            one.numbers.update(exponent=float(own[np.isfinite(own)].mean()), note="does not recur")
-    return lost
+            match = candidate
+            candidates.append(match)
+        match.lanes.append(lane)
+    for motion in candidates:
+        if "note" not in motion.fields:
+            lane_rates = growth_rates[np.isin(lanes, motion.lanes)]
+            motion.fields.update(exponent=float(lane_rates[np.isfinite(lane_rates)].mean()), note="does not recur")
+    return failures
 
 
-def _refused(scene, state, this, weighed, wild):
+def _rejection_reason(scene, state, candidate, verdicts, is_certain):
     """Why the motion of one lane is not taken for chaos; None where it is: its exponent is then among its numbers.
 
-    wild: whether it is for chaos where the estimator cannot tell; weighed: (hits, why not) of those that were weighed
-    before, to which it is added.
-    """
-    known = next((why for hits, why in weighed if why is not None and is_same_set(this.hits, hits)), None)
-    if known is not None:
-        return known
-    if len(weighed) == WEIGHED:
-        return None if wild else "does not recur, and was not looked at for long"
-    rate, told = weigh(scene, state)
-    if np.isfinite(rate):
-        this.numbers.update(exponent=rate, note=told)
-    weighed.append((this.hits, None if np.isfinite(rate) or (np.isnan(rate) and wild) else told))
-    return weighed[-1][1]
+    is_certain: whether it is for chaos where the estimator cannot tell; verdicts: (hits, why not) of those that were
+    weighed before, to which it is added."""
+    earlier_reason = next(
+        (reason for points, reason in verdicts if reason is not None and is_same_set(candidate.impact_points, points)),
+        None,
+    )
+    if earlier_reason is not None:
+        return earlier_reason
+    if len(verdicts) == MAX_LONG_ESTIMATES:
+        return None if is_certain else "does not recur, and was not looked at for long"
+    growth_rate, note = assess_weak_chaos(scene, state)
+    if np.isfinite(growth_rate):
+        candidate.fields.update(exponent=growth_rate, note=note)
+    verdicts.append(
+        (candidate.impact_points, None if np.isfinite(growth_rate) or (np.isnan(growth_rate) and is_certain) else note)
+    )
+    return verdicts[-1][1]
 
 
-def roam(scene, state):
+def sample_motion(scene, state):
     """A trail of SAMPLES times KEEP periods."""
-    parts = []
-    for _ in range(SAMPLES):
-        parts.append(iterate(scene, state, KEEP, few=0))
-        state = parts[-1].state
-    worst = np.max([part.status for part in parts], axis=0)
-    return Trail(state, worst, *map(np.concatenate, zip(*(part[2:] for part in parts), strict=True)))
+    segments = []
+    for _ in range(SAMPLE_ROUNDS):
+        segments.append(iterate(scene, state, MAX_RECORDED_PERIODS, max_single_lanes=0))
+        state = segments[-1].state
+    worst_status = np.max([segment.status for segment in segments], axis=0)
+    return Iterates(state, worst_status, *map(np.concatenate, zip(*(segment[2:] for segment in segments), strict=True)))
 
 
-def read_set(scene, one, scale, told):
+def chaotic_candidate(scene, iterates, scale, extra_fields):
     """A chaotic attractor, of no lanes yet, from a trail of one lane on it."""
-    numbers = {
+    fields = {
         "label": "chaotic",
         "kind": "chaotic",
-        "state": _state(one, -1),
+        "state": _state_at(iterates, -1),
         "periods": 0,
         "itinerary": (),
-        "points": one.points[:, 0],
-        "least_speed": _least_speed(one.side, one.speed),
+        "points": iterates.points[:, 0],
+        "least_speed": _least_speed(iterates.side, iterates.speed),
     }
-    return Evidence([], meetings(float(scene.frequency), one.time, one.side, one.speed, scale), numbers | told)
+    return AttractorCandidate(
+        [],
+        impacts_as_points(float(scene.frequency), iterates.time, iterates.side, iterates.speed, scale),
+        fields | extra_fields,
+    )

@@ -7,20 +7,20 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from continuation.limits import EXPIRED, UNLIMITED, Results, limits_of, partial_reason
+from continuation.limits import EXPIRED_REASON, UNLIMITED, Results, limits_of, partial_reason
 
-from ..maps.initial_conditions import box, random_starts
-from ..orbits.by_impacts import from_phase_0
+from ..maps.initial_conditions import draw_initial_states, initial_box
 from ..orbits.find import find_orbit
 from ..orbits.orbit import Orbit, OrbitError
+from ..orbits.orbit_from_impacts import read_from_phase_zero
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scales import Scales
 from ..scene.scene import Scene
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
-from . import free_and_mirrored
-from .classify import Evidence, chaotic, periodic
+from . import derived_candidates
+from .classify import AttractorCandidate, find_chaotic, find_periodic
 from .shares import share_bounds
 from .transients import settle_lanes
 
@@ -62,7 +62,7 @@ class Attractor:
     scales: Scales | None = None
 
 
-@check.host("use strobe")
+@check.host_only("use strobe")
 def find_attractors(
     scene: Scene, starts: int = 200, seed: int = 0, settle: int = 300, *, max_seconds: float | None = None
 ) -> Results[Attractor]:
@@ -82,102 +82,110 @@ def find_attractors(
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
-    starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
-    given = random_starts(scene, starts, check.whole("seed", seed, 0))
-    found = settled_on(scene, given, settle, limits)
-    left = sum(reason == EXPIRED for reason in found.lost.values())
-    stopped = partial_reason(starts - left, starts, "starts") if left else ""
-    return Results(paired(scene, found.seen, starts) + _unresolved(given, found.lost, starts), stopped)
+    starts, settle = check.whole_number("starts", starts, 1), check.whole_number("settle", settle, 0)
+    start_states = draw_initial_states(scene, starts, check.whole_number("seed", seed, 0))
+    settled_starts = settle_starts(scene, start_states, settle, limits)
+    n_expired = sum(reason == EXPIRED_REASON for reason in settled_starts.failures.values())
+    stopped = partial_reason(starts - n_expired, starts, "starts") if n_expired else ""
+    return Results(
+        make_attractors(scene, settled_starts.candidates, starts)
+        + _unresolved_attractor(start_states, settled_starts.failures, starts),
+        stopped,
+    )
 
 
-class Settled(NamedTuple):
-    """What starts have settled on. seen: a list of `Evidence`, its lanes the places of the starts that did, the most
-    first; lost: {start: why it is on none of these}; scale: of x and v, the largest; status: of each start."""
+class SettledStarts(NamedTuple):
+    """What starts have settled on. candidates: a list of `AttractorCandidate`, its lanes the places of the starts that
+    did, the most first; failures: {start: why it is on none of these}; scale: of x and v, the largest; status: of each
+    start."""
 
-    seen: list[Evidence]
-    lost: dict[int, str]
+    candidates: list[AttractorCandidate]
+    failures: dict[int, str]
     scale: float | np.floating
     status: Int[np.ndarray, " starts"]
 
 
-def settled_on(scene, given, settle, limits=UNLIMITED):
-    """What these starts of a scene settle on, and what is known without a start: `Settled`. limits: of the time, after
-    which starts are left as they are."""
-    left, right, _ = box(scene)
-    found, periods, scale = settle_lanes(scene, given, settle, max(abs(left), abs(right)), limits)
-    orbits, adrift = periodic(scene, found, periods, settle, scale)
-    restless = np.flatnonzero((periods == 0) & (found.status < Status.CAP))
-    sets, restless = chaotic(scene, found, restless, scale, limits)
-    bad = {
-        int(lane): f"status {Status(found.status[lane]).word}" for lane in np.flatnonzero(found.status >= Status.CAP)
+def settle_starts(scene, start_states, settle, limits=UNLIMITED):
+    """What these starts of a scene settle on, and what is known without a start: `SettledStarts`. limits: of the time,
+    after which starts are left as they are."""
+    x_min, x_max, _ = initial_box(scene)
+    iterates, periods, scale = settle_lanes(scene, start_states, settle, max(abs(x_min), abs(x_max)), limits)
+    orbit_candidates, orbit_failures = find_periodic(scene, iterates, periods, settle, scale)
+    nonrecurrent_lanes = np.flatnonzero((periods == 0) & (iterates.status < Status.CAP))
+    chaotic_candidates, nonrecurrent_lanes = find_chaotic(scene, iterates, nonrecurrent_lanes, scale, limits)
+    status_failures = {
+        int(lane): f"status {Status(iterates.status[lane]).word}"
+        for lane in np.flatnonzero(iterates.status >= Status.CAP)
     }
-    seen = orbits + sets
-    seen += free_and_mirrored.free(scene, seen)
-    seen += free_and_mirrored.images(scene, seen, scale)
-    seen.sort(key=lambda one: (-len(one.lanes), one.numbers["label"], *one.numbers["points"][0]))
-    return Settled(seen, adrift | restless | bad, scale, found.status)
+    candidates = orbit_candidates + chaotic_candidates
+    candidates += derived_candidates.free_response(scene, candidates)
+    candidates += derived_candidates.mirror_images(scene, candidates, scale)
+    candidates.sort(
+        key=lambda candidate: (-len(candidate.lanes), candidate.fields["label"], *candidate.fields["points"][0])
+    )
+    return SettledStarts(candidates, orbit_failures | nonrecurrent_lanes | status_failures, scale, iterates.status)
 
 
-def paired(scene, seen, starts):
-    """The `Evidence` of a scene's attractors as `Attractor`s, with their shares, and their mirror images where the
-    scene is symmetric."""
+def make_attractors(scene, candidates, n_starts):
+    """The `AttractorCandidate` of a scene's attractors as `Attractor`s, with their shares, and their mirror images
+    where the scene is symmetric."""
     symmetric = is_symmetric(scene)
-    orbits = [_polished(scene, one.numbers) for one in seen]
+    orbits = [_polish_orbit(scene, candidate.fields) for candidate in candidates]
     return tuple(
         Attractor(
-            **one.numbers | _rated(one.numbers, orbit),
-            **_share(len(one.lanes), starts),
-            mirror_of=free_and_mirrored.image_place(one, seen) if symmetric else None,
+            **candidate.fields | _exponent_fields(candidate.fields, orbit),
+            **_share_fields(len(candidate.lanes), n_starts),
+            mirror_of=derived_candidates.mirror_index(candidate, candidates) if symmetric else None,
             orbit=orbit,
             scales=scene.scales,
         )
-        for one, orbit in zip(seen, orbits, strict=True)
+        for candidate, orbit in zip(candidates, orbits, strict=True)
     )
 
 
-def _rated(numbers, orbit):
+def _exponent_fields(fields, orbit):
     """{"exponent", "note"} of an attractor: of an orbit by its multipliers, else as it was measured."""
-    rate = numbers["exponent"]
+    exponent = fields["exponent"]
     if orbit is not None and np.isfinite(orbit.multipliers).all():
         with np.errstate(divide="ignore"):
-            rate = float(np.log(abs(orbit.multipliers).max())) / orbit.periods
-    return {"exponent": rate, "note": f"{numbers['note']}; exponent {rate:.3g} per period"}
+            exponent = float(np.log(abs(orbit.multipliers).max())) / orbit.periods
+    return {"exponent": exponent, "note": f"{fields['note']}; exponent {exponent:.3g} per period"}
 
 
-def _share(count, starts):
-    return {"share": count / starts, "share_bounds": share_bounds(count, starts), "starts": starts}
+def _share_fields(n_settled, n_starts):
+    return {"share": n_settled / n_starts, "share_bounds": share_bounds(n_settled, n_starts), "starts": n_starts}
 
 
-def _polished(scene, numbers):
+def _polish_orbit(scene, fields):
     """The `Orbit` of a periodic attractor, at the attractor's own phase and period; None where there is none."""
-    if not numbers["periods"]:
+    if not fields["periods"]:
         return None
     try:
-        orbit = find_orbit(scene, numbers["state"], numbers["periods"], settle=0)
+        orbit = find_orbit(scene, fields["state"], fields["periods"], settle=0)
     except OrbitError:
         return None
     if orbit.unknowns == "impacts":
-        orbit = from_phase_0(orbit, numbers["itinerary"])
-    return replace(orbit, state=replace(orbit.state, contact=numbers["state"].contact))
+        orbit = read_from_phase_zero(orbit, fields["itinerary"])
+    return replace(orbit, state=replace(orbit.state, contact=fields["state"].contact))
 
 
-def _unresolved(given, reasons, starts):
+def _unresolved_attractor(start_states, reasons, n_starts):
     """One entry for all lanes that are on no attractor, none where there are no such lanes."""
     if not reasons:
         return ()
-    first = min(reasons)
+    first_lane = min(reasons)
     counts = Counter(reasons.values()).most_common()
-    entry = Attractor(
+    attractor = Attractor(
         label="unresolved",
         kind="unresolved",
-        **_share(len(reasons), starts),
-        state=State(float(given.x[first]), float(given.v[first]), 0.0, 0.0),
+        **_share_fields(len(reasons), n_starts),
+        state=State(float(start_states.x[first_lane]), float(start_states.v[first_lane]), 0.0, 0.0),
         periods=0,
         itinerary=(),
         points=np.empty((0, 2)),
         least_speed=np.nan,
         exponent=np.nan,
         mirror_of=None,
-        note="; ".join(f"{number} starts: {reason}" for reason, number in counts),
+        note="; ".join(f"{count} starts: {reason}" for reason, count in counts),
     )
-    return (entry,)
+    return (attractor,)

@@ -6,23 +6,23 @@ from jaxtyping import ArrayLike, Real
 
 from continuation.limits import limits_of, partial_reason
 
-from ..maps.initial_conditions import box
+from ..maps.initial_conditions import initial_box
 from ..maps.inverse import require_reversible
 from ..maps.monodromy import monodromy
 from ..maps.phase_shift import shift_phase
 from ..orbits.orbit import Orbit
-from ..output.units import LENGTH, SPEED, scales_in
+from ..output.units import LENGTH, SPEED, scales_attributes
 from ..scene import check
-from ..scene.scene import free_between
+from ..scene.scene import rigid_wall_positions
 from ..scene.state import State
-from .global_manifold import Rules, gaps, levels
-from .local_manifold import germ, mapped
+from .global_manifold import ManifoldRules, grow_levels, neighbour_gaps
+from .local_manifold import compute_local_manifold, iterate_map
 
 KINDS = ("stable", "unstable")
-SAME = 1e-6  # of the scene's size: two points as near are one, and a point as near to a wall is on it
+SAME_POINT_DISTANCE = 1e-6  # of the scene's size: two points as near are one, and a point as near to a wall is on it
 
 
-@check.host("use strobe or monodromy")
+@check.host_only("use strobe or monodromy")
 def manifold(
     orbit: Orbit,
     kind: str,
@@ -64,34 +64,41 @@ def manifold(
         raise check.ArgumentError("orbit", "must be an Orbit", orbit)
     if kind not in KINDS:
         raise check.ArgumentError("kind", f"must be one of {', '.join(KINDS)}", kind)
-    scene, back = orbit.scene, kind == "stable"
-    size, rules = _rules(scene, length, spacing, angle, fastest, check.whole("most", most, 100))
-    rate, turn = _rate(orbit, kind), orbit.periods
-    if back:
+    scene, inverse = orbit.scene, kind == "stable"
+    scene_size, rules = _check_rules(scene, length, spacing, angle, fastest, check.whole_number("most", most, 100))
+    stretch, periods = _stretch_factor(orbit, kind), orbit.periods
+    if inverse:
         require_reversible(scene)
-    phase = float(check.number("phase", orbit.state.phase if phase is None else phase, np.float64))
-    strands = []
-    for origin, (saddle, heading) in enumerate(_saddles(orbit, phase, back)):
-        start = germ(scene, saddle, heading, rate, turn, phase, back, size)
+    phase = float(check.finite_array("phase", orbit.state.phase if phase is None else phase, np.float64))
+    branches = []
+    for saddle_index, (saddle, direction) in enumerate(_saddle_points(orbit, phase, inverse)):
+        local_manifold = compute_local_manifold(scene, saddle, direction, stretch, periods, phase, inverse, scene_size)
         for side in (-1, 1):
-            found, reason = levels(scene, start, side, np.sign(rate), turn, phase, back, size, rules, limits)
-            strands.append(_strand(scene, phase, saddle, found, reason, size, rules) | {"side": side, "origin": origin})
-    numbers = {"phase": phase, "kind": kind, "label": orbit.label}
-    count = sum(one["ended"][-1] != "max_seconds" for one in strands)
-    numbers |= {} if count == len(strands) else {"stopped": partial_reason(count, len(strands), "sides")}
-    return _dataset(scene, strands, numbers | {"multiplier": float(_multiplier(orbit, kind))})
+            levels, end_reason = grow_levels(
+                scene, local_manifold, side, np.sign(stretch), periods, phase, inverse, scene_size, rules, limits
+            )
+            branches.append(
+                _assemble_branch(scene, phase, saddle, levels, end_reason, scene_size, rules)
+                | {"side": side, "origin": saddle_index}
+            )
+    attrs = {"phase": phase, "kind": kind, "label": orbit.label}
+    n_complete = sum(branch["ended"][-1] != "max_seconds" for branch in branches)
+    attrs |= {} if n_complete == len(branches) else {"stopped": partial_reason(n_complete, len(branches), "sides")}
+    return _make_dataset(scene, branches, attrs | {"multiplier": float(_multiplier(orbit, kind))})
 
 
-def _rules(scene, length, spacing, angle, fastest, most):
-    left, right, fast = box(scene)
-    fastest = 2.0 * fast if fastest is None else fastest
-    given = {"length": length, "spacing": spacing, "angle": angle, "fastest": fastest}
-    numbers = {key: float(check.number(key, value, np.float64)) for key, value in given.items()}
-    for key, value in numbers.items():
+def _check_rules(scene, length, spacing, angle, fastest, max_points):
+    x_min, x_max, max_speed = initial_box(scene)
+    fastest = 2.0 * max_speed if fastest is None else fastest
+    arguments = {"length": length, "spacing": spacing, "angle": angle, "fastest": fastest}
+    values = {key: float(check.finite_array(key, value, np.float64)) for key, value in arguments.items()}
+    for key, value in values.items():
         if not value > 0:
             raise check.ArgumentError(key, "must be greater than 0", value)
-    size = max(abs(float(left)), abs(float(right)))
-    return size, Rules(least=1e-3 * numbers["spacing"], usual=float(fast), most=most, **numbers)
+    scene_size = max(abs(float(x_min)), abs(float(x_max)))
+    return scene_size, ManifoldRules(
+        min_distance=1e-3 * values["spacing"], usual_speed=float(max_speed), max_points=max_points, **values
+    )
 
 
 def _multiplier(orbit, kind):
@@ -103,98 +110,109 @@ def _multiplier(orbit, kind):
     return (smaller if kind == "stable" else larger).real
 
 
-def _rate(orbit, kind):
+def _stretch_factor(orbit, kind):
     """How much a piece is stretched on the orbit's way round, or on the way back; negative where it changes sides."""
-    one = _multiplier(orbit, kind)
-    if one == 0:
+    multiplier = _multiplier(orbit, kind)
+    if multiplier == 0:
         raise check.ArgumentError("orbit", "must have no multiplier 0 to have a stable manifold of curves", orbit)
-    return one if kind == "unstable" else 1.0 / one
+    return multiplier if kind == "unstable" else 1.0 / multiplier
 
 
-def _saddles(orbit, phase, back):
+def _saddle_points(orbit, phase, inverse):
     """(point, eigenvector) of each of the orbit's points on Sigma at a phase."""
     scene, state = orbit.scene, orbit.state
-    lanes = State(*(np.full(1, float(each), scene.dtype) for each in (state.x, state.v, state.phase, state.contact)))
-    here, _ = shift_phase(scene, lanes, phase)
-    point = np.array([[here.x[0], here.v[0]]], float)
+    lane_state = State(
+        *(np.full(1, float(value), scene.dtype) for value in (state.x, state.v, state.phase, state.contact))
+    )
+    shifted_state, _ = shift_phase(scene, lane_state, phase)
+    point = np.array([[shifted_state.x[0], shifted_state.v[0]]], float)
     for _ in range(orbit.periods):
         matrix = np.asarray(monodromy(scene, State(*point[0], phase), orbit.periods), float)
         if not np.isfinite(matrix).all():
             raise check.ArgumentError("phase", "must not be that of an impact or a rest", phase)
-        values, vectors = np.linalg.eig(matrix)
-        chosen = np.argmin(abs(values)) if back else np.argmax(abs(values))
-        heading = vectors[:, chosen].real
-        yield point[0], heading * np.sign(heading[np.argmax(abs(heading))])
-        point, _, _ = mapped(scene, point, phase, 1, False)
+        eigenvalues, eigenvectors = np.linalg.eig(matrix)
+        index = np.argmin(abs(eigenvalues)) if inverse else np.argmax(abs(eigenvalues))
+        direction = eigenvectors[:, index].real
+        yield point[0], direction * np.sign(direction[np.argmax(abs(direction))])
+        point, _, _ = iterate_map(scene, point, phase, 1, False)
 
 
-def _strand(scene, phase, saddle, found, end, size, rules):
+def _assemble_branch(scene, phase, saddle, levels, end_reason, scene_size, rules):
     """One side of one point, from the saddle on: a dict of arrays over its points, and of its pieces' ends."""
-    walls = [place for place in free_between(scene, phase) if np.isfinite(place)]
-    z, good, image, why = [saddle[None]], [[True]], [[0]], [[""]]
-    for k, level in enumerate(found):
-        chosen, ends = _cornered(level, _breaks(level, walls, size, rules))
-        later = chosen[min(k, 1) :]  # the first point of a level is the last of the one before
-        z.append(level.z[later])
-        good.append(level.good[later])
-        image.append(np.full(len(later), k))
-        why.append(ends if k else np.append("", ends))
-    z, good, image, why = map(np.concatenate, (z, good, image, why))
-    piece = np.cumsum(why != "")[good]
-    first = np.flatnonzero(np.append(True, np.diff(piece) != 0))
-    began = why[np.flatnonzero(good)[first]]
-    after = np.append(why, end)[np.flatnonzero(good)[np.append(first[1:], len(piece)) - 1] + 1]
-    began[0], after[-1] = "saddle", end
-    z, piece = z[good], np.repeat(np.arange(len(first)), np.diff(np.append(first, len(piece))))
-    step = np.where(np.append(True, np.diff(piece) != 0), 0.0, np.hypot(*np.diff(z, axis=0, prepend=z[:1]).T))
-    return {"z": z, "image": image[good], "piece": piece, "arc": np.cumsum(step), "began": began, "ended": after}
+    wall_positions = [position for position in rigid_wall_positions(scene, phase) if np.isfinite(position)]
+    z, valid, images, reasons = [saddle[None]], [[True]], [[0]], [[""]]
+    for level_index, level in enumerate(levels):
+        indices, gap_reasons = _duplicate_corners(level, _break_reasons(level, wall_positions, scene_size, rules))
+        new_indices = indices[min(level_index, 1) :]  # the first point of a level is the last of the one before
+        z.append(level.z[new_indices])
+        valid.append(level.valid[new_indices])
+        images.append(np.full(len(new_indices), level_index))
+        reasons.append(gap_reasons if level_index else np.append("", gap_reasons))
+    z, valid, images, reasons = map(np.concatenate, (z, valid, images, reasons))
+    piece = np.cumsum(reasons != "")[valid]
+    piece_starts = np.flatnonzero(np.append(True, np.diff(piece) != 0))
+    start_reasons = reasons[np.flatnonzero(valid)[piece_starts]]
+    end_reasons = np.append(reasons, end_reason)[np.flatnonzero(valid)[np.append(piece_starts[1:], len(piece)) - 1] + 1]
+    start_reasons[0], end_reasons[-1] = "saddle", end_reason
+    z, piece = z[valid], np.repeat(np.arange(len(piece_starts)), np.diff(np.append(piece_starts, len(piece))))
+    step_lengths = np.where(np.append(True, np.diff(piece) != 0), 0.0, np.hypot(*np.diff(z, axis=0, prepend=z[:1]).T))
+    return {
+        "z": z,
+        "image": images[valid],
+        "piece": piece,
+        "arc": np.cumsum(step_lengths),
+        "began": start_reasons,
+        "ended": end_reasons,
+    }
 
 
-def _breaks(level, walls, size, rules):
+def _break_reasons(level, wall_positions, scene_size, rules):
     """Of each pair of neighbours why they are not joined, "" where they are."""
-    over, joined, _ = gaps(level, size, rules)
-    good = level.good[:-1] & level.good[1:]
+    spacing_ratio, connected, _ = neighbour_gaps(level, scene_size, rules)
+    valid = level.valid[:-1] & level.valid[1:]
     with np.errstate(invalid="ignore"):
-        beside = [(abs(level.z[:, 0] - wall) <= SAME * size) for wall in walls]
-    section = np.any([each[:-1] & each[1:] for each in beside], axis=0)
-    changed = np.diff(level.count) != 0
-    why = np.where(changed & (over <= 1.0), "grazing", "resolution")
-    why = np.where(changed & section, "section", why)
-    return np.where(joined, "", np.where(good, why, "fast"))
+        at_wall = [(abs(level.z[:, 0] - position) <= SAME_POINT_DISTANCE * scene_size) for position in wall_positions]
+    at_section = np.any([flags[:-1] & flags[1:] for flags in at_wall], axis=0)
+    count_changes = np.diff(level.n_impacts) != 0
+    reasons = np.where(count_changes & (spacing_ratio <= 1.0), "grazing", "resolution")
+    reasons = np.where(count_changes & at_section, "section", reasons)
+    return np.where(connected, "", np.where(valid, reasons, "fast"))
 
 
-def _cornered(level, why):
+def _duplicate_corners(level, reasons):
     """(places of the points, why neighbours among them are not joined): a corner belongs to both of its pieces.
 
     It is the neighbour with fewer impacts. That is as near to it as the parameter tells, the other only to the root of
     this (a grazing impact's speed), and the curve between them is as straight as it is short.
     """
-    before = np.flatnonzero(why == "grazing")
-    corner = before + (level.count[before] > level.count[before + 1])
-    chosen = np.sort(np.append(np.arange(len(level.u)), corner))
-    apart = np.where(why == "grazing", "", why)[np.minimum(chosen[:-1], len(why) - 1)]
-    return chosen, np.where(chosen[:-1] == chosen[1:], "grazing", apart)
+    grazing_indices = np.flatnonzero(reasons == "grazing")
+    corner_indices = grazing_indices + (level.n_impacts[grazing_indices] > level.n_impacts[grazing_indices + 1])
+    indices = np.sort(np.append(np.arange(len(level.u)), corner_indices))
+    gap_reasons = np.where(reasons == "grazing", "", reasons)[np.minimum(indices[:-1], len(reasons) - 1)]
+    return indices, np.where(indices[:-1] == indices[1:], "grazing", gap_reasons)
 
 
-def _dataset(scene, strands, attrs):
+def _make_dataset(scene, branches, attrs):
     """The strands behind each other, their pieces numbered through."""
-    length, speed = {"units": LENGTH}, {"units": SPEED}
-    first = np.cumsum([0, *(len(one["began"]) for one in strands)])
-    sizes = [len(one["z"]) for one in strands]
-    z, image, arc = (np.concatenate([one[key] for one in strands]) for key in ("z", "image", "arc"))
-    piece = np.concatenate([one["piece"] + start for one, start in zip(strands, first, strict=False)])
-    side, origin = (np.repeat([one[key] for one in strands], sizes) for key in ("side", "origin"))
+    length_attrs, speed_attrs = {"units": LENGTH}, {"units": SPEED}
+    piece_offsets = np.cumsum([0, *(len(branch["began"]) for branch in branches)])
+    n_points = [len(branch["z"]) for branch in branches]
+    points, images, arc_lengths = (
+        np.concatenate([branch[key] for branch in branches]) for key in ("z", "image", "arc")
+    )
+    pieces = np.concatenate([branch["piece"] + offset for branch, offset in zip(branches, piece_offsets, strict=False)])
+    sides, saddle_indices = (np.repeat([branch[key] for branch in branches], n_points) for key in ("side", "origin"))
     return xr.Dataset(
         {
-            "x": ("point", z[:, 0], {"long_name": "displacement", **length}),
-            "v": ("point", z[:, 1], {"long_name": "velocity", **speed}),
-            "arc": ("point", arc, {"long_name": "length of the curve from the saddle on"}),
-            "image": ("point", image, {"long_name": "times that the map was applied"}),
-            "piece": ("point", piece),
-            "side": ("point", side),
-            "origin": ("point", origin),
-            "began": ("piece_end", np.concatenate([one["began"] for one in strands])),
-            "ended": ("piece_end", np.concatenate([one["ended"] for one in strands])),
+            "x": ("point", points[:, 0], {"long_name": "displacement", **length_attrs}),
+            "v": ("point", points[:, 1], {"long_name": "velocity", **speed_attrs}),
+            "arc": ("point", arc_lengths, {"long_name": "length of the curve from the saddle on"}),
+            "image": ("point", images, {"long_name": "times that the map was applied"}),
+            "piece": ("point", pieces),
+            "side": ("point", sides),
+            "origin": ("point", saddle_indices),
+            "began": ("piece_end", np.concatenate([branch["began"] for branch in branches])),
+            "ended": ("piece_end", np.concatenate([branch["ended"] for branch in branches])),
         },
-        attrs=scene.numbers | scales_in(scene) | attrs,
+        attrs=scene.numbers | scales_attributes(scene) | attrs,
     )

@@ -12,13 +12,13 @@ from jaxtyping import ArrayLike, Bool, Float, Int
 from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES
 from ..scene.state import State
-from .tangent import begin, run
+from .tangent import run_tangents, start_tangents
 
-NEUTRAL = 1e-5  # growth a period that rounding may make of none
-ROUNDS = 5  # of Newton's method on the strobe: the last two are rounding apart
+NEUTRAL_RATE = 1e-5  # growth a period that rounding may make of none
+NEWTON_STEPS = 5  # of Newton's method on the strobe: the last two are rounding apart
 
 
-class Rates(NamedTuple):
+class ExponentEstimate(NamedTuple):
     """What is known of one motion, or of many, lanes first. exponent, error: (2,), a period, the larger first; impacts:
     a period, of all, left, right, (3,); within: the time within each wall, a period, left, right, (2,); periods: of the
     orbit, 0 for none; status: see `tangent.run`; count: periods averaged."""
@@ -32,119 +32,152 @@ class Rates(NamedTuple):
     count: Int[ArrayLike, " *lanes"]  # type: ignore[assignment]  # hides tuple's method
 
     @property
-    def repels(self) -> Bool[ArrayLike, " *lanes"]:
+    def is_repelling(self) -> Bool[ArrayLike, " *lanes"]:
         """Whether motions near it certainly leave it."""
-        return self.exponent[..., 0] > NEUTRAL
+        return self.exponent[..., 0] > NEUTRAL_RATE
 
 
-def lost(status):
-    """The `Rates` of a motion that has none."""
-    none = np.full(2, np.nan)
-    return Rates(none, none, np.full(3, np.nan), none, *np.array([0, status, 0]))
+def undefined_estimate(status):
+    """The `ExponentEstimate` of a motion that has none."""
+    undefined = np.full(2, np.nan)
+    return ExponentEstimate(undefined, undefined, np.full(3, np.nan), undefined, *np.array([0, status, 0]))
 
 
-def areas(scene, laps):
-    """What of ln abs det M `shrinkage` cannot know of each period of some laps: all of it, by the matrices themselves,
-    under a force of the user's own; else what the damping of soft walls adds in the time within them."""
+def measured_area_growth(scene, records):
+    """What of ln abs det M `log_determinant` cannot know of each period of some records: all of it, by the matrices
+    themselves, under a force of the user's own; else what the damping of soft walls adds in the time within them."""
     if scene.force is None:
-        found = np.zeros_like(laps.growth)
+        area_growth = np.zeros_like(records.growth)
         for side in scene.soft_sides:
-            more = np.asarray(scene.parameter(f"{side}.damping")) - np.asarray(scene.damping)
-            found -= 2.0 * more * laps.within[..., SIDES.index(side)]
-        return found
-    a, b, c, d = np.moveaxis(laps.matrix, -1, 0)
+            extra_damping = np.asarray(scene.parameter(f"{side}.damping")) - np.asarray(scene.damping)
+            area_growth -= 2.0 * extra_damping * records.time_within[..., SIDES.index(side)]
+        return area_growth
+    a, b, c, d = np.moveaxis(records.matrix, -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.log(abs(a * d - b * c))
 
 
-def shrinkage(scene, left, right, count, area):
-    """ln abs det M of so many periods with these impacts on each wall: numbers that broadcast. area: the sum of
-    `areas`."""
+def log_determinant(scene, left_impacts, right_impacts, n_periods, area_growth):
+    """ln abs det M of so many periods with these impacts on each wall: numbers that broadcast. area_growth: the sum of
+    `measured_area_growth`."""
     if scene.force is not None:
-        return area
-    length = 2.0 * np.pi / np.asarray(scene.frequency)
-    total = area - 2.0 * np.asarray(scene.damping) * length * count
-    for side, hits in (("left", left), ("right", right)):
+        return area_growth
+    period = 2.0 * np.pi / np.asarray(scene.frequency)
+    log_det = area_growth - 2.0 * np.asarray(scene.damping) * period * n_periods
+    for side, n_impacts in (("left", left_impacts), ("right", right_impacts)):
         if side in scene.walls and side not in scene.soft_sides:
             with np.errstate(divide="ignore", invalid="ignore"):
-                total = total + np.where(hits > 0, 2.0 * hits * np.log(np.asarray(scene.bounce(side))), 0.0)
-    return total
+                log_det = log_det + np.where(
+                    n_impacts > 0, 2.0 * n_impacts * np.log(np.asarray(scene.bounce(side))), 0.0
+                )
+    return log_det
 
 
-def of_orbits(scene, state, periods):
-    """`Rates` of the periodic orbits that states are near to, (lanes,).
+def compute_orbit_exponents(scene, state, periods):
+    """`ExponentEstimate` of the periodic orbits that states are near to, (lanes,).
 
     scene: a single one or a lane of a batch each; state: leaves (lanes,); periods: of the orbits, (lanes,), at most
     LAPS. Newton's method on the strobe brings the states to rounding; the best of its steps gives the exponents, how
     far the second best is from that their errors.
     """
-    seen = []
-    for _ in range(ROUNDS):
-        _, laps = run(scene, begin(state), int(periods.max()))
-        off = laps.points[periods - 1, np.arange(len(periods))] - np.stack([state.x, state.v], -1)
-        parts = laps.left, laps.right, laps.count, areas(scene, laps), *np.moveaxis(laps.within, -1, 0)
-        left, right, hits, area, *within = (_until(part, periods) for part in parts)
-        matrix, size = _product(laps.matrix, periods)
-        logs = _multiplied(matrix, size, shrinkage(scene, left, right, periods, area))
-        away = np.nan_to_num(abs(off).max(axis=1), nan=np.inf)
-        seen.append((away, logs / periods[:, None], np.stack([hits, left, right, *within], -1), laps.status))
-        state = _nearer(state, matrix, size, off)
-    away, logs, hits, status = map(np.stack, zip(*seen, strict=True))
-    best, second = np.argsort(away, axis=0, kind="stable")[:2]
-    lane = np.arange(len(periods))
-    return _told(logs[best, lane], logs[second, lane], hits[best, lane], status[best, lane], periods)
+    newton_steps = []
+    for _ in range(NEWTON_STEPS):
+        _, records = run_tangents(scene, start_tangents(state), int(periods.max()))
+        residual = records.points[periods - 1, np.arange(len(periods))] - np.stack([state.x, state.v], -1)
+        quantities = (
+            records.left_impacts,
+            records.right_impacts,
+            records.n_impacts,
+            measured_area_growth(scene, records),
+            *np.moveaxis(records.time_within, -1, 0),
+        )
+        left_impacts, right_impacts, all_impacts, area_growth, *time_within = (
+            _sum_periods(quantity, periods) for quantity in quantities
+        )
+        matrix, log_scale = _matrix_product(records.matrix, periods)
+        log_multipliers = _log_multipliers(
+            matrix, log_scale, log_determinant(scene, left_impacts, right_impacts, periods, area_growth)
+        )
+        residual_norm = np.nan_to_num(abs(residual).max(axis=1), nan=np.inf)
+        newton_steps.append(
+            (
+                residual_norm,
+                log_multipliers / periods[:, None],
+                np.stack([all_impacts, left_impacts, right_impacts, *time_within], -1),
+                records.status,
+            )
+        )
+        state = _newton_update(state, matrix, log_scale, residual)
+    residual_norm, log_multipliers, all_impacts, status = map(np.stack, zip(*newton_steps, strict=True))
+    best_step, second_step = np.argsort(residual_norm, axis=0, kind="stable")[:2]
+    lanes = np.arange(len(periods))
+    return _combine_estimates(
+        log_multipliers[best_step, lanes],
+        log_multipliers[second_step, lanes],
+        all_impacts[best_step, lanes],
+        status[best_step, lanes],
+        periods,
+    )
 
 
-def _until(rows, periods):
+def _sum_periods(values, periods):
     """The sum of the first so many rows of each lane."""
-    return np.where(np.arange(len(rows))[:, None] < periods, rows, 0.0).sum(axis=0)
+    return np.where(np.arange(len(values))[:, None] < periods, values, 0.0).sum(axis=0)
 
 
-def _product(matrix, periods):
+def _matrix_product(matrices, periods):
     """(M over so many periods over its largest entry, the logarithm of that), from M of each: (periods, lanes, 4)."""
-    lanes = len(periods)
-    total, size = np.tile(np.eye(2, dtype=matrix.dtype), (lanes, 1, 1)), np.zeros(lanes, matrix.dtype)
-    for k in range(periods.max()):
-        more = (k < periods)[:, None, None]
-        total = np.where(more, matrix[k].reshape(lanes, 2, 2) @ total, total)
-        largest = abs(total).max(axis=(1, 2))
-        total = total / np.where(largest > 0, largest, 1.0)[:, None, None]
+    n_lanes = len(periods)
+    product, log_scale = np.tile(np.eye(2, dtype=matrices.dtype), (n_lanes, 1, 1)), np.zeros(n_lanes, matrices.dtype)
+    for period in range(periods.max()):
+        is_active = (period < periods)[:, None, None]
+        product = np.where(is_active, matrices[period].reshape(n_lanes, 2, 2) @ product, product)
+        largest = abs(product).max(axis=(1, 2))
+        product = product / np.where(largest > 0, largest, 1.0)[:, None, None]
         with np.errstate(divide="ignore"):
-            size = size + np.log(largest)
-    return total, size
+            log_scale = log_scale + np.log(largest)
+    return product, log_scale
 
 
-def _multiplied(matrix, size, both):
-    """ln abs of the two multipliers, the larger first, (lanes, 2); both: ln abs det M."""
-    trace = 0.5 * abs(matrix[:, 0, 0] + matrix[:, 1, 1])
+def _log_multipliers(matrix, log_scale, log_det):
+    """ln abs of the two multipliers, the larger first, (lanes, 2); log_det: ln abs det M."""
+    half_trace = 0.5 * abs(matrix[:, 0, 0] + matrix[:, 1, 1])
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        inner = trace * trace - np.exp(both - 2.0 * size)
-        first = np.where(inner < 0, 0.5 * both, size + np.log(trace + np.sqrt(np.where(inner < 0, 0.0, inner))))
-        second = np.where(np.isneginf(both), -np.inf, both - first)
-    return np.where(np.isneginf(size)[:, None], -np.inf, np.stack([first, second], -1))
+        discriminant = half_trace * half_trace - np.exp(log_det - 2.0 * log_scale)
+        larger = np.where(
+            discriminant < 0,
+            0.5 * log_det,
+            log_scale + np.log(half_trace + np.sqrt(np.where(discriminant < 0, 0.0, discriminant))),
+        )
+        smaller = np.where(np.isneginf(log_det), -np.inf, log_det - larger)
+    return np.where(np.isneginf(log_scale)[:, None], -np.inf, np.stack([larger, smaller], -1))
 
 
-def _nearer(state, matrix, size, off):
+def _newton_update(state, matrix, log_scale, residual):
     """The states of Newton's next step, as far as there is one: none from a mass that is on a wall.
 
     One that is within a soft wall may come out of it: where it then is, it is free.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        full = np.eye(2) - matrix * np.exp(size)[:, None, None]
-        (a, b), (c, d) = np.moveaxis(full, 0, -1)
-        step = np.stack([d * off[:, 0] - b * off[:, 1], a * off[:, 1] - c * off[:, 0]]) / (a * d - b * c)
-    within = abs(state.contact) == Contact.WITHIN
-    good = np.isfinite(step).all(axis=0) & np.isfinite(size) & (within | (state.contact == 0))
-    x, v = np.where(good, step, 0.0).astype(off.dtype)
-    return State(state.x + x, state.v + v, state.phase, np.where(good, 0.0, state.contact).astype(off.dtype))
+        jacobian = np.eye(2) - matrix * np.exp(log_scale)[:, None, None]
+        (a, b), (c, d) = np.moveaxis(jacobian, 0, -1)
+        step = np.stack([d * residual[:, 0] - b * residual[:, 1], a * residual[:, 1] - c * residual[:, 0]]) / (
+            a * d - b * c
+        )
+    is_within = abs(state.contact) == Contact.WITHIN
+    is_valid = np.isfinite(step).all(axis=0) & np.isfinite(log_scale) & (is_within | (state.contact == 0))
+    x, v = np.where(is_valid, step, 0.0).astype(residual.dtype)
+    return State(state.x + x, state.v + v, state.phase, np.where(is_valid, 0.0, state.contact).astype(residual.dtype))
 
 
-def _told(rates, second, hits, status, periods):
-    """`Rates` from the exponents of the best and of the second best step."""
-    bad = (np.isnan(rates) | np.isposinf(rates)).any(axis=1) | (status >= Status.CAP)
+def _combine_estimates(exponents, second_exponents, impacts, status, periods):
+    """`ExponentEstimate` from the exponents of the best and of the second best step."""
+    invalid = (np.isnan(exponents) | np.isposinf(exponents)).any(axis=1) | (status >= Status.CAP)
     with np.errstate(invalid="ignore"):
-        apart = abs(rates - second) + 4.0 * np.finfo(rates.dtype).eps * abs(rates)
-    error = np.where(np.isneginf(rates), 0.0, np.where(np.isnan(apart), np.inf, apart))
-    rates, error, hits = (np.where(bad[:, None], np.nan, each) for each in (rates, error, hits / periods[:, None]))
-    periods, status = np.where(bad, 0, periods), np.where(bad & (status == 0), Status.NONFINITE, status)
-    return Rates(rates, error, hits[:, :3], hits[:, 3:], periods, status, periods)
+        difference = abs(exponents - second_exponents) + 4.0 * np.finfo(exponents.dtype).eps * abs(exponents)
+    error = np.where(np.isneginf(exponents), 0.0, np.where(np.isnan(difference), np.inf, difference))
+    exponents, error, impacts = (
+        np.where(invalid[:, None], np.nan, array) for array in (exponents, error, impacts / periods[:, None])
+    )
+    periods, status = np.where(invalid, 0, periods), np.where(invalid & (status == 0), Status.NONFINITE, status)
+    return ExponentEstimate(exponents, error, impacts[:, :3], impacts[:, 3:], periods, status, periods)

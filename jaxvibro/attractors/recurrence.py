@@ -2,32 +2,39 @@
 
 import numpy as np
 
-from ..scene.check import MOST_PERIODS
+from ..scene.check import MAX_ORBIT_PERIODS
 
 
-def returns(points):
+def recurrence_distances(points):
     """How far apart states are that lie n = 1 ... MOST_PERIODS periods apart, the largest over as many of the last.
 
     points: x and v on Sigma, shape (periods, lanes, 2), 2 MOST_PERIODS periods at least. Result: (MOST_PERIODS, lanes).
     """
-    last = points[-MOST_PERIODS:]
-    return np.stack([abs(last - points[-MOST_PERIODS - n : -n]).max(axis=(0, 2)) for n in range(1, MOST_PERIODS + 1)])
+    last_points = points[-MAX_ORBIT_PERIODS:]
+    return np.stack(
+        [
+            abs(last_points - points[-MAX_ORBIT_PERIODS - n : -n]).max(axis=(0, 2))
+            for n in range(1, MAX_ORBIT_PERIODS + 1)
+        ]
+    )
 
 
-def remaining(now, before, passed):
+def convergence_distance(distances, previous_distances, elapsed_periods):
     """How far lanes may still be from what they converge to, from the returns now and some periods before.
 
     Returns that shrink by a factor q a period sum up to now / (1 - q^n). Those that have stopped shrinking tell
-    nothing: infinite, but for returns of exactly 0. now, before: (MOST_PERIODS, lanes), passed: periods between them.
-    """
-    n = np.arange(1, MOST_PERIODS + 1)[:, None]
+    nothing: infinite, but for returns of exactly 0. distances, previous_distances: (MOST_PERIODS, lanes),
+    elapsed_periods: periods between them."""
+    n = np.arange(1, MAX_ORBIT_PERIODS + 1)[:, None]
     with np.errstate(divide="ignore", invalid="ignore"):
-        shrink = np.where(now < before, now / before, 1.0) ** (n / passed)
-        left = now / (1.0 - shrink)
-    return np.where(now == 0, 0.0, np.where(np.isnan(left), np.inf, left))
+        shrink_factors = np.where(distances < previous_distances, distances / previous_distances, 1.0) ** (
+            n / elapsed_periods
+        )
+        remainder = distances / (1.0 - shrink_factors)
+    return np.where(distances == 0, 0.0, np.where(np.isnan(remainder), np.inf, remainder))
 
 
-def settled_periods(now, before, passed, scale, dtype):
+def recurrence_periods(distances, previous_distances, elapsed_periods, scale, dtype):
     """The number of periods after which each lane recurs, 0 where it has not settled; shape (lanes,).
 
     A lane has settled on period n where it is nearer than eps^(1/2) scale to what it converges to. Rounding stops the
@@ -37,15 +44,17 @@ def settled_periods(now, before, passed, scale, dtype):
     largest, one for all lanes or (lanes,).
     """
     eps = np.finfo(dtype).eps
-    near = eps**0.5 * scale
-    still = (now <= 64.0 * eps * scale) | ((now <= near) & (now >= before))
-    settled = still | (remaining(now, before, passed) <= near)
-    first = np.where(settled.any(axis=0), settled.argmax(axis=0) + 1, 0)
-    recurs = now <= 10.0 * near
-    for lane in np.flatnonzero(first):
-        first[lane] = _least_divisor(first[lane], recurs[:, lane])
-    return first
+    tolerance = eps**0.5 * scale
+    is_stationary = (distances <= 64.0 * eps * scale) | ((distances <= tolerance) & (distances >= previous_distances))
+    is_settled = is_stationary | (convergence_distance(distances, previous_distances, elapsed_periods) <= tolerance)
+    periods = np.where(is_settled.any(axis=0), is_settled.argmax(axis=0) + 1, 0)
+    is_recurrent = distances <= 10.0 * tolerance
+    for lane in np.flatnonzero(periods):
+        periods[lane] = _smallest_divisor(periods[lane], is_recurrent[:, lane])
+    return periods
 
 
-def _least_divisor(n, recurs):
-    return next((m for m in range(1, n + 1) if n % m == 0 and (recurs[m - 1] or m == n)), 0)
+def _smallest_divisor(n, is_recurrent):
+    return next(
+        (divisor for divisor in range(1, n + 1) if n % divisor == 0 and (is_recurrent[divisor - 1] or divisor == n)), 0
+    )

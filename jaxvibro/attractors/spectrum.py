@@ -10,26 +10,26 @@ from jaxtyping import ArrayLike, Float, Real
 
 from continuation.limits import UNLIMITED, limits_of, partial_reason
 
-from ..compiled.kernels import WIDTH
-from ..maps.long_run import some
-from ..maps.rests import NO_RESTS, rests
-from ..output.units import scales_in, unit_of
+from ..compiled.kernels import BLOCK_WIDTH
+from ..maps.long_run import take_lanes
+from ..maps.sticking_phases import NO_STICKING, find_sticking_phases
+from ..output.units import scales_attributes, unit_of
 from ..scene import check
 from ..scene.scene import Scene
-from ..scene.state import State, check_start, real_state
-from ..scene.unit_slips import require_scene_units
-from ..stores.engines import ThisThread, cores
-from ..stores.filling import Store, done
-from .chaotic_exponents import of_motion, settled
-from .orbit_exponents import lost, of_orbits
-from .spectrum_study import SpectrumStudy, rates_of
-from .sweep import MEANING, UNITS, equation, others, started, static
-from .tangent import LAPS, begin
+from ..scene.state import State, check_start, state_arrays
+from ..scene.unit_mistakes import require_scene_units
+from ..stores.engines import SerialPool, n_usable_cores
+from ..stores.filling import Store, complete_study
+from .chaotic_exponents import estimate_exponents, run_until_recurrence
+from .orbit_exponents import compute_orbit_exponents, undefined_estimate
+from .spectrum_study import SpectrumStudy, estimates_from
+from .sweep import STATUS_FLAGS, UNITS_TEXT, check_start_state, equation_text, other_parameters, static_attributes
+from .tangent import RECORDED_PERIODS, start_tangents
 
-FEW, MANY = 8, 64  # rounds after which most values have settled, and after which the others are averaged
+FEW_ROUNDS, MANY_ROUNDS = 8, 64  # rounds after which most values have settled, and after which the others are averaged
 
 
-@check.host("use monodromy")
+@check.host_only("use monodromy")
 def spectrum(
     scene: Scene,
     name: str,
@@ -57,10 +57,10 @@ def spectrum(
     first 32 in a period, an entry into a soft one being an impact; within (name, wall), the time spent within a soft
     wall, t per drive period, 0 of a rigid one; periods of the orbit, 0 where none was recognised; count, drive periods
     averaged; status, as `Impacts` has it. The exponents' sum is -2 gamma T + 2 ln R times impacts_on - 2 (gamma2 -
-    gamma) times within, without error (of a force of the user's own it is measured). Both are -inf where the
-    mass comes to rest on a wall, as it then forgets all. rests: how often a period it does so; between: the largest
-    growth of tangents from where a wall lets it go to where it next comes to rest, the hops of complete chatter
-    included, a drive period of the time between (`rests`: to within some hundredths); nan where it has no such flight.
+    gamma) times within, without error (of a force of the user's own it is measured). Both are -inf where the mass comes
+    to rest on a wall, as it then forgets all. rests: how often a period it does so; between: the largest growth of
+    tangents from where a wall lets it go to where it next comes to rest, the hops of complete chatter included, a drive
+    period of the time between (`find_sticking_phases`: to within some hundredths); nan where it has no such flight.
     Where a wall that is hit has R = 0 and the mass does not rest the second exponent is -inf. Both are nan where the
     motion has no end, with more than 32 impacts a period in flight (status full), and on an impact without speed
     (nonfinite).
@@ -77,156 +77,196 @@ def spectrum(
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
-    settle, most = check.whole("settle", settle, 0), check.whole("most", most, 1)
-    goal = check.number("error", error, np.float64)
-    check.require("error", "must be greater than 0", goal, goal > 0)
-    if goal.shape:
+    settle, most = check.whole_number("settle", settle, 0), check.whole_number("most", most, 1)
+    target_error = check.finite_array("error", error, np.float64)
+    check.require("error", "must be greater than 0", target_error, target_error > 0)
+    if target_error.shape:
         raise check.ArgumentError("error", "must be a single number", error)
-    values, state = _checked(scene, name, values, state)
+    values, state = _check_arguments(scene, name, values, state)
     starts = jax.tree.map(lambda leaf: np.broadcast_to(leaf, values.shape), state)
     if store is None:
-        with ThreadPoolExecutor(cores()) as pool:
+        with ThreadPoolExecutor(n_usable_cores()) as pool:
             scenes = scene.replace(**{name: values})
-            told = progress or (lambda done: None)
-            found, resting = _found(pool, scenes, starts, settle, float(goal), most, told, limits)
-        count = sum(int(one.status >= 0) for one in found)
-        stopped = {} if count == len(values) else {"stopped": partial_reason(count, len(values), "values")}
+            report = progress or (lambda n_done: None)
+            estimates, sticking = _compute_exponents(
+                pool, scenes, starts, settle, float(target_error), most, report, limits
+            )
+        n_done = sum(int(estimate.status >= 0) for estimate in estimates)
+        stopped = {} if n_done == len(values) else {"stopped": partial_reason(n_done, len(values), "values")}
     else:
-        study = SpectrumStudy(scene, name, values, starts, _of_block, (settle, float(goal), most))
-        data = done(study, store, progress and (lambda one: progress(one.done)), limits)
-        found, resting = rates_of(data)
+        study = SpectrumStudy(scene, name, values, starts, _block_exponents, (settle, float(target_error), most))
+        data = complete_study(study, store, progress and (lambda record: progress(record.done)), limits)
+        estimates, sticking = estimates_from(data)
         stopped = {key: data.attrs[key] for key in ("stopped",) if key in data.attrs}
-    return _dataset(scene, name, values, state, found, resting).assign_attrs(stopped)
+    return _make_dataset(scene, name, values, state, estimates, sticking).assign_attrs(stopped)
 
 
-def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count"], State]:
+def _check_arguments(scene, name, values, state) -> tuple[Float[np.ndarray, " count"], State]:
     """(values, state), arrays of the scene's type, once they break no rule."""
-    check.require_known(name, scene.names, name)
-    values = check.number(name, values, scene.dtype)
+    check.require_parameter(name, scene.names, name)
+    values = check.finite_array(name, values, scene.dtype)
     if values.ndim != 1 or len(values) == 0:
         raise check.ArgumentError(name, "must be a sequence of values, at least one", values)
     require_scene_units("values", scene, name, values)
     scenes = scene.replace(**{name: values})
-    state = started(real_state(scene, state), scene.dtype, [(name, values)])
+    state = check_start_state(state_arrays(scene, state), scene.dtype, [(name, values)])
     check_start(scenes, state, "at each value")
     return values, state
 
 
-def _of_block(scenes, state, settle, goal, most):
-    """`_found` in this thread."""
-    return _found(ThisThread, scenes, state, settle, goal, most, lambda done: None)
+def _block_exponents(scenes, state, settle, target_error, max_periods):
+    """`_compute_exponents` in this thread."""
+    return _compute_exponents(SerialPool, scenes, state, settle, target_error, max_periods, lambda n_done: None)
 
 
-def _found(pool, scenes, state, settle, goal, most, progress, limits=UNLIMITED):
+def _compute_exponents(pool, scenes, state, settle, target_error, max_periods, progress, limits=UNLIMITED):
     """The `Rates` and the `Rests`, their count a period, of each value, in order; the status is -1 where the time was
     over."""
-    everyone = np.arange(len(state.x))
+    all_indices = np.arange(len(state.x))
 
-    def early(index):
-        return None if limits.expired else settled(some(scenes, index), begin(some(state, index)), settle, FEW)
+    def settle_block(indices):
+        return (
+            None
+            if limits.expired
+            else run_until_recurrence(
+                take_lanes(scenes, indices), start_tangents(take_lanes(state, indices)), settle, FEW_ROUNDS
+            )
+        )
 
-    def late(index):
+    def settle_longer(indices):
         if limits.expired:
             return None
-        return settled(some(scenes, index), _joined(seen[k].lanes for k in index), 0, MANY)
+        return run_until_recurrence(
+            take_lanes(scenes, indices), _concatenate_lanes(settled_lanes[k].lanes for k in indices), 0, MANY_ROUNDS
+        )
 
-    def orbits(index):
-        state, periods = _joined((seen[k].lanes.state, seen[k].periods) for k in index)
-        return of_orbits(some(scenes, index), state, periods)
+    def solve_orbits(indices):
+        state, periods = _concatenate_lanes((settled_lanes[k].lanes.state, settled_lanes[k].periods) for k in indices)
+        return compute_orbit_exponents(take_lanes(scenes, indices), state, periods)
 
-    def motion(k):
-        return (None, None) if limits.expired else of_motion(some(scenes, k), seen[k], goal, most)
+    def average_value(k):
+        return (
+            (None, None)
+            if limits.expired
+            else estimate_exponents(take_lanes(scenes, k), settled_lanes[k], target_error, max_periods)
+        )
 
-    seen = _by_lane(pool, early, everyone)
-    going = np.array([k for k, one in seen.items() if one.goes_on], int)
-    later = _by_lane(pool, late, going)
-    seen = {k: one for k, one in (seen | later).items() if k in later or not one.goes_on}
-    found = {k: lost(one.status[0]) for k, one in seen.items() if not one.is_well}
-    found |= _orbits(pool, orbits, [k for k, one in seen.items() if one.periods[0]])
-    progress(len(found))
-    rest = [k for k in seen if k not in found]
-    for k, (rates, end) in zip(rest, _in_order(pool, motion, rest), strict=True):
-        if rates is None:
+    settled_lanes = _map_lanes(pool, settle_block, all_indices)
+    unsettled_indices = np.array([k for k, entry in settled_lanes.items() if entry.is_unsettled], int)
+    longer_runs = _map_lanes(pool, settle_longer, unsettled_indices)
+    settled_lanes = {
+        k: entry for k, entry in (settled_lanes | longer_runs).items() if k in longer_runs or not entry.is_unsettled
+    }
+    estimates = {k: undefined_estimate(entry.status[0]) for k, entry in settled_lanes.items() if not entry.is_valid}
+    estimates |= _orbit_estimates(pool, solve_orbits, [k for k, entry in settled_lanes.items() if entry.periods[0]])
+    progress(len(estimates))
+    remaining = [k for k in settled_lanes if k not in estimates]
+    for k, (estimate, new_settled) in zip(remaining, _map_in_order(pool, average_value, remaining), strict=True):
+        if estimate is None:
             continue
-        found[k] = rates
-        if end is not None:
-            seen[k] = end
-        progress(len(found))
-    found |= _orbits(pool, orbits, [k for k in rest if k in found and seen[k].periods[0]])
-    resting = [NO_RESTS if k in found else NO_RESTS._replace(count=np.nan) for k in everyone.tolist()]
-    for k in (k for k, one in found.items() if np.isneginf(one.exponent[0])):
-        one, state = some(scenes, k), jax.tree.map(lambda leaf: leaf[0], seen[k].lanes.state)
-        resting[k] = rests(one, state, found[k].periods or LAPS)
-        resting[k] = resting[k]._replace(count=resting[k].count / (found[k].periods or LAPS))
-    return [found.get(k, lost(-1)) for k in everyone.tolist()], resting
+        estimates[k] = estimate
+        if new_settled is not None:
+            settled_lanes[k] = new_settled
+        progress(len(estimates))
+    estimates |= _orbit_estimates(
+        pool, solve_orbits, [k for k in remaining if k in estimates and settled_lanes[k].periods[0]]
+    )
+    sticking = [NO_STICKING if k in estimates else NO_STICKING._replace(count=np.nan) for k in all_indices.tolist()]
+    for k in (k for k, entry in estimates.items() if np.isneginf(entry.exponent[0])):
+        entry, state = take_lanes(scenes, k), jax.tree.map(lambda leaf: leaf[0], settled_lanes[k].lanes.state)
+        sticking[k] = find_sticking_phases(entry, state, estimates[k].periods or RECORDED_PERIODS)
+        sticking[k] = sticking[k]._replace(count=sticking[k].count / (estimates[k].periods or RECORDED_PERIODS))
+    return [estimates.get(k, undefined_estimate(-1)) for k in all_indices.tolist()], sticking
 
 
-def _joined(parts):
+def _concatenate_lanes(trees):
     """Trees of lanes, their last axis, one after the other."""
-    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *parts)
+    return jax.tree.map(lambda *leaves: np.concatenate(leaves, axis=-1), *trees)
 
 
-def _lanes(trees):
+def _split_lanes(trees):
     """Trees of one lane each."""
-    cut = []
+    lane_trees = []
     for tree in trees:
-        leaves, form = jax.tree.flatten(tree)
-        cut += [form.unflatten([leaf[..., k : k + 1] for leaf in leaves]) for k in range(leaves[0].shape[-1])]
-    return cut
+        leaves, structure = jax.tree.flatten(tree)
+        lane_trees += [
+            structure.unflatten([leaf[..., k : k + 1] for leaf in leaves]) for k in range(leaves[0].shape[-1])
+        ]
+    return lane_trees
 
 
-def _in_blocks(pool, function, index):
+def _map_blocks(pool, function, indices):
     """The results of a function of an array of lanes, block by block."""
-    return list(_in_order(pool, function, [index[first : first + WIDTH] for first in range(0, len(index), WIDTH)]))
+    return list(
+        _map_in_order(
+            pool, function, [indices[start : start + BLOCK_WIDTH] for start in range(0, len(indices), BLOCK_WIDTH)]
+        )
+    )
 
 
-def _by_lane(pool, function, index):
+def _map_lanes(pool, function, indices):
     """{value: tree of one lane} of a function of an array of lanes, block by block; it gives None for a block that is
     left out."""
-    blocks = [index[first : first + WIDTH] for first in range(0, len(index), WIDTH)]
-    trees = zip(blocks, _in_order(pool, function, blocks), strict=True)
-    done = [(block.tolist(), _lanes([tree])) for block, tree in trees if tree is not None]
-    return {k: one for block, lanes in done for k, one in zip(block, lanes, strict=True)}
+    blocks = [indices[start : start + BLOCK_WIDTH] for start in range(0, len(indices), BLOCK_WIDTH)]
+    trees = zip(blocks, _map_in_order(pool, function, blocks), strict=True)
+    block_lanes = [(block.tolist(), _split_lanes([tree])) for block, tree in trees if tree is not None]
+    return {k: lane_tree for block, lane_trees in block_lanes for k, lane_tree in zip(block, lane_trees, strict=True)}
 
 
-def _in_order(pool, function, items):
+def _map_in_order(pool, function, items):
     """The results in order; the first alone, as two threads would each compile what it needs."""
     yield from map(function, items[:1])
     yield from pool.map(function, items[1:])
 
 
-def _orbits(pool, orbits, index):
+def _orbit_estimates(pool, solve_orbits, indices):
     """{value: `Rates`} of those that are on a periodic orbit which does not repel."""
-    blocks = _in_blocks(pool, orbits, np.array(index, int))
-    rates = [some(block, k) for block in blocks for k in range(len(block.periods))]
-    return {k: one for k, one in zip(index, rates, strict=True) if not one.repels}
+    blocks = _map_blocks(pool, solve_orbits, np.array(indices, int))
+    estimates = [take_lanes(block, k) for block in blocks for k in range(len(block.periods))]
+    return {k: estimate for k, estimate in zip(indices, estimates, strict=True) if not estimate.is_repelling}
 
 
-def _dataset(scene, name, values, state, found, resting):
+def _make_dataset(scene, name, values, state, estimates, sticking):
     """The named result of the `Rates` and the `Rests` of each value."""
-    exponent, error, impacts, within, periods, status, count = (np.stack(part) for part in zip(*found, strict=True))
+    exponent, error, impacts, within, periods, status, count = (
+        np.stack(arrays) for arrays in zip(*estimates, strict=True)
+    )
     coords = {
         name: (name, values, {"long_name": name, "units": unit_of(name)}),
         "order": ("order", [1, 2], {"long_name": "place among the exponents, the larger first"}),
         "wall": ("wall", ["left", "right"]),
     }
-    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene), **scales_in(scene)}
-    for key, value in (others(scene, name) | {"phase": state.phase}).items():
+    attrs = {
+        "equation": equation_text(scene),
+        "units": UNITS_TEXT,
+        "swept": name,
+        **static_attributes(scene),
+        **scales_attributes(scene),
+    }
+    for key, value in (other_parameters(scene, name) | {"phase": state.phase}).items():
         if np.ndim(value):
             coords[key] = (name, value)
         else:
             attrs[key] = float(value)
-    rate = {"units": "per drive period"}
+    rate_attrs = {"units": "per drive period"}
     variables = {
-        "exponent": ([name, "order"], exponent, {"long_name": "Lyapunov exponents", **rate}),
-        "error": ([name, "order"], error, {"long_name": "standard errors of the exponents", **rate}),
-        "rests": (name, [float(one.count) for one in resting], {"long_name": "comings to rest on a wall", **rate}),
-        "between": (name, [one.rate for one in resting], {"long_name": "largest growth between rests", **rate}),
-        "impacts": (name, impacts[:, 0], {"long_name": "impacts", **rate}),
-        "impacts_on": ([name, "wall"], impacts[:, 1:], {"long_name": "impacts on a wall", **rate}),
+        "exponent": ([name, "order"], exponent, {"long_name": "Lyapunov exponents", **rate_attrs}),
+        "error": ([name, "order"], error, {"long_name": "standard errors of the exponents", **rate_attrs}),
+        "rests": (
+            name,
+            [float(sticking_record.count) for sticking_record in sticking],
+            {"long_name": "comings to rest on a wall", **rate_attrs},
+        ),
+        "between": (
+            name,
+            [sticking_record.growth_rate for sticking_record in sticking],
+            {"long_name": "largest growth between rests", **rate_attrs},
+        ),
+        "impacts": (name, impacts[:, 0], {"long_name": "impacts", **rate_attrs}),
+        "impacts_on": ([name, "wall"], impacts[:, 1:], {"long_name": "impacts on a wall", **rate_attrs}),
         "within": ([name, "wall"], within, {"long_name": "time within a soft wall", "units": "t per drive period"}),
         "periods": (name, periods, {"long_name": "drive periods of the orbit, 0 where none was recognised"}),
         "count": (name, count, {"long_name": "drive periods averaged"}),
-        "status": (name, status, {"long_name": "worst status at this value", **MEANING}),
+        "status": (name, status, {"long_name": "worst status at this value", **STATUS_FLAGS}),
     }
     return xr.Dataset(variables, coords, attrs)

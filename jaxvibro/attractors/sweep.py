@@ -13,28 +13,28 @@ from jaxtyping import ArrayLike, Float, Real
 from continuation.limits import UNLIMITED, limits_of, partial_reason
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.compiler_hints import OPTIONS
-from ..flight.wall_positions import fit
+from ..compiled.compiler_hints import COMPILER_OPTIONS
+from ..flight.wall_positions import clamp_to_walls
 from ..maps.strobe import strobe
-from ..output.units import LENGTH, SPEED, scales_in, unit_of
+from ..output.units import LENGTH, SPEED, scales_attributes, unit_of
 from ..scene import check
 from ..scene.codes import Status
-from ..scene.named_forces import named
+from ..scene.named_forces import force_name
 from ..scene.scene import Scene
 from ..scene.state import State, check_start
-from ..scene.unit_slips import require_scene_units
-from ..stores.filling import Store, done
+from ..scene.unit_mistakes import require_scene_units
+from ..stores.filling import Store, complete_study
 from .sweep_study import SweepStudy
 
-CHUNK = 16  # values between two reports of progress
-DRIVE = "amplitude cos(frequency t)"
-SPRING = f"x'' + 2 damping x' + x = {DRIVE}"
-REBOUND = "y+ - v_b = -restitution (y- - v_b) at a rigid wall"
-MEANING = {"flag_values": [int(one) for one in Status], "flag_meanings": " ".join(one.word for one in Status)}
-UNITS = "lengths in that of the walls, time t in 1/w0"
+VALUES_PER_CHUNK = 16  # values between two reports of progress
+DRIVE_TEXT = "amplitude cos(frequency t)"
+SPRING_TEXT = f"x'' + 2 damping x' + x = {DRIVE_TEXT}"
+REBOUND_TEXT = "y+ - v_b = -restitution (y- - v_b) at a rigid wall"
+STATUS_FLAGS = {"flag_values": [int(code) for code in Status], "flag_meanings": " ".join(code.word for code in Status)}
+UNITS_TEXT = "lengths in that of the walls, time t in 1/w0"
 
 
-@check.host("use strobe")
+@check.host_only("use strobe")
 def sweep(
     scene: Scene,
     name: str,
@@ -42,7 +42,7 @@ def sweep(
     state: State,
     settle: int = 300,
     keep: int = 100,
-    chunk: int = CHUNK,
+    chunk: int = VALUES_PER_CHUNK,
     progress: Callable[[int], object] | None = None,
     store: Store | None = None,
     *,
@@ -73,165 +73,179 @@ def sweep(
     wall, and counts that cannot be, all before any work; and what the store raises.
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    settle, keep = check.whole("settle", settle, 0), check.whole("keep", keep, 1)
-    chunk = check.whole("chunk", chunk, 1)
-    values, state = _checked(scene, name, values, state)
+    settle, keep = check.whole_number("settle", settle, 0), check.whole_number("keep", keep, 1)
+    chunk = check.whole_number("chunk", chunk, 1)
+    values, state = _check_arguments(scene, name, values, state)
     shape = np.broadcast_shapes(values.shape[1:], scene.shape, *map(np.shape, jax.tree.leaves(state)))
-    lanes = _lanes(shape, scene, values, state)
+    lane_inputs = _flatten_lanes(shape, scene, values, state)
     if store is None:
-        found = _run(*lanes, name, settle, keep, chunk, progress, limits)
-        count = int((found[2] >= 0).all(axis=1).sum())
-        stopped = {} if count == len(values) else {"stopped": partial_reason(count, len(values), "values")}
+        results = _run_sweep(*lane_inputs, name, settle, keep, chunk, progress, limits)
+        n_done = int((results[2] >= 0).all(axis=1).sum())
+        stopped = {} if n_done == len(values) else {"stopped": partial_reason(n_done, len(values), "values")}
     else:
-        first = jax.tree.map(lambda leaf: leaf[0], lanes[0])
-        study = SweepStudy(first, name, lanes, _whole, (settle, keep))
-        seen = done(study, store, progress and (lambda one: progress(one.done)), limits)
-        stopped = {key: seen.attrs[key] for key in ("stopped",) if key in seen.attrs}
-        found = [np.moveaxis(seen[key].values, 0, 1) for key in ("x", "v", "status")]
-    parts = [part.reshape(len(values), *shape, *part.shape[2:]) for part in found]
-    return _dataset(scene, name, values, state, parts).assign_attrs(stopped)
+        template = jax.tree.map(lambda leaf: leaf[0], lane_inputs[0])
+        study = SweepStudy(template, name, lane_inputs, _run_lanes, (settle, keep))
+        data = complete_study(study, store, progress and (lambda record: progress(record.done)), limits)
+        stopped = {key: data.attrs[key] for key in ("stopped",) if key in data.attrs}
+        results = [np.moveaxis(data[key].values, 0, 1) for key in ("x", "v", "status")]
+    arrays = [array.reshape(len(values), *shape, *array.shape[2:]) for array in results]
+    return _make_dataset(scene, name, values, state, arrays).assign_attrs(stopped)
 
 
-def _checked(scene, name, values, state) -> tuple[Float[np.ndarray, " count *lanes"], State]:
+def _check_arguments(scene, name, values, state) -> tuple[Float[np.ndarray, " count *lanes"], State]:
     """(values, state), arrays of the scene's type, once they break no rule."""
-    check.require_known(name, scene.names, name)
-    values = check.number(name, values, scene.dtype)
+    check.require_parameter(name, scene.names, name)
+    values = check.finite_array(name, values, scene.dtype)
     if values.ndim == 0 or values.shape[0] == 0:
         raise check.ArgumentError(name, "must be a sequence of values to sweep through, at least one", values)
     require_scene_units("values", scene, name, values)
-    spare = max(0, len(scene.shape) - (values.ndim - 1))
-    aligned = values.reshape(values.shape[0], *[1] * spare, *values.shape[1:])
-    scene.replace(**{name: aligned})
-    state = started(state, scene.dtype, [("scene", np.empty(scene.shape)), (name, values[0])])
-    check_start(scene.replace(**{name: aligned[0]}), state, "at the first value")
+    n_new_axes = max(0, len(scene.shape) - (values.ndim - 1))
+    aligned_values = values.reshape(values.shape[0], *[1] * n_new_axes, *values.shape[1:])
+    scene.replace(**{name: aligned_values})
+    state = check_start_state(state, scene.dtype, [("scene", np.empty(scene.shape)), (name, values[0])])
+    check_start(scene.replace(**{name: aligned_values[0]}), state, "at the first value")
     return values, state
 
 
-def started(state, dtype, beside):
+def check_start_state(state, dtype, named_arrays):
     """The state, its numbers finite arrays of this type that broadcast with the named arrays beside it."""
     keys = ("x", "v", "phase", "contact")
-    parts = [check.number(f"state.{key}", getattr(state, key), dtype) for key in keys]
-    check.shapes_agree([*beside, *zip((f"state.{key}" for key in keys), parts, strict=True)])
-    return State(*parts)
+    arrays = [check.finite_array(f"state.{key}", getattr(state, key), dtype) for key in keys]
+    check.require_broadcast([*named_arrays, *zip((f"state.{key}" for key in keys), arrays, strict=True)])
+    return State(*arrays)
 
 
-def _lanes(shape, scene, values, state) -> tuple[Scene, Float[np.ndarray, "count lanes"], State]:
+def _flatten_lanes(shape, scene, values, state) -> tuple[Scene, Float[np.ndarray, "count lanes"], State]:
     """Scene, values (count, lanes) and state with their lanes along one axis."""
-    size = math.prod(shape)
+    n_lanes = math.prod(shape)
 
-    def flat(leaf):
-        return np.broadcast_to(leaf, shape).reshape(size)
+    def flatten(leaf):
+        return np.broadcast_to(leaf, shape).reshape(n_lanes)
 
-    return jax.tree.map(flat, scene), np.stack([flat(value) for value in values]), jax.tree.map(flat, state)
-
-
-def _whole(scene, values, start, name, settle, keep):
-    return _run(scene, values, start, name, settle, keep, CHUNK, None)
+    return jax.tree.map(flatten, scene), np.stack([flatten(value) for value in values]), jax.tree.map(flatten, state)
 
 
-def _run(scene, values, start, name, settle, keep, chunk, progress, limits=UNLIMITED):
+def _run_lanes(scene, values, start_state, name, settle, keep):
+    return _run_sweep(scene, values, start_state, name, settle, keep, VALUES_PER_CHUNK, None)
+
+
+def _run_sweep(scene, values, start_state, name, settle, keep, chunk_size, progress, limits=UNLIMITED):
     """x, v of shape (count, lanes, keep) and status (count, lanes), which is -1 where the time was over."""
-    state, found = start, []
-    for first in range(0, len(values), chunk):
-        if found and limits.expired:
-            left, lanes = len(values) - first, values.shape[1]
-            blank = np.full((left, keep, lanes), np.nan, values.dtype)
-            found.append([blank, blank, np.full((left, lanes), -1, np.int32)])
+    state, results = start_state, []
+    for start_index in range(0, len(values), chunk_size):
+        if results and limits.expired:
+            n_remaining, n_lanes = len(values) - start_index, values.shape[1]
+            missing = np.full((n_remaining, keep, n_lanes), np.nan, values.dtype)
+            results.append([missing, missing, np.full((n_remaining, n_lanes), -1, np.int32)])
             break
-        some = values[first : first + chunk]
-        padded = np.pad(some, ((0, chunk - len(some)), (0, 0)), mode="edge")
-        state, parts = _chunk(scene, padded, len(some), start, state, settle, name=name, keep=keep)
-        found.append([np.asarray(part)[: len(some)] for part in parts])
+        chunk_values = values[start_index : start_index + chunk_size]
+        padded_values = np.pad(chunk_values, ((0, chunk_size - len(chunk_values)), (0, 0)), mode="edge")
+        state, arrays = _sweep_chunk(
+            scene, padded_values, len(chunk_values), start_state, state, settle, name=name, keep=keep
+        )
+        results.append([np.asarray(array)[: len(chunk_values)] for array in arrays])
         if progress is not None:
-            progress(first + len(some))
-    x, v, status = (np.concatenate(parts) for parts in zip(*found, strict=True))
+            progress(start_index + len(chunk_values))
+    x, v, status = (np.concatenate(arrays) for arrays in zip(*results, strict=True))
     return np.moveaxis(x, 1, 2), np.moveaxis(v, 1, 2), status
 
 
-@persistent_jit(static_argnames=("name", "keep"), compiler_options=OPTIONS)
-def _chunk(scene, values, count, start, state, settle, *, name, keep):
-    """The state after the first `count` of the values, and x, v (values, keep, lanes), status (values, lanes)."""
-    size = values.shape
-    record = jnp.zeros((size[0], keep, size[1]), values.dtype)
-    status = jnp.zeros(size, jnp.int32)
+@persistent_jit(static_argnames=("name", "keep"), compiler_options=COMPILER_OPTIONS)
+def _sweep_chunk(scene, values, n_values, start_state, state, settle, *, name, keep):
+    """The state after the first `n_values` of the values, and x, v (values, keep, lanes), status (values, lanes)."""
+    shape = values.shape
+    record = jnp.zeros((shape[0], keep, shape[1]), values.dtype)
+    status = jnp.zeros(shape, jnp.int32)
 
-    def one(k, carry):
+    def sweep_value(value_index, carry):
         state, *record = carry
-        here = scene.replace(**{name: values[k]})
-        state, x, v, status = _value(here, fit(here, state), settle, keep)
-        bad = status >= Status.CAP
-        state = jax.tree.map(lambda old, new: jnp.where(bad, old, new), start, state)
-        return state, *(old.at[k].set(new) for old, new in zip(record, (x, v, status), strict=True))
+        value_scene = scene.replace(**{name: values[value_index]})
+        state, x, v, status = _settle_at_value(value_scene, clamp_to_walls(value_scene, state), settle, keep)
+        invalid = status >= Status.CAP
+        state = jax.tree.map(lambda start_leaf, leaf: jnp.where(invalid, start_leaf, leaf), start_state, state)
+        return state, *(array.at[value_index].set(value) for array, value in zip(record, (x, v, status), strict=True))
 
-    state, *record = lax.fori_loop(0, count, one, (state, record, record, status))
+    state, *record = lax.fori_loop(0, n_values, sweep_value, (state, record, record, status))
     return state, record
 
 
-def _value(scene, state, settle, keep):
+def _settle_at_value(scene, state, settle, keep):
     """The state after settle + keep periods, x and v (keep, lanes) at the end of the last `keep`, the worst status."""
 
-    def one(k, carry):
+    def advance_period(period, carry):
         state, x, v, status = carry
         state, impacts = strobe(scene, state, slots=0)
-        place = jnp.maximum(k - settle, 0)
-        worst = jnp.where(
+        record_index = jnp.maximum(period - settle, 0)
+        worst_status = jnp.where(
             status >= Status.CAP, status, jnp.where(impacts.status >= Status.CAP, impacts.status, Status.OK)
         )
-        return state, x.at[place].set(state.x), v.at[place].set(state.v), worst
+        return state, x.at[record_index].set(state.x), v.at[record_index].set(state.v), worst_status
 
     record = jnp.zeros((keep, *state.x.shape), state.x.dtype)
     state, x, v, status = lax.fori_loop(
-        0, settle + keep, one, (state, record, record, jnp.zeros(state.x.shape, jnp.int32))
+        0, settle + keep, advance_period, (state, record, record, jnp.zeros(state.x.shape, jnp.int32))
     )
-    bad = status >= Status.CAP
-    return state, jnp.where(bad, jnp.nan, x), jnp.where(bad, jnp.nan, v), status
+    invalid = status >= Status.CAP
+    return state, jnp.where(invalid, jnp.nan, x), jnp.where(invalid, jnp.nan, v), status
 
 
-def _dataset(scene, name, values, state, parts):
+def _make_dataset(scene, name, values, state, arrays):
     """The named result of x, v (count, lanes..., keep) and status (count, lanes...)."""
-    x, v, status = parts
-    lanes = ["lane"] if status.ndim == 2 else [f"lane_{axis}" for axis in range(status.ndim - 1)]
-    step = name if values.ndim == 1 else "step"
-    whole = values if values.ndim == 1 else np.stack([np.broadcast_to(value, status.shape[1:]) for value in values])
+    x, v, status = arrays
+    lane_dims = ["lane"] if status.ndim == 2 else [f"lane_{axis}" for axis in range(status.ndim - 1)]
+    step_dim = name if values.ndim == 1 else "step"
+    value_array = (
+        values if values.ndim == 1 else np.stack([np.broadcast_to(value, status.shape[1:]) for value in values])
+    )
     coords = {
-        name: ([step, *lanes][: whole.ndim], whole, {"long_name": name, "units": unit_of(name)}),
+        name: ([step_dim, *lane_dims][: value_array.ndim], value_array, {"long_name": name, "units": unit_of(name)}),
         "period": ("period", np.arange(x.shape[-1]), {"long_name": "drive periods after those left out"}),
     }
-    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene), **scales_in(scene)}
-    for key, value in (others(scene, name) | {"phase": state.phase}).items():
+    attrs = {
+        "equation": equation_text(scene),
+        "units": UNITS_TEXT,
+        "swept": name,
+        **static_attributes(scene),
+        **scales_attributes(scene),
+    }
+    for key, value in (other_parameters(scene, name) | {"phase": state.phase}).items():
         if np.ndim(value):
-            coords[key] = (lanes, np.broadcast_to(value, status.shape[1:]))
+            coords[key] = (lane_dims, np.broadcast_to(value, status.shape[1:]))
         else:
             attrs[key] = float(value)
     variables = {
-        "x": ([step, *lanes, "period"], x, {"long_name": "position on Sigma", "units": LENGTH}),
-        "v": ([step, *lanes, "period"], v, {"long_name": "velocity on Sigma", "units": SPEED}),
-        "status": ([step, *lanes], status, {"long_name": "worst status at this value", **MEANING}),
+        "x": ([step_dim, *lane_dims, "period"], x, {"long_name": "position on Sigma", "units": LENGTH}),
+        "v": ([step_dim, *lane_dims, "period"], v, {"long_name": "velocity on Sigma", "units": SPEED}),
+        "status": ([step_dim, *lane_dims], status, {"long_name": "worst status at this value", **STATUS_FLAGS}),
     }
     return xr.Dataset(variables, coords, attrs)
 
 
-def others(scene, name):
+def other_parameters(scene, name):
     """The parameters that are not swept, without those that a wall takes from the scene, or that follow from others."""
-    follows = [f"{side}.{name}" for side, wall in scene.walls.items() for name in wall.taken]
-    follows += [f"{side}.{own}" for side in scene.soft_sides for own in ("stiffness", "damping") if name == "hardness"]
-    follows.append("hardness")
-    return {key: scene.parameter(key) for key in scene.names if key != name and key not in follows}
+    dependent = [f"{side}.{name}" for side, wall in scene.walls.items() for name in wall.taken]
+    dependent += [
+        f"{side}.{suffix}" for side in scene.soft_sides for suffix in ("stiffness", "damping") if name == "hardness"
+    ]
+    dependent.append("hardness")
+    return {key: scene.parameter(key) for key in scene.names if key != name and key not in dependent}
 
 
-def equation(scene):
+def equation_text(scene):
     """The equation of motion and the law of impact, as files hold them."""
     terms = [
         f" + drive.{k}.amplitude cos({term.harmonic} frequency t + drive.{k}.phase)"
         for k, term in enumerate(scene.drive)
     ]
-    plain = f"x'' = {named(scene.force.function)}(t, x, v) + {DRIVE}" if scene.force is not None else SPRING
-    return f"{plain}{''.join(terms)}, {REBOUND}"
+    base_equation = (
+        f"x'' = {force_name(scene.force.function)}(t, x, v) + {DRIVE_TEXT}" if scene.force is not None else SPRING_TEXT
+    )
+    return f"{base_equation}{''.join(terms)}, {REBOUND_TEXT}"
 
 
-def static(scene):
+def static_attributes(scene):
     """What of the scene is no parameter: its walls, and the harmonics of those that move and of the drive."""
-    moving = {side: wall.motion.harmonic for side, wall in scene.walls.items() if wall.motion is not None}
-    found = {f"{side}.motion.harmonic": m for side, m in moving.items()}
-    found |= {f"drive.{k}.harmonic": term.harmonic for k, term in enumerate(scene.drive)}
-    return {"walls": " ".join(scene.walls) or "none"} | found
+    harmonics = {side: wall.motion.harmonic for side, wall in scene.walls.items() if wall.motion is not None}
+    attributes = {f"{side}.motion.harmonic": harmonic for side, harmonic in harmonics.items()}
+    attributes |= {f"drive.{k}.harmonic": term.harmonic for k, term in enumerate(scene.drive)}
+    return {"walls": " ".join(scene.walls) or "none"} | attributes

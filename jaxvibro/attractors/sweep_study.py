@@ -10,53 +10,59 @@ import numpy as np
 import xarray as xr
 from jaxtyping import Float
 
-from ..compiled.kernels import WIDTH
+from ..compiled.kernels import BLOCK_WIDTH
 from ..scene.codes import Status
 from ..scene.scene import Scene
-from ..scene.scene_table import scene_text
+from ..scene.scene_table import scene_toml
 from ..scene.state import State
-from ..stores.study import Column, Grid, axis_text
+from ..stores.study import Column, Grid, fingerprint_axis
 
 
 @dataclass(frozen=True)
 class SweepStudy:
-    """A sweep's lanes as a `Study`. single: the scene whose numbers the lanes share, else the first lane's; lanes: the
-    scene, the values (count, lanes) and the start of each; work: from these to x, v (count, lanes, keep) and status
-    (count, lanes); settings: settle, keep."""
+    """A sweep's lanes as a `Study`. template: the scene whose numbers the lanes share, else the first lane's;
+    lane_inputs: the scene, the values (count, lanes) and the start of each; run_lanes: from these to x, v (count,
+    lanes, keep) and status (count, lanes); settings: settle, keep."""
 
-    single: Scene
+    template: Scene
     name: str
-    lanes: tuple[Scene, Float[np.ndarray, "count lanes"], State]
-    work: Callable[..., Any]
+    lane_inputs: tuple[Scene, Float[np.ndarray, "count lanes"], State]
+    run_lanes: Callable[..., Any]
     settings: tuple[int, int]
 
     @cached_property
     def grid(self) -> Grid:
-        return Grid({"lane": self.lanes[1].shape[1]}, (WIDTH,))
+        return Grid({"lane": self.lane_inputs[1].shape[1]}, (BLOCK_WIDTH,))
 
     @property
     def columns(self) -> dict[str, Column]:
-        steps, real = {"step": len(self.lanes[1])}, np.dtype(self.single.dtype)
-        kept = {name: Column(real, np.nan, {}, {**steps, "period": self.settings[1]}) for name in ("x", "v")}
-        return kept | {"status": Column(np.dtype(np.int32), -1, {}, steps)}
+        step_dims, float_type = {"step": len(self.lane_inputs[1])}, np.dtype(self.template.dtype)
+        columns = {
+            name: Column(float_type, np.nan, {}, {**step_dims, "period": self.settings[1]}) for name in ("x", "v")
+        }
+        return columns | {"status": Column(np.dtype(np.int32), -1, {}, step_dims)}
 
     @cached_property
     def identity(self) -> dict[str, str]:
-        scene, values, start = self.lanes
-        named = {name: np.asarray(scene.parameter(name)) for name in scene.names if name != self.name}
-        named |= {f"start.{name}": np.asarray(getattr(start, name)) for name in ("x", "v", "phase", "contact")}
-        lanes = {name: axis_text(each) for name, each in named.items()}
-        plain = {"settings": repr(self.settings), "dtype": str(self.single.dtype)}
-        return {"scene": scene_text(self.single), self.name: axis_text(values), **lanes, **plain}
+        scene, values, start_state = self.lane_inputs
+        lane_values = {name: np.asarray(scene.parameter(name)) for name in scene.names if name != self.name}
+        lane_values |= {
+            f"start.{name}": np.asarray(getattr(start_state, name)) for name in ("x", "v", "phase", "contact")
+        }
+        lane_texts = {name: fingerprint_axis(array) for name, array in lane_values.items()}
+        setting_texts = {"settings": repr(self.settings), "dtype": str(self.template.dtype)}
+        return {"scene": scene_toml(self.template), self.name: fingerprint_axis(values), **lane_texts, **setting_texts}
 
     @property
     def frame(self) -> xr.Dataset:
         return xr.Dataset(attrs={"swept": self.name})
 
     def compute(self, number: int, frame: xr.Dataset) -> tuple[dict[str, np.ndarray], int]:
-        (part,) = self.grid.cut(number)
-        scene, values, start = self.lanes
-        some = jax.tree.map(lambda leaf: leaf[part], (scene, start))
-        x, v, status = self.work(some[0], values[:, part], some[1], self.name, *self.settings)
-        found = {"x": x, "v": v, "status": status}
-        return {name: np.moveaxis(each, 1, 0) for name, each in found.items()}, int((status >= Status.CAP).sum())
+        (lane_slice,) = self.grid.chunk_slices(number)
+        scene, values, start_state = self.lane_inputs
+        block_inputs = jax.tree.map(lambda leaf: leaf[lane_slice], (scene, start_state))
+        x, v, status = self.run_lanes(
+            block_inputs[0], values[:, lane_slice], block_inputs[1], self.name, *self.settings
+        )
+        results = {"x": x, "v": v, "status": status}
+        return {name: np.moveaxis(array, 1, 0) for name, array in results.items()}, int((status >= Status.CAP).sum())

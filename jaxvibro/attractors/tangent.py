@@ -13,48 +13,47 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.compiler_hints import OPTIONS, choose
-from ..compiled.kernels import WIDTH, one_kernel
-from ..maps.long_run import padded
-from ..maps.monodromy import passage
-from ..maps.one_period import SLOTS
+from ..compiled.compiler_hints import COMPILER_OPTIONS, choose
+from ..compiled.kernels import BLOCK_WIDTH, call_as_kernel
+from ..maps.long_run import padded_block
+from ..maps.monodromy import strobe_with_product
+from ..maps.one_period import REPLAY_SLOTS
 from ..scene.codes import Status
 from ..scene.scene import SIDES
 from ..scene.state import State
 
-LAPS = 64  # periods recorded, of however many are run
-STRIP = 4  # blocks of a call: what the host does about each call would keep other threads waiting
-MATRIX = slice(6, 10)  # of the numbers recorded of a period
+RECORDED_PERIODS = 64  # periods recorded, of however many are run
+BLOCKS_PER_CALL = 4  # blocks of a call: what the host does about each call would keep other threads waiting
+MATRIX_SLICE = slice(6, 10)  # of the numbers recorded of a period
 
 
 class TangentLanes(NamedTuple):
     """Where lanes are: a `State` with leaves (lanes,), unit tangent vectors along x and v (lanes,)."""
 
     state: State
-    along_x: Float[Array, " lanes"]
-    along_v: Float[Array, " lanes"]
+    tangent_x: Float[Array, " lanes"]
+    tangent_v: Float[Array, " lanes"]
 
 
-class Laps(NamedTuple):
+class PeriodRecords(NamedTuple):
     """The last periods of lanes, at most LAPS, NumPy arrays (periods, lanes).
 
     x, v: at a period's end; growth: the logarithm of the tangent's growth, -inf where the mass has rested; left, right:
-    impacts on each wall, at most `one_period.SLOTS` together; count: all impacts; matrix: the derivative of each period
-    by rows, (periods, lanes, 4); within: the time spent within each wall, left and right, 0 in rigid ones, (periods,
-    lanes, 2); status: the worst of all periods run, (lanes,).
-    """
+    impacts on each wall, at most `one_period.SLOTS` together; n_impacts: all impacts; matrix: the derivative of each
+    period by rows, (periods, lanes, 4); time_within: the time spent within each wall, left and right, 0 in rigid ones,
+    (periods, lanes, 2); status: the worst of all periods run, (lanes,)."""
 
     x: Float[np.ndarray, "periods lanes"]
     v: Float[np.ndarray, "periods lanes"]
     growth: Float[np.ndarray, "periods lanes"]
-    left: Float[np.ndarray, "periods lanes"]
-    right: Float[np.ndarray, "periods lanes"]
-    count: Float[np.ndarray, "periods lanes"]  # type: ignore[assignment]  # hides tuple's method
+    left_impacts: Float[np.ndarray, "periods lanes"]
+    right_impacts: Float[np.ndarray, "periods lanes"]
+    n_impacts: Float[np.ndarray, "periods lanes"]
     matrix: Float[np.ndarray, "periods lanes 4"]
-    within: Float[np.ndarray, "periods lanes 2"]
+    time_within: Float[np.ndarray, "periods lanes 2"]
     status: Int[np.ndarray, " lanes"]
 
     @property
@@ -63,23 +62,23 @@ class Laps(NamedTuple):
         return np.stack([self.x, self.v], -1)
 
 
-def begin(state):
+def start_tangents(state):
     """`TangentLanes` at a state, their tangents along no direction that is special."""
-    one = np.ones_like(state.x)
-    return TangentLanes(state, 0.6 * one, 0.8 * one)
+    ones = np.ones_like(state.x)
+    return TangentLanes(state, 0.6 * ones, 0.8 * ones)
 
 
-def worse(old, new):
+def worse_status(earlier, later):
     """The worse of two statuses, one after the other: a lane that has met its end keeps the reason."""
-    return jnp.where(old >= Status.CAP, old, jnp.maximum(old, new))
+    return jnp.where(earlier >= Status.CAP, earlier, jnp.maximum(earlier, later))
 
 
-def worse_on_host(old, new):
+def worse_status_on_host(earlier, later):
     """The same of what the host has, whatever its shape: nothing is compiled for it."""
-    return np.where(np.asarray(old) >= Status.CAP, old, np.maximum(old, new))
+    return np.where(np.asarray(earlier) >= Status.CAP, earlier, np.maximum(earlier, later))
 
 
-def run(scene, lanes, periods):
+def run_tangents(scene, lanes, periods):
     """(TangentLanes, Laps) so many periods later.
 
     scene: a single one or a lane of a batch each, which is compiled on its own; lanes: any number, run in blocks of
@@ -87,78 +86,95 @@ def run(scene, lanes, periods):
     `Impacts.status`; FULL where a period had more than `one_period.SLOTS` impacts, NONFINITE where the derivative is
     none, as at an impact without speed.
     """
-    size, width = len(lanes.state.x), STRIP * WIDTH
-    runs = [_run(*padded((scene, lanes), first, width), size - first, periods) for first in range(0, size, width)]
-    ends, rows, worst = jax.tree.map(_put_together, *runs)
-    rows = rows[..., :size][:periods]
-    if periods > LAPS:
-        rows = np.roll(rows, -(periods % LAPS), axis=0)
-    ends, worst = jax.tree.map(lambda leaf: leaf[:size], (ends, worst))
-    within = np.zeros((*rows[:, 0].shape, 2), rows.dtype)
-    for k, side in enumerate(scene.soft_sides):
-        within[..., SIDES.index(side)] = rows[:, MATRIX.stop + k]
-    return ends, Laps(*np.moveaxis(rows, 1, 0)[: MATRIX.start], np.moveaxis(rows[:, MATRIX], 1, 2), within, worst)
+    n_lanes, strip_width = len(lanes.state.x), BLOCKS_PER_CALL * BLOCK_WIDTH
+    strips = [
+        _run_strip(*padded_block((scene, lanes), start, strip_width), n_lanes - start, periods)
+        for start in range(0, n_lanes, strip_width)
+    ]
+    end_lanes, rows, worst_status = jax.tree.map(_concatenate_strips, *strips)
+    rows = rows[..., :n_lanes][:periods]
+    if periods > RECORDED_PERIODS:
+        rows = np.roll(rows, -(periods % RECORDED_PERIODS), axis=0)
+    end_lanes, worst_status = jax.tree.map(lambda leaf: leaf[:n_lanes], (end_lanes, worst_status))
+    time_within = np.zeros((*rows[:, 0].shape, 2), rows.dtype)
+    for soft_index, side in enumerate(scene.soft_sides):
+        time_within[..., SIDES.index(side)] = rows[:, MATRIX_SLICE.stop + soft_index]
+    return end_lanes, PeriodRecords(
+        *np.moveaxis(rows, 1, 0)[: MATRIX_SLICE.start],
+        np.moveaxis(rows[:, MATRIX_SLICE], 1, 2),
+        time_within,
+        worst_status,
+    )
 
 
-def _put_together(*parts):
+def _concatenate_strips(*strips):
     """Lanes, the last axis, one strip after the other; a copy costs, so a single strip is left as it is."""
-    return np.asarray(parts[0]) if len(parts) == 1 else np.concatenate(parts, axis=-1)
+    return np.asarray(strips[0]) if len(strips) == 1 else np.concatenate(strips, axis=-1)
 
 
-@persistent_jit(compiler_options=OPTIONS)
-def _run(scene, lanes, due, periods):
-    """As `_block`, of a strip's first so many lanes, all where it has fewer; 0 of the others."""
-    size, dtype = STRIP * WIDTH, lanes.state.x.dtype
+@persistent_jit(compiler_options=COMPILER_OPTIONS)
+def _run_strip(scene, lanes, n_active, periods):
+    """As `_run_block`, of a strip's first so many lanes, all where it has fewer; 0 of the others."""
+    n_lanes, dtype = BLOCKS_PER_CALL * BLOCK_WIDTH, lanes.state.x.dtype
 
-    def one(k, out):
-        def cut(leaf):
-            return lax.dynamic_slice_in_dim(leaf, k * WIDTH, WIDTH) if jnp.ndim(leaf) else leaf
+    def update_block(block_index, results):
+        def take_block(leaf):
+            return lax.dynamic_slice_in_dim(leaf, block_index * BLOCK_WIDTH, BLOCK_WIDTH) if jnp.ndim(leaf) else leaf
 
-        def put(whole, part):
-            return lax.dynamic_update_slice_in_dim(whole, part, k * WIDTH, -1)
+        def store_block(array, block_values):
+            return lax.dynamic_update_slice_in_dim(array, block_values, block_index * BLOCK_WIDTH, -1)
 
-        return jax.tree.map(put, out, _block(*jax.tree.map(cut, (scene, lanes)), periods))
+        return jax.tree.map(store_block, results, _run_block(*jax.tree.map(take_block, (scene, lanes)), periods))
 
-    rows = jnp.zeros((LAPS, MATRIX.stop + len(scene.soft_sides), size), dtype)
-    blank = jax.tree.map(jnp.zeros_like, lanes), rows, jnp.zeros(size, jnp.int32)
-    return lax.fori_loop(0, jnp.minimum(STRIP, -(-due // WIDTH)), one, blank)
+    rows = jnp.zeros((RECORDED_PERIODS, MATRIX_SLICE.stop + len(scene.soft_sides), n_lanes), dtype)
+    empty = jax.tree.map(jnp.zeros_like, lanes), rows, jnp.zeros(n_lanes, jnp.int32)
+    return lax.fori_loop(0, jnp.minimum(BLOCKS_PER_CALL, -(-n_active // BLOCK_WIDTH)), update_block, empty)
 
 
-def _block(scene, lanes, periods):
+def _run_block(scene, lanes, periods):
     """(lanes, the last periods as a ring (LAPS, numbers, lanes): period i is row i modulo LAPS, the worst status)."""
-    size = lanes.state.x.shape
+    shape = lanes.state.x.shape
 
-    def one(k, carry):
-        lanes, ring, worst = carry
-        x, v, contact, along_x, along_v, status, *rest = one_kernel(_period, scene, lanes)
-        lanes = TangentLanes(State(x, v, lanes.state.phase, contact), along_x, along_v)
-        row = jnp.stack([x, v, *rest])  # a ring for each number costs as much as all else
-        return lanes, lax.dynamic_update_index_in_dim(ring, row, k % LAPS, 0), worse(worst, status)
+    def advance_period(period, carry):
+        lanes, ring, worst_status = carry
+        x, v, contact, tangent_x, tangent_v, status, *record = call_as_kernel(_run_period, scene, lanes)
+        lanes = TangentLanes(State(x, v, lanes.state.phase, contact), tangent_x, tangent_v)
+        row = jnp.stack([x, v, *record])  # a ring for each number costs as much as all else
+        return (
+            lanes,
+            lax.dynamic_update_index_in_dim(ring, row, period % RECORDED_PERIODS, 0),
+            worse_status(worst_status, status),
+        )
 
-    ring = jnp.zeros((LAPS, MATRIX.stop + len(scene.soft_sides), *size), lanes.state.x.dtype)
-    return lax.fori_loop(0, periods, one, (lanes, ring, jnp.zeros(size, jnp.int32)))
+    ring = jnp.zeros((RECORDED_PERIODS, MATRIX_SLICE.stop + len(scene.soft_sides), *shape), lanes.state.x.dtype)
+    return lax.fori_loop(0, periods, advance_period, (lanes, ring, jnp.zeros(shape, jnp.int32)))
 
 
-def _period(scene, lanes):
+def _run_period(scene, lanes):
     """x, v, contact and tangent a period later, the status; growth, impacts on the left, on the right, all; M; the time
     within each soft wall."""
-    end, impacts, rests, way = passage(scene, lanes.state, 1, SLOTS)
-    full = (impacts.count > SLOTS) & ~rests
-    matrix = [choose(full, jnp.nan, choose(rests, 0.0, each)) for each in way.matrix]
+    end_state, impacts, is_sticking, path_data = strobe_with_product(scene, lanes.state, 1, REPLAY_SLOTS)
+    overflow = (impacts.count > REPLAY_SLOTS) & ~is_sticking
+    matrix = [choose(overflow, jnp.nan, choose(is_sticking, 0.0, entry)) for entry in path_data.matrix]
     a, b, c, d = matrix
-    along, across = a * lanes.along_x + b * lanes.along_v, c * lanes.along_x + d * lanes.along_v
-    size = lax.sqrt(along * along + across * across)
-    grown = (size > 0) & jnp.isfinite(size)
-    status = choose(full, Status.FULL, choose(jnp.isfinite(size), lax.full_like(impacts.count, 0), Status.NONFINITE))
+    tangent_x, tangent_v = a * lanes.tangent_x + b * lanes.tangent_v, c * lanes.tangent_x + d * lanes.tangent_v
+    growth = lax.sqrt(tangent_x * tangent_x + tangent_v * tangent_v)
+    is_growth_finite = (growth > 0) & jnp.isfinite(growth)
+    status = choose(
+        overflow, Status.FULL, choose(jnp.isfinite(growth), lax.full_like(impacts.count, 0), Status.NONFINITE)
+    )
     status = choose(impacts.status >= Status.CAP, impacts.status, status)
-    held = lax.min(impacts.count, jnp.int32(SLOTS)).astype(size.dtype)
-    balance = jnp.sum(impacts.side.astype(size.dtype), axis=-1)
+    n_recorded = lax.min(impacts.count, jnp.int32(REPLAY_SLOTS)).astype(growth.dtype)
+    side_sum = jnp.sum(impacts.side.astype(growth.dtype), axis=-1)
     return (
-        *(end.x, end.v, end.contact),
-        *(choose(grown, along / size, lanes.along_x), choose(grown, across / size, lanes.along_v)),
+        *(end_state.x, end_state.v, end_state.contact),
+        *(
+            choose(is_growth_finite, tangent_x / growth, lanes.tangent_x),
+            choose(is_growth_finite, tangent_v / growth, lanes.tangent_v),
+        ),
         status,
-        *(lax.log(size), 0.5 * (held - balance), 0.5 * (held + balance)),
-        impacts.count.astype(size.dtype),
+        *(lax.log(growth), 0.5 * (n_recorded - side_sum), 0.5 * (n_recorded + side_sum)),
+        impacts.count.astype(growth.dtype),
         *matrix,
-        *way.within,
+        *path_data.contact_times,
     )

@@ -5,183 +5,215 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from continuation.stretch import backwards, glued
+from continuation.branch_segment import join_segments, reverse_segment
 
-from ..orbits.orbit import MARGIN, roots
-from ..output.units import LENGTH, SPEED, TIME, scales_in, unit_of
+from ..orbits.orbit import STABILITY_MARGIN, eigenvalue_pairs
+from ..output.units import LENGTH, SPEED, TIME, scales_attributes, unit_of
 from ..problem.end import End
-from ..problem.equations import are_impacts, codes
-from ..problem.orbit_on_branch import OrbitPoint, is_own_image, itinerary, label_of
-from ..problem.orbit_rows import spot_of
+from ..problem.equations import are_impacts, side_codes
+from ..problem.orbit_point import OrbitPoint, is_own_mirror_image, itinerary, label_of
+from ..problem.orbit_rows import parse_orbit_row
 from ..scene.symmetry import is_symmetric
-from .branch import Branch, Segment, frequency_at, scene_at, special_of
-from .impossible import require_damped, require_possible
+from .branch import Branch, Segment, frequency_at, make_special, scene_at_value
+from .impossible_points import require_damped, require_possible
 
-START = End.START.reason()
-
-
-def assemble(scene, name, bounds, settings, back, on, start=START):
-    """The `Branch` of what was walked from a start backwards and onwards; either may be None. start: the `Reason` of
-    that end."""
-    pieces = [backwards(one) for one in reversed(back.pieces)] if back else []
-    if back and on:
-        pieces[-1] = glued([pieces[-1], on.pieces[0]])
-        pieces += on.pieces[1:]
-    elif on:
-        pieces = on.pieces
-    ends, reasons = zip(back.reason if back else start, on.reason if on else start, strict=True)
-    data, segments, special = _told(scene, name, bounds, pieces)
-    settings = {key: each for key, each in settings.items() if key != "limits"}
-    return Branch(name, bounds, scene, data, segments, special, reasons, settings, ends)
+START_REASON = End.START.reason()
 
 
-def merge(one, other):
+def assemble_branch(scene, name, bounds, settings, backward, forward, start_reason=START_REASON):
+    """The `Branch` of what was walked from a start backwards and onwards; either may be None. start_reason: the
+    `Reason` of that end."""
+    branch_segments = [reverse_segment(segment) for segment in reversed(backward.segments)] if backward else []
+    if backward and forward:
+        branch_segments[-1] = join_segments([branch_segments[-1], forward.segments[0]])
+        branch_segments += forward.segments[1:]
+    elif forward:
+        branch_segments = forward.segments
+    ends, reasons = zip(
+        backward.reason if backward else start_reason, forward.reason if forward else start_reason, strict=True
+    )
+    data, segments, special_points = _build_data(scene, name, bounds, branch_segments)
+    settings = {key: setting for key, setting in settings.items() if key != "limits"}
+    return Branch(name, bounds, scene, data, segments, special_points, reasons, settings, ends)
+
+
+def merge_branches(first_branch, second_branch):
     """Two branches as one, the second, of two points at least, beginning where the first ends."""
-    shift = len(one) - 1
-    widest = max(one.data.sizes["impact"], other.data.sizes["impact"])
-    more = other.data.isel(point=slice(1, None))
-    more = more.assign(segment=more["segment"] + one.data["segment"].values[-1])
-    data = xr.concat([_widened(one.data, widest), _widened(more, widest)], "point")
-    moved = [replace(each, first=each.first + shift, last=each.last + shift) for each in other.segments]
-    last = replace(one.segments[-1], last=moved[0].last)
-    special = (*one.special, *(replace(each, place=each.place + shift) for each in other.special))
+    index_shift = len(first_branch) - 1
+    max_impacts = max(first_branch.data.sizes["impact"], second_branch.data.sizes["impact"])
+    second_data = second_branch.data.isel(point=slice(1, None))
+    second_data = second_data.assign(segment=second_data["segment"] + first_branch.data["segment"].values[-1])
+    data = xr.concat([_pad_impacts(first_branch.data, max_impacts), _pad_impacts(second_data, max_impacts)], "point")
+    shifted_segments = [
+        replace(record, first=record.first + index_shift, last=record.last + index_shift)
+        for record in second_branch.segments
+    ]
+    joint_segment = replace(first_branch.segments[-1], last=shifted_segments[0].last)
+    special_points = (
+        *first_branch.special,
+        *(replace(record, place=record.place + index_shift) for record in second_branch.special),
+    )
     return replace(
-        one,
+        first_branch,
         data=data,
-        segments=(*one.segments[:-1], last, *moved[1:]),
-        special=tuple(each for each in special if each.kind != "EP" or each.place != shift),
-        reasons=(one.reasons[0], other.reasons[1]),
-        ends=(one.ends[0], other.ends[1]),
+        segments=(*first_branch.segments[:-1], joint_segment, *shifted_segments[1:]),
+        special=tuple(record for record in special_points if record.kind != "EP" or record.place != index_shift),
+        reasons=(first_branch.reasons[0], second_branch.reasons[1]),
+        ends=(first_branch.ends[0], second_branch.ends[1]),
     )
 
 
-def _widened(data, widest):
+def _pad_impacts(data, max_impacts):
     """The data with room for so many impacts."""
-    room = {"impact": (0, widest - data.sizes["impact"])}
-    if not room["impact"][1]:
+    padding = {"impact": (0, max_impacts - data.sizes["impact"])}
+    if not padding["impact"][1]:
         return data
-    sides = data["side"].pad(room, constant_values=0)
-    return data.drop_vars("side").pad(room).assign(side=sides)
+    sides = data["side"].pad(padding, constant_values=0)
+    return data.drop_vars("side").pad(padding).assign(side=sides)
 
 
-def _told(scene, name, bounds, pieces):
+def _build_data(scene, name, bounds, branch_segments):
     """(the data, `Segment`s, `Special`s) of the pieces. Raises ImpossibleError."""
-    widest = max(int(np.sum(one.args.cycle.sides != 0)) for one in pieces)
-    parts = [columns_of(one, name, widest, k) for k, one in enumerate(pieces)]
-    whole = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
-    meant = about(name)
-    data = {key: xr.Variable(meant[key][0], each, meant[key][1]) for key, each in whole.items()}
+    max_impacts = max(int(np.sum(entry.args.sequence.sides != 0)) for entry in branch_segments)
+    segment_columns = [
+        dataset_columns(entry, name, max_impacts, segment_index) for segment_index, entry in enumerate(branch_segments)
+    ]
+    columns = {
+        key: np.concatenate([segment_data[key] for segment_data in segment_columns]) for key in segment_columns[0]
+    }
+    descriptions = column_descriptions(name)
+    data = {key: xr.Variable(descriptions[key][0], column, descriptions[key][1]) for key, column in columns.items()}
 
-    def row_at(place):
-        return {key: each[place] for key, each in whole.items()}
+    def row_at(row_index):
+        return {key: column[row_index] for key, column in columns.items()}
 
-    segments, special, first = [], [], 0
-    marked = set()
-    for one in pieces:
-        row, size = row_at(first), len(one.points.z)
-        walls = itinerary(spot_of(row, name), frequency_at(scene, name, float(row[name])))
-        segments.append(Segment(first, first + size - 1, label_of(scene, spot_of(row, name), walls), walls))
-        for mark in one.marks:
-            place = first + mark.place
-            known = mark.kind == "GR" and place - 1 in marked  # the same grazing, met from the other piece
-            if not known:
-                special.append(_special(scene, name, bounds, mark, place, row_at(place)))
-            if mark.kind == "GR":
-                marked.add(place)
-        first += size
-    for place in (0, first - 1):
-        if not any(one.place == place for one in special):
-            row = row_at(place)
-            special.append(special_of(scene, name, bounds, place, row, "EP", float(row["residual"])))
-    special = tuple(sorted(special, key=lambda one: one.place))
+    segments, special_points, first_row = [], [], 0
+    grazing_rows = set()
+    for entry in branch_segments:
+        row, n_points = row_at(first_row), len(entry.points.z)
+        itinerary_words = itinerary(parse_orbit_row(row, name), frequency_at(scene, name, float(row[name])))
+        segments.append(
+            Segment(
+                first_row,
+                first_row + n_points - 1,
+                label_of(scene, parse_orbit_row(row, name), itinerary_words),
+                itinerary_words,
+            )
+        )
+        for special_index in entry.specials:
+            row_index = first_row + special_index.row
+            is_duplicate = (
+                special_index.kind == "GR" and row_index - 1 in grazing_rows
+            )  # the same grazing, met from the other piece
+            if not is_duplicate:
+                special_points.append(_make_special(scene, name, bounds, special_index, row_index, row_at(row_index)))
+            if special_index.kind == "GR":
+                grazing_rows.add(row_index)
+        first_row += n_points
+    for row_index in (0, first_row - 1):
+        if not any(entry.place == row_index for entry in special_points):
+            row = row_at(row_index)
+            special_points.append(make_special(scene, name, bounds, row_index, row, "EP", float(row["residual"])))
+    special_points = tuple(sorted(special_points, key=lambda special: special.place))
     if scene.force is None:
-        require_damped(name, whole[name], whole["multiplier_real"] + 1j * whole["multiplier_imag"])
-    require_possible(special)
-    return xr.Dataset(data, attrs={"parameter": name, **scales_in(scene)}), tuple(segments), special
+        require_damped(name, columns[name], columns["multiplier_real"] + 1j * columns["multiplier_imag"])
+    require_possible(special_points)
+    return xr.Dataset(data, attrs={"parameter": name, **scales_attributes(scene)}), tuple(segments), special_points
 
 
-def columns_of(one, name, widest, place):
+def dataset_columns(segment, name, max_impacts, segment_index):
     """What a branch's data have of a piece: {name: array}, a row a point."""
-    z, turn, look = one.points.z, one.points.tangent, one.view
-    count, rows, size = int(np.sum(one.args.cycle.sides != 0)), len(one.args.cycle.sides), len(one.points.z)
+    z, tangent, diagnostics = segment.points.z, segment.points.tangent, segment.diagnostics
+    n_impacts, n_rows, n_points = (
+        int(np.sum(segment.args.sequence.sides != 0)),
+        len(segment.args.sequence.sides),
+        len(segment.points.z),
+    )
 
-    def impacts(values, fill):
-        found = np.full((size, widest), fill)
-        found[:, :count] = values
-        return found
+    def pad_impacts(values, fill):
+        padded = np.full((n_points, max_impacts), fill)
+        padded[:, :n_impacts] = values
+        return padded
 
-    sides = np.broadcast_to(codes(one.args.cycle)[:count], (size, count))
-    slow = z[:, rows : rows + count] if rows else z[:, :0]
-    quick = turn[:, rows : rows + count] if rows else slow
-    found = roots(look.trace, look.determinant)
+    sides = np.broadcast_to(side_codes(segment.args.sequence)[:n_impacts], (n_points, n_impacts))
+    speeds = z[:, n_rows : n_rows + n_impacts] if n_rows else z[:, :0]
+    speed_slopes = tangent[:, n_rows : n_rows + n_impacts] if n_rows else speeds
+    floquet_multipliers = eigenvalue_pairs(diagnostics.trace, diagnostics.determinant)
     return {
         name: z[:, -1],
-        "time": impacts(z[:, :count] if rows else slow, np.nan),
-        "speed": impacts(slow, np.nan),
-        "side": impacts(sides, 0).astype(np.int8),
-        "x": look.x,
-        "v": look.v,
-        "multiplier_real": found.real,
-        "multiplier_imag": found.imag,
-        "stable": (abs(found) < 1.0 - MARGIN).all(axis=1).astype(np.int8),
-        "least_speed": slow[:, are_impacts(one.args.cycle)[:count]].min(axis=1, initial=np.inf),
-        "least_clearance": look.clear.min(axis=(1, 2), initial=np.inf),
-        "residual": one.points.residual,
-        "time_slope": impacts(turn[:, :count] if rows else slow, np.nan),
-        "speed_slope": impacts(quick, np.nan),
-        "value_slope": turn[:, -1],
-        "segment": np.full(size, place),
+        "time": pad_impacts(z[:, :n_impacts] if n_rows else speeds, np.nan),
+        "speed": pad_impacts(speeds, np.nan),
+        "side": pad_impacts(sides, 0).astype(np.int8),
+        "x": diagnostics.x,
+        "v": diagnostics.v,
+        "multiplier_real": floquet_multipliers.real,
+        "multiplier_imag": floquet_multipliers.imag,
+        "stable": (abs(floquet_multipliers) < 1.0 - STABILITY_MARGIN).all(axis=1).astype(np.int8),
+        "least_speed": speeds[:, are_impacts(segment.args.sequence)[:n_impacts]].min(axis=1, initial=np.inf),
+        "least_clearance": diagnostics.clearance.min(axis=(1, 2), initial=np.inf),
+        "residual": segment.points.residual,
+        "time_slope": pad_impacts(tangent[:, :n_impacts] if n_rows else speeds, np.nan),
+        "speed_slope": pad_impacts(speed_slopes, np.nan),
+        "value_slope": tangent[:, -1],
+        "segment": np.full(n_points, segment_index),
     }
 
 
-def about(name):
+def column_descriptions(name):
     """The dimensions, what it is and the units of each column."""
 
-    def told(meaning, units, *more):
-        return ("point", *more), {"long_name": meaning, "units": units}
+    def describe(long_name, units, *dimensions):
+        return ("point", *dimensions), {"long_name": long_name, "units": units}
 
     return {
         name: (("point",), {"long_name": "the parameter", "units": unit_of(name)}),
-        "time": told("since phase 0", TIME, "impact"),
-        "speed": told("abs(y- - v_b)", SPEED, "impact"),
-        "side": told("-1 left, 1 right, 0 none; 2 or 3 times that: its wall lets the mass go", "1", "impact"),
-        "x": told("position at phase 0 of each period", LENGTH, "period"),
-        "v": told("velocity at phase 0 of each period", SPEED, "period"),
-        "multiplier_real": told("Floquet's, the larger first", "1", "multiplier"),
-        "multiplier_imag": told("Floquet's, the larger first", "1", "multiplier"),
-        "stable": told("1: both are smaller than 1", "1"),
-        "least_speed": told("of the impacts, inf: none", SPEED),
-        "least_clearance": told("at turning points, inf: none", LENGTH),
-        "residual": told("largest error left in the equations", LENGTH),
-        "time_slope": told("of the unit tangent", "1", "impact"),
-        "speed_slope": told("of the unit tangent", "1", "impact"),
-        "value_slope": told("of the unit tangent", "1"),
-        "segment": told("which stretch of one itinerary", "1"),
+        "time": describe("since phase 0", TIME, "impact"),
+        "speed": describe("abs(y- - v_b)", SPEED, "impact"),
+        "side": describe("-1 left, 1 right, 0 none; 2 or 3 times that: its wall lets the mass go", "1", "impact"),
+        "x": describe("position at phase 0 of each period", LENGTH, "period"),
+        "v": describe("velocity at phase 0 of each period", SPEED, "period"),
+        "multiplier_real": describe("Floquet's, the larger first", "1", "multiplier"),
+        "multiplier_imag": describe("Floquet's, the larger first", "1", "multiplier"),
+        "stable": describe("1: both are smaller than 1", "1"),
+        "least_speed": describe("of the impacts, inf: none", SPEED),
+        "least_clearance": describe("at turning points, inf: none", LENGTH),
+        "residual": describe("largest error left in the equations", LENGTH),
+        "time_slope": describe("of the unit tangent", "1", "impact"),
+        "speed_slope": describe("of the unit tangent", "1", "impact"),
+        "value_slope": describe("of the unit tangent", "1"),
+        "segment": describe("which stretch of one itinerary", "1"),
     }
 
 
-def _special(scene, name, bounds, mark, place, row):
-    kind = mark.kind
+def _make_special(scene, name, bounds, special_index, row_index, row):
+    kind = special_index.kind
     if kind == "BP" and is_symmetric(scene):
-        spot = spot_of(row, name)
-        kind = "SB" if is_own_image(scene_at(scene, name, spot.value), spot) else kind
-    joins, aside = ([_joined(way) for way in mark.more.exits], mark.more.aside) if mark.more else ((), ())
-    return special_of(scene, name, bounds, place, row, kind, mark.residual, joins, aside)
+        orbit_row = parse_orbit_row(row, name)
+        kind = "SB" if is_own_mirror_image(scene_at_value(scene, name, orbit_row.value), orbit_row) else kind
+    neighbours, not_followed = (
+        (
+            [_orbit_row_of_exit(grazing_exit) for grazing_exit in special_index.details.exits],
+            special_index.details.not_followed,
+        )
+        if special_index.details
+        else ((), ())
+    )
+    return make_special(scene, name, bounds, row_index, row, kind, special_index.residual, neighbours, not_followed)
 
 
-def _joined(way):
+def _orbit_row_of_exit(grazing_exit):
     """The `OrbitPoint` of an `GrazingExit`."""
-    along, z = way.along, way.near
-    count, rows = int(np.sum(along.cycle.sides != 0)), len(along.cycle.sides)
-    look = way.look
-    sides = np.asarray(codes(along.cycle)[:count])
-    periods, start = int(along.cycle.periods), (float(look.x[0, 0]), float(look.v[0, 0]))
+    problem, z = grazing_exit.problem, grazing_exit.nearby_z
+    n_impacts, n_rows = int(np.sum(problem.sequence.sides != 0)), len(problem.sequence.sides)
+    diagnostics = grazing_exit.diagnostics
+    sides = np.asarray(side_codes(problem.sequence)[:n_impacts])
+    periods, section_state = int(problem.sequence.periods), (float(diagnostics.x[0, 0]), float(diagnostics.v[0, 0]))
     return OrbitPoint(
         float(z[-1]),
-        z[:count] if rows else z[:0],
-        z[rows : rows + count] if rows else z[:0],
+        z[:n_impacts] if n_rows else z[:0],
+        z[n_rows : n_rows + n_impacts] if n_rows else z[:0],
         sides,
         periods,
-        *start,
+        *section_state,
         0.0,
     )

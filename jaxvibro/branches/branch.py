@@ -15,25 +15,25 @@ from jaxtyping import Bool, Complex, Float
 
 from .. import __version__
 from ..orbits.orbit import Orbit
-from ..output.checksums import netcdf
-from ..output.frames import frame, kinds_at
-from ..output.labels import name_in
-from ..output.table_text import columns, headed, pair
-from ..output.units import unit_in, unit_of
+from ..output.checksums import netcdf_bytes
+from ..output.dataframes import make_dataframe, special_kinds
+from ..output.labels import translate_label
+from ..output.table_text import align_columns, column_header, multipliers_text
+from ..output.units import unit_in_system, unit_of
 from ..problem import stability
-from ..problem.end import End, scaled
-from ..problem.orbit_on_branch import OrbitPoint, described_orbit, itinerary, label_of
-from ..problem.orbit_rows import OrbitRows, SpecialOrbit, row_of, spot_of
-from ..scene.scene import Scene, changed, mapped
-from ..scene.scene_table import table_of
+from ..problem.end import End, rescale_reason
+from ..problem.orbit_point import OrbitPoint, itinerary, label_of, orbit_from_row
+from ..problem.orbit_rows import OrbitRows, SpecialOrbit, dataset_row, parse_orbit_row
+from ..scene.scene import Scene, map_numbers, replace_unchecked
+from ..scene.scene_table import make_scene_table
 from . import normal_form as forms
-from .curves import Curves, curves
+from .curves import Curves, make_curves
 from .normal_form import NormalForm
 from .orbit_columns import orbit_columns
 
-NUMBERS = ("first_step", "largest_step", "tolerance")  # of the settings
+STEP_SETTINGS = ("first_step", "largest_step", "tolerance")  # of the settings
 
-MEANINGS = {
+KIND_NAMES = {
     "SN": "saddle-node",
     "SB": "symmetry breaking",
     "BP": "branch point",
@@ -94,13 +94,15 @@ class Special(SpecialOrbit):
     def normal_form(self) -> NormalForm | None:
         """The `NormalForm` of an SN, PD, SB or GR: on which side the others are, and the consequence. None of other
         kinds, of an orbit without impacts but at a GR, and where the equations are too singular to say."""
-        given = self.kind, self.name, self.scene, self.spot, self.multipliers, self.joins
-        return self.saved or forms.normal_form(*given)
+        arguments = self.kind, self.name, self.scene, self.spot, self.multipliers, self.joins
+        return self.saved or forms.make_normal_form(*arguments)
 
     @cached_property
     def meets(self) -> tuple[Orbit, ...]:
         """The `Orbit`s that meet at a GR, each a little on from it, one for every branch that leaves the point."""
-        return tuple(described_orbit(self.scene.replace(**{self.name: one.value}), one) for one in self.joins)
+        return tuple(
+            orbit_from_row(self.scene.replace(**{self.name: neighbour.value}), neighbour) for neighbour in self.joins
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,8 +127,8 @@ class Branch(OrbitRows[Special]):
     NOUN = "branch"
 
     def __repr__(self):
-        kinds = " ".join(one.kind for one in self.special)
-        return f"Branch({self.name} {extent(self, digits=6)}, {len(self)} points, {kinds})"
+        kinds = " ".join(special.kind for special in self.special)
+        return f"Branch({self.name} {describe_extent(self, digits=6)}, {len(self)} points, {kinds})"
 
     @property
     def values(self) -> Float[np.ndarray, " points"]:
@@ -140,29 +142,38 @@ class Branch(OrbitRows[Special]):
 
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
         """(the scene at a point, its `OrbitPoint`)."""
-        spot = spot_of(row_of(self.data, place), self.name)
-        return scene_at(self.scene, self.name, spot.value), spot
+        orbit_row = parse_orbit_row(dataset_row(self.data, place), self.name)
+        return scene_at_value(self.scene, self.name, orbit_row.value), orbit_row
 
     @property
     def content(self) -> bytes:
         """The bytes of the file that `save` writes."""
-        known = [
-            [one.kind, one.place, one.residual, [_plain(each) for each in one.joins], one.aside] for one in self.special
+        special_entries = [
+            [
+                entry.kind,
+                entry.place,
+                entry.residual,
+                [_plain_values(neighbour) for neighbour in entry.joins],
+                entry.aside,
+            ]
+            for entry in self.special
         ]
         attrs = {
             "title": "jaxvibro branch",
             "source": f"jaxvibro {__version__}",
             "parameter": self.name,
             "bounds": list(self.bounds),
-            "scene": msgspec.toml.encode(table_of(self.scene)).decode(),
-            "special": json.dumps(known),
-            "normal_forms": json.dumps([forms.plain(one.normal_form) for one in self.special]),
-            "segments": json.dumps([[one.first, one.last, one.label, one.itinerary] for one in self.segments]),
+            "scene": msgspec.toml.encode(make_scene_table(self.scene)).decode(),
+            "special": json.dumps(special_entries),
+            "normal_forms": json.dumps([forms.normal_form_fields(entry.normal_form) for entry in self.special]),
+            "segments": json.dumps(
+                [[entry.first, entry.last, entry.label, entry.itinerary] for entry in self.segments]
+            ),
             "reasons": json.dumps(self.reasons),
-            "ends": json.dumps([one.name for one in self.ends]),
-            "settings": json.dumps({key: self.settings[key] for key in NUMBERS}),
+            "ends": json.dumps([entry.name for entry in self.ends]),
+            "settings": json.dumps({key: self.settings[key] for key in STEP_SETTINGS}),
         }
-        return netcdf(self.data.assign_attrs(attrs))
+        return netcdf_bytes(self.data.assign_attrs(attrs))
 
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
         """The special points as a text, a line each, and why the branch ends.
@@ -172,19 +183,36 @@ class Branch(OrbitRows[Special]):
 
         Raises ArgumentError for other units and labels, and where the scene has no scales.
         """
-        unit, size = unit_in(self.scene, unit_of(self.name), units)
-        head = headed(self.name, unit, units)
-        rows = [("kind", head, "orbit", "stability", "itinerary", "multipliers", "meets", "consequence", "normal form")]
-        found = self.multipliers
-        for one in self.special:
-            walls = " ".join(word or "." for word in one.itinerary)
-            kind, value, steady = name_in(one.kind, labels), one.value * size, stability.words_around(found, one.place)
-            meets = " ".join(labels_of(one)) or "-"
-            own = (kind, f"{value:.12g}", one.label, steady, walls, pair(one.multipliers), meets)
-            form = one.normal_form
-            rows.append((*own, *((form.consequence, str(form)) if form else ("-", "-"))))
-        ends = [f"{end} point: {why if size == 1.0 else scaled(why, size)}" for end, why in self.reason.items()]
-        return "\n".join([columns(rows), *ends])
+        unit, factor = unit_in_system(self.scene, unit_of(self.name), units)
+        header = column_header(self.name, unit, units)
+        rows = [
+            ("kind", header, "orbit", "stability", "itinerary", "multipliers", "meets", "consequence", "normal form")
+        ]
+        multipliers = self.multipliers
+        for special in self.special:
+            itinerary_text = " ".join(word or "." for word in special.itinerary)
+            kind, value, stability_text = (
+                translate_label(special.kind, labels),
+                special.value * factor,
+                stability.stability_around(multipliers, special.place),
+            )
+            neighbours = " ".join(neighbour_labels(special)) or "-"
+            point_columns = (
+                kind,
+                f"{value:.12g}",
+                special.label,
+                stability_text,
+                itinerary_text,
+                multipliers_text(special.multipliers),
+                neighbours,
+            )
+            form = special.normal_form
+            rows.append((*point_columns, *((form.consequence, str(form)) if form else ("-", "-"))))
+        end_lines = [
+            f"{end_name} point: {reason_text if factor == 1.0 else rescale_reason(reason_text, factor)}"
+            for end_name, reason_text in self.reason.items()
+        ]
+        return "\n".join([align_columns(rows), *end_lines])
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
         """A row a point, a pandas.DataFrame: kind of the special point there, if it is one, the parameter, the orbit's
@@ -194,9 +222,12 @@ class Branch(OrbitRows[Special]):
         units: "scene", or "physical" (Hz, N, mm, m/s, W) of a scene that has scales, the columns' names then telling
         them. Raises ArgumentError for other units, and where the scene has no scales.
         """
-        labels = np.repeat([one.label for one in self.segments], [one.last - one.first + 1 for one in self.segments])
+        labels = np.repeat(
+            [segment.label for segment in self.segments],
+            [segment.last - segment.first + 1 for segment in self.segments],
+        )
         columns = orbit_columns(self.scene, {self.name: self.values}, self.data, labels, self.multipliers)
-        return frame(self.scene, {"kind": ("", kinds_at(self.special, len(self))), **columns}, units)
+        return make_dataframe(self.scene, {"kind": ("", special_kinds(self.special, len(self))), **columns}, units)
 
     def curves(self, variable: str = "x") -> Curves:
         """The `Curves` of one variable, ready to plot: stable and unstable pieces, and the special points.
@@ -207,40 +238,44 @@ class Branch(OrbitRows[Special]):
 
         Raises ArgumentError for other variables.
         """
-        return curves(self, variable)
+        return make_curves(self, variable)
 
 
-def ends(branch):
+def end_values(branch):
     """The parameter's values at the ends of a branch, of a closed one the least and the largest."""
     values = branch.values
     return (values.min(), values.max()) if End.CLOSED in branch.ends else (values[0], values[-1])
 
 
-def extent(branch, size=1.0, digits=12):
+def describe_extent(branch, factor=1.0, digits=12):
     """Describe the parameter values of a branch as a text.
 
     A closed branch has its range. Others have the first and the last value, and the range where they go beyond these.
-    size: of the scene's unit in that of the text; digits: significant ones.
+    factor: of the scene's unit in that of the text; digits: significant ones.
     """
-    values = size * branch.values
-    first, last, low, high = (f"{each:.{digits}g}" for each in (values[0], values[-1], values.min(), values.max()))
+    values = factor * branch.values
+    first_value, last_value, lower, upper = (
+        f"{value:.{digits}g}" for value in (values[0], values[-1], values.min(), values.max())
+    )
     if End.CLOSED in branch.ends:
-        return f"closed, between {low} and {high}"
-    return f"from {first} to {last}" + (f", between {low} and {high}" if {low, high} != {first, last} else "")
+        return f"closed, between {lower} and {upper}"
+    return f"from {first_value} to {last_value}" + (
+        f", between {lower} and {upper}" if {lower, upper} != {first_value, last_value} else ""
+    )
 
 
-def _plain(spot):
-    return [each.tolist() if isinstance(each, np.ndarray) else each for each in spot]
+def _plain_values(orbit_row):
+    return [entry.tolist() if isinstance(entry, np.ndarray) else entry for entry in orbit_row]
 
 
-def labels_of(special):
+def neighbour_labels(special):
     """The labels of the orbits that meet at a special point, each with the side of the parameter it is on."""
-    found = []
-    for one in special.joins:
-        frequency = frequency_at(special.scene, special.name, one.value)
-        way = ">" if one.value > special.value else "<"
-        found.append(label_of(special.scene, one, itinerary(one, frequency)) + way)
-    return found
+    labels = []
+    for neighbour in special.joins:
+        frequency = frequency_at(special.scene, special.name, neighbour.value)
+        direction = ">" if neighbour.value > special.value else "<"
+        labels.append(label_of(special.scene, neighbour, itinerary(neighbour, frequency)) + direction)
+    return labels
 
 
 def frequency_at(scene, name, value):
@@ -248,19 +283,34 @@ def frequency_at(scene, name, value):
     return value if name == "frequency" else float(scene.frequency)
 
 
-def scene_at(scene, name, value):
+def scene_at_value(scene, name, value):
     """The scene where a parameter has a value that a branch came to: checked when it was followed, and not again."""
-    new = changed(scene, {name: value})
-    return mapped(lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(np.asarray(leaf, scene.dtype)), new)
+    changed_scene = replace_unchecked(scene, {name: value})
+    return map_numbers(
+        lambda leaf: leaf if isinstance(leaf, jax.Array) else jnp.asarray(np.asarray(leaf, scene.dtype)), changed_scene
+    )
 
 
-def special_of(scene, name, bounds, place, row, kind, residual, joins=(), aside=(), saved=None):
-    """The `Special` at a `row_of` a branch's data."""
-    spot = spot_of(row, name)
-    found = row["multiplier_real"] + 1j * row["multiplier_imag"]
-    scene = scene_at(scene, name, spot.value)
-    walls = itinerary(spot, float(scene.frequency))
-    hit = row["side"] != 0
-    slopes = np.concatenate([row["time_slope"][hit], row["speed_slope"][hit], [row["value_slope"]]])
-    more = tuple(joins), tuple(aside), saved
-    return Special(kind, name, spot.value, bounds, scene, walls, found, residual, place, spot, slopes, *more)
+def make_special(scene, name, bounds, index, row, kind, residual, neighbours=(), not_followed=(), saved=None):
+    """The `Special` at a `dataset_row` a branch's data."""
+    orbit_row = parse_orbit_row(row, name)
+    multipliers = row["multiplier_real"] + 1j * row["multiplier_imag"]
+    scene = scene_at_value(scene, name, orbit_row.value)
+    itinerary_words = itinerary(orbit_row, float(scene.frequency))
+    is_impact = row["side"] != 0
+    slopes = np.concatenate([row["time_slope"][is_impact], row["speed_slope"][is_impact], [row["value_slope"]]])
+    optional_fields = tuple(neighbours), tuple(not_followed), saved
+    return Special(
+        kind,
+        name,
+        orbit_row.value,
+        bounds,
+        scene,
+        itinerary_words,
+        multipliers,
+        residual,
+        index,
+        orbit_row,
+        slopes,
+        *optional_fields,
+    )

@@ -4,105 +4,130 @@ from os import PathLike
 
 import numpy as np
 
-from ..output.checksums import opened
-from ..output.saved_fields import CODES, field, record_of, require_bounds, require_columns, require_fit, scene_in
-from ..output.units import scales_in
-from ..problem.end import End, read
-from ..problem.orbit_on_branch import OrbitPoint
-from ..problem.orbit_rows import row_of
+from ..output.checksums import read_checked
+from ..output.saved_fields import (
+    IMPACT_CODES,
+    decode_field,
+    decode_scene,
+    read_record,
+    require_bounds,
+    require_columns,
+    require_valid,
+)
+from ..output.units import scales_attributes
+from ..problem.end import End, parse_end
+from ..problem.orbit_point import OrbitPoint
+from ..problem.orbit_rows import dataset_row
 from ..scene import check
-from .branch import NUMBERS, Branch, Segment, special_of
-from .held_branch import UNITS, HeldBranch
-from .normal_form import of_plain
+from .branch import STEP_SETTINGS, Branch, Segment, make_special
+from .held_branch import HELD_UNITS, HeldBranch
+from .normal_form import parse_normal_form
 
-AT_POINTS = ("stable", "least_speed", "least_clearance", "residual", "value_slope", "segment")
-DIMS: dict[str, tuple[str, ...]] = dict.fromkeys(AT_POINTS, ("point",))
-DIMS |= dict.fromkeys(("time", "speed", "side", "time_slope", "speed_slope"), ("point", "impact"))
-DIMS |= dict.fromkeys(("x", "v"), ("point", "period"))
-DIMS |= dict.fromkeys(("multiplier_real", "multiplier_imag"), ("point", "multiplier"))
-FINITE = ("x", "v", "residual", "value_slope")
+POINT_COLUMNS = ("stable", "least_speed", "least_clearance", "residual", "value_slope", "segment")
+DIMENSIONS: dict[str, tuple[str, ...]] = dict.fromkeys(POINT_COLUMNS, ("point",))
+DIMENSIONS |= dict.fromkeys(("time", "speed", "side", "time_slope", "speed_slope"), ("point", "impact"))
+DIMENSIONS |= dict.fromkeys(("x", "v"), ("point", "period"))
+DIMENSIONS |= dict.fromkeys(("multiplier_real", "multiplier_imag"), ("point", "multiplier"))
+FINITE_COLUMNS = ("x", "v", "residual", "value_slope")
 Itinerary = tuple[str, ...]
-Join = tuple[float, list[float], list[float], list[float], int, float, float, float]  # a `OrbitPoint`
-Form = tuple[float, int, float, list[float], list[tuple[int, float, float, float]], str, str]  # a `NormalForm`
-Point = tuple[str, int, float, list[Join], list[bool]]  # a special point: kind, place, residual, joins, aside
+NeighbourFields = tuple[float, list[float], list[float], list[float], int, float, float, float]  # a `OrbitPoint`
+NormalFormFields = tuple[
+    float, int, float, list[float], list[tuple[int, float, float, float]], str, str
+]  # a `NormalForm`
+SpecialFields = tuple[
+    str, int, float, list[NeighbourFields], list[bool]
+]  # a special point: kind, place, residual, joins, aside
 
 
-@check.host("use what was loaded before")
+@check.host_only("use what was loaded before")
 def load_branch(path: str | PathLike[str]) -> Branch:
     """The `Branch` of a file that `Branch.save` wrote. Monitors and stops are not kept.
 
     A file of before, without a checksum, is read with a warning. Raises ArgumentError where the file is damaged or no
     branch, OSError where it cannot be read.
     """
-    return opened(path, branch_of)
+    return read_checked(path, parse_branch)
 
 
-@check.host("use what was loaded before")
+@check.host_only("use what was loaded before")
 def load_held_branch(path: str | PathLike[str]) -> HeldBranch:
     """The `HeldBranch` of a file that `HeldBranch.save` wrote.
 
     Raises ArgumentError where the file is damaged or no such branch, OSError where it cannot be read.
     """
-    return opened(path, lambda content, path: record_of(content, path, "HeldBranch", _held))
+    return read_checked(path, lambda content, path: read_record(content, path, "HeldBranch", _build_held_branch))
 
 
-def branch_of(content, path):
+def parse_branch(content, path):
     """The `Branch` of a file's bytes. Raises ArgumentError."""
-    return record_of(content, path, "Branch", _branch)
+    return read_record(content, path, "Branch", _build_branch)
 
 
-def _branch(data):
+def _build_branch(data):
     """The `Branch` of a file's data. Raises an error of one kind or another where its fields are no branch's."""
     attrs = data.attrs
-    name, bounds = str(attrs["parameter"]), tuple(float(each) for each in attrs["bounds"])
+    name, bounds = str(attrs["parameter"]), tuple(float(value) for value in attrs["bounds"])
     require_bounds(bounds)
-    scene = scene_in(attrs, name)
+    scene = decode_scene(attrs, name)
     _check_columns(data, name)
-    last = data.sizes["point"] - 1
-    segments = tuple(Segment(*one) for one in field(attrs, "segments", list[tuple[int, int, str, Itinerary]]))
-    ends = [-1, *(one.last for one in segments)]
-    closed = all(one.first == end + 1 for one, end in zip(segments, ends, strict=False))
-    require_fit("segments", ends[-1] == last and closed)
-    special, told = [], field(attrs, "special", list[Point])
-    known = field(attrs, "normal_forms", list[Form | None]) if "normal_forms" in attrs else [None] * len(told)
-    for (kind, place, residual, joins, aside), form in zip(told, known, strict=True):
-        require_fit("special", kind and 0 <= place <= last)
-        more = [_spot(one) for one in joins], aside, of_plain(form)
-        special.append(special_of(scene, name, bounds, place, row_of(data, place), kind, residual, *more))
-    reasons, settings = field(attrs, "reasons", tuple[str, str]), field(attrs, "settings", dict[str, float])
-    steps = all(0 < each < np.inf for each in settings.values())
-    require_fit("settings", set(settings) == set(NUMBERS) and steps)
+    last_row = data.sizes["point"] - 1
+    segments = tuple(
+        Segment(*entry) for entry in decode_field(attrs, "segments", list[tuple[int, int, str, Itinerary]])
+    )
+    ends = [-1, *(entry.last for entry in segments)]
+    is_contiguous = all(entry.first == end + 1 for entry, end in zip(segments, ends, strict=False))
+    require_valid("segments", ends[-1] == last_row and is_contiguous)
+    special_points, special_fields = [], decode_field(attrs, "special", list[SpecialFields])
+    saved_entries = (
+        decode_field(attrs, "normal_forms", list[NormalFormFields | None])
+        if "normal_forms" in attrs
+        else [None] * len(special_fields)
+    )
+    for (kind, index, residual, neighbours, not_followed), form in zip(special_fields, saved_entries, strict=True):
+        require_valid("special", kind and 0 <= index <= last_row)
+        optional_fields = [_parse_neighbour(entry) for entry in neighbours], not_followed, parse_normal_form(form)
+        special_points.append(
+            make_special(scene, name, bounds, index, dataset_row(data, index), kind, residual, *optional_fields)
+        )
+    reasons, settings = (
+        decode_field(attrs, "reasons", tuple[str, str]),
+        decode_field(attrs, "settings", dict[str, float]),
+    )
+    are_positive = all(0 < value < np.inf for value in settings.values())
+    require_valid("settings", set(settings) == set(STEP_SETTINGS) and are_positive)
     settings |= {"monitors": {}, "stop": ()}
-    known = field(attrs, "ends", tuple[str, str]) if "ends" in attrs else None  # files of before have texts alone
-    ends = tuple(map(read, reasons)) if known is None else tuple(End[each] for each in known)
-    data.attrs = {"parameter": name, **scales_in(scene)}
-    return Branch(name, bounds, scene, data, segments, tuple(special), reasons, settings, ends)
+    saved_entries = (
+        decode_field(attrs, "ends", tuple[str, str]) if "ends" in attrs else None
+    )  # files of before have texts alone
+    ends = tuple(map(parse_end, reasons)) if saved_entries is None else tuple(End[value] for value in saved_entries)
+    data.attrs = {"parameter": name, **scales_attributes(scene)}
+    return Branch(name, bounds, scene, data, segments, tuple(special_points), reasons, settings, ends)
 
 
-def _held(data):
+def _build_held_branch(data):
     """The `HeldBranch` of a file's data, likewise."""
     attrs = data.attrs
-    bounds = field(attrs, "bounds", dict[str, tuple[float, float]])
+    bounds = decode_field(attrs, "bounds", dict[str, tuple[float, float]])
     names, held, value = tuple(bounds), str(attrs["held"]), float(attrs["value"])
-    require_fit("parameters", len(names) == 2)
-    require_fit("held", held in UNITS and np.isfinite(value))
-    for each in bounds.values():
-        require_bounds(each)
-    scene = scene_in(attrs, *names)
+    require_valid("parameters", len(names) == 2)
+    require_valid("held", held in HELD_UNITS and np.isfinite(value))
+    for interval in bounds.values():
+        require_bounds(interval)
+    scene = decode_scene(attrs, *names)
     _check_columns(data, *names)
-    reasons = field(attrs, "reasons", tuple[str, str])
-    data.attrs = scales_in(scene)
+    reasons = decode_field(attrs, "reasons", tuple[str, str])
+    data.attrs = scales_attributes(scene)
     return HeldBranch(names, held, value, bounds, scene, data, reasons)
 
 
 def _check_columns(data, *names):
-    require_columns(data, dict.fromkeys(names, ("point",)) | DIMS, (*names, *FINITE))
-    require_fit("sizes", data.sizes["period"] > 0)
-    require_fit("stable", np.isin(data["stable"].values, (0, 1)).all())
+    require_columns(data, dict.fromkeys(names, ("point",)) | DIMENSIONS, (*names, *FINITE_COLUMNS))
+    require_valid("sizes", data.sizes["period"] > 0)
+    require_valid("stable", np.isin(data["stable"].values, (0, 1)).all())
 
 
-def _spot(join):
-    value, times, speeds, sides, periods, *rest = join
-    fits = len(times) == len(speeds) == len(sides) and set(map(abs, sides)) <= CODES and periods > 0
-    require_fit("joins", fits)
-    return OrbitPoint(value, *(np.array(each, float) for each in (times, speeds, sides)), periods, *rest)
+def _parse_neighbour(neighbour):
+    value, times, speeds, sides, periods, *state_fields = neighbour
+    is_valid = len(times) == len(speeds) == len(sides) and set(map(abs, sides)) <= IMPACT_CODES and periods > 0
+    require_valid("joins", is_valid)
+    return OrbitPoint(value, *(np.array(column, float) for column in (times, speeds, sides)), periods, *state_fields)

@@ -1,4 +1,4 @@
-"""A branch and those that leave it, and those that leave these: `Tree`, `followed`."""
+"""A branch and those that leave it, and those that leave these: `BranchTree`, `follow_tree`."""
 
 from dataclasses import replace
 
@@ -7,24 +7,27 @@ import numpy as np
 from continuation.limits import UNLIMITED, limits_of
 
 from ..orbits.orbit_comparison import is_same_orbit
-from ..problem.end import LIMITS, End
-from ..problem.orbit_on_branch import impacts, place_orbit
+from ..problem.end import RESUMABLE_ENDS, End
+from ..problem.orbit_point import impact_points, set_up_problem
 from ..problem.same_orbit import is_repeated
 from ..scene.check import ArgumentError
 from ..scene.symmetry import stays_symmetric
 from .branch import frequency_at
 from .follow import follow
-from .mirror import mirrored
-from .switch import FIRST, branch_from, starts
+from .mirror_image import mirror_branch
+from .switch import FIRST_STEP, branch_starts, follow_from_start
 
-MOST = 64  # branches
-VALUE, NEAR = 1e-8, 1e-6  # two special points as near in the parameter and in their impacts are one
-OWN = ("SN", "PD", "SB", "BP")  # points that are on one branch alone, or where one ends
-ASIDE = 1e-3  # along its tangent a branch is told from one of repeated orbits
-LEFT = ("SB", "BP", "PD")  # points that other branches leave; at a GR a branch goes on by itself
+MAX_BRANCHES = 64  # branches
+VALUE_TOLERANCE, IMPACT_TOLERANCE = (
+    1e-8,
+    1e-6,
+)  # two special points as near in the parameter and in their impacts are one
+IDENTIFYING_KINDS = ("SN", "PD", "SB", "BP")  # points that are on one branch alone, or where one ends
+OFFSET = 1e-3  # along its tangent a branch is told from one of repeated orbits
+BRANCHING_KINDS = ("SB", "BP", "PD")  # points that other branches leave; at a GR a branch goes on by itself
 
 
-def followed(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1, max_seconds=None):
+def follow_tree(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1, max_seconds=None):
     """The branch through an orbit, and those that leave its special points and theirs: a tuple of `Branch`.
 
     orbit, name, bounds, largest_step: as in `follow`. max_period: drive periods of the longest orbits that are switched
@@ -38,61 +41,88 @@ def followed(orbit, name, bounds, max_period=1, progress=None, largest_step=0.1,
     Raises ArgumentError and OrbitError as `follow` does.
     """
     limits = limits_of(None, max_seconds, None, ArgumentError)
-    steps = {"largest_step": largest_step, "tolerance": 1e-10, "monitors": {}, "stop": (), "limits": limits}
-    tree = Tree(bounds, max_period, MOST, steps, [], [], stays_symmetric(orbit.scene, name), progress)
+    step_settings = {"largest_step": largest_step, "tolerance": 1e-10, "monitors": {}, "stop": (), "limits": limits}
+    tree = BranchTree(
+        bounds, max_period, MAX_BRANCHES, step_settings, [], [], stays_symmetric(orbit.scene, name), progress
+    )
     tree.add(follow(orbit, name, bounds, largest_step=largest_step, max_seconds=max_seconds))
-    tree.grow()
-    return tuple(tree.found)
+    tree.follow_special_points()
+    return tuple(tree.branches)
 
 
-class Tree:
-    """found: the branches so far; done: (branch, special point) of those that have been left, by their places;
-    symmetric: whether the mirror image of an orbit is one."""
+class BranchTree:
+    """branches: the branches so far; processed_points: (branch, special point) of those that have been left, by their
+    places; symmetric: whether the mirror image of an orbit is one."""
 
-    def __init__(self, bounds, max_period, most, steps, found, done, symmetric, progress):
-        self.bounds, self.max_period, self.most, self.steps = bounds, max_period, most, steps
-        self.found, self.done, self.symmetric, self.progress = found, done, symmetric, progress
+    def __init__(
+        self, bounds, max_period, max_branches, step_settings, branches, processed_points, symmetric, progress
+    ):
+        self.bounds, self.max_period, self.max_branches, self.step_settings = (
+            bounds,
+            max_period,
+            max_branches,
+            step_settings,
+        )
+        self.branches, self.processed_points, self.symmetric, self.progress = (
+            branches,
+            processed_points,
+            symmetric,
+            progress,
+        )
 
     @property
-    def is_spent(self):
+    def is_exhausted(self):
         """Return True if there is no room for another branch, or no time."""
-        return len(self.found) >= self.most or self.steps.get("limits", UNLIMITED).expired
+        return len(self.branches) >= self.max_branches or self.step_settings.get("limits", UNLIMITED).expired
 
-    def has(self, branch):
+    def contains(self, branch):
         """Whether a branch is one of those found: it has a special point that is theirs."""
-        theirs = [one for other in self.found for one in other.special]
-        return any(is_same(one, two) for one in branch.special if one.kind in OWN for two in theirs)
+        known_points = [special for known_branch in self.branches for special in known_branch.special]
+        return any(
+            is_same_point(special, known_point)
+            for special in branch.special
+            if special.kind in IDENTIFYING_KINDS
+            for known_point in known_points
+        )
 
-    def grow(self):
+    def follow_special_points(self):
         """Leaves every special point of the branches that has not been left, in turn."""
-        met = [one for k, j in self.done for one in self._images(self.found[k].special[j])]
-        k = 0
-        while k < len(self.found) and not self.is_spent:
-            for j, point in enumerate(self.found[k].special):
-                if (k, j) in self.done or self.is_spent or not _is_left(point, self.max_period):
+        followed_points = [
+            entry
+            for branch_index, point_index in self.processed_points
+            for entry in self._with_mirror_image(self.branches[branch_index].special[point_index])
+        ]
+        branch_index = 0
+        while branch_index < len(self.branches) and not self.is_exhausted:
+            for point_index, special in enumerate(self.branches[branch_index].special):
+                if (
+                    (branch_index, point_index) in self.processed_points
+                    or self.is_exhausted
+                    or not _needs_following(special, self.max_period)
+                ):
                     continue
-                if not any(is_same(point, other) for other in met):
-                    met += self._images(point)
-                    first = len(self.found)
-                    self._leave(k, point)
-                    if any(End.MAX_SECONDS in one.ends for one in self.found[first:]):
-                        del self.found[first:]  # the next run follows all of them
+                if not any(is_same_point(special, followed_point) for followed_point in followed_points):
+                    followed_points += self._with_mirror_image(special)
+                    n_before = len(self.branches)
+                    self._follow_from(branch_index, special)
+                    if any(End.MAX_SECONDS in entry.ends for entry in self.branches[n_before:]):
+                        del self.branches[n_before:]  # the next run follows all of them
                         return
-                self.done.append((k, j))
-            k += 1
+                self.processed_points.append((branch_index, point_index))
+            branch_index += 1
 
-    def _images(self, point):
+    def _with_mirror_image(self, special):
         """A special point, and in a symmetric scene its mirror image."""
-        return [point, _reflected(point)] if self.symmetric else [point]
+        return [special, _mirrored_point(special)] if self.symmetric else [special]
 
-    def _leave(self, k, point):
-        if _is_reached(point, k, self.found, self.symmetric):
+    def _follow_from(self, branch_index, special):
+        if _is_on_other_branch(special, branch_index, self.branches, self.symmetric):
             return
-        for start in _starts(point):
-            branch = branch_from(point, start, self.bounds, **{"first_step": FIRST} | self.steps)
+        for start in _new_starts(special):
+            branch = follow_from_start(special, start, self.bounds, **{"first_step": FIRST_STEP} | self.step_settings)
             if len(branch) > 1 and not self._is_known(branch):
                 self.add(branch)
-            if self.symmetric and point.kind == "SB" and not _is_own_mirror(branch):
+            if self.symmetric and special.kind == "SB" and not _is_own_mirror(branch):
                 break  # the other half is the mirror image; those of symmetric orbits are two
 
     def _is_known(self, branch):
@@ -100,79 +130,92 @@ class Tree:
 
         Mirror images count only for earlier branches that contain their own mirror images.
         """
-        if any(_is_retraced(branch, other) for other in self.found):
+        if any(_is_retraced(branch, known_branch) for known_branch in self.branches):
             return True
-        own = [other for other in self.found if _is_own_mirror(other)] if self.symmetric else []
-        return bool(own) and any(_is_retraced(mirrored(branch), other) for other in own)
+        symmetric_branches = (
+            [known_branch for known_branch in self.branches if _is_own_mirror(known_branch)] if self.symmetric else []
+        )
+        return bool(symmetric_branches) and any(
+            _is_retraced(mirror_branch(branch), known_branch) for known_branch in symmetric_branches
+        )
 
     def add(self, branch):
         """One branch more, and in a symmetric scene its mirror image."""
-        self.found.append(branch)
+        self.branches.append(branch)
         if self.symmetric and not _is_own_mirror(branch):
-            self.found.append(mirrored(branch))
+            self.branches.append(mirror_branch(branch))
         if self.progress is not None:
-            self.progress(len(self.found))
+            self.progress(len(self.branches))
 
 
-def _is_left(point, max_period):
+def _needs_following(special, max_period):
     """Whether branches are to be followed from a special point."""
-    if point.kind not in LEFT or point.place == 0:
+    if special.kind not in BRANCHING_KINDS or special.place == 0:
         return False
-    if point.kind == "PD":
-        return 2 * point.spot.periods <= max_period
-    return not is_repeated(*place_orbit(point.scene, point.name, point.spot))
+    if special.kind == "PD":
+        return 2 * special.spot.periods <= max_period
+    return not is_repeated(*set_up_problem(special.scene, special.name, special.spot))
 
 
-def _starts(point):
+def _new_starts(special):
     """The starts of a point's branches, but for orbits that are shorter ones, repeated."""
     try:
-        found = starts(point)
+        all_starts = branch_starts(special)
     except ValueError:  # the equations say that no branches cross there
         return []
-    return [one for one in found if not is_repeated(one[0], one[1].z + ASIDE * one[1].tangent)]
+    return [start for start in all_starts if not is_repeated(start[0], start[1].z + OFFSET * start[1].tangent)]
 
 
-def _is_reached(point, source, found, symmetric):
+def _is_on_other_branch(special, source_index, branches, symmetric):
     """Return True if another branch passes through a point, so that the crossing branch is already known.
 
     The mirror image of the point's own branch does not count, because it passes through each SB of that branch.
     """
-    times = 2 if point.kind == "PD" else 1
-    for k, branch in enumerate(found):
-        through = (one for one in branch.special if one.kind in ("SB", "BP", "EP"))
-        if k == source or not any(is_orbit(point, one, times) for one in through):
+    n_times = 2 if special.kind == "PD" else 1
+    for branch_index, branch in enumerate(branches):
+        crossing_points = (
+            other_special for other_special in branch.special if other_special.kind in ("SB", "BP", "EP")
+        )
+        if branch_index == source_index or not any(
+            has_same_orbit(special, other_special, n_times) for other_special in crossing_points
+        ):
             continue
-        if not (symmetric and _is_mirror(branch, found[source])):
+        if not (symmetric and _is_mirror(branch, branches[source_index])):
             return True
     return False
 
 
-def _is_retraced(branch, earlier):
+def _is_retraced(branch, earlier_branch):
     """Whether a branch ends in the very orbit in which an earlier one does, with as many impacts: it is that one, or
     that one the other way round."""
-    one, other = branch.special[-1], earlier.special[-1]
-    return branch.segments[-1].label == earlier.segments[-1].label and is_orbit(one, other)
+    last_point, earlier_last_point = branch.special[-1], earlier_branch.special[-1]
+    return branch.segments[-1].label == earlier_branch.segments[-1].label and has_same_orbit(
+        last_point, earlier_last_point
+    )
 
 
 def mirror_images(branches):
     """{place: the place of an earlier branch whose mirror image it is} of branches along one parameter."""
-    found: dict[int, int] = {}
-    for k, one in enumerate(branches):
-        if not stays_symmetric(one.scene, one.name):
+    original_of: dict[int, int] = {}
+    for branch_index, branch in enumerate(branches):
+        if not stays_symmetric(branch.scene, branch.name):
             continue
-        for j in range(k):
-            if j not in found and _is_mirror(one, branches[j]):
-                found[k] = j
+        for earlier_index in range(branch_index):
+            if earlier_index not in original_of and _is_mirror(branch, branches[earlier_index]):
+                original_of[branch_index] = earlier_index
                 break
-    return found
+    return original_of
 
 
-def _is_mirror(one, other):
+def _is_mirror(first_branch, second_branch):
     """Return True if the mirror images of a branch's special points are those of another."""
-    ours, theirs = _marks(one), _marks(other)
-    if not ours or len(ours) != len(theirs):
+    first_points, second_points = _identifying_points(first_branch), _identifying_points(second_branch)
+    if not first_points or len(first_points) != len(second_points):
         return False
-    return all(any(is_same(_reflected(each), two) for two in theirs) for each in ours)
+    return all(
+        any(is_same_point(_mirrored_point(special), candidate) for candidate in second_points)
+        for special in first_points
+    )
 
 
 def _is_own_mirror(branch):
@@ -180,34 +223,41 @@ def _is_own_mirror(branch):
 
     It does if it passes through an SB, or if the mirror images of all its special points lie on it.
     """
-    through = any(one.kind == "SB" for one in branch.special) and not any(end in LIMITS for end in branch.ends)
-    return through or _is_mirror(branch, branch)
+    has_symmetry_breaking = any(special.kind == "SB" for special in branch.special) and not any(
+        end in RESUMABLE_ENDS for end in branch.ends
+    )
+    return has_symmetry_breaking or _is_mirror(branch, branch)
 
 
-def _marks(branch):
+def _identifying_points(branch):
     """The special points that tell a branch from others: all but the EPs of a closed one, which lie where it was
     started."""
     if End.CLOSED not in branch.ends:
         return branch.special
-    return tuple(one for one in branch.special if one.kind != "EP")
+    return tuple(special for special in branch.special if special.kind != "EP")
 
 
-def _reflected(point):
+def _mirrored_point(special):
     """A special point with the impacts on the other walls, half a period later: enough to tell its mirror image."""
-    spot = point.spot
-    half = np.pi / frequency_at(point.scene, point.name, point.value)
-    return replace(point, spot=spot._replace(times=spot.times + half, sides=-spot.sides))
+    orbit_row = special.spot
+    half_period = np.pi / frequency_at(special.scene, special.name, special.value)
+    return replace(special, spot=orbit_row._replace(times=orbit_row.times + half_period, sides=-orbit_row.sides))
 
 
-def is_same(one, other):
+def is_same_point(first_point, second_point):
     """Whether two special points are one."""
-    return one.kind == other.kind and is_orbit(one, other)
+    return first_point.kind == second_point.kind and has_same_orbit(first_point, second_point)
 
 
-def is_orbit(one, other, times=1):
+def has_same_orbit(first_point, second_point, n_times=1):
     """Whether the orbit of a special point, this many times round, is that of another."""
-    if times * one.spot.periods != other.spot.periods or not np.isclose(one.value, other.value, VALUE, VALUE):
+    if n_times * first_point.spot.periods != second_point.spot.periods or not np.isclose(
+        first_point.value, second_point.value, VALUE_TOLERANCE, VALUE_TOLERANCE
+    ):
         return False
-    pace = max(each.spot.speeds.max(initial=0.0) for each in (one, other))
-    points = (impacts(each.spot, frequency_at(each.scene, each.name, each.value), pace) for each in (one, other))
-    return is_same_orbit(*points, NEAR)
+    speed_scale = max(special.spot.speeds.max(initial=0.0) for special in (first_point, second_point))
+    impact_sets = (
+        impact_points(special.spot, frequency_at(special.scene, special.name, special.value), speed_scale)
+        for special in (first_point, second_point)
+    )
+    return is_same_orbit(*impact_sets, IMPACT_TOLERANCE)

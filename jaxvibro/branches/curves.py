@@ -5,17 +5,17 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from ..flight.wall_positions import places
-from ..output.runs import runs
-from ..problem.loads import largest_speed
+from ..flight.wall_positions import wall_states
+from ..output.equal_runs import find_equal_runs
+from ..problem.impact_loads import largest_speed
 from ..scene import check
 from ..scene.scene import SIDES
-from .largest_position import largest_of
+from .largest_position import branch_peak_positions
 
 VARIABLES = ("x", "v", "clearance", "speed", "least_speed", "peak")
 
-MARGIN = 1e-6  # of a multiplier beyond 1, at a special point
-JUMP = 1e-6  # of the largest value, from one itinerary to the next
+STABILITY_MARGIN = 1e-6  # of a multiplier beyond 1, at a special point
+JUMP_TOLERANCE = 1e-6  # of the largest value, from one itinerary to the next
 
 
 class Piece(NamedTuple):
@@ -42,112 +42,141 @@ class Curves(NamedTuple):
     points: dict[str, Marks]
 
 
-def curves(branch, variable):
+def make_curves(branch, variable):
     """The `Curves` of one variable of a branch. Raises ArgumentError for other variables."""
     if not isinstance(variable, str) or variable not in VARIABLES:
         raise check.ArgumentError("variable", f"must be one of {', '.join(VARIABLES)}", variable)
-    columns = columns_of(branch, variable)
-    values, rows, stable = _lines(branch, variable, columns)
+    columns = variable_columns(branch, variable)
+    values, rows, stable = _broken_lines(branch, variable, columns)
     pieces = tuple(
-        Piece(values[first : last + 1], rows[first : last + 1], bool(stable[first])) for first, last in runs(stable)
+        Piece(values[start : stop + 1], rows[start : stop + 1], bool(stable[start]))
+        for start, stop in find_equal_runs(stable)
     )
-    kinds = dict.fromkeys(one.kind for one in branch.special if one.kind != "EP")
-    found = {kind: branch.points(kind) for kind in kinds}
+    kinds = dict.fromkeys(special.kind for special in branch.special if special.kind != "EP")
+    points_by_kind = {kind: branch.points(kind) for kind in kinds}
     points = {
-        kind: Marks(np.array([one.value for one in some]), columns[[one.place for one in some]])
-        for kind, some in found.items()
+        kind: Marks(
+            np.array([special.value for special in special_points]),
+            columns[[special.place for special in special_points]],
+        )
+        for kind, special_points in points_by_kind.items()
     }
     return Curves(pieces, points)
 
 
-def _lines(branch, variable, columns):
+def _broken_lines(branch, variable, columns):
     """(values, columns, stable) of one variable of a branch: shapes (rows,), (rows, columns) and (rows - 1,).
 
     columns: a drive period each for "x" and "v", one for the others; stable: from a row to the next. A row
     is a point of the branch; where a line breaks three more stand between two points: its end, nan, its new beginning.
     """
-    inside = abs(branch.multipliers).max(axis=1) < 1.0 + MARGIN
-    stable = inside[:-1] & inside[1:]
-    breaks = _changes(branch, columns)
+    is_in_circle = abs(branch.multipliers).max(axis=1) < 1.0 + STABILITY_MARGIN
+    stable = is_in_circle[:-1] & is_in_circle[1:]
+    breaks = _itinerary_breaks(branch, columns)
     if variable in ("x", "v"):
-        breaks |= _crossings(branch, variable, columns)
-    places = np.repeat(np.array(sorted(breaks), int), 3)
-    across = [value for place in sorted(breaks) for value in breaks[place][0]]
-    rows = [row for place in sorted(breaks) for row in breaks[place][1]]
+        breaks |= _phase_crossings(branch, variable, columns)
+    break_rows = np.repeat(np.array(sorted(breaks), int), 3)
+    break_values = [value for row_before in sorted(breaks) for value in breaks[row_before][0]]
+    break_columns = [row for row_before in sorted(breaks) for row in breaks[row_before][1]]
     return (
-        np.insert(branch.values, places + 1, across),
-        np.insert(columns, places + 1, np.reshape(rows, (-1, columns.shape[1])), axis=0),
-        np.insert(stable, places, stable[places]),
+        np.insert(branch.values, break_rows + 1, break_values),
+        np.insert(columns, break_rows + 1, np.reshape(break_columns, (-1, columns.shape[1])), axis=0),
+        np.insert(stable, break_rows, stable[break_rows]),
     )
 
 
-def columns_of(branch, variable):
+def variable_columns(branch, variable):
     """One variable at each point, shape (points, columns); nan where there is none."""
     data = branch.data
     if variable in ("x", "v"):
         return data[variable].values
     if variable == "peak":
-        return largest_of(branch)[:, None]
+        return branch_peak_positions(branch)[:, None]
     if variable == "speed":
         return largest_speed(data["side"].values, data["speed"].values)[:, None]
-    found = data["least_speed" if variable == "least_speed" else "least_clearance"].values[:, None]
-    return np.where(np.isfinite(found), found, np.nan)
+    minima = data["least_speed" if variable == "least_speed" else "least_clearance"].values[:, None]
+    return np.where(np.isfinite(minima), minima, np.nan)
 
 
-def _changes(branch, columns):
+def _itinerary_breaks(branch, columns):
     """{place: (values, rows)} where the itinerary changes and a column jumps."""
-    part, largest = branch.data["segment"].values, np.nanmax(abs(columns), initial=0.0)
-    jumps = (abs(np.diff(columns, axis=0)) > JUMP * largest) & (np.diff(part) != 0)[:, None]
+    segment_numbers, largest_value = branch.data["segment"].values, np.nanmax(abs(columns), initial=0.0)
+    is_jump = (abs(np.diff(columns, axis=0)) > JUMP_TOLERANCE * largest_value) & (np.diff(segment_numbers) != 0)[
+        :, None
+    ]
     return {
-        int(place): _gap(branch.values, columns, place, jumps[place]) for place in np.flatnonzero(jumps.any(axis=1))
+        int(row_before): _break_rows(branch.values, columns, row_before, is_jump[row_before])
+        for row_before in np.flatnonzero(is_jump.any(axis=1))
     }
 
 
-def _gap(values, columns, place, where):
+def _break_rows(values, columns, row_before, is_broken):
     """The three rows of a break in some of the columns, between a point and the next."""
-    gap = np.where(where, np.nan, columns[place])
-    return values[[place, place, place + 1]], np.stack([columns[place], gap, columns[place + 1]])
+    middle_row = np.where(is_broken, np.nan, columns[row_before])
+    return values[[row_before, row_before, row_before + 1]], np.stack(
+        [columns[row_before], middle_row, columns[row_before + 1]]
+    )
 
 
-def _crossings(branch, variable, columns):
+def _phase_crossings(branch, variable, columns):
     """{place: (values, rows)} where an impact crosses phase 0."""
-    values, part = branch.values, branch.data["segment"].values
+    values, segment_numbers = branch.values, branch.data["segment"].values
     frequency = values if branch.name == "frequency" else float(branch.scene.frequency)
-    late = (branch.data["time"].values.T * frequency).T / (2.0 * np.pi)
-    turns = np.floor(late)
-    crossed = (np.diff(turns, axis=0) != 0) & np.isfinite(late[:-1]) & (np.diff(part) == 0)[:, None]
-    found = {}
-    for place in np.flatnonzero(crossed.any(axis=1)):
-        (hits,) = np.nonzero(crossed[place])
-        before, after = late[place, hits[0]], late[place + 1, hits[0]]
-        if len(hits) == 1 and abs(turns[place + 1, hits[0]] - turns[place, hits[0]]) == 1:
-            share = (np.round(0.5 * (before + after)) - before) / (after - before)
-            found[int(place)] = _crossing(branch, variable, columns, place, hits[0], share, after > before)
+    impact_phases = (branch.data["time"].values.T * frequency).T / (2.0 * np.pi)
+    period_numbers = np.floor(impact_phases)
+    is_crossing = (
+        (np.diff(period_numbers, axis=0) != 0)
+        & np.isfinite(impact_phases[:-1])
+        & (np.diff(segment_numbers) == 0)[:, None]
+    )
+    breaks = {}
+    for row_before in np.flatnonzero(is_crossing.any(axis=1)):
+        (crossing_impacts,) = np.nonzero(is_crossing[row_before])
+        phase_before, phase_after = (
+            impact_phases[row_before, crossing_impacts[0]],
+            impact_phases[row_before + 1, crossing_impacts[0]],
+        )
+        if (
+            len(crossing_impacts) == 1
+            and abs(
+                period_numbers[row_before + 1, crossing_impacts[0]] - period_numbers[row_before, crossing_impacts[0]]
+            )
+            == 1
+        ):
+            fraction = (np.round(0.5 * (phase_before + phase_after)) - phase_before) / (phase_after - phase_before)
+            breaks[int(row_before)] = _crossing_rows(
+                branch, variable, columns, row_before, crossing_impacts[0], fraction, phase_after > phase_before
+            )
         else:
-            found[int(place)] = _gap(values, columns, place, True)
-    return found
+            breaks[int(row_before)] = _break_rows(values, columns, row_before, True)
+    return breaks
 
 
-def _crossing(branch, variable, columns, place, hit, share, is_later):
+def _crossing_rows(branch, variable, columns, row_before, impact_index, fraction, is_later):
     """The three rows where one impact crosses phase 0, a share of the way to the next point.
 
     There the mass is on the wall, and the velocity after the impact becomes that before it where the impact grows later
     than phase 0; a state at phase 0 is the one after an impact at phase 0.
     """
 
-    def between(rows):
-        return (1.0 - share) * rows[place] + share * rows[place + 1]
+    def interpolate(point_values):
+        return (1.0 - fraction) * point_values[row_before] + fraction * point_values[row_before + 1]
 
-    value, row = between(branch.values), between(columns)
+    value, row = interpolate(branch.values), interpolate(columns)
     scene = branch.scene.replace(**{branch.name: value})
-    side, speed = int(branch.data["side"].values[place, hit]), between(branch.data["speed"].values[:, hit])
+    side, speed = (
+        int(branch.data["side"].values[row_before, impact_index]),
+        interpolate(branch.data["speed"].values[:, impact_index]),
+    )
     name = SIDES[int(side > 0)]
-    where, pace = (float(each) for each in places(scene, 0.0)[int(side > 0)])
-    ends = (pace - float(scene.bounce(name)) * side * speed, pace + side * speed)
+    wall_position, wall_velocity = (float(coordinate) for coordinate in wall_states(scene, 0.0)[int(side > 0)])
+    one_sided_values = (wall_velocity - float(scene.bounce(name)) * side * speed, wall_velocity + side * speed)
     if variable == "x":
-        ends = 2 * (where,)
-    period = branch.data.sizes["period"]
-    late = between(branch.data["time"].values[:, hit]) * float(scene.frequency) / (2.0 * np.pi)
+        one_sided_values = 2 * (wall_position,)
+    n_periods = branch.data.sizes["period"]
+    impact_phase = interpolate(branch.data["time"].values[:, impact_index]) * float(scene.frequency) / (2.0 * np.pi)
     rows = np.stack([row, row, row])
-    rows[:, round(late) % period] = (ends[0], np.nan, ends[1])[:: 1 if is_later else -1]
+    rows[:, round(impact_phase) % n_periods] = (one_sided_values[0], np.nan, one_sided_values[1])[
+        :: 1 if is_later else -1
+    ]
     return np.full(3, value), rows

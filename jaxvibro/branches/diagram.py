@@ -10,21 +10,21 @@ from pathlib import Path
 import msgspec
 import pandas as pd
 
-from ..output.atomic_write import whole
-from ..output.checksums import MARKS, digest, is_format, opened, sealed
-from ..output.labels import name_in
-from ..output.table_text import columns, headed
-from ..output.units import unit_in, unit_of
-from ..problem.end import scaled
-from ..scene.check import ArgumentError, host, short
+from ..output.atomic_write import atomic_file
+from ..output.checksums import HEADER_ATTRIBUTES, read_checked, require_format, seal, sha256_hex
+from ..output.labels import translate_label
+from ..output.table_text import align_columns, column_header
+from ..output.units import unit_in_system, unit_of
+from ..problem.end import rescale_reason
+from ..scene.check import ArgumentError, host_only, shorten
 from ..scene.scene import Scene
-from ..scene.scene_table import SceneTable, table_of
-from .branch import Branch, Special, ends
-from .branch_file import branch_of
-from .branch_tree import is_same, mirror_images
+from ..scene.scene_table import SceneTable, make_scene_table
+from .branch import Branch, Special, end_values
+from .branch_file import parse_branch
+from .branch_tree import is_same_point, mirror_images
 
-INDEX = "diagram.json"
-NAME = re.compile(r"branch_\d+(_[0-9a-f]{16})?\.nc")  # of a branch's file
+INDEX_FILE = "diagram.json"
+BRANCH_FILE_NAME = re.compile(r"branch_\d+(_[0-9a-f]{16})?\.nc")  # of a branch's file
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,11 +51,11 @@ class Diagram:
     @property
     def special(self) -> tuple[Special, ...]:
         """The special points of all branches, but for ends, each orbit once, by value."""
-        return _special(self.branches)
+        return _distinct_points(self.branches)
 
     def points(self, kind: str) -> tuple[Special, ...]:
         """The special points of a kind."""
-        return tuple(one for one in self.special if one.kind == kind)
+        return tuple(special for special in self.special if special.kind == kind)
 
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
         """The branches, then the special points, as a text, a line each. units, labels: as in `Branch.table`.
@@ -64,27 +64,45 @@ class Diagram:
 
         Raises ArgumentError for other units and labels, and where the scene has no scales.
         """
-        unit, size = unit_in(self.scene, unit_of(self.name), units)
+        unit, factor = unit_in_system(self.scene, unit_of(self.name), units)
         rows: list[tuple[object, ...]] = [
             ("branch", "orbits", "from", "to", "points", "special", "starts as", "ends as")
         ]
-        images = mirror_images(self.branches)
-        listed = [one for k, one in enumerate(self.branches) if k not in images]
-        twins = {j + 1: f"{j + 1} (mirror image: {k + 1})" for k, j in images.items()}
-        for place, one in ((k + 1, one) for k, one in enumerate(self.branches) if k not in images):
-            why = one.reasons if size == 1.0 else [scaled(each, size) for each in one.reasons]
-            first, last = (f"{each * size:.9g}" for each in ends(one))
-            kinds = " ".join(name_in(each.kind, labels) for each in one.special if each.kind != "EP")
-            orbits = " ".join(dict.fromkeys(part.label for part in one.segments))
-            rows.append((twins.get(place, place), orbits, first, last, len(one), kinds or "-", *why))
-        points = [("kind", headed(self.name, unit, units), "orbit")]
-        points += [(name_in(one.kind, labels), f"{one.value * size:.12g}", one.label) for one in _special(listed)]
-        return f"{columns(rows)}\n\n{columns(points)}\n\n{self.reason}"
+        original_of = mirror_images(self.branches)
+        shown_branches = [entry for index, entry in enumerate(self.branches) if index not in original_of]
+        number_texts = {
+            original_index + 1: f"{original_index + 1} (mirror image: {index + 1})"
+            for index, original_index in original_of.items()
+        }
+        for number, entry in (
+            (index + 1, entry) for index, entry in enumerate(self.branches) if index not in original_of
+        ):
+            reason_texts = entry.reasons if factor == 1.0 else [rescale_reason(item, factor) for item in entry.reasons]
+            first_value, last_value = (f"{item * factor:.9g}" for item in end_values(entry))
+            kinds = " ".join(translate_label(item.kind, labels) for item in entry.special if item.kind != "EP")
+            orbit_labels = " ".join(dict.fromkeys(segment.label for segment in entry.segments))
+            rows.append(
+                (
+                    number_texts.get(number, number),
+                    orbit_labels,
+                    first_value,
+                    last_value,
+                    len(entry),
+                    kinds or "-",
+                    *reason_texts,
+                )
+            )
+        point_rows = [("kind", column_header(self.name, unit, units), "orbit")]
+        point_rows += [
+            (translate_label(entry.kind, labels), f"{entry.value * factor:.12g}", entry.label)
+            for entry in _distinct_points(shown_branches)
+        ]
+        return f"{align_columns(rows)}\n\n{align_columns(point_rows)}\n\n{self.reason}"
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
         """All branches' points, a pandas.DataFrame as `Branch.to_frame` gives it, before it the branch's number in the
         table. Raises ArgumentError for other units, and where the scene has no scales."""
-        return frame_of(self.branches, units)
+        return branches_dataframe(self.branches, units)
 
     def save(self, folder: str | PathLike[str], force: bool = False) -> None:
         """Write the diagram into a folder, a NetCDF file a branch and an index; `load_diagram` reads the same numbers.
@@ -94,44 +112,44 @@ class Diagram:
         already, unless force is given.
         """
         folder = Path(folder)
-        index = folder / INDEX
-        if not force and os.path.lexists(index):
-            raise FileExistsError(f"{index} is there already")
+        index_path = folder / INDEX_FILE
+        if not force and os.path.lexists(index_path):
+            raise FileExistsError(f"{index_path} is there already")
         folder.mkdir(parents=True, exist_ok=True)
-        before, files = _named(index), {}
-        for place, one in enumerate(self.branches):
-            content = one.content
-            known = digest(content)
-            name = f"branch_{place:03d}_{known[:16]}.nc"
-            with whole(folder / name, True) as file:
+        old_files, files = _listed_files(index_path), {}
+        for number, branch in enumerate(self.branches):
+            content = branch.content
+            checksum = sha256_hex(content)
+            name = f"branch_{number:03d}_{checksum[:16]}.nc"
+            with atomic_file(folder / name, True) as file:
                 file.write(content)
-            files[name] = known
-        told = {key: getattr(self, key) for key in ("name", "bounds", "left", "complete", "reason", "settings")}
-        told |= {"scene": msgspec.toml.encode(table_of(self.scene)).decode(), "branches": files}
-        with whole(index, force) as file:
-            file.write(sealed(json.dumps(MARKS | told, indent=1).encode()))
-        for name in before - set(files):
+            files[name] = checksum
+        index_fields = {key: getattr(self, key) for key in ("name", "bounds", "left", "complete", "reason", "settings")}
+        index_fields |= {"scene": msgspec.toml.encode(make_scene_table(self.scene)).decode(), "branches": files}
+        with atomic_file(index_path, force) as file:
+            file.write(seal(json.dumps(HEADER_ATTRIBUTES | index_fields, indent=1).encode()))
+        for name in old_files - set(files):
             (folder / name).unlink(missing_ok=True)
 
 
-def _special(branches):
+def _distinct_points(branches):
     """The special points of branches, but for ends, each orbit once, by value."""
-    found: list[Special] = []
-    for one in (one for branch in branches for one in branch.special if one.kind != "EP"):
-        if not any(is_same(one, two) for two in found):
-            found.append(one)
-    return tuple(sorted(found, key=lambda one: one.value))
+    distinct_points: list[Special] = []
+    for special in (special for branch in branches for special in branch.special if special.kind != "EP"):
+        if not any(is_same_point(special, known_point) for known_point in distinct_points):
+            distinct_points.append(special)
+    return tuple(sorted(distinct_points, key=lambda special: special.value))
 
 
-def frame_of(branches, units):
+def branches_dataframe(branches, units):
     """The points of branches behind one another, a pandas.DataFrame, with their numbers from 1."""
-    frames = [one.to_frame(units) for one in branches]
-    for place, each in enumerate(frames, 1):
-        each.insert(0, "branch", place)
+    frames = [branch.to_frame(units) for branch in branches]
+    for number, branch_frame in enumerate(frames, 1):
+        branch_frame.insert(0, "branch", number)
     return pd.concat(frames, ignore_index=True) if frames else pd.DataFrame({"branch": []})
 
 
-class Index(msgspec.Struct):
+class DiagramIndex(msgspec.Struct):
     """What the index of a diagram's folder says; branches: {file: its SHA-256}, a list of files in format 1, which had
     no scene."""
 
@@ -146,53 +164,59 @@ class Index(msgspec.Struct):
     format: int = 1
 
 
-@host("use what was loaded before")
+@host_only("use what was loaded before")
 def load_diagram(folder: str | PathLike[str]) -> Diagram:
     """The `Diagram` of a folder that `Diagram.save` wrote.
 
     A folder of before, without checksums, is read with a warning. Raises ArgumentError where the folder holds none or a
     file is damaged, OSError where one cannot be read.
     """
-    path = Path(folder) / INDEX
-    index = opened(path, _index)
+    path = Path(folder) / INDEX_FILE
+    index = read_checked(path, _parse_index)
     digests = index.branches if isinstance(index.branches, dict) else dict.fromkeys(index.branches)
-    branches = tuple(_branch(path.with_name(name), known) for name, known in digests.items())
+    branches = tuple(_load_branch(path.with_name(name), checksum) for name, checksum in digests.items())
     try:
         scene = branches[0].scene if index.scene is None else msgspec.toml.decode(index.scene, type=SceneTable).make()
-        left = tuple((k, j) for k, j in index.left if branches[k].special[j])
-        alike = all(one.name == index.name for one in branches)
+        finished_points = tuple(
+            (branch_index, point_index)
+            for branch_index, point_index in index.left
+            if branches[branch_index].special[point_index]
+        )
+        has_same_name = all(entry.name == index.name for entry in branches)
     except (LookupError, ValueError) as error:
-        raise _refused(error, path) from None
-    if not alike or min((one for pair in left for one in pair), default=0) < 0:
-        raise _refused("its branches are another's", path)
-    return Diagram(index.name, index.bounds, scene, branches, left, index.complete, index.reason, index.settings)
+        raise _folder_error(error, path) from None
+    if not has_same_name or min((entry for pair in finished_points for entry in pair), default=0) < 0:
+        raise _folder_error("its branches are another's", path)
+    return Diagram(
+        index.name, index.bounds, scene, branches, finished_points, index.complete, index.reason, index.settings
+    )
 
 
-def _index(content, path):
+def _parse_index(content, path):
     try:
-        index = msgspec.convert(json.loads(content), Index)
+        index = msgspec.convert(json.loads(content), DiagramIndex)
     except (ValueError, RecursionError) as error:
-        raise _refused(error, path) from None
-    is_format(index.format, path)
-    if not all(map(NAME.fullmatch, index.branches)):
-        raise _refused("it names files that are no branches'", path)
+        raise _folder_error(error, path) from None
+    require_format(index.format, path)
+    if not all(map(BRANCH_FILE_NAME.fullmatch, index.branches)):
+        raise _folder_error("it names files that are no branches'", path)
     return index
 
 
-def _refused(error, path):
-    return ArgumentError("folder", f"must be a folder of Diagram.save ({short(error)})", str(path.parent))
+def _folder_error(error, path):
+    return ArgumentError("folder", f"must be a folder of Diagram.save ({shorten(error)})", str(path.parent))
 
 
-def _named(index):
+def _listed_files(index):
     """The files of branches that an index names, none where there is none that can be read."""
     try:
-        return set(_index(index.read_bytes(), index).branches)
+        return set(_parse_index(index.read_bytes(), index).branches)
     except (OSError, ArgumentError):
         return set()
 
 
-def _branch(path, known):
+def _load_branch(path, checksum):
     content = path.read_bytes()
-    if known is not None and digest(content) != known:
+    if checksum is not None and sha256_hex(content) != checksum:
         raise ArgumentError("path", "must be the file that the diagram was saved with", str(path))
-    return branch_of(content, path)
+    return parse_branch(content, path)

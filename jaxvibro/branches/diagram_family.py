@@ -5,18 +5,18 @@ from dataclasses import replace
 
 from jaxtyping import ArrayLike, Real
 
-from continuation.limits import EXPIRED, UNLIMITED, Results, limits_of, partial_reason
+from continuation.limits import EXPIRED_REASON, UNLIMITED, Results, limits_of, partial_reason
 
 from ..scene import check
-from ..scene.parameters import values_of
+from ..scene.parameters import check_values
 from ..scene.scene import Scene
-from ..stores.filling import Store, done
+from ..stores.filling import Store, complete_study
 from .diagram import Diagram
-from .diagram_study import DiagramStudy, unpacked
-from .explore import check_arguments, explore_on, settled_on
+from .diagram_study import DiagramStudy, unpack_diagram
+from .explore import make_exploration_task, run_exploration, seed_orbits_of_tasks
 
 
-@check.host("use strobe or monodromy")
+@check.host_only("use strobe or monodromy")
 def diagrams(
     scene: Scene,
     name: str,
@@ -50,25 +50,30 @@ def diagrams(
     """
     limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
-    check.require_known(name, scene.names, name)
-    given = values_of(scene, third, values)
+    check.require_parameter(name, scene.names, name)
+    third_values = check_values(scene, third, values)
     if third == name:
         raise check.ArgumentError("third", "must be another parameter than name", third)
-    scenes = [scene.replace(**{third: value}) for value in given]
-    tasks = [check_arguments(each, name, bounds, max_period, seed, budget, largest_step) for each in scenes]
-    own = limits if store is None else replace(UNLIMITED, points=limits.points)  # no diagram's bits depend on timing
-    tasks = [each._replace(steps=each.steps | {"limits": own}) for each in tasks]
+    scenes = [scene.replace(**{third: value}) for value in third_values]
+    tasks = [make_exploration_task(entry, name, bounds, max_period, seed, budget, largest_step) for entry in scenes]
+    task_limits = (
+        limits if store is None else replace(UNLIMITED, points=limits.points)
+    )  # no diagram's bits depend on timing
+    tasks = [entry._replace(step_settings=entry.step_settings | {"limits": task_limits}) for entry in tasks]
     if store is None:
-        found = [explore_on(*each, progress) for each in zip(tasks, settled_on(tasks), strict=True)]
+        results = [run_exploration(*entry, progress) for entry in zip(tasks, seed_orbits_of_tasks(tasks), strict=True)]
     else:
-        study = DiagramStudy(third, given, tuple(tasks))
-        data = done(study, store, progress and (lambda one: progress(one.done)), limits)
+        study = DiagramStudy(third, third_values, tuple(tasks))
+        data = complete_study(study, store, progress and (lambda store_progress: progress(store_progress.done)), limits)
         rows = zip(tasks, data["content"].values, data["size"].values, strict=True)
-        found = [_empty(task) if size < 0 else unpacked(row[:size].tobytes()) for task, row, size in rows]
-    count = sum(one.reason != EXPIRED for one in found)
-    return Results(found, "" if count == len(found) else partial_reason(count, len(found), "values"))
+        results = [
+            _empty_diagram(task) if n_bytes < 0 else unpack_diagram(row[:n_bytes].tobytes())
+            for task, row, n_bytes in rows
+        ]
+    n_complete = sum(diagram.reason != EXPIRED_REASON for diagram in results)
+    return Results(results, "" if n_complete == len(results) else partial_reason(n_complete, len(results), "values"))
 
 
-def _empty(task):
+def _empty_diagram(task):
     """The `Diagram` of a task that has not been begun."""
-    return Diagram(task.name, task.bounds, task.scene, (), (), False, EXPIRED, task.settings)
+    return Diagram(task.name, task.bounds, task.scene, (), (), False, EXPIRED_REASON, task.settings)

@@ -12,13 +12,13 @@ import xarray as xr
 from jaxtyping import Float
 
 from ..scene.check import ArgumentError
-from ..scene.scene_table import scene_text
-from ..stores.study import Column, Grid, axis_text
+from ..scene.scene_table import scene_toml
+from ..stores.study import Column, Grid, fingerprint_axis
 from .diagram import Diagram, load_diagram
-from .explore import Search, explore_on, settled_on
+from .explore import ExplorationTask, run_exploration, seed_orbits_of_tasks
 
-MOST = 1 << 23  # bytes of a diagram's files, packed
-EPOCH = (1980, 1, 1, 0, 0, 0)  # of all files in an archive, whose bytes then do not tell when it was made
+MAX_BYTES = 1 << 23  # bytes of a diagram's files, packed
+ARCHIVE_TIME = (1980, 1, 1, 0, 0, 0)  # of all files in an archive, whose bytes then do not tell when it was made
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class DiagramStudy:
 
     third: str
     values: Float[np.ndarray, " values"]
-    tasks: tuple[Search, ...]
+    tasks: tuple[ExplorationTask, ...]
 
     @cached_property
     def grid(self) -> Grid:
@@ -35,17 +35,26 @@ class DiagramStudy:
 
     @property
     def columns(self) -> dict[str, Column]:
-        size = Column(np.dtype(np.int64), -1, {"long_name": "bytes of the diagram's files, packed; -1 not done"})
-        return {"size": size, "content": Column(np.dtype(np.uint8), 0, {}, {"byte": MOST})}
+        size_column = Column(np.dtype(np.int64), -1, {"long_name": "bytes of the diagram's files, packed; -1 not done"})
+        return {"size": size_column, "content": Column(np.dtype(np.uint8), 0, {}, {"byte": MAX_BYTES})}
 
     @cached_property
     def identity(self) -> dict[str, str]:
-        first = self.tasks[0]
-        asked = {"parameter": first.name, "bounds": repr(first.bounds), "settings": repr(first.settings)}
-        scene = scene_text(first.scene.replace(**{self.third: float(self.values[0])}))
-        points = first.steps["limits"].points
-        asked |= {} if points is None else {"max_points": repr(points)}
-        return {"scene": scene, self.third: axis_text(self.values), **asked, "budget": repr(first.most)}
+        first_task = self.tasks[0]
+        request_fields = {
+            "parameter": first_task.name,
+            "bounds": repr(first_task.bounds),
+            "settings": repr(first_task.settings),
+        }
+        scene = scene_toml(first_task.scene.replace(**{self.third: float(self.values[0])}))
+        max_points = first_task.step_settings["limits"].points
+        request_fields |= {} if max_points is None else {"max_points": repr(max_points)}
+        return {
+            "scene": scene,
+            self.third: fingerprint_axis(self.values),
+            **request_fields,
+            "budget": repr(first_task.max_branches),
+        }
 
     @cached_property
     def frame(self) -> xr.Dataset:
@@ -53,25 +62,27 @@ class DiagramStudy:
 
     def compute(self, number: int, frame: xr.Dataset) -> tuple[dict[str, np.ndarray], int]:
         task = self.tasks[number]
-        content = packed(explore_on(task, settled_on([task])[0]))
-        if len(content) > MOST:
-            raise ArgumentError("store", f"must be given for diagrams of at most {MOST >> 20} MiB each", len(content))
-        whole = np.zeros((1, MOST), np.uint8)
-        whole[0, : len(content)] = np.frombuffer(content, np.uint8)
-        return {"size": np.array([len(content)]), "content": whole}, 0
+        content = pack_diagram(run_exploration(task, seed_orbits_of_tasks([task])[0]))
+        if len(content) > MAX_BYTES:
+            raise ArgumentError(
+                "store", f"must be given for diagrams of at most {MAX_BYTES >> 20} MiB each", len(content)
+            )
+        padded_bytes = np.zeros((1, MAX_BYTES), np.uint8)
+        padded_bytes[0, : len(content)] = np.frombuffer(content, np.uint8)
+        return {"size": np.array([len(content)]), "content": padded_bytes}, 0
 
 
-def packed(diagram: Diagram) -> bytes:
+def pack_diagram(diagram: Diagram) -> bytes:
     """The files of a diagram's folder, packed."""
-    held = io.BytesIO()
-    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(held, "w", zipfile.ZIP_DEFLATED) as archive:
+    buffer = io.BytesIO()
+    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         diagram.save(folder)
         for file in sorted(Path(folder).iterdir()):
-            archive.writestr(zipfile.ZipInfo(file.name, EPOCH), file.read_bytes(), zipfile.ZIP_DEFLATED)
-    return held.getvalue()
+            archive.writestr(zipfile.ZipInfo(file.name, ARCHIVE_TIME), file.read_bytes(), zipfile.ZIP_DEFLATED)
+    return buffer.getvalue()
 
 
-def unpacked(content: bytes) -> Diagram:
+def unpack_diagram(content: bytes) -> Diagram:
     """The diagram whose folder's files were packed."""
     with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(io.BytesIO(content)) as archive:
         archive.extractall(folder)

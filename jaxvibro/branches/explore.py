@@ -11,34 +11,34 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from continuation.limits import EXPIRED, limits_of
+from continuation.limits import EXPIRED_REASON, limits_of
 
-from ..flight.wall_positions import fit
+from ..flight.wall_positions import clamp_to_walls
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
 from ..problem.end import End
-from ..problem.orbit_on_branch import place_orbit
-from ..problem.orbit_start import point_of
+from ..problem.orbit_conversion import orbit_row_of
+from ..problem.orbit_point import set_up_problem
 from ..scene import check
-from ..scene.parameters import bounds_of, domain
+from ..scene.parameters import check_bounds, parameter_domain
 from ..scene.scene import Scene
 from ..scene.state import State
 from ..scene.symmetry import stays_symmetric
-from ..scene.unit_slips import require_scene_units
-from .branch_tree import Tree
+from ..scene.unit_mistakes import require_scene_units
+from .branch_membership import correct_to_seed_orbit, is_on_branch
+from .branch_tree import BranchTree
 from .diagram import Diagram
-from .follow import check_settings, through
-from .on_branch import is_on, settled_at
-from .seed_orbits import free_probes, probes
-from .switch import FIRST
+from .follow import branch_through, check_settings
+from .seed_orbits import find_seed_orbits, free_seed_orbits
+from .switch import FIRST_STEP
 
-MOST = 400  # branches, where no budget is given
-SAME = 1e-12  # of a soft wall's numbers: as near is rounding
-DONE = "all that was found has been followed"
-SPENT = "the budget of {} branches is spent"
+MAX_BRANCHES = 400  # branches, where no budget is given
+ROUNDING_TOLERANCE = 1e-12  # of a soft wall's numbers: as near is rounding
+COMPLETE_REASON = "all that was found has been followed"
+BUDGET_REASON = "the budget of {} branches is spent"
 
 
-@check.host("use strobe or monodromy")
+@check.host_only("use strobe or monodromy")
 def explore(
     scene: Scene,
     name: str,
@@ -72,120 +72,158 @@ def explore(
     Raises ArgumentError for arguments that cannot be.
     """
     limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
-    task = check_arguments(scene, name, bounds, max_period, seed, budget, largest_step)
-    task = task._replace(steps=task.steps | {"limits": limits})
-    before = _resumed(resume, task)
-    (some,) = settled_on([task])
-    return explore_on(task, some, progress, *before)
+    task = make_exploration_task(scene, name, bounds, max_period, seed, budget, largest_step)
+    task = task._replace(step_settings=task.step_settings | {"limits": limits})
+    resumed_state = _resumed_state(resume, task)
+    (seed_orbits,) = seed_orbits_of_tasks([task])
+    return run_exploration(task, seed_orbits, progress, *resumed_state)
 
 
-class Search(NamedTuple):
-    """What is to be explored. scene: at a value within the bounds; most: branches; steps, settings: by name."""
+class ExplorationTask(NamedTuple):
+    """What is to be explored. scene: at a value within the bounds; max_branches: branches; step_settings, settings: by
+    name."""
 
     scene: Scene
     name: str
     bounds: tuple[float, float]
-    most: int
-    steps: dict[str, Any]
+    max_branches: int
+    step_settings: dict[str, Any]
     settings: dict[str, int | float]
 
 
-def check_arguments(scene, name, bounds, max_period, seed, budget, largest_step):
-    """The `Search` of these arguments. Raises ArgumentError."""
+def make_exploration_task(scene, name, bounds, max_period, seed, budget, largest_step):
+    """The `ExplorationTask` of these arguments. Raises ArgumentError."""
     check.require_single(scene)
-    max_period, seed = check.whole("max_period", max_period, 1), check.whole("seed", seed, 0)
-    if max_period > check.MOST_PERIODS:
-        raise check.ArgumentError("max_period", f"must be at most {check.MOST_PERIODS}", max_period)
-    most = MOST if budget is None else check.whole("budget", budget, 1)
-    check.require_known(name, scene.names, name)
+    max_period, seed = check.whole_number("max_period", max_period, 1), check.whole_number("seed", seed, 0)
+    if max_period > check.MAX_ORBIT_PERIODS:
+        raise check.ArgumentError("max_period", f"must be at most {check.MAX_ORBIT_PERIODS}", max_period)
+    max_branches = MAX_BRANCHES if budget is None else check.whole_number("budget", budget, 1)
+    check.require_parameter(name, scene.names, name)
     if np.shape(bounds) == (2,):
         require_scene_units("bounds", scene, name, bounds)
-    scene = scene.replace(**{name: _inside(scene, name, bounds)})
-    bounds = bounds_of(scene, name, bounds)
-    steps = check_settings(FIRST, largest_step, 1e-10, (), ())
+    scene = scene.replace(**{name: _value_within(scene, name, bounds)})
+    bounds = check_bounds(scene, name, bounds)
+    step_settings = check_settings(FIRST_STEP, largest_step, 1e-10, (), ())
     settings = {"max_period": max_period, "seed": seed, "largest_step": largest_step}
-    return Search(scene, name, bounds, most, steps, settings)
+    return ExplorationTask(scene, name, bounds, max_branches, step_settings, settings)
 
 
-def settled_on(tasks):
-    """What the starts of `Search`s that differ in their scenes settle on, the `Probe`s of each."""
-    one = tasks[0]
-    return probes(
-        [each.scene for each in tasks], one.name, one.bounds, one.settings["max_period"], one.settings["seed"]
+def seed_orbits_of_tasks(tasks):
+    """What the starts of `ExplorationTask`s that differ in their scenes settle on, the `Probe`s of each."""
+    first_task = tasks[0]
+    return find_seed_orbits(
+        [task.scene for task in tasks],
+        first_task.name,
+        first_task.bounds,
+        first_task.settings["max_period"],
+        first_task.settings["seed"],
     )
 
 
-def explore_on(task, some, progress=None, found=(), done=()):
-    """The `Diagram` of a task and what its starts settle on; found, done: its branches so far, and points left."""
-    scene, name, bounds, most, steps, settings = task
+def run_exploration(task, seed_orbits, progress=None, known_branches=(), processed_points=()):
+    """The `Diagram` of a task and what its starts settle on; known_branches, processed_points: its branches so far, and
+    points left."""
+    scene, name, bounds, max_branches, step_settings, settings = task
     symmetric = stays_symmetric(scene, name)
-    tree = Tree(bounds, settings["max_period"], most, steps, list(found), list(done), symmetric, progress)
-    tree.grow()
-    for probe in chain(some, free_probes(scene, name, bounds)):
-        if tree.is_spent:
+    tree = BranchTree(
+        bounds,
+        settings["max_period"],
+        max_branches,
+        step_settings,
+        list(known_branches),
+        list(processed_points),
+        symmetric,
+        progress,
+    )
+    tree.follow_special_points()
+    for seed_orbit in chain(seed_orbits, free_seed_orbits(scene, name, bounds)):
+        if tree.is_exhausted:
             break
-        if not any(is_on(probe, branch) for branch in tree.found):
-            _begin(tree, probe, scene, name, bounds, steps)
-    told = SPENT.format(most) if len(tree.found) >= most else EXPIRED if tree.is_spent else DONE
-    return Diagram(name, bounds, scene, tuple(tree.found), tuple(tree.done), not tree.is_spent, told, settings)
+        if not any(is_on_branch(seed_orbit, branch) for branch in tree.branches):
+            _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings)
+    reason = (
+        BUDGET_REASON.format(max_branches)
+        if len(tree.branches) >= max_branches
+        else EXPIRED_REASON
+        if tree.is_exhausted
+        else COMPLETE_REASON
+    )
+    return Diagram(
+        name, bounds, scene, tuple(tree.branches), tuple(tree.processed_points), not tree.is_exhausted, reason, settings
+    )
 
 
-def _begin(tree, probe, scene, name, bounds, steps):
+def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
     """Follows the orbit that a probe settled on, and all that leaves it."""
-    if probe.endless:
-        probe = _with_hops(probe, scene, name)
-    found = probe and settled_at(probe, *place_orbit(scene, name, probe.spot))
-    if found is None:  # it had not settled
+    if seed_orbit.has_chatter:
+        seed_orbit = _with_impacts(seed_orbit, scene, name)
+    start = seed_orbit and correct_to_seed_orbit(seed_orbit, *set_up_problem(scene, name, seed_orbit.orbit_row))
+    if start is None:  # it had not settled
         return
-    branch = through(scene.replace(**{name: probe.spot.value}), name, bounds, found, "both", steps)
-    if tree.found and End.MAX_SECONDS in branch.ends:
+    branch = branch_through(
+        scene.replace(**{name: seed_orbit.orbit_row.value}), name, bounds, start, "both", step_settings
+    )
+    if tree.branches and End.MAX_SECONDS in branch.ends:
         return  # the next run follows it anew
-    if not tree.has(branch):
+    if not tree.contains(branch):
         tree.add(branch)
-        tree.grow()
+        tree.follow_special_points()
 
 
-def _with_hops(probe, scene, name):
+def _with_impacts(seed_orbit, scene, name):
     """An endless probe with the impacts and releases of its orbit, None where it is none, or never leaves its wall."""
-    spot = probe.spot
-    there = scene.replace(**{name: spot.value})
+    orbit_row = seed_orbit.orbit_row
+    scene_at_value = scene.replace(**{name: orbit_row.value})
     try:
-        orbit = find_orbit(there, fit(there, State(spot.x, spot.v)), periods=spot.periods, settle=0)
-        return probe._replace(spot=point_of(orbit, spot.value)) if orbit.periods == spot.periods else None
+        orbit = find_orbit(
+            scene_at_value,
+            clamp_to_walls(scene_at_value, State(orbit_row.x, orbit_row.v)),
+            periods=orbit_row.periods,
+            settle=0,
+        )
+        return (
+            seed_orbit._replace(orbit_row=orbit_row_of(orbit, orbit_row.value))
+            if orbit.periods == orbit_row.periods
+            else None
+        )
     except OrbitError:
         return None
 
 
-def _inside(scene, name, bounds):
+def _value_within(scene, name, bounds):
     """A value within the bounds and the parameter's domain."""
     value = float(scene.parameter(name))
     if np.shape(bounds) != (2,) or not np.isfinite(bounds).all() or not bounds[0] < bounds[1]:
-        return value  # `bounds_of` tells
-    low, high = np.clip(domain(scene, name), *bounds)
-    return value if low <= value <= high else 0.5 * (low + high)
+        return value  # `check_bounds` tells
+    lower, upper = np.clip(parameter_domain(scene, name), *bounds)
+    return value if lower <= value <= upper else 0.5 * (lower + upper)
 
 
-def _resumed(resume, task):
+def _resumed_state(resume, task):
     """(branches, points left) of a `Diagram` to go on from, empty where there is none."""
     if resume is None:
         return (), ()
     if not isinstance(resume, Diagram):
         raise check.ArgumentError("resume", "must be a Diagram", resume)
-    same = (resume.name, resume.bounds, resume.settings) == (task.name, task.bounds, task.settings)
-    if not same or not _is_alike(task.scene, resume.scene, task.name):
+    has_same_settings = (resume.name, resume.bounds, resume.settings) == (task.name, task.bounds, task.settings)
+    if not has_same_settings or not _is_same_scene(task.scene, resume.scene, task.name):
         raise check.ArgumentError("resume", "must be of the same scene, parameter, bounds and settings", resume)
-    whole = resume.branches
-    while whole and End.MAX_SECONDS in whole[-1].ends:
-        whole = whole[:-1]
-    return whole, tuple((k, j) for k, j in resume.left if k < len(whole))
+    complete_branches = resume.branches
+    while complete_branches and End.MAX_SECONDS in complete_branches[-1].ends:
+        complete_branches = complete_branches[:-1]
+    return complete_branches, tuple(
+        (branch_index, point_index)
+        for branch_index, point_index in resume.left
+        if branch_index < len(complete_branches)
+    )
 
 
-def _is_alike(scene, other, name):
+def _is_same_scene(scene, other, name):
     """Whether two scenes differ in nothing but a parameter."""
     if scene.names != other.names:
         return False
-    near = 0.0
+    tolerance = 0.0
     if name == "hardness":  # the walls' numbers follow from it, but for rounding
-        scene, near = scene.replace(hardness=other.parameter(name)), SAME
-    pairs = [(float(scene.parameter(key)), float(other.parameter(key))) for key in scene.names if key != name]
-    return all(abs(one - two) <= near * abs(two) for one, two in pairs)
+        scene, tolerance = scene.replace(hardness=other.parameter(name)), ROUNDING_TOLERANCE
+    value_pairs = [(float(scene.parameter(key)), float(other.parameter(key))) for key in scene.names if key != name]
+    return all(abs(value - other_value) <= tolerance * abs(other_value) for value, other_value in value_pairs)

@@ -5,32 +5,32 @@ from typing import Any, overload
 
 import numpy as np
 
-from continuation import locate
-from continuation.arclength import Control
-from continuation.event_search import tangent
+from continuation import augmented_systems
+from continuation.arclength import StepControl
+from continuation.event_search import unit_tangent
+from continuation.intermediate_points import start_point
 from continuation.limits import UNLIMITED, limits_of
-from continuation.points import start_point
 
 from ..orbits.orbit import Orbit, OrbitError
 from ..problem.end import End
-from ..problem.equations import problem
-from ..problem.orbit_on_branch import place_orbit
-from ..problem.orbit_start import bring_to, point_of
-from ..problem.touches import scales
+from ..problem.equations import continuation_problem
+from ..problem.grazing_contact import arclength_weights
+from ..problem.orbit_conversion import correct_to_value, orbit_row_of
+from ..problem.orbit_point import set_up_problem
 from ..scene import check
-from ..scene.parameters import bounds_of, domain
-from ..scene.scale import scene_length
-from . import hold as holding
-from .assemble import START, assemble
-from .branch import MEANINGS, Branch
+from ..scene.parameters import check_bounds, parameter_domain
+from ..scene.typical_scales import scene_length
+from . import held_continuation as holding
+from .assemble import START_REASON, assemble_branch
+from .branch import KIND_NAMES, Branch
 from .held_branch import HeldBranch
 from .segment import BranchSettings
-from .through_grazings import go_on
+from .through_grazings import continue_through_grazings
 from .user_monitors import MonitoredPoint
 
 DIRECTIONS = ("both", "forward", "backward")
-SMALLEST = 1e-8  # step
-NO_ORBIT = 1e-6  # of the scene's length: a start with as large a residual is no orbit
+MIN_STEP = 1e-8  # step
+MAX_START_RESIDUAL = 1e-6  # of the scene's length: a start with as large a residual is no orbit
 Monitors = Mapping[str, Callable[[MonitoredPoint], Any]] | tuple[()]  # by their labels
 
 
@@ -65,7 +65,7 @@ def follow(
     max_seconds: float | None = ...,
     progress: Callable[[int], object] | None = ...,
 ) -> HeldBranch: ...
-@check.host("use strobe or monodromy; located has derivatives of special points")
+@check.host_only("use strobe or monodromy; located has derivatives of special points")
 def follow(
     orbit: Orbit,
     name: str | Sequence[str],
@@ -120,33 +120,36 @@ def follow(
     or is singular, ArithmeticError where a special point was found that the scene cannot have (`impossible`). What ends
     a branch is told by its `reason`.
     """
-    given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
-    given["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
+    settings = _check_branch_settings(direction, first_step, largest_step, tolerance, monitors, stop)
+    settings["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     if hold is not None:
-        return _held(orbit, name, bounds, direction, given, hold)
-    bounds, start = _begun("orbit", orbit, name, bounds)
-    return through(orbit.scene, name, bounds, start, direction, given)
+        return _follow_held(orbit, name, bounds, direction, settings, hold)
+    bounds, start = _check_start("orbit", orbit, name, bounds)
+    return branch_through(orbit.scene, name, bounds, start, direction, settings)
 
 
-def _held(orbit, names, bounds, direction, settings, hold):
+def _follow_held(orbit, names, bounds, direction, settings, hold):
     """The `HeldBranch` of an orbit. Raises ArgumentError, OrbitError."""
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError("orbit", "must be an Orbit, as find_orbit gives it", orbit)
     if settings["monitors"] or settings["stop"]:
         raise check.ArgumentError("monitors", "must be none, and no stops, where a number is held", "both")
-    names, bounds, held, value = holding.asked(orbit.scene, names, bounds, hold)
-    first, scene = polish_orbit(orbit, names[0]), orbit.scene
-    begun = holding.start(scene, names, held, value, *first)
-    if begun is None:
-        branch = through(scene, names[0], bounds[names[0]], first, "both", settings)
-        others = (holding.start(scene, names, held, value, *one) for one in holding.near(branch, held, value))
-        begun = next((one for one in others if one is not None), None)
-        if begun is None:
-            raise holding.nowhere(branch, held, value)
-    return holding.both(scene, names, bounds, held, value, begun, direction, settings)
+    names, bounds, quantity_name, value = holding.check_hold(orbit.scene, names, bounds, hold)
+    problem_and_z, scene = polish_orbit(orbit, names[0]), orbit.scene
+    start = holding.locate_start(scene, names, quantity_name, value, *problem_and_z)
+    if start is None:
+        branch = branch_through(scene, names[0], bounds[names[0]], problem_and_z, "both", settings)
+        candidate_starts = (
+            holding.locate_start(scene, names, quantity_name, value, *candidate)
+            for candidate in holding.nearby_orbits(branch, quantity_name, value)
+        )
+        start = next((candidate for candidate in candidate_starts if candidate is not None), None)
+        if start is None:
+            raise holding.unreachable_value_error(branch, quantity_name, value)
+    return holding.follow_held_branch(scene, names, bounds, quantity_name, value, start, direction, settings)
 
 
-@check.host("use strobe or monodromy; located has derivatives of special points")
+@check.host_only("use strobe or monodromy; located has derivatives of special points")
 def follow_all(
     orbits: Sequence[Orbit],
     name: str,
@@ -170,82 +173,112 @@ def follow_all(
 
     Raises what `follow` raises; for an orbit that is none before anything is followed, with its place.
     """
-    given = _asked(direction, first_step, largest_step, tolerance, monitors, stop)
-    given["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
+    settings = _check_branch_settings(direction, first_step, largest_step, tolerance, monitors, stop)
+    settings["limits"] = limits_of(max_points, max_seconds, progress, check.ArgumentError)
     if not isinstance(orbits, Sequence) or not orbits:
         raise check.ArgumentError("orbits", "must be a list or tuple of Orbits, one at least", orbits)
-    begun = []
+    starts = []
     for k, orbit in enumerate(orbits):
         try:
-            begun.append(_begun(f"orbits[{k}]", orbit, name, bounds))
+            starts.append(_check_start(f"orbits[{k}]", orbit, name, bounds))
         except OrbitError as error:
             error.add_note(f"it is orbits[{k}]")
             raise
-    pairs, found = zip(orbits, begun, strict=True), []
-    for one, (bounds, start) in pairs:
-        found.append(through(one.scene, name, bounds, start, direction, given))
-        if given["limits"].expired:
+    orbits_and_starts, branches = zip(orbits, starts, strict=True), []
+    for start_orbit, (bounds, start) in orbits_and_starts:
+        branches.append(branch_through(start_orbit.scene, name, bounds, start, direction, settings))
+        if settings["limits"].expired:
             break
-    return tuple(found)
+    return tuple(branches)
 
 
-def _asked(direction, *settings):
+def _check_branch_settings(direction, *settings):
     """The settings of a branch by name, checked with its direction. Raises ArgumentError."""
     if direction not in DIRECTIONS:
         raise check.ArgumentError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
     return check_settings(*settings)
 
 
-def _begun(label, orbit, name, bounds):
-    """(the bounds, the start) for `through`, of an orbit that is called label. Raises ArgumentError, OrbitError."""
+def _check_start(label, orbit, name, bounds):
+    """(the bounds, the start) for `branch_through`, of an orbit that is called label. Raises ArgumentError,
+    OrbitError."""
     if not isinstance(orbit, Orbit):
         raise check.ArgumentError(label, "must be an Orbit, as find_orbit gives it", orbit)
-    bounds = bounds_of(orbit.scene, name, bounds)
+    bounds = check_bounds(orbit.scene, name, bounds)
     return bounds, polish_orbit(orbit, name)
 
 
-def through(scene, name, bounds, start, direction, settings):
+def branch_through(scene, name, bounds, start, direction, settings):
     """The `Branch` through (`OrbitEquations`, z) at the scene's value of the parameter; settings: those that are
     `check_settings`."""
-    (along, z), length = start, scene_length(scene)
-    asked = asking(scene, name, bounds, length, start, **settings)
-    ahead, start, limits = tangent(problem(along), z, scales(along, length), along), START, asked.limits
-    first = limits.halved() if direction == "both" else limits
-    on = go_on(along, start_point(z, ahead), asked._replace(limits=first)) if direction != "backward" else None
-    closed = on is not None and on.reason.end is End.CLOSED
-    if on is not None and direction == "both" and not closed:
-        limits = limits.after(sum(len(one.points.z) for one in on.pieces) - 1)  # both have the start
+    (problem, z), length_scale = start, scene_length(scene)
+    branch_settings = make_branch_settings(scene, name, bounds, length_scale, start, **settings)
+    forward_tangent, start, limits = (
+        unit_tangent(continuation_problem(problem), z, arclength_weights(problem, length_scale), problem),
+        START_REASON,
+        branch_settings.limits,
+    )
+    first_limits = limits.halved() if direction == "both" else limits
+    forward = (
+        continue_through_grazings(
+            problem, start_point(z, forward_tangent), branch_settings._replace(limits=first_limits)
+        )
+        if direction != "backward"
+        else None
+    )
+    is_closed = forward is not None and forward.reason.end is End.CLOSED
+    if forward is not None and direction == "both" and not is_closed:
+        limits = limits.after(sum(len(segment.points.z) for segment in forward.segments) - 1)  # both have the start
         if limits.reached(1):
-            closed, end = True, End.MAX_SECONDS if limits.expired else End.MAX_POINTS
+            is_closed, end = True, End.MAX_SECONDS if limits.expired else End.MAX_POINTS
             start = end.reason(z[-1])
-    asked = asked._replace(limits=limits)
-    back = go_on(along, start_point(z, -ahead), asked) if direction != "forward" and not closed else None
-    return assemble(scene, name, bounds, settings, back, on, start)
+    branch_settings = branch_settings._replace(limits=limits)
+    backward = (
+        continue_through_grazings(problem, start_point(z, -forward_tangent), branch_settings)
+        if direction != "forward" and not is_closed
+        else None
+    )
+    return assemble_branch(scene, name, bounds, settings, backward, forward, start)
 
 
-def asking(scene, name, bounds, length, start, first_step, largest_step, tolerance, monitors, stop, limits=UNLIMITED):
+def make_branch_settings(
+    scene, name, bounds, length_scale, start, first_step, largest_step, tolerance, monitors, stop, limits=UNLIMITED
+):
     """The `BranchSettings` of these arguments; start: (along, z) that ends the branch where it comes back."""
-    own = domain(scene, name)
-    low, high = max(bounds[0], own[0]), min(bounds[1], own[1])
-    numbers = (np.float64(each) for each in (min(SMALLEST, first_step), largest_step, tolerance, low, high))
-    along, z = start
-    rows = len(along.cycle.sides)
-    marks = ((along.cycle._replace(times=z[:rows], speeds=z[rows : 2 * rows]), z[-1]),) if rows else ()
-    only = tuple(each for each in own if not bounds[0] <= each <= bounds[1] or each not in bounds)
+    domain_bounds = parameter_domain(scene, name)
+    lower, upper = max(bounds[0], domain_bounds[0]), min(bounds[1], domain_bounds[1])
+    control_values = (
+        np.float64(number) for number in (min(MIN_STEP, first_step), largest_step, tolerance, lower, upper)
+    )
+    problem, z = start
+    n_rows = len(problem.sequence.sides)
+    closure_targets = (
+        ((problem.sequence._replace(times=z[:n_rows], speeds=z[n_rows : 2 * n_rows]), z[-1]),) if n_rows else ()
+    )
+    domain_ends = tuple(
+        number for number in domain_bounds if not bounds[0] <= number <= bounds[1] or number not in bounds
+    )
     return BranchSettings(
-        Control(np.ones(1), *numbers), min(first_step, largest_step), only, monitors, stop, length, marks, limits
+        StepControl(np.ones(1), *control_values),
+        min(first_step, largest_step),
+        domain_ends,
+        monitors,
+        stop,
+        length_scale,
+        closure_targets,
+        limits,
     )
 
 
 def polish_orbit(orbit, name):
     """(`OrbitEquations`, z) of an orbit, polished at its value of the parameter. Raises OrbitError."""
     value = float(orbit.scene.parameter(name))
-    along, z = place_orbit(orbit.scene, name, point_of(orbit, value))
-    residual = float(abs(np.asarray(locate.evaluated(problem(along), z, along)[0])).max())
-    if not residual < NO_ORBIT * scene_length(orbit.scene):
+    problem, z = set_up_problem(orbit.scene, name, orbit_row_of(orbit, value))
+    residual = float(abs(np.asarray(augmented_systems.evaluate(continuation_problem(problem), z, problem)[0])).max())
+    if not residual < MAX_START_RESIDUAL * scene_length(orbit.scene):
         raise OrbitError("the start is no orbit", residual, "give an Orbit of find_orbit, with its own scene")
-    found = bring_to(along, z, value)
-    return along, found.z if found.met else z
+    point = correct_to_value(problem, z, value)
+    return problem, point.z if point.converged else z
 
 
 def check_settings(first_step, largest_step, tolerance, monitors, stop):
@@ -263,8 +296,10 @@ def check_settings(first_step, largest_step, tolerance, monitors, stop):
     for label, function in monitors.items():
         if not callable(function):
             raise check.ArgumentError(f"monitors.{label}", "must be a function of a point", function)
-    stop = check.sequence("stop", () if stop is None else stop)
+    stop = check.name_tuple("stop", () if stop is None else stop)
     for label in stop:
-        if label not in (known := (*MEANINGS, *monitors)):
-            raise check.ArgumentError("stop", f"must be special points or monitors{check.among(label, known)}", label)
+        if label not in (known_kinds := (*KIND_NAMES, *monitors)):
+            raise check.ArgumentError(
+                "stop", f"must be special points or monitors{check.describe_choices(label, known_kinds)}", label
+            )
     return settings | {"monitors": monitors, "stop": stop}

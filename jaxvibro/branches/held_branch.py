@@ -11,20 +11,20 @@ import xarray as xr
 from jaxtyping import Bool, Float
 
 from .. import __version__
-from ..output.checksums import netcdf
-from ..output.frames import frame
-from ..output.runs import runs
-from ..output.table_text import columns, headed
-from ..output.units import LENGTH, SPEED, unit_in, unit_of
-from ..problem import end_in_plane, stability
-from ..problem.orbit_on_branch import OrbitPoint, itinerary, label_of
-from ..problem.orbit_rows import OrbitRows, row_of, spot_of
+from ..output.checksums import netcdf_bytes
+from ..output.dataframes import make_dataframe
+from ..output.equal_runs import find_equal_runs
+from ..output.table_text import align_columns, column_header
+from ..output.units import LENGTH, SPEED, unit_in_system, unit_of
+from ..problem import plane_curve_end, stability
+from ..problem.orbit_point import OrbitPoint, itinerary, label_of
+from ..problem.orbit_rows import OrbitRows, dataset_row, parse_orbit_row
 from ..scene.scene import Scene
-from ..scene.scene_table import table_of
+from ..scene.scene_table import make_scene_table
 from .branch import Special
 from .orbit_columns import orbit_columns
 
-UNITS = {"peak": LENGTH, "least_speed": SPEED}  # of what may be held
+HELD_UNITS = {"peak": LENGTH, "least_speed": SPEED}  # of what may be held
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,8 +48,8 @@ class HeldBranch(OrbitRows[Special]):
     NOUN = "branch"
 
     def __repr__(self):
-        one, two = self.names
-        return f"HeldBranch({self.held} {self.value:g} along {one} and {two}, {len(self)} points)"
+        first_name, second_name = self.names
+        return f"HeldBranch({self.held} {self.value:g} along {first_name} and {second_name}, {len(self)} points)"
 
     @property
     def values(self) -> Float[np.ndarray, "points 2"]:
@@ -64,14 +64,14 @@ class HeldBranch(OrbitRows[Special]):
     @cached_property
     def label(self) -> str:
         """P n p q of the orbits."""
-        scene, spot = self.located(0)
-        return label_of(scene, spot, itinerary(spot, float(scene.frequency)))
+        scene, orbit_row = self.located(0)
+        return label_of(scene, orbit_row, itinerary(orbit_row, float(scene.frequency)))
 
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
         """(the scene at a point, its `OrbitPoint`)."""
-        row = row_of(self.data, place)
+        row = dataset_row(self.data, place)
         values = {name: float(row[name]) for name in self.names}
-        return self.scene.replace(**values), spot_of(row, self.names[0])
+        return self.scene.replace(**values), parse_orbit_row(row, self.names[0])
 
     @property
     def content(self) -> bytes:
@@ -82,10 +82,10 @@ class HeldBranch(OrbitRows[Special]):
             "held": self.held,
             "value": self.value,
             "bounds": json.dumps({name: self.bounds[name] for name in self.names}),
-            "scene": msgspec.toml.encode(table_of(self.scene)).decode(),
+            "scene": msgspec.toml.encode(make_scene_table(self.scene)).decode(),
             "reasons": json.dumps(self.reasons),
         }
-        return netcdf(self.data.assign_attrs(attrs))
+        return netcdf_bytes(self.data.assign_attrs(attrs))
 
     def table(self, units: str = "scene") -> str:
         """What is held, a line for each stretch of one stability with the parameters at its ends, and why the curve
@@ -93,18 +93,29 @@ class HeldBranch(OrbitRows[Special]):
 
         Raises ArgumentError for other units, and where the scene has no scales.
         """
-        known = {name: unit_in(self.scene, unit_of(name), units) for name in self.names}
-        unit, size = unit_in(self.scene, UNITS[self.held], units)
-        heads = [headed(name, text, units) for name, (text, _) in known.items()]
-        rows: list[tuple[str, ...]] = [("points", *heads, "orbit", "stability")]
-        words = stability.words(self.multipliers)
-        for first, last in runs(words):
-            ends = self.values[[first, last - 1]] * [times for _, times in known.values()]
-            told = [f"{one:.12g} to {other:.12g}" for one, other in ends.T]
-            rows.append((f"{first} to {last - 1}", *told, self.label, words[first]))
-        sizes = {name: times for name, (_, times) in known.items()}
-        why = [f"{end} point: {end_in_plane.scaled(text, sizes)}" for end, text in self.reason.items()]
-        return "\n".join([f"{headed(self.held, unit, units)} held at {self.value * size:.12g}", columns(rows), *why])
+        column_units = {name: unit_in_system(self.scene, unit_of(name), units) for name in self.names}
+        unit, factor = unit_in_system(self.scene, HELD_UNITS[self.held], units)
+        headers = [column_header(name, text, units) for name, (text, _) in column_units.items()]
+        rows: list[tuple[str, ...]] = [("points", *headers, "orbit", "stability")]
+        stability_words = stability.stability_words(self.multipliers)
+        for start_row, stop_row in find_equal_runs(stability_words):
+            end_values = self.values[[start_row, stop_row - 1]] * [
+                unit_factor for _, unit_factor in column_units.values()
+            ]
+            value_ranges = [f"{start_value:.12g} to {end_value:.12g}" for start_value, end_value in end_values.T]
+            rows.append((f"{start_row} to {stop_row - 1}", *value_ranges, self.label, stability_words[start_row]))
+        unit_factors = {name: unit_factor for name, (_, unit_factor) in column_units.items()}
+        end_lines = [
+            f"{end_name} point: {plane_curve_end.rescale_end_text(text, unit_factors)}"
+            for end_name, text in self.reason.items()
+        ]
+        return "\n".join(
+            [
+                f"{column_header(self.held, unit, units)} held at {self.value * factor:.12g}",
+                align_columns(rows),
+                *end_lines,
+            ]
+        )
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
         """A row a point, a pandas.DataFrame: the two parameters, what is held, and the columns of `Branch.to_frame`
@@ -113,7 +124,11 @@ class HeldBranch(OrbitRows[Special]):
         Raises ArgumentError for other units, and where the scene has no scales.
         """
         values = {name: self.data[name].values for name in self.names}
-        labels, held = np.repeat(self.label, len(self)), (UNITS[self.held], np.full(len(self), self.value))
-        found = orbit_columns(self.scene, values, self.data, labels, self.multipliers)
-        front = {name: found[name] for name in self.names} | {self.held: held}
-        return frame(self.scene, front | {key: each for key, each in found.items() if key not in front}, units)
+        labels, held_column = np.repeat(self.label, len(self)), (HELD_UNITS[self.held], np.full(len(self), self.value))
+        orbit_data = orbit_columns(self.scene, values, self.data, labels, self.multipliers)
+        leading_columns = {name: orbit_data[name] for name in self.names} | {self.held: held_column}
+        return make_dataframe(
+            self.scene,
+            leading_columns | {key: column for key, column in orbit_data.items() if key not in leading_columns},
+            units,
+        )

@@ -13,73 +13,88 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from continuation.arclength import bordered
-from continuation.arrays import Array
+from continuation.arclength import solve_bordered
+from continuation.array_type import Array
 from continuation.problem import Problem
 
-from ..compiled.kernels import one_kernel
-from ..flight.coefficients import framed
-from ..orbits.impact_equations import Cycle
-from ..problem.diagnostics import flight
-from ..problem.equations import FREE, IMPACTS, RESTING, OrbitEquations, cycle_at, problem, there
+from ..compiled.kernels import call_as_kernel
+from ..flight.coefficients import flow_coefficients
+from ..orbits.impact_equations import ImpactSequence
+from ..problem.diagnostics import free_flight
+from ..problem.equations import (
+    FREE_PROBLEM,
+    IMPACT_PROBLEM,
+    STICKING_PROBLEM,
+    OrbitEquations,
+    continuation_problem,
+    scene_at,
+    sequence_at,
+)
 from ..scene.scene import Scene
-from .largest_position import of_cycle, of_flight
+from .largest_position import peak_of_flight, peak_of_sequence
 
-APART = 1e-5  # of 1 + abs z: the points of a difference
+DIFFERENCE_STEP = 1e-5  # of 1 + abs z: the points of a difference
 
 
-class HeldOrbits(NamedTuple):
-    """Orbits of which a number is held. scene, which, cycle: as of `OrbitEquations`; pick: (2,), 1 at that of `HELD`
-    which is held; value: what it is to be."""
+class HeldOrbitEquations(NamedTuple):
+    """Orbits of which a number is held. scene, parameter_marks, sequence: as of `OrbitEquations`; quantity_mask: (2,),
+    1 at that of `HELD_QUANTITIES` which is held; value: what it is to be."""
 
     scene: Scene
-    which: Scene
-    cycle: Cycle
-    pick: Float[Array, "2"]
+    parameter_marks: Scene
+    sequence: ImpactSequence
+    quantity_mask: Float[Array, "2"]
     value: Float[Array, ""]
 
-    hits = OrbitEquations.hits  # type: ignore[misc]  # properties that both have
+    impact_rows = OrbitEquations.impact_rows  # type: ignore[misc]  # properties that both have
     slack = OrbitEquations.slack  # type: ignore[misc]  # so too
 
 
-def _peak(z, held):
-    if len(held.cycle.sides):
-        return of_cycle(framed(there(held, z)), cycle_at(held, z))
-    return of_flight(*flight(held, z))
+def _peak(z, problem):
+    if len(problem.sequence.sides):
+        return peak_of_sequence(flow_coefficients(scene_at(problem, z)), sequence_at(problem, z))
+    return peak_of_flight(*free_flight(problem, z))
 
 
-def _least_speed(z, held):
-    rows = len(held.cycle.sides)
-    return jnp.min(jnp.where(held.cycle.sides != 0, z[rows : 2 * rows], jnp.inf), initial=jnp.inf)
+def _least_speed(z, problem):
+    n_rows = len(problem.sequence.sides)
+    return jnp.min(jnp.where(problem.sequence.sides != 0, z[n_rows : 2 * n_rows], jnp.inf), initial=jnp.inf)
 
 
-HELD = {"peak": _peak, "least_speed": _least_speed}
+HELD_QUANTITIES = {"peak": _peak, "least_speed": _least_speed}
 
 
-def number(z, held):
+def held_quantity(z, problem):
     """The number that is held, at z."""
-    return sum(held.pick[k] * jnp.where(held.pick[k] > 0, one(z, held), 0.0) for k, one in enumerate(HELD.values()))
+    return sum(
+        problem.quantity_mask[k] * jnp.where(problem.quantity_mask[k] > 0, quantity(z, problem), 0.0)
+        for k, quantity in enumerate(HELD_QUANTITIES.values())
+    )
 
 
-def _system(plain, z, held):
+def _held_system(dense_function, z, problem):
     """(F, dF/dz) with the number less its value at the end."""
-    value, slopes = plain(z, held)
-    apart = APART * (1.0 + abs(z))
-    ways = np.concatenate([np.zeros((1, len(z))), np.eye(len(z)), -np.eye(len(z))])
-    found = lax.map(lambda way: number(z + way * apart, held), jnp.asarray(ways, z.dtype))
-    more = (found[1 : len(z) + 1] - found[len(z) + 1 :]) / (2.0 * apart)
-    return jnp.append(value, found[0] - held.value), jnp.concatenate([slopes, more[None]])
+    residual, jacobian = dense_function(z, problem)
+    spacing = DIFFERENCE_STEP * (1.0 + abs(z))
+    directions = np.concatenate([np.zeros((1, len(z))), np.eye(len(z)), -np.eye(len(z))])
+    values = lax.map(
+        lambda direction: held_quantity(z + direction * spacing, problem), jnp.asarray(directions, z.dtype)
+    )
+    gradient = (values[1 : len(z) + 1] - values[len(z) + 1 :]) / (2.0 * spacing)
+    return jnp.append(residual, values[0] - problem.value), jnp.concatenate([jacobian, gradient[None]])
 
 
-def _problem(of):
-    function = partial(_system, of.plain)
-    return Problem(function, bordered, function, (), one_kernel, of.holds, at_once=True)
+def _make_problem(orbit_problem):
+    held_system = partial(_held_system, orbit_problem.dense_function)
+    return Problem(
+        held_system, solve_bordered, held_system, (), call_as_kernel, orbit_problem.is_valid, compile_at_once=True
+    )
 
 
-PROBLEMS = tuple(_problem(one) for one in (IMPACTS, RESTING, FREE))
+PROBLEMS = tuple(_make_problem(orbit_problem) for orbit_problem in (IMPACT_PROBLEM, STICKING_PROBLEM, FREE_PROBLEM))
 
 
-@problem.register
-def _(held: HeldOrbits):
-    rests = held.cycle.releases is not None
-    return PROBLEMS[(1 if rests else 0) if len(held.cycle.sides) else 2]
+@continuation_problem.register
+def _(problem: HeldOrbitEquations):
+    has_sticking = problem.sequence.releases is not None
+    return PROBLEMS[(1 if has_sticking else 0) if len(problem.sequence.sides) else 2]

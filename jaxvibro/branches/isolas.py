@@ -1,7 +1,7 @@
 """`find_isolas`: closed branches that no other leads to and no start need settle on.
 
 At values all over the parameter's range the equations of the impacts are solved for each order of walls, by Newton's
-method from guesses at random, each led away from what it has met (`orbits/deflated.py`). What lies on no branch known
+method from guesses at random, each led away from what it has met (`orbits/deflation.py`). What lies on no branch known
 so far is followed; those branches that come back to where they began are isolas.
 """
 
@@ -11,32 +11,32 @@ from itertools import product
 import jax
 import numpy as np
 
-from continuation.limits import EXPIRED, Results, limits_of
+from continuation.limits import EXPIRED_REASON, Results, limits_of
 
-from ..maps.initial_conditions import box
-from ..orbits.deflated import deflated
-from ..orbits.impact_equations import Cycle
-from ..orbits.orbit_comparison import times_round
+from ..maps.initial_conditions import initial_box
+from ..orbits.deflation import solve_with_deflation
+from ..orbits.impact_equations import ImpactSequence
+from ..orbits.orbit_comparison import repetition_count
 from ..problem.diagnostics import diagnose
 from ..problem.end import End
-from ..problem.orbit_on_branch import OrbitPoint, impacts, place_orbit
+from ..problem.orbit_point import OrbitPoint, impact_points, set_up_problem
 from ..scene import check
-from ..scene.parameters import domain
+from ..scene.parameters import parameter_domain
 from ..scene.symmetry import stays_symmetric
 from .branch import Branch
-from .branch_tree import MOST, Tree
+from .branch_membership import correct_to_seed_orbit, is_on_branch
+from .branch_tree import MAX_BRANCHES, BranchTree
 from .diagram import Diagram
-from .follow import check_settings, through
-from .on_branch import is_on, settled_at
-from .seed_orbits import Probe
-from .switch import FIRST
+from .follow import branch_through, check_settings
+from .seed_orbits import SeedOrbit
+from .switch import FIRST_STEP
 
-VALUES, GUESSES = 256, 2  # of the parameter; at each
-SAME = 1e-6  # of the largest speed: two impacts as near are one
-LONGEST = 32  # impacts of an orbit
+N_VALUES, N_GUESSES = 256, 2  # of the parameter; at each
+IMPACT_TOLERANCE = 1e-6  # of the largest speed: two impacts as near are one
+MAX_IMPACTS = 32  # impacts of an orbit
 
 
-@check.host("use strobe or monodromy")
+@check.host_only("use strobe or monodromy")
 def find_isolas(
     diagram: Diagram,
     max_period: int = 4,
@@ -62,68 +62,97 @@ def find_isolas(
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     if not isinstance(diagram, Diagram):
         raise check.ArgumentError("diagram", "must be a Diagram, as explore gives it", diagram)
-    longest, most = check.whole("max_period", max_period, 1), check.whole("max_impacts", max_impacts, 1)
-    for key, given, top in (("max_period", longest, check.MOST_PERIODS), ("max_impacts", most, LONGEST)):
-        if given > top:
-            raise check.ArgumentError(key, f"must be at most {top}", given)
-    rng = np.random.default_rng(check.whole("seed", seed, 0))
+    period_limit, impact_limit = (
+        check.whole_number("max_period", max_period, 1),
+        check.whole_number("max_impacts", max_impacts, 1),
+    )
+    for key, argument, allowed_max in (
+        ("max_period", period_limit, check.MAX_ORBIT_PERIODS),
+        ("max_impacts", impact_limit, MAX_IMPACTS),
+    ):
+        if argument > allowed_max:
+            raise check.ArgumentError(key, f"must be at most {allowed_max}", argument)
+    rng = np.random.default_rng(check.whole_number("seed", seed, 0))
     scene, name, bounds = diagram.scene, diagram.name, diagram.bounds
-    steps = check_settings(FIRST, diagram.settings["largest_step"], 1e-10, (), ()) | {"limits": limits}
-    known = list(diagram.branches)
-    tree = Tree(bounds, longest, len(known) + MOST, steps, known, [], stays_symmetric(scene, name), None)
-    found: list[Branch] = []
-    for count, (periods, sides) in enumerate(_orders(scene, longest, most), 1):
+    step_settings = check_settings(FIRST_STEP, diagram.settings["largest_step"], 1e-10, (), ()) | {"limits": limits}
+    known_branches = list(diagram.branches)
+    tree = BranchTree(
+        bounds,
+        period_limit,
+        len(known_branches) + MAX_BRANCHES,
+        step_settings,
+        known_branches,
+        [],
+        stays_symmetric(scene, name),
+        None,
+    )
+    isolas: list[Branch] = []
+    for n_orders, (periods, sides) in enumerate(_wall_orders(scene, period_limit, impact_limit), 1):
         if limits.expired:
-            return Results(found, f"{EXPIRED}: {count - 1} orders of walls done")
-        for probe in _probes(scene, name, bounds, periods, sides, rng):
-            if not tree.is_spent and not any(is_on(probe, branch) for branch in tree.found):
-                found += _followed(tree, probe, scene, name, bounds, steps)
+            return Results(isolas, f"{EXPIRED_REASON}: {n_orders - 1} orders of walls done")
+        for seed_orbit in _solve_for_orbits(scene, name, bounds, periods, sides, rng):
+            if not tree.is_exhausted and not any(is_on_branch(seed_orbit, branch) for branch in tree.branches):
+                isolas += _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings)
         if progress is not None:
-            progress(count)
-    return Results(found)
+            progress(n_orders)
+    return Results(isolas)
 
 
-def _followed(tree, probe, scene, name, bounds, steps):
+def _follow_seed_orbit(tree, seed_orbit, scene, name, bounds, step_settings):
     """What a probe's branch and its mirror image are, if they close; they are known from now on."""
-    start = settled_at(probe, *place_orbit(scene, name, probe.spot))
+    start = correct_to_seed_orbit(seed_orbit, *set_up_problem(scene, name, seed_orbit.orbit_row))
     if start is None:
         return []
-    branch = through(scene.replace(**{name: probe.spot.value}), name, bounds, start, "both", steps)
-    if tree.has(branch):
+    branch = branch_through(
+        scene.replace(**{name: seed_orbit.orbit_row.value}), name, bounds, start, "both", step_settings
+    )
+    if tree.contains(branch):
         return []
-    before = len(tree.found)
+    n_before = len(tree.branches)
     tree.add(branch)
-    return tree.found[before:] if branch.ends[1] is End.CLOSED else []
+    return tree.branches[n_before:] if branch.ends[1] is End.CLOSED else []
 
 
-def _orders(scene, longest, most):
+def _wall_orders(scene, period_limit, impact_limit):
     """(periods, sides) of each order of walls, from whichever impact it is counted: short ones first."""
-    letters = [side for side, wall in ((-1.0, scene.left), (1.0, scene.right)) if wall is not None]
-    for periods in range(1, longest + 1):
-        for count in range(1, most + 1):
-            for sides in product(letters, repeat=count):
-                if sides == min(sides[k:] + sides[:k] for k in range(count)):
+    wall_sides = [side for side, wall in ((-1.0, scene.left), (1.0, scene.right)) if wall is not None]
+    for periods in range(1, period_limit + 1):
+        for n_impacts in range(1, impact_limit + 1):
+            for sides in product(wall_sides, repeat=n_impacts):
+                if sides == min(sides[k:] + sides[:k] for k in range(n_impacts)):
                     yield periods, np.array(sides)
 
 
-def _probes(scene, name, bounds, periods, sides, rng):
-    """The `Probe`s of orbits with an order of walls at values of the parameter."""
-    low, high = np.clip(domain(scene, name), *bounds)
-    lanes, count, rows = VALUES * GUESSES, len(sides), max(2, 1 << (len(sides) - 1).bit_length())
-    values = np.repeat(low + (high - low) * (np.arange(VALUES) + rng.random(VALUES)) / VALUES, GUESSES)
+def _solve_for_orbits(scene, name, bounds, periods, sides, rng):
+    """The `SeedOrbit`s of orbits with an order of walls at values of the parameter."""
+    lower, upper = np.clip(parameter_domain(scene, name), *bounds)
+    n_lanes, n_impacts, n_rows = N_VALUES * N_GUESSES, len(sides), max(2, 1 << (len(sides) - 1).bit_length())
+    values = np.repeat(lower + (upper - lower) * (np.arange(N_VALUES) + rng.random(N_VALUES)) / N_VALUES, N_GUESSES)
     scenes = scene.replace(**{name: values})
-    length = 2.0 * np.pi / np.broadcast_to(scenes.frequency, lanes)
-    fast = np.broadcast_to(box(scenes)[2], lanes)
-    times, speeds, walls = np.zeros((3, lanes, rows))
-    times[:, :count] = np.sort(rng.random((lanes, count)) * periods, axis=1) * length[:, None]
-    speeds[:, :count], walls[:, :count] = rng.random((lanes, count)) * fast[:, None], sides
-    scenes = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf), lanes), scenes)
-    cycles = Cycle(times, speeds, walls, np.zeros(lanes), np.full(lanes, float(periods)))
-    solved = deflated(scenes, cycles, fast)
-    for lane, turn in zip(*np.nonzero(solved.real.T), strict=True):
-        plain = solved.times[turn, lane, :count], solved.speeds[turn, lane, :count], sides
-        spot = OrbitPoint(float(values[lane]), *plain, periods, np.nan, np.nan, 0.0)
-        if times_round(impacts(spot, 2.0 * np.pi / length[lane]), periods, SAME) == 1:
-            look = diagnose(*(each[None] if k else each for k, each in enumerate(place_orbit(scene, name, spot))))
-            x, v = look.x[0], look.v[0]
-            yield Probe(spot._replace(x=float(x[0]), v=float(v[0])), np.stack([x, v], axis=1))
+    drive_periods = 2.0 * np.pi / np.broadcast_to(scenes.frequency, n_lanes)
+    max_speeds = np.broadcast_to(initial_box(scenes)[2], n_lanes)
+    times, speeds, row_sides = np.zeros((3, n_lanes, n_rows))
+    times[:, :n_impacts] = np.sort(rng.random((n_lanes, n_impacts)) * periods, axis=1) * drive_periods[:, None]
+    speeds[:, :n_impacts], row_sides[:, :n_impacts] = rng.random((n_lanes, n_impacts)) * max_speeds[:, None], sides
+    scenes = jax.tree.map(lambda leaf: np.broadcast_to(np.asarray(leaf), n_lanes), scenes)
+    sequences = ImpactSequence(times, speeds, row_sides, np.zeros(n_lanes), np.full(n_lanes, float(periods)))
+    solutions = solve_with_deflation(scenes, sequences, max_speeds)
+    for lane, solution_index in zip(*np.nonzero(solutions.admissible.T), strict=True):
+        impact_columns = (
+            solutions.times[solution_index, lane, :n_impacts],
+            solutions.speeds[solution_index, lane, :n_impacts],
+            sides,
+        )
+        orbit_row = OrbitPoint(float(values[lane]), *impact_columns, periods, np.nan, np.nan, 0.0)
+        if (
+            repetition_count(impact_points(orbit_row, 2.0 * np.pi / drive_periods[lane]), periods, IMPACT_TOLERANCE)
+            == 1
+        ):
+            diagnostics = diagnose(
+                *(
+                    argument[None] if k else argument
+                    for k, argument in enumerate(set_up_problem(scene, name, orbit_row))
+                )
+            )
+            x, v = diagnostics.x[0], diagnostics.v[0]
+            yield SeedOrbit(orbit_row._replace(x=float(x[0]), v=float(v[0])), np.stack([x, v], axis=1))

@@ -9,126 +9,146 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..flight import soft_contact
-from ..flight.coefficients import framed
+from ..flight.coefficients import flow_coefficients
 from ..flight.flows import flow_of
 from ..orbits import flight_clearance, impact_equations, saltation
-from ..problem.diagnostics import each_of, flight
-from ..problem.equations import cycle_at, there
-from ..problem.orbit_on_branch import place_orbit
-from ..problem.orbit_rows import row_of, spot_of
+from ..problem.diagnostics import evaluate_points, free_flight
+from ..problem.equations import scene_at, sequence_at
+from ..problem.orbit_point import set_up_problem
+from ..problem.orbit_rows import dataset_row, parse_orbit_row
 
-MOST = 50_000  # cells
-ROUNDS = 6  # of false position: x at a turning point is right to the square of its time's error
+MAX_CELLS = 50_000  # cells
+N_ITERATIONS = 6  # of false position: x at a turning point is right to the square of its time's error
 
 
-def largest_of(branch):
+def branch_peak_positions(branch):
     """The largest abs x on the orbit of each point of a branch, (points,)."""
-    found = np.zeros(len(branch))
-    for one in branch.segments:
-        rows = branch.data.isel(point=slice(one.first, one.last + 1))
-        spot = spot_of(row_of(rows, 0), branch.name)
-        along, z = place_orbit(branch.scene, branch.name, spot)
-        found[one.first : one.last + 1] = largest(along, _unknowns(rows, branch.name, along, z))
-    return found
+    positions = np.zeros(len(branch))
+    for segment in branch.segments:
+        segment_data = branch.data.isel(point=slice(segment.first, segment.last + 1))
+        orbit_row = parse_orbit_row(dataset_row(segment_data, 0), branch.name)
+        problem, z = set_up_problem(branch.scene, branch.name, orbit_row)
+        positions[segment.first : segment.last + 1] = peak_positions(
+            problem, _unknowns_of_rows(segment_data, branch.name, problem, z)
+        )
+    return positions
 
 
-def _unknowns(rows, name, along, z):
+def _unknowns_of_rows(segment_data, name, problem, z):
     """The unknowns z at the rows of a branch's data that have one itinerary."""
-    wide, count = len(along.cycle.sides), int(np.sum(along.cycle.sides != 0))
-    found = np.zeros((rows.sizes["point"], len(z)))
-    found[:, -1] = rows[name].values
-    if not wide:
-        found[:, 0], found[:, 1] = rows["x"].values[:, 0], rows["v"].values[:, 0]
-        return found
-    hit = rows["side"].values[0] != 0
-    found[:, :count], found[:, wide : wide + count] = rows["time"].values[:, hit], rows["speed"].values[:, hit]
-    return found
+    n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
+    zs = np.zeros((segment_data.sizes["point"], len(z)))
+    zs[:, -1] = segment_data[name].values
+    if not n_rows:
+        zs[:, 0], zs[:, 1] = segment_data["x"].values[:, 0], segment_data["v"].values[:, 0]
+        return zs
+    is_impact = segment_data["side"].values[0] != 0
+    zs[:, :n_impacts], zs[:, n_rows : n_rows + n_impacts] = (
+        segment_data["time"].values[:, is_impact],
+        segment_data["speed"].values[:, is_impact],
+    )
+    return zs
 
 
-def largest(along, zs):
+def peak_positions(problem, zs):
     """The same at points z of orbits of one itinerary."""
-    return each_of(_hitting if len(along.cycle.sides) else _free, along, zs, 1)[0]
+    return evaluate_points(
+        _peak_with_impacts if len(problem.sequence.sides) else _peak_without_impacts, problem, zs, 1
+    )[0]
 
 
-def _hitting(along, z, _):
+def _peak_with_impacts(problem, z, _):
     """(the largest abs x,) at one point of orbits with impacts."""
-    return (of_cycle(framed(there(along, z)), cycle_at(along, z)),)
+    return (peak_of_sequence(flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)),)
 
 
-def of_cycle(built, given):
+def peak_of_sequence(coeffs, sequence):
     """The largest abs x of a cycle with impacts."""
-    found, hit = impact_equations.flights(built, given), given.sides != 0
+    flights, is_impact = impact_equations.compute_flights(coeffs, sequence), sequence.sides != 0
 
-    def at(time):
-        return impact_equations.at(built, given, found, time)
+    def position_at(time):
+        return impact_equations.states_at(coeffs, sequence, flights, time)
 
-    best = jnp.where(hit, abs(found.met.where), 0.0)
-    begin, span = given.times, found.time
-    if found.met.stay is not None:
-        inside = soft_contact.gives(built, given.sides)
-        stay = jnp.where(inside & hit, jnp.maximum(found.met.stay, 0.0), 0.0)
-        best = _highest(at, begin, stay, saltation.reach(built, found.met, given.sides), best)
-        begin = begin + stay
+    largest = jnp.where(is_impact, abs(flights.contact_map.wall_position), 0.0)
+    start_times, durations = sequence.times, flights.time
+    if flights.contact_map.contact_time is not None:
+        is_soft = soft_contact.is_soft_side(coeffs, sequence.sides)
+        contact_durations = jnp.where(is_soft & is_impact, jnp.maximum(flights.contact_map.contact_time, 0.0), 0.0)
+        largest = _peak_over_spans(
+            position_at,
+            start_times,
+            contact_durations,
+            saltation.max_contact_step(coeffs, flights.contact_map, sequence.sides),
+            largest,
+        )
+        start_times = start_times + contact_durations
 
-    def free(time):  # no stay is compiled for it again
-        return flow_of(built).fly(built, found.x, found.v, found.cosine, found.sine, time - begin)[:2]
+    def free_position_at(time):  # no stay is compiled for it again
+        return flow_of(coeffs).fly(coeffs, flights.x, flights.v, flights.cosine, flights.sine, time - start_times)[:2]
 
-    best = _highest(free, begin, span, built.reach, best)
-    return jnp.max(jnp.where(hit, best, 0.0))
-
-
-def _free(along, z, _):
-    return (of_flight(*flight(along, z)),)
+    largest = _peak_over_spans(free_position_at, start_times, durations, coeffs.max_step, largest)
+    return jnp.max(jnp.where(is_impact, largest, 0.0))
 
 
-def of_flight(built, found):
+def _peak_without_impacts(problem, z, _):
+    return (peak_of_flight(*free_flight(problem, z)),)
+
+
+def peak_of_flight(coeffs, flight):
     """The largest abs x of the flight of a motion without impacts."""
 
-    def at(time):
-        return flow_of(built).fly(built, found.x, found.v, found.cosine, found.sine, time)[:2]
+    def position_at(time):
+        return flow_of(coeffs).fly(coeffs, flight.x, flight.v, flight.cosine, flight.sine, time)[:2]
 
-    none = jnp.zeros_like(found.x)
-    return jnp.max(_highest(at, none, found.time, built.reach, none))
-
-
-def _highest(at, begin, span, reach, best):
-    """The largest abs x of rows from a time on, over a span, if it is larger than the best so far; at: time -> (x, v);
-    reach: of a step of the flow, of which a cell is a small part. It is nan where there would be too many cells, as
-    where Newton's method goes astray."""
-    wanted = jnp.max(span) / (flight_clearance.TURN * reach)
-    known = wanted <= MOST
-    cells = jnp.ceil(jnp.where(known, wanted, 0.0)).astype(int) + 8
-    step = span / cells
-
-    def look(k, carry):
-        best, before = carry
-        low, high = begin + k * step, begin + (k + 1.0) * step
-        x, v = at(high)
-        turned, _ = at(_turn(at, low, high, before, v))
-        turns = before * v < 0
-        best = jnp.maximum(best, abs(x))
-        return jnp.maximum(best, jnp.where(turns, abs(turned), 0.0)), v
-
-    x, v = at(begin)
-    return jnp.where(known, jax.lax.fori_loop(0, cells, look, (jnp.maximum(best, abs(x)), v))[0], jnp.nan)
+    zero = jnp.zeros_like(flight.x)
+    return jnp.max(_peak_over_spans(position_at, zero, flight.time, coeffs.max_step, zero))
 
 
-def _turn(at, low, high, first, last):
+def _peak_over_spans(position_at, start_times, durations, max_step, largest):
+    """The largest abs x of rows from a time on, over a span, if it is larger than the best so far; position_at: time ->
+    (x, v); max_step: of a step of the flow, of which a cell is a small part. It is nan where there would be too many
+    cells, as where Newton's method goes astray."""
+    n_needed = jnp.max(durations) / (flight_clearance.SAMPLE_ANGLE * max_step)
+    is_feasible = n_needed <= MAX_CELLS
+    n_cells = jnp.ceil(jnp.where(is_feasible, n_needed, 0.0)).astype(int) + 8
+    cell_length = durations / n_cells
+
+    def search_cell(cell, carry):
+        largest, previous_v = carry
+        lower, upper = start_times + cell * cell_length, start_times + (cell + 1.0) * cell_length
+        x, v = position_at(upper)
+        turning_x, _ = position_at(_turning_time(position_at, lower, upper, previous_v, v))
+        has_turning_point = previous_v * v < 0
+        largest = jnp.maximum(largest, abs(x))
+        return jnp.maximum(largest, jnp.where(has_turning_point, abs(turning_x), 0.0)), v
+
+    x, v = position_at(start_times)
+    return jnp.where(
+        is_feasible, jax.lax.fori_loop(0, n_cells, search_cell, (jnp.maximum(largest, abs(x)), v))[0], jnp.nan
+    )
+
+
+def _turning_time(position_at, lower, upper, v_lower, v_upper):
     """Where v is zero between two times with these v: false position, an end that stays once more counted half
     (Illinois)."""
 
     def narrow(_, carry):
-        (low, high), (first, last), stayed = carry  # stayed: 1 where the high end did last time, -1 where the low one
-        gap = jnp.where(first == last, 1.0, first - last)
-        middle = low + (high - low) * jnp.clip(first / gap, 0.0, 1.0)
-        _, v = at(middle)
-        after = v * last < 0  # the zero lies between the middle and the high end
-        low, high = jnp.where(after, middle, low), jnp.where(after, high, middle)
-        first, last = first * jnp.where(stayed < 0, 0.5, 1.0), last * jnp.where(stayed > 0, 0.5, 1.0)
-        first, last = jnp.where(after, v, first), jnp.where(after, last, v)
-        return (low, high), (first, last), jnp.where(after, 1.0, -1.0)
+        (lower, upper), (v_lower, v_upper), unchanged_end = (
+            carry  # stayed: 1 where the high end did last time, -1 where the low one
+        )
+        v_difference = jnp.where(v_lower == v_upper, 1.0, v_lower - v_upper)
+        middle_time = lower + (upper - lower) * jnp.clip(v_lower / v_difference, 0.0, 1.0)
+        _, v = position_at(middle_time)
+        is_in_upper_part = v * v_upper < 0  # the zero lies between the middle and the high end
+        lower, upper = jnp.where(is_in_upper_part, middle_time, lower), jnp.where(is_in_upper_part, upper, middle_time)
+        v_lower, v_upper = (
+            v_lower * jnp.where(unchanged_end < 0, 0.5, 1.0),
+            v_upper * jnp.where(unchanged_end > 0, 0.5, 1.0),
+        )
+        v_lower, v_upper = jnp.where(is_in_upper_part, v, v_lower), jnp.where(is_in_upper_part, v_upper, v)
+        return (lower, upper), (v_lower, v_upper), jnp.where(is_in_upper_part, 1.0, -1.0)
 
-    start = (low, high), (first, last), 0.0 * first
-    (low, high), (first, last), _ = jax.lax.fori_loop(0, ROUNDS, narrow, start)
-    gap = jnp.where(first == last, 1.0, first - last)
-    return low + (high - low) * jnp.clip(first / gap, 0.0, 1.0)
+    initial = (lower, upper), (v_lower, v_upper), 0.0 * v_lower
+    (lower, upper), (v_lower, v_upper), _ = jax.lax.fori_loop(0, N_ITERATIONS, narrow, initial)
+    v_difference = jnp.where(v_lower == v_upper, 1.0, v_lower - v_upper)
+    return lower + (upper - lower) * jnp.clip(v_lower / v_difference, 0.0, 1.0)

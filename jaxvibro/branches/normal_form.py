@@ -5,17 +5,21 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from ..orbits.orbit import MARGIN, multipliers
+from ..orbits.orbit import STABILITY_MARGIN, eigenvalue_pair
 from ..problem import unfolding
-from ..problem.depths import Depth, depths
 from ..problem.diagnostics import diagnose
-from ..problem.orbit_on_branch import place_orbit
-from ..scene.scale import scene_length
+from ..problem.grazing_depths import Depth, grazing_depths
+from ..problem.orbit_point import set_up_problem
+from ..scene.typical_scales import scene_length
 
 JUMP, SOFT, HARMLESS = "jump", "soft", "harmless"
-UNFOLDED = {"SN": unfolding.folded, "PD": unfolding.doubled, "SB": unfolding.broken}
-KINDS = (*UNFOLDED, "GR")
-CRITICAL = ("", "supercritical", "subcritical")
+UNFOLDING_FUNCTIONS = {
+    "SN": unfolding.unfold_saddle_node,
+    "PD": unfolding.unfold_period_doubling,
+    "SB": unfolding.unfold_symmetry_breaking,
+}
+NORMAL_FORM_KINDS = (*UNFOLDING_FUNCTIONS, "GR")
+CRITICALITIES = ("", "supercritical", "subcritical")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,68 +52,94 @@ class NormalForm:
         return f"{self.coefficient:.6g} sqrt(depth), {self.rate:+.6g} a unit"
 
 
-def normal_form(kind, name, scene, spot, roots, joins):
+def make_normal_form(kind, name, scene, orbit_row, floquet_multipliers, neighbours):
     """The `NormalForm` of a special point, None of other kinds, of one of an orbit without impacts but a GR, and where
-    its equations are too singular to say. scene: at the point; spot: its orbit; roots: the multipliers; joins:
-    `OrbitPoint`s of the orbits that meet at a GR."""
-    if kind not in KINDS or (kind != "GR" and not len(spot.times)):
+    its equations are too singular to say. scene: at the point; orbit_row: its orbit; floquet_multipliers: the
+    multipliers; joins: `OrbitPoint`s of the orbits that meet at a GR."""
+    if kind not in NORMAL_FORM_KINDS or (kind != "GR" and not len(orbit_row.times)):
         return None
     try:
         with np.errstate(all="ignore"):
-            along, z = place_orbit(scene, name, spot)
+            problem, z = set_up_problem(scene, name, orbit_row)
             if kind == "GR":
-                return _grazing(depths(scene, along, z, scene_length(scene)), _goes_on(name, scene, spot, joins))
-            return unfolded(kind, UNFOLDED[kind](scene, along, z), abs(roots).min() < 1.0 - MARGIN)
+                return _grazing_normal_form(
+                    grazing_depths(scene, problem, z, scene_length(scene)),
+                    _stable_on_both_sides(name, scene, orbit_row, neighbours),
+                )
+            return normal_form_of_unfolding(
+                kind,
+                UNFOLDING_FUNCTIONS[kind](scene, problem, z),
+                abs(floquet_multipliers).min() < 1.0 - STABILITY_MARGIN,
+            )
     except np.linalg.LinAlgError:
         return None
 
 
-def unfolded(kind, found, stable):
+def normal_form_of_unfolding(kind, expansion, stable):
     """The `NormalForm` of an `Unfolding`, if there is one; stable: whether the multiplier that is not at 1 or -1 is."""
-    if not np.isfinite(found.bend):
+    if not np.isfinite(expansion.coefficient):
         return None
-    side = int(np.sign(found.bend))
-    critical, consequence = "", JUMP
+    side = int(np.sign(expansion.coefficient))
+    criticality, consequence = "", JUMP
     if kind != "SN":  # the others are where the multiplier is beyond 1, or -1
-        beyond = side * found.rate * (1.0 if kind == "SB" else -1.0) > 0
-        critical, consequence = ("supercritical", SOFT) if beyond else ("subcritical", JUMP)
-    return NormalForm(found.bend, side, found.rate, found.null, (), critical, consequence if stable else HARMLESS)
+        is_beyond = side * expansion.multiplier_rate * (1.0 if kind == "SB" else -1.0) > 0
+        criticality, consequence = ("supercritical", SOFT) if is_beyond else ("subcritical", JUMP)
+    return NormalForm(
+        expansion.coefficient,
+        side,
+        expansion.multiplier_rate,
+        expansion.null_vector,
+        (),
+        criticality,
+        consequence if stable else HARMLESS,
+    )
 
 
-def _grazing(found, goes_on):
+def _grazing_normal_form(contact_depths, continues):
     """The `NormalForm` of `Depth`s, if there are any."""
-    if not found or np.isnan([(one.root, one.slope) for one in found]).any():
+    if not contact_depths or np.isnan([(depth.root, depth.slope) for depth in contact_depths]).any():
         return None
-    first = max(found, key=lambda one: one.root)
-    consequence = HARMLESS if goes_on else JUMP
-    return NormalForm(first.root, int(np.sign(first.slope)), first.slope, np.zeros(0), found, "", consequence)
+    largest_depth = max(contact_depths, key=lambda depth: depth.root)
+    consequence = HARMLESS if continues else JUMP
+    return NormalForm(
+        largest_depth.root,
+        int(np.sign(largest_depth.slope)),
+        largest_depth.slope,
+        np.zeros(0),
+        contact_depths,
+        "",
+        consequence,
+    )
 
 
-def _goes_on(name, scene, spot, joins):
+def _stable_on_both_sides(name, scene, orbit_row, neighbours):
     """Whether stable orbits, if any meet at a GR, are on both sides of its value."""
     sides = set()
-    for one in joins:
-        along, z = place_orbit(scene, name, one)
-        look = diagnose(along, z[None])
-        if abs(multipliers(float(look.trace[0]), float(look.determinant[0]))).max() < 1.0 - MARGIN:
-            sides.add(one.value > spot.value)
+    for neighbour in neighbours:
+        problem, z = set_up_problem(scene, name, neighbour)
+        diagnostics = diagnose(problem, z[None])
+        if (
+            abs(eigenvalue_pair(float(diagnostics.trace[0]), float(diagnostics.determinant[0]))).max()
+            < 1.0 - STABILITY_MARGIN
+        ):
+            sides.add(neighbour.value > orbit_row.value)
     return len(sides) != 1
 
 
-def plain(form):
+def normal_form_fields(form):
     """A `NormalForm` as a list of plain numbers and texts, for a file; of None None."""
     if form is None:
         return None
-    each = form.coefficient, form.side, form.rate, form.null.tolist(), list(map(list, form.depths))
-    return [*each, form.criticality, form.consequence]
+    fields = form.coefficient, form.side, form.rate, form.null.tolist(), list(map(list, form.depths))
+    return [*fields, form.criticality, form.consequence]
 
 
-def of_plain(form):
-    """The `NormalForm` of a list that `plain` made, or None. Raises ValueError for one that cannot be."""
+def parse_normal_form(form):
+    """The `NormalForm` of a list that `normal_form_fields` made, or None. Raises ValueError for one that cannot be."""
     if form is None:
         return None
-    coefficient, side, rate, null, found, critical, consequence = form
-    if side not in (-1, 0, 1) or critical not in CRITICAL or consequence not in (JUMP, SOFT, HARMLESS):
+    coefficient, side, rate, null, contact_depths, criticality, consequence = form
+    if side not in (-1, 0, 1) or criticality not in CRITICALITIES or consequence not in (JUMP, SOFT, HARMLESS):
         raise ValueError("its normal_forms cannot be")
-    found = tuple(Depth(*each) for each in found)
-    return NormalForm(coefficient, side, rate, np.array(null, float), found, critical, consequence)
+    contact_depths = tuple(Depth(*depth_fields) for depth_fields in contact_depths)
+    return NormalForm(coefficient, side, rate, np.array(null, float), contact_depths, criticality, consequence)

@@ -2,36 +2,36 @@
 
 import numpy as np
 
-from ..output.frames import of_least, of_multipliers
+from ..output.dataframes import minimum_columns, multiplier_columns
 from ..output.units import LENGTH, POWER, SPEED, unit_of
-from ..problem import loads, stability
-from ..scene.scene import changed
+from ..problem import impact_loads, stability
+from ..scene.scene import replace_unchecked
 
 
 def orbit_columns(scene, values, data, labels, multipliers):
     """{column: (unit, values)} of orbits. values: {parameter: (points,)}, which the scenes of the orbits have; data: as
     of a `Branch`; labels: (points,); multipliers: (points, 2)."""
-    sides, speeds, least = data["side"].values, data["speed"].values, of_least(data)
+    sides, speeds, minima = data["side"].values, data["speed"].values, minimum_columns(data)
     return {
-        **{name: (unit_of(name), each) for name, each in values.items()},
+        **{name: (unit_of(name), parameter_values) for name, parameter_values in values.items()},
         "label": ("", labels),
-        "stability": ("", stability.words(multipliers)),
+        "stability": ("", stability.stability_words(multipliers)),
         "x": (LENGTH, data["x"].values[:, 0]),
         "v": (SPEED, data["v"].values[:, 0]),
-        "least_speed": least["least_speed"],
-        "largest_speed": (SPEED, loads.largest_speed(sides, speeds)),
-        "least_clearance": least["least_clearance"],
-        "work_rate": (POWER, loads.work_rate(sides, speeds, *_rebounds_and_spans(scene, values, data))),
-        **of_multipliers(multipliers),
+        "least_speed": minima["least_speed"],
+        "largest_speed": (SPEED, impact_loads.largest_speed(sides, speeds)),
+        "least_clearance": minima["least_clearance"],
+        "work_rate": (POWER, impact_loads.work_rate(sides, speeds, *_restitution_and_time(scene, values, data))),
+        **multiplier_columns(multipliers),
     }
 
 
-def _rebounds_and_spans(scene, values, data):
+def _restitution_and_time(scene, values, data):
     """({side: R at each point, nan of a soft wall}, how long each orbit lasts)."""
-    scenes, count = changed(scene, values), data.sizes["point"]
-    rebounds = {
-        side: np.broadcast_to(np.nan if wall.soft else scenes.parameter(f"{side}.restitution"), count)
+    scenes, n_points = replace_unchecked(scene, values), data.sizes["point"]
+    restitutions = {
+        side: np.broadcast_to(np.nan if wall.soft else scenes.parameter(f"{side}.restitution"), n_points)
         for side, wall in scenes.walls.items()
     }
     periods = np.isfinite(data["x"].values).sum(axis=1)
-    return rebounds, 2.0 * np.pi * periods / np.broadcast_to(scenes.frequency, count)
+    return restitutions, 2.0 * np.pi * periods / np.broadcast_to(scenes.frequency, n_points)

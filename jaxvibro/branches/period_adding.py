@@ -7,17 +7,24 @@ import numpy as np
 from continuation.limits import limits_of, partial_reason
 
 from ..orbits.orbit import Orbit
-from ..output.table_text import columns
-from ..problem.one_impact import next_touch, one_impact_orbits
-from ..problem.orbit_on_branch import described_orbit
+from ..output.table_text import align_columns
+from ..problem.one_impact_orbits import locate_next_grazing, one_impact_orbits
+from ..problem.orbit_point import orbit_from_row
 from ..problem.square_root_map import SquareRootMap
 from ..scene import check
-from ..scene.scale import scene_length
 from ..scene.scene import SIDES
+from ..scene.typical_scales import scene_length
 from .branch import Special
-from .scenario import GRADUAL, LONGEST, Scenario, checked_longest, returned, scenario_of
+from .scenario import (
+    DEFAULT_MAX_RETURNS,
+    GRADUAL_OUTCOMES,
+    Scenario,
+    check_max_returns,
+    grazing_return_of,
+    make_scenario,
+)
 
-FIRST = 2  # returns: with one impact in each there is no other to be met
+MIN_RETURNS = 2  # returns: with one impact in each there is no other to be met
 
 
 @dataclass(frozen=True)
@@ -53,20 +60,28 @@ class PeriodAdding:
         rows: list[tuple[object, ...]] = [
             ("returns", "orbit", "predicted", "found", "predicted away", "found away", "ratio")
         ]
-        for one in self.windows:
-            told = [f"{one.predicted:.12g}", f"{one.found:.12g}"]
-            told += [f"{each:.6g}" for each in (one.predicted - value, one.found - value, one.ratio)]
-            rows.append((one.returns, one.orbit.label if one.orbit else "-", *(_or_dash(each) for each in told)))
-        tends = f"the ratio tends to {self.scenario.ratio:.6g}"
-        return "\n".join([columns(rows), tends, *([self.stopped] if self.stopped else [])])
+        for window in self.windows:
+            value_texts = [f"{window.predicted:.12g}", f"{window.found:.12g}"]
+            value_texts += [f"{entry:.6g}" for entry in (window.predicted - value, window.found - value, window.ratio)]
+            rows.append(
+                (
+                    window.returns,
+                    window.orbit.label if window.orbit else "-",
+                    *(_dash_if_nan(entry) for entry in value_texts),
+                )
+            )
+        limit_line = f"the ratio tends to {self.scenario.ratio:.6g}"
+        return "\n".join([align_columns(rows), limit_line, *([self.stopped] if self.stopped else [])])
 
 
-def _or_dash(text):
+def _dash_if_nan(text):
     return "-" if text == "nan" else text
 
 
-@check.host("use located for derivatives of a grazing's value")
-def period_adding(special: Special, longest: int = LONGEST, *, max_seconds: float | None = None) -> PeriodAdding:
+@check.host_only("use located for derivatives of a grazing's value")
+def period_adding(
+    special: Special, longest: int = DEFAULT_MAX_RETURNS, *, max_seconds: float | None = None
+) -> PeriodAdding:
     """The places where the orbits of period adding beyond a grazing touch a wall once more: a `PeriodAdding`.
 
     special, longest: as of `scenario`. For each n the orbits with one impact besides in n returns are followed from the
@@ -78,38 +93,42 @@ def period_adding(special: Special, longest: int = LONGEST, *, max_seconds: floa
     Raises what `scenario` raises, and ArgumentError for a grazing that no period adding follows.
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    longest = checked_longest(longest)
-    given = returned(special)
-    told = scenario_of(special, given, longest)
-    if told.follows not in GRADUAL:
+    longest = check_max_returns(longest)
+    grazing_return = grazing_return_of(special)
+    scenario = make_scenario(special, grazing_return, longest)
+    if scenario.follows not in GRADUAL_OUTCOMES:
         raise check.ArgumentError(
-            "special", "must be a grazing that period adding or chaos follows", told.follows.value
+            "special", "must be a grazing that period adding or chaos follows", scenario.follows.value
         )
     windows: list[PeriodicWindow] = []
-    length, last = scene_length(special.scene), np.nan
-    for n in range(FIRST, longest + 1):
+    length_scale, last_value = scene_length(special.scene), np.nan
+    for n in range(MIN_RETURNS, longest + 1):
         if limits.expired:
-            reason = partial_reason(len(windows), longest + 1 - FIRST, "windows")
-            return PeriodAdding(told, tuple(windows), reason)
-        windows.append(_window(told, given, n, length, last))
-        last = windows[-1].found
-    return PeriodAdding(told, tuple(windows))
+            reason = partial_reason(len(windows), longest + 1 - MIN_RETURNS, "windows")
+            return PeriodAdding(scenario, tuple(windows), reason)
+        windows.append(_make_window(scenario, grazing_return, n, length_scale, last_value))
+        last_value = windows[-1].found
+    return PeriodAdding(scenario, tuple(windows))
 
 
-def _window(told, given, n, length, last):
-    """The `PeriodicWindow` of n returns; last: the place found for n - 1."""
-    special, pull = told.special, 2.0 * told.acceleration
-    near, predicted = SquareRootMap(told.root, told.matrix).window(n), told.orbits[n - 1].touch
-    orbits = one_impact_orbits(given, n, length)
-    touch = next_touch(orbits, near.touch * np.sqrt(pull))
-    if touch is None:
+def _make_window(scenario, grazing_return, n, length_scale, last_value):
+    """The `PeriodicWindow` of n returns; last_value: the place found for n - 1."""
+    special, doubled_acceleration = scenario.special, 2.0 * scenario.acceleration
+    window, predicted = SquareRootMap(scenario.root, scenario.matrix).window(n), scenario.orbits[n - 1].touch
+    orbits = one_impact_orbits(grazing_return, n, length_scale)
+    grazing_point = locate_next_grazing(orbits, window.grazing_root * np.sqrt(doubled_acceleration))
+    if grazing_point is None:
         return PeriodicWindow(n, predicted, np.nan, "", np.nan, None)
-    z, side = touch
-    found, speed = float(z[-1]), z[orbits.place]
-    begin = near.stable * np.sqrt(pull)
-    begin = begin if begin < speed else 0.0
-    middle = orbits.at(z, 0.5 * (begin + speed))
-    spot = orbits.spot(middle.z, middle.residual)
-    orbit = described_orbit(special.scene.replace(**{special.name: spot.value}), spot) if middle.met else None
-    ratio = (last - special.value) / (found - special.value)
-    return PeriodicWindow(n, predicted, found, SIDES[int(side > 0)], ratio, orbit)
+    z, side = grazing_point
+    value, speed = float(z[-1]), z[orbits.speed_index]
+    start_speed = window.min_stable_root * np.sqrt(doubled_acceleration)
+    start_speed = start_speed if start_speed < speed else 0.0
+    middle_point = orbits.point_at_speed(z, 0.5 * (start_speed + speed))
+    orbit_row = orbits.orbit_row_at(middle_point.z, middle_point.residual)
+    orbit = (
+        orbit_from_row(special.scene.replace(**{special.name: orbit_row.value}), orbit_row)
+        if middle_point.converged
+        else None
+    )
+    ratio = (last_value - special.value) / (value - special.value)
+    return PeriodicWindow(n, predicted, value, SIDES[int(side > 0)], ratio, orbit)

@@ -8,18 +8,22 @@ stay near it (Arnold, Mathematical Methods of Classical Mechanics, appendix 7).
 
 import numpy as np
 
-from ..orbits.orbit import areas_kept
-from .user_monitors import crossings
+from ..orbits.orbit import is_area_preserving
+from .user_monitors import locate_crossings
 
-TRACES = {"R3": -1.0, "R4": 0.0}
+RESONANT_TRACES = {"R3": -1.0, "R4": 0.0}
 
 
-def resonances(task, points, look):
+def locate_resonances(task, points, diagnostics):
     """The `Event`s R3 and R4 of a row of points, none unless areas are kept."""
-    if not areas_kept(look.trace, look.determinant):
+    if not is_area_preserving(diagnostics.trace, diagnostics.determinant):
         return []
 
-    def beyond(trace):
-        return lambda point: float(np.sum(point.multipliers).real) - trace
+    def trace_offset(resonant_trace):
+        return lambda point: float(np.sum(point.multipliers).real) - resonant_trace
 
-    return [one for kind, trace in TRACES.items() for one in crossings(task, points, look, kind, beyond(trace))]
+    return [
+        event
+        for kind, trace in RESONANT_TRACES.items()
+        for event in locate_crossings(task, points, diagnostics, kind, trace_offset(trace))
+    ]

@@ -7,22 +7,25 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from ..maps import itinerary as words
-from ..orbits.orbit import MARGIN
-from ..output.table_text import columns, pair
-from ..problem.one_impact import kicks, rounds
-from ..problem.orbit_on_branch import place_orbit
-from ..problem.soft_exponent import exponent_of
-from ..problem.soft_grazing import is_smooth
-from ..problem.square_root_map import MOST, SquareRootMap
-from ..problem.touch_return import touch_return
+from ..orbits.orbit import STABILITY_MARGIN
+from ..output.table_text import align_columns, multipliers_text
+from ..problem.contact_exponent import contact_exponent
+from ..problem.grazing_return import compute_grazing_return
+from ..problem.one_impact_orbits import impact_indices, traversal_count
+from ..problem.orbit_point import set_up_problem
+from ..problem.soft_grazing import is_smooth_wall
+from ..problem.square_root_map import MAX_RETURNS, SquareRootMap
 from ..scene import check
-from ..scene.scale import scene_length
 from ..scene.scene import SIDES
+from ..scene.typical_scales import scene_length
 from .branch import Special
 
-LONGEST = 6  # returns
-ROOT = 0.5  # the exponent at a rigid wall
-OVERLAP, ALONE = 0.25, 2.0 / 3.0  # multipliers between which there is chaos between the windows of period adding
+DEFAULT_MAX_RETURNS = 6  # returns
+ROOT_EXPONENT = 0.5  # the exponent at a rigid wall
+OVERLAP_MULTIPLIER, CHAOS_MULTIPLIER = (
+    0.25,
+    2.0 / 3.0,
+)  # multipliers between which there is chaos between the windows of period adding
 
 
 class Follows(Enum):
@@ -42,7 +45,7 @@ class Follows(Enum):
     OPEN = "open"
 
 
-GRADUAL = (Follows.OVERLAPPING, Follows.ADDING, Follows.CHAOS)
+GRADUAL_OUTCOMES = (Follows.OVERLAPPING, Follows.ADDING, Follows.CHAOS)
 
 
 @dataclass(frozen=True)
@@ -95,28 +98,39 @@ class Scenario:
 
     def table(self) -> str:
         """What follows as a text, and a line for each n."""
-        told = [
+        lines = [
             f"{self.follows.value}: {self.special.label} touches the {self.wall} wall at {self.special.value:.12g}",
-            f"{self._change}, depth {self.rate:+.6g} a unit",
-            f"multipliers of a return{' of half the orbit' * self.half}: {pair(self.multipliers)}",
+            f"{self._change_text}, depth {self.rate:+.6g} a unit",
+            f"multipliers of a return{' of half the orbit' * self.half}: {multipliers_text(self.multipliers)}",
         ]
         if np.isfinite(self.ratio):
-            told.append(f"places come nearer by {self.ratio:.6g} each")
+            lines.append(f"places come nearer by {self.ratio:.6g} each")
         rows: list[tuple[object, ...]] = [("returns", "orbit", "C M^n E", "fold", "doubling", "touch", "stable")]
-        for one in self.orbits:
-            places = (f"{each:.9g}" if np.isfinite(each) else "-" for each in (one.fold, one.doubling, one.touch))
-            rows.append((one.returns, one.label, one.response, *places, "yes" if one.stable else "no"))
-        return "\n".join([*told, *([columns(rows)] if self.orbits else [])])
+        for one_impact in self.orbits:
+            value_texts = (
+                f"{value:.9g}" if np.isfinite(value) else "-"
+                for value in (one_impact.fold, one_impact.doubling, one_impact.touch)
+            )
+            rows.append(
+                (
+                    one_impact.returns,
+                    one_impact.label,
+                    one_impact.response,
+                    *value_texts,
+                    "yes" if one_impact.stable else "no",
+                )
+            )
+        return "\n".join([*lines, *([align_columns(rows)] if self.orbits else [])])
 
     @property
-    def _change(self):
-        if self.exponent == ROOT:
+    def _change_text(self):
+        if self.exponent == ROOT_EXPONENT:
             return f"velocity jumps by {self.root:.6g} sqrt(depth)"
         return f"change as depth^{self.exponent:g}"
 
 
-@check.host("use located for derivatives of a grazing's value")
-def scenario(special: Special, longest: int = LONGEST) -> Scenario:
+@check.host_only("use located for derivatives of a grazing's value")
+def scenario(special: Special, longest: int = DEFAULT_MAX_RETURNS) -> Scenario:
     """What follows a grazing, as signs at the point decide it: a `Scenario`.
 
     special: a GR of a branch, of an orbit that does not rest; with impacts or none, at any wall, also one that moves,
@@ -129,42 +143,47 @@ def scenario(special: Special, longest: int = LONGEST) -> Scenario:
 
     Raises ArgumentError where special is no such point, and for a longest that is no whole number from 1 to 64.
     """
-    longest = checked_longest(longest)
-    return scenario_of(special, returned(special), longest)
+    longest = check_max_returns(longest)
+    return make_scenario(special, grazing_return_of(special), longest)
 
 
-def checked_longest(longest):
+def check_max_returns(max_returns):
     """The number of returns as an int. Raises ArgumentError."""
-    longest = check.whole("longest", longest, 1)
-    if longest > MOST:
-        raise check.ArgumentError("longest", f"must be at most {MOST}", longest)
-    return longest
+    max_returns = check.whole_number("longest", max_returns, 1)
+    if max_returns > MAX_RETURNS:
+        raise check.ArgumentError("longest", f"must be at most {MAX_RETURNS}", max_returns)
+    return max_returns
 
 
-def returned(special):
+def grazing_return_of(special):
     """The `TouchReturn` of a grazing. Raises ArgumentError where a point is none that `scenario` takes."""
     if not isinstance(special, Special) or special.kind != "GR":
-        given = special.kind if isinstance(special, Special) else special
-        raise check.ArgumentError("special", "must be a grazing, GR, of a branch", given)
+        actual = special.kind if isinstance(special, Special) else special
+        raise check.ArgumentError("special", "must be a grazing, GR, of a branch", actual)
     if special.orbit.rests:
         raise check.ArgumentError("special", "must be of an orbit that does not rest", special.label)
-    along, z = place_orbit(special.scene, special.name, special.spot)
-    found = touch_return(special.scene, special.name, along, z, scene_length(special.scene))
-    if found is None:
+    problem, z = set_up_problem(special.scene, special.name, special.spot)
+    grazing_return = compute_grazing_return(special.scene, special.name, problem, z, scene_length(special.scene))
+    if grazing_return is None:
         raise check.ArgumentError("special", "must touch a wall from outside it", special.label)
-    return found
+    return grazing_return
 
 
-def scenario_of(special, found, longest):
-    """The `Scenario` of a grazing, found: its `TouchReturn`."""
-    depth = max((one.depth for one in found.touches), key=lambda one: one.root)
-    wall, near = special.scene.walls[SIDES[int(depth.side > 0)]], SquareRootMap(depth.root, found.matrix)
-    one_touch = not wall.soft and len(found.touches) == 1 + found.half
-    if all(is_smooth(special.scene, one.depth.side) for one in found.touches):
-        follows, deeper, exponent = Follows.C1, 0, exponent_of(wall)
+def make_scenario(special, grazing_return, max_returns):
+    """The `Scenario` of a grazing, grazing_return: its `TouchReturn`."""
+    depth = max(
+        (contact.depth for contact in grazing_return.omitted_grazings), key=lambda contact_depth: contact_depth.root
+    )
+    wall, square_root_map = (
+        special.scene.walls[SIDES[int(depth.side > 0)]],
+        SquareRootMap(depth.root, grazing_return.matrix),
+    )
+    is_single_contact = not wall.soft and len(grazing_return.omitted_grazings) == 1 + grazing_return.is_half
+    if all(is_smooth_wall(special.scene, contact.depth.side) for contact in grazing_return.omitted_grazings):
+        follows, deeper, exponent = Follows.C1, 0, contact_exponent(wall)
     else:
-        (follows, deeper), exponent = _decided(near, one_touch), ROOT
-    mapped = one_touch and follows is not Follows.UNSTABLE
+        (follows, deeper), exponent = _classify(square_root_map, is_single_contact), ROOT_EXPONENT
+    has_map_orbits = is_single_contact and follows is not Follows.UNSTABLE
     return Scenario(
         special=special,
         follows=follows,
@@ -174,46 +193,62 @@ def scenario_of(special, found, longest):
         acceleration=depth.acceleration,
         rate=depth.slope,
         side=int(np.sign(depth.slope)),
-        half=found.half,
-        matrix=found.matrix,
-        multipliers=near.multipliers,
+        half=grazing_return.is_half,
+        matrix=grazing_return.matrix,
+        multipliers=square_root_map.multipliers,
         deeper=deeper,
-        ratio=float(near.multipliers[0].real ** -2) if follows in GRADUAL else np.nan,
-        orbits=_one_impact(special.value, found, near, depth, max(longest, deeper)) if mapped else (),
+        ratio=float(square_root_map.multipliers[0].real ** -2) if follows in GRADUAL_OUTCOMES else np.nan,
+        orbits=_one_impact_orbits(special.value, grazing_return, square_root_map, depth, max(max_returns, deeper))
+        if has_map_orbits
+        else (),
     )
 
 
-def _decided(near, one_touch):
-    """(`Follows` of a square-root map, the first n with C M^n E > 0 or 0); one_touch: whether it is all there is."""
-    first, other = near.multipliers
-    if not abs(first) < 1.0 - MARGIN:
+def _classify(square_root_map, is_single_contact):
+    """(`Follows` of a square-root map, the first n with C M^n E > 0 or 0); is_single_contact: whether it is all there
+    is."""
+    larger_multiplier, smaller_multiplier = square_root_map.multipliers
+    if not abs(larger_multiplier) < 1.0 - STABILITY_MARGIN:
         return Follows.UNSTABLE, 0
-    deeper = near.first_deeper() if one_touch else None
+    deeper = square_root_map.first_positive_response() if is_single_contact else None
     if deeper:
         return Follows.JUMP, deeper
-    if deeper is None or first.imag or other.real < 0:
+    if deeper is None or larger_multiplier.imag or smaller_multiplier.real < 0:
         return Follows.OPEN, 0
-    if first.real < OVERLAP:
+    if larger_multiplier.real < OVERLAP_MULTIPLIER:
         return Follows.OVERLAPPING, 0
-    return (Follows.ADDING if first.real < ALONE else Follows.CHAOS), 0
+    return (Follows.ADDING if larger_multiplier.real < CHAOS_MULTIPLIER else Follows.CHAOS), 0
 
 
-def _one_impact(value, found, near, depth, longest):
+def _one_impact_orbits(grazing_value, grazing_return, square_root_map, depth, max_returns):
     """The `OneImpact`s of a `TouchReturn`, as its square-root map has them."""
-    responses, told = near.responses(longest), []
-    for n in range(1, longest + 1):
-        one = near.window(n)
-        ways = one.fold, one.doubling, one.touch
-        places = (value + one.depth(s) / depth.slope if np.isfinite(s) and s > 0 else np.nan for s in ways)
-        told.append(
-            OneImpact(n, _label(found, n), float(responses[n]), *map(float, places), bool(one.stable < one.touch))
+    responses, one_impact_orbits = square_root_map.responses(max_returns), []
+    for n in range(1, max_returns + 1):
+        window = square_root_map.window(n)
+        special_roots = window.fold_root, window.doubling_root, window.grazing_root
+        parameter_values = (
+            grazing_value + window.depth(root) / depth.slope if np.isfinite(root) and root > 0 else np.nan
+            for root in special_roots
         )
-    return tuple(told)
+        one_impact_orbits.append(
+            OneImpact(
+                n,
+                _label(grazing_return, n),
+                float(responses[n]),
+                *map(float, parameter_values),
+                bool(window.min_stable_root < window.grazing_root),
+            )
+        )
+    return tuple(one_impact_orbits)
 
 
-def _label(found, n):
+def _label(grazing_return, n):
     """P n p q of the orbits with one impact besides in n returns."""
-    times = rounds(found, n)
-    sides = [*np.asarray(found.bare.cycle.sides)] * times + [found.touches[k].depth.side for _, k in kicks(found, n)]
-    flat = "L" * sum(side < 0 for side in sides) + "R" * sum(side > 0 for side in sides)
-    return words.label((flat, *[""] * (times * int(found.bare.cycle.periods) - 1)))
+    n_traversals = traversal_count(grazing_return, n)
+    sides = [*np.asarray(grazing_return.reduced_problem.sequence.sides)] * n_traversals + [
+        grazing_return.omitted_grazings[k].depth.side for _, k in impact_indices(grazing_return, n)
+    ]
+    wall_letters = "L" * sum(side < 0 for side in sides) + "R" * sum(side > 0 for side in sides)
+    return words.label(
+        (wall_letters, *[""] * (n_traversals * int(grazing_return.reduced_problem.sequence.periods) - 1))
+    )

@@ -6,96 +6,105 @@ import jax
 import numpy as np
 from jaxtyping import Float
 
-from ..attractors.recurrence import returns
-from ..maps.initial_conditions import random_starts
+from ..attractors.recurrence import recurrence_distances
+from ..maps.initial_conditions import draw_initial_states
 from ..maps.iterate import iterate
 from ..orbits.free_response import free_orbit
-from ..problem.orbit_on_branch import OrbitPoint
+from ..problem.orbit_point import OrbitPoint
 from ..scene.codes import Contact, Status
-from ..scene.parameters import domain
+from ..scene.parameters import parameter_domain
 
-STARTS = 256  # at as many values
-FREE = 15  # values at which the motion that meets no wall is looked for
-SETTLE = 600  # drive periods
-SETTLED = 1e-7  # of the largest x and v: a return as near as this
-
-
-class Probe(NamedTuple):
-    """What a start settled on. spot: the orbit, about; points: x and v at the end of each period, (periods, 2);
-    endless: whether it rests, or hops too often to be recorded: its spot has no impacts."""
-
-    spot: OrbitPoint
-    points: Float[np.ndarray, "periods 2"]
-    endless: bool = False
+N_STARTS = 256  # at as many values
+N_FREE_VALUES = 15  # values at which the motion that meets no wall is looked for
+SETTLING_PERIODS = 600  # drive periods
+RETURN_TOLERANCE = 1e-7  # of the largest x and v: a return as near as this
 
 
-def probes(scenes, name, bounds, max_period, seed):
-    """For each of some scenes the `Probe`s that come back within so many periods, those of the shortest first.
+class SeedOrbit(NamedTuple):
+    """What a start settled on. orbit_row: the orbit, about; section_states: x and v at the end of each period,
+    (periods, 2); has_chatter: whether it rests, or hops too often to be recorded: its spot has no impacts."""
+
+    orbit_row: OrbitPoint
+    section_states: Float[np.ndarray, "periods 2"]
+    has_chatter: bool = False
+
+
+def find_seed_orbits(scenes, name, bounds, max_period, seed):
+    """For each of some scenes the `SeedOrbit`s that come back within so many periods, those of the shortest first.
 
     scenes: alike but for their numbers, a list; the starts of all are settled together.
     """
-    starts = [_starts(scene, name, bounds, seed) for scene in scenes]
-    values, state = jax.tree.map(lambda *each: np.concatenate(each), *starts)
-    found = iterate(_lanes(scenes).replace(**{name: values}), state, SETTLE)
-    rows = [slice(first, first + STARTS) for first in range(0, len(values), STARTS)]
+    values_and_states = [_values_and_states(scene, name, bounds, seed) for scene in scenes]
+    values, state = jax.tree.map(lambda *leaves: np.concatenate(leaves), *values_and_states)
+    iterates = iterate(_scenes_by_lane(scenes).replace(**{name: values}), state, SETTLING_PERIODS)
+    scene_slices = [slice(first_lane, first_lane + N_STARTS) for first_lane in range(0, len(values), N_STARTS)]
     return [
-        _listed(scene, name, values[some], found.lanes(some), max_period)
-        for scene, some in zip(scenes, rows, strict=True)
+        _seed_orbits_of_scene(scene, name, values[lanes], iterates.select_lanes(lanes), max_period)
+        for scene, lanes in zip(scenes, scene_slices, strict=True)
     ]
 
 
-def free_probes(scene, name, bounds):
-    """Yields the `Probe` of the motion that meets no wall at those of some values of a parameter where there is one:
-    around a resonance it is there on both sides."""
-    low, high = np.clip(domain(scene, name), *bounds)
-    for value in np.linspace(low, high, FREE + 2)[1:-1].tolist():
+def free_seed_orbits(scene, name, bounds):
+    """Yields the `SeedOrbit` of the motion that meets no wall at those of some values of a parameter where there is
+    one: around a resonance it is there on both sides."""
+    lower, upper = np.clip(parameter_domain(scene, name), *bounds)
+    for value in np.linspace(lower, upper, N_FREE_VALUES + 2)[1:-1].tolist():
         orbit = free_orbit(scene.replace(**{name: value}))
         if orbit is not None:
-            points = np.array([[orbit.state.x, orbit.state.v]])
-            yield Probe(OrbitPoint(value, *[np.zeros(0)] * 3, 1, *points[0].tolist(), 0.0), points)
+            section_states = np.array([[orbit.state.x, orbit.state.v]])
+            yield SeedOrbit(OrbitPoint(value, *[np.zeros(0)] * 3, 1, *section_states[0].tolist(), 0.0), section_states)
 
 
-def _starts(scene, name, bounds, seed):
+def _values_and_states(scene, name, bounds, seed):
     """(values of the parameter, the `State` of a random start at each)."""
-    low, high = np.clip(domain(scene, name), *bounds)
+    lower, upper = np.clip(parameter_domain(scene, name), *bounds)
     rng = np.random.default_rng(seed)
-    values = low + (high - low) * (np.arange(STARTS) + rng.random(STARTS)) / STARTS
-    return values, random_starts(scene.replace(**{name: values}), STARTS, (seed, 1))
+    values = lower + (upper - lower) * (np.arange(N_STARTS) + rng.random(N_STARTS)) / N_STARTS
+    return values, draw_initial_states(scene.replace(**{name: values}), N_STARTS, (seed, 1))
 
 
-def _lanes(scenes):
+def _scenes_by_lane(scenes):
     """One scene for the starts of all: what differs has a number a start."""
 
-    def leaf(*each):
-        numbers = np.stack(each)
-        return each[0] if (numbers == numbers[0]).all() else np.repeat(numbers, STARTS)
+    def merge_leaves(*leaves):
+        values = np.stack(leaves)
+        return leaves[0] if (values == values[0]).all() else np.repeat(values, N_STARTS)
 
-    return jax.tree.map(leaf, *scenes)
-
-
-def _listed(scene, name, values, found, max_period):
-    length = 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
-    listed = []
-    for lane, periods, impacts in settled_orbits(found, length, max_period, True):
-        points = found.points[-periods:, lane]
-        spot = OrbitPoint(float(values[lane]), *(impacts or [np.zeros(0)] * 3), periods, *points[-1].tolist(), 0.0)
-        listed.append(Probe(spot, points, impacts is None))
-    return sorted(listed, key=lambda one: (one.spot.periods, one.spot.value))
+    return jax.tree.map(merge_leaves, *scenes)
 
 
-def settled_orbits(found, length, max_period, endless=False):
+def _seed_orbits_of_scene(scene, name, values, iterates, max_period):
+    drive_periods = 2.0 * np.pi / np.broadcast_to(scene.replace(**{name: values}).frequency, len(values))
+    seed_orbits = []
+    for lane, periods, impacts in settled_orbits(iterates, drive_periods, max_period, True):
+        section_states = iterates.points[-periods:, lane]
+        orbit_row = OrbitPoint(
+            float(values[lane]), *(impacts or [np.zeros(0)] * 3), periods, *section_states[-1].tolist(), 0.0
+        )
+        seed_orbits.append(SeedOrbit(orbit_row, section_states, impacts is None))
+    return sorted(seed_orbits, key=lambda seed_orbit: (seed_orbit.orbit_row.periods, seed_orbit.orbit_row.value))
+
+
+def settled_orbits(iterates, drive_periods, max_period, include_chatter=False):
     """(lane, periods, (times, speeds, sides) of the impacts) of each lane of a `Trail` that comes back within so many
-    periods. length: of a period of each lane; endless: None in place of the impacts of those that rest, or hop too
-    often to be recorded, which else are left out."""
-    points = found.points
-    apart, size = returns(points)[:max_period], SETTLED * abs(points).max(axis=(0, 2))
-    for lane in np.flatnonzero((apart < size).any(axis=0) & (found.status < Status.CAP)):
-        periods = int(np.argmax(apart[:, lane] < size[lane])) + 1
-        if found.status[lane] == Status.FULL or (abs(found.contact[-periods:, lane]) == Contact.STUCK).any():
-            if endless:
+    periods. drive_periods: of a period of each lane; include_chatter: None in place of the impacts of those that rest,
+    or hop too often to be recorded, which else are left out."""
+    section_states = iterates.points
+    return_distances, max_distances = (
+        recurrence_distances(section_states)[:max_period],
+        RETURN_TOLERANCE * abs(section_states).max(axis=(0, 2)),
+    )
+    for lane in np.flatnonzero((return_distances < max_distances).any(axis=0) & (iterates.status < Status.CAP)):
+        periods = int(np.argmax(return_distances[:, lane] < max_distances[lane])) + 1
+        if iterates.status[lane] == Status.FULL or (abs(iterates.contact[-periods:, lane]) == Contact.STUCK).any():
+            if include_chatter:
                 yield int(lane), periods, None
             continue
-        hit = found.side[-periods:, lane] != 0
-        late = found.time[-periods:, lane] + length[lane] * np.arange(periods)[:, None]
-        sides = found.side[-periods:, lane].astype(float)
-        yield int(lane), periods, tuple(part[hit] for part in (late, found.speed[-periods:, lane], sides))
+        is_impact = iterates.side[-periods:, lane] != 0
+        impact_times = iterates.time[-periods:, lane] + drive_periods[lane] * np.arange(periods)[:, None]
+        sides = iterates.side[-periods:, lane].astype(float)
+        yield (
+            int(lane),
+            periods,
+            tuple(column[is_impact] for column in (impact_times, iterates.speed[-periods:, lane], sides)),
+        )

@@ -6,147 +6,187 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from continuation import driver, event_search
-from continuation.arclength import Control
-from continuation.driver import Met, Task
+from continuation.arclength import StepControl
+from continuation.branch_segment import SpecialIndex
+from continuation.driver import ContinuationTask, Termination
 from continuation.limits import UNLIMITED, Limits
-from continuation.rows import at, put, upto
-from continuation.stretch import Mark
+from continuation.point_rows import head, insert_row, row_at
 
-from ..orbits.impact_equations import Cycle
-from ..problem import graze_within, resting, soft_grazing
-from ..problem.end import End, ended
-from ..problem.equations import problem
-from ..problem.first_touch import OrbitWatch, to_touch
+from ..orbits.impact_equations import ImpactSequence
+from ..problem import grazing_from_within, soft_grazing, sticking_limits
+from ..problem.end import End, convert_end
+from ..problem.equations import continuation_problem
+from ..problem.first_grazing import OrbitEventDetector, truncate_at_grazing
 from ..problem.grazing import GrazingExit
-from ..problem.same_orbit import images, is_repeated
-from ..problem.touches import Touch, is_pressed
-from . import through_rests
-from .neimark_sacker import neimark_sacker
-from .resonances import resonances
-from .user_monitors import MonitoredPoint, crossings
+from ..problem.grazing_contact import GrazingContact, is_pressed_on_wall
+from ..problem.same_orbit import equivalent_points, is_repeated
+from . import through_sticking
+from .neimark_sacker import locate_neimark_sacker
+from .resonances import locate_resonances
+from .user_monitors import MonitoredPoint, locate_crossings
 
 
 class BranchSettings(NamedTuple):
-    """What a branch is asked for. control: of steps; first: the first; domain: (low, high), the parameter's by its
-    meaning; monitors: {label: function of a `MonitoredPoint`}; stop: labels; length: the scene's; marks: (`Cycle`,
-    parameter) of orbits that end the branch when it meets them; limits: of its points and of the time."""
+    """What a branch is asked for. control: of steps; initial_step: the first; domain_ends: (low, high), the parameter's
+    by its meaning; monitors: {label: function of a `MonitoredPoint`}; stop: labels; length_scale: the scene's;
+    closure_targets: (`ImpactSequence`, parameter) of orbits that end the branch when it meets them; limits: of its
+    points and of the time."""
 
-    control: Control
-    first: float
-    domain: tuple[float, ...]
+    control: StepControl
+    initial_step: float
+    domain_ends: tuple[float, ...]
     monitors: dict[str, Callable[[MonitoredPoint], Any]]
     stop: tuple[str, ...]
-    length: float
-    marks: tuple[tuple[Cycle, float], ...]
+    length_scale: float
+    closure_targets: tuple[tuple[ImpactSequence, float], ...]
     limits: Limits = UNLIMITED
 
 
 class GrazingPoint(NamedTuple):
-    """What is known of a GR or CH. touches: of walls; exits: the branches that leave it; sure: whether these are all;
-    aside: which of them the branch does not go on with."""
+    """What is known of a GR or CH. grazing_contacts: of walls; exits: the branches that leave it; complete: whether
+    these are all; not_followed: which of them the branch does not go on with."""
 
-    touches: tuple[Touch, ...]
+    grazing_contacts: tuple[GrazingContact, ...]
     exits: tuple[GrazingExit, ...]
-    sure: bool
-    aside: tuple[bool, ...] = ()
+    complete: bool
+    not_followed: tuple[bool, ...] = ()
 
 
-def follow_itinerary(along, start, asked):
+def follow_itinerary(problem, start, settings):
     """The `Stretch` of orbits of one itinerary that begins at a `Point`; its end is an `End` of `problem.end`."""
-    control = asked.control
-    box, watch = ((float(control.low), float(control.high)),), BranchWatch(along, asked.length, asked.monitors)
-    ends = asked.stop, asked.marks, asked.limits
-    task = Task(problem(along), along, control, asked.first, box, (asked.domain,), watch, *ends)
-    return ended(driver.run(task, start))
+    control = settings.control
+    parameter_bounds, detector = (
+        ((float(control.lower), float(control.upper)),),
+        BranchEventDetector(problem, settings.length_scale, settings.monitors),
+    )
+    end_settings = settings.stop, settings.closure_targets, settings.limits
+    task = ContinuationTask(
+        continuation_problem(problem),
+        problem,
+        control,
+        settings.initial_step,
+        parameter_bounds,
+        (settings.domain_ends,),
+        detector,
+        *end_settings,
+    )
+    return convert_end(driver.follow_branch(task, start))
 
 
-class BranchWatch(OrbitWatch):
+class BranchEventDetector(OrbitEventDetector):
     """Orbits along one parameter: they graze, double their period, are met again from another impact, or turn out to be
     shorter ones; and what a user monitors."""
 
-    def __init__(self, along, length, monitors):
-        super().__init__(along, length)
+    def __init__(self, problem, length_scale, monitors):
+        super().__init__(problem, length_scale)
         self.monitors = monitors
 
-    def passed(self, points):
+    def is_past_singularity(self, points):
         """Where contacts with soft walls have lost their speed: there the determinant changes its sign with theirs."""
-        return soft_grazing.lost(self.equations, points.z)
+        return soft_grazing.is_past_zero_speed(self.equations, points.z)
 
-    def before(self, task, points):
+    def find_early_end(self, task, points):
         """Where contacts with soft walls are about to lose their speed: before it is lost in rounding."""
-        along, size = self.equations, len(self.equations.cycle.sides)
-        for k in range(1, len(points.z) if along.scene.soft_sides else 0):
+        problem, n_rows = self.equations, len(self.equations.sequence.sides)
+        for k in range(1, len(points.z) if problem.scene.soft_sides else 0):
             z, tangent = points.z[k], points.tangent[k]
-            rows = [row for row in soft_grazing.slow(along, z, self.length) if tangent[size + row] < 0]
-            rows = [row for row in rows if not graze_within.is_pressed_in(along, z, row)]
-            found = soft_grazing.located(along, z, rows, self.length) if rows else None
-            if found is None or found.z is None:
+            slow_rows = [
+                row
+                for row in soft_grazing.slow_contact_rows(problem, z, self.length_scale)
+                if tangent[n_rows + row] < 0
+            ]
+            slow_rows = [row for row in slow_rows if not grazing_from_within.is_pressed_into_wall(problem, z, row)]
+            solution = soft_grazing.locate_soft_grazing(problem, z, slow_rows, self.length_scale) if slow_rows else None
+            if solution is None or solution.z is None:
                 continue
-            ahead = -z[size + rows[0]] / tangent[size + rows[0]]
-            length = float(np.sum(task.control.scale**2 * tangent * (found.z - z)))
-            if abs(length - ahead) < 0.5 * ahead:
-                one = at(points, k)._replace(z=found.z, step=np.float64(length))
-                more = soft_grazing.exits(along, found.z, self.length)
-                return self.grazing(put(upto(points, k + 1), k + 1, one), "GR", float(found.residual), more)
-        return self.from_within(task, points) if along.scene.soft_sides else None
+            expected_length = -z[n_rows + slow_rows[0]] / tangent[n_rows + slow_rows[0]]
+            arclength = float(np.sum(task.control.scale**2 * tangent * (solution.z - z)))
+            if abs(arclength - expected_length) < 0.5 * expected_length:
+                point = row_at(points, k)._replace(z=solution.z, step=np.float64(arclength))
+                grazing_details = soft_grazing.find_all_exits(problem, solution.z, self.length_scale)
+                return self.grazing_termination(
+                    insert_row(head(points, k + 1), k + 1, point), "GR", float(solution.residual), grazing_details
+                )
+        return self.find_inner_end(task, points) if problem.scene.soft_sides else None
 
-    def from_within(self, task, points):
-        """`Met` where a mass within a soft wall is about to leave it for a moment, or not to leave it any more."""
-        met = graze_within.ahead(self.equations, points, task.control, self.length)
-        if met is None:
+    def find_inner_end(self, task, points):
+        """`Termination` where a mass within a soft wall is about to leave it for a moment, or not to leave it any
+        more."""
+        index_and_grazing = grazing_from_within.find_upcoming_grazing(
+            self.equations, points, task.control, self.length_scale
+        )
+        if index_and_grazing is None:
             return None
-        last, found = met
-        one = at(points, last)._replace(z=found.z, step=np.float64(found.step))
-        more = found.touches, found.exits, found.sure
-        return self.grazing(put(upto(points, last + 1), last + 1, one), "GR", found.residual, more)
+        last_index, upcoming = index_and_grazing
+        point = row_at(points, last_index)._replace(z=upcoming.z, step=np.float64(upcoming.step))
+        grazing_details = upcoming.grazing_contacts, upcoming.exits, upcoming.complete
+        return self.grazing_termination(
+            insert_row(head(points, last_index + 1), last_index + 1, point), "GR", upcoming.residual, grazing_details
+        )
 
-    def touch(self, task, points, view, bad):
-        along = self.equations
-        points, residual = to_touch(task, points, view, bad, self.length)
+    def find_boundary_end(self, task, points, diagnostics, first_bad):
+        problem = self.equations
+        points, residual = truncate_at_grazing(task, points, diagnostics, first_bad, self.length_scale)
         if residual is None:
             return None
         z = points.z[-1]
-        unrest = resting.kind_at(along, z, self.length)
-        if unrest:
-            ways = through_rests.exits(along, z, np.sign(points.tangent[-1, -1]), self.length, task.limits)
-            return None if ways is None else self.grazing(points, unrest, residual, ((), ways, True))
-        more = soft_grazing.exits(along, z, self.length)
-        kind = "CH" if len(more[1]) < 2 and is_pressed(along, z, more[0]) else "GR"
-        ends = kind == "CH" and along.cycle.releases is None
-        return self.grazing(points, kind, residual, more)._replace(end=End.REST if ends else End.GRAZE)
+        sticking_kind = sticking_limits.sticking_limit_kind(problem, z, self.length_scale)
+        if sticking_kind:
+            grazing_exits = through_sticking.find_sticking_exits(
+                problem, z, np.sign(points.tangent[-1, -1]), self.length_scale, task.limits
+            )
+            return (
+                None
+                if grazing_exits is None
+                else self.grazing_termination(points, sticking_kind, residual, ((), grazing_exits, True))
+            )
+        grazing_details = soft_grazing.find_all_exits(problem, z, self.length_scale)
+        kind = "CH" if len(grazing_details[1]) < 2 and is_pressed_on_wall(problem, z, grazing_details[0]) else "GR"
+        ends_in_sticking = kind == "CH" and problem.sequence.releases is None
+        return self.grazing_termination(points, kind, residual, grazing_details)._replace(
+            end=End.REST if ends_in_sticking else End.GRAZE
+        )
 
-    def grazing(self, points, kind, residual, more):
-        """The `Met` at the last of the points; more: (touches, exits, whether these are all)."""
-        met, ways, sure = more
-        return Met(points, Mark(0, kind, residual, GrazingPoint(tuple(met), tuple(ways), sure)), End.GRAZE)
+    def grazing_termination(self, points, kind, residual, grazing_details):
+        """The `Termination` at the last of the points; grazing_details: (touches, exits, whether these are all)."""
+        grazing_contacts, grazing_exits, complete = grazing_details
+        return Termination(
+            points,
+            SpecialIndex(0, kind, residual, GrazingPoint(tuple(grazing_contacts), tuple(grazing_exits), complete)),
+            End.GRAZE,
+        )
 
-    def events(self, task, points, view, known, end):
+    def find_events(self, task, points, diagnostics, known_branch_points, termination):
         """Where the contact at the end has no speed each test is zero: it is given the sign that the multipliers come
         there with."""
-        hits, tangent = len(self.equations.cycle.sides), points.tangent
-        flip = view.flip if hits else 1.0 + view.trace + view.determinant
-        if end is not None and soft_grazing.is_singular(self.equations, end.mark.more.touches):
-            doubled, folded = (1.0 + sign * view.trace[-2:] + view.determinant[-2:] for sign in (1.0, -1.0))
-            flip = np.append(flip[:-1], flip[-2] * _turned(*doubled))
-            tangent = np.vstack([tangent[:-1], tangent[-2] * _turned(*folded)])
-        doubles = (hits or self.equations.scene.force is not None) and self.equations.cycle.releases is None
-        values = {"PD": flip} if doubles else {}  # none under a spring alone, none of what rests
-        found = event_search.events(
-            task.problem, points._replace(tangent=tangent), values, task.control, task.args, known
+        n_rows, tangent = len(self.equations.sequence.sides), points.tangent
+        flip_test = diagnostics.flip_test if n_rows else 1.0 + diagnostics.trace + diagnostics.determinant
+        if termination is not None and soft_grazing.is_singular_grazing(
+            self.equations, termination.special.details.grazing_contacts
+        ):
+            flip_values, fold_values = (
+                1.0 + sign * diagnostics.trace[-2:] + diagnostics.determinant[-2:] for sign in (1.0, -1.0)
+            )
+            flip_test = np.append(flip_test[:-1], flip_test[-2] * _sign_change(*flip_values))
+            tangent = np.vstack([tangent[:-1], tangent[-2] * _sign_change(*fold_values)])
+        can_double = (n_rows or self.equations.scene.force is not None) and self.equations.sequence.releases is None
+        test_values = {"PD": flip_test} if can_double else {}  # none under a spring alone, none of what rests
+        events = event_search.locate_events(
+            task.problem, points._replace(tangent=tangent), test_values, task.control, task.args, known_branch_points
         )
-        found += [*neimark_sacker(task, points, view), *resonances(task, points, view)]
+        events += [*locate_neimark_sacker(task, points, diagnostics), *locate_resonances(task, points, diagnostics)]
         for kind, function in self.monitors.items():
-            found += crossings(task, points, view, kind, function)
-        return found
+            events += locate_crossings(task, points, diagnostics, kind, function)
+        return events
 
-    def images(self, orbit, near):
-        """orbit: (`Cycle`, parameter)."""
-        return images(self.equations, *orbit, near)
+    def equivalent_points(self, target, near_z):
+        """target: (`ImpactSequence`, parameter)."""
+        return equivalent_points(self.equations, *target, near_z)
 
-    def stops(self, z, kind):
+    def end_at_special_point(self, z, kind):
         return End.HALVED if kind == "BP" and is_repeated(self.equations, z) else None
 
 
-def _turned(before, after):
+def _sign_change(value_before, value_after):
     """-1 where a number changes its sign, else 1."""
-    return -1.0 if before * after < 0 else 1.0
+    return -1.0 if value_before * value_after < 0 else 1.0

@@ -5,36 +5,36 @@ from dataclasses import replace
 
 import numpy as np
 
+from continuation import augmented_systems
 from continuation import branch_switching as crossing
-from continuation import locate
-from continuation.event_search import tangent
+from continuation.event_search import unit_tangent
+from continuation.intermediate_points import start_point
 from continuation.limits import UNLIMITED, Limits, limits_of
-from continuation.points import start_point
 
-from ..problem.end import LIMITS, End, Reason
-from ..problem.equations import problem
-from ..problem.grazing import padded
-from ..problem.orbit_on_branch import place_orbit
-from ..problem.orbit_rows import row_of, spot_of
-from ..problem.soft_grazing import exits
-from ..problem.touches import scales
+from ..problem.end import RESUMABLE_ENDS, End, Reason
+from ..problem.equations import continuation_problem
+from ..problem.grazing import padded_sequence
+from ..problem.grazing_contact import arclength_weights
+from ..problem.orbit_point import set_up_problem
+from ..problem.orbit_rows import dataset_row, parse_orbit_row
+from ..problem.soft_grazing import find_all_exits
 from ..scene import check
-from ..scene.parameters import bounds_of, domain
-from ..scene.scale import scene_length
-from .assemble import START, assemble, merge
+from ..scene.parameters import check_bounds, parameter_domain
+from ..scene.typical_scales import scene_length
+from .assemble import START_REASON, assemble_branch, merge_branches
 from .branch import Branch, Special
-from .follow import Monitors, asking, check_settings
-from .through_grazings import go_on
+from .follow import Monitors, check_settings, make_branch_settings
+from .through_grazings import continue_through_grazings
 
-FIRST = 0.01  # step of a branch that leaves a point
-KINDS = ("SB", "BP", "PD", "GR")
+FIRST_STEP = 0.01  # step of a branch that leaves a point
+SWITCHING_KINDS = ("SB", "BP", "PD", "GR")
 
 
-@check.host("use strobe or monodromy")
+@check.host_only("use strobe or monodromy")
 def switch(
     special: Special,
     bounds: tuple[float, float] | None = None,
-    first_step: float = FIRST,
+    first_step: float = FIRST_STEP,
     largest_step: float = 0.1,
     tolerance: float = 1e-10,
     monitors: Monitors = (),
@@ -45,33 +45,38 @@ def switch(
     `Branch`. Raises ArgumentError for a point of another kind, and arguments that cannot be."""
     if not isinstance(special, Special):
         raise check.ArgumentError("special", "must be a special point of a branch", special)
-    if special.kind not in KINDS:
+    if special.kind not in SWITCHING_KINDS:
         raise check.ArgumentError(
-            "special", f"must be of kind {', '.join(KINDS)}: no branch leaves others", special.kind
+            "special", f"must be of kind {', '.join(SWITCHING_KINDS)}: no branch leaves others", special.kind
         )
-    bounds = bounds_of(special.scene, special.name, special.bounds if bounds is None else bounds)
+    bounds = check_bounds(special.scene, special.name, special.bounds if bounds is None else bounds)
     settings = check_settings(first_step, largest_step, tolerance, monitors, stop) | {"limits": limits}
-    return tuple(branch_from(special, start, bounds, **settings) for start in starts(special))
+    return tuple(follow_from_start(special, start, bounds, **settings) for start in branch_starts(special))
 
 
-def starts(special):
-    """(`OrbitEquations`, `Point`) at the start of each branch that leaves a special point of one of the `KINDS`.
+def branch_starts(special):
+    """(`OrbitEquations`, `Point`) at the start of each branch that leaves a special point of one of the
+    `SWITCHING_KINDS`.
 
     Raises ValueError where the equations say that none cross there.
     """
-    leaving = {"PD": _doubled, "GR": _grazing}.get(special.kind, _crossed)
-    return leaving(special, *place_orbit(special.scene, special.name, special.spot))
+    start_function = {"PD": _doubling_starts, "GR": _grazing_starts}.get(special.kind, _crossing_starts)
+    return start_function(special, *set_up_problem(special.scene, special.name, special.spot))
 
 
-def branch_from(special, start, bounds, **settings):
-    """The `Branch` that leaves a special point by one of its `starts`."""
-    (along, begun), scene = start, special.scene
-    asked = asking(scene, special.name, bounds, scene_length(scene), (along, begun.z), **settings)
+def follow_from_start(special, start, bounds, **settings):
+    """The `Branch` that leaves a special point by one of its `branch_starts`."""
+    (problem, point), scene = start, special.scene
+    branch_settings = make_branch_settings(
+        scene, special.name, bounds, scene_length(scene), (problem, point.z), **settings
+    )
     start = End.LEFT.reason(special.value, special.kind)
-    return assemble(scene, special.name, bounds, settings, None, go_on(along, begun, asked), start)
+    return assemble_branch(
+        scene, special.name, bounds, settings, None, continue_through_grazings(problem, point, branch_settings), start
+    )
 
 
-@check.host("use strobe or monodromy")
+@check.host_only("use strobe or monodromy")
 def extend(
     branch: Branch,
     bounds: tuple[float, float],
@@ -90,105 +95,147 @@ def extend(
     if not isinstance(branch, Branch):
         raise check.ArgumentError("branch", "must be a Branch", branch)
     limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
-    wide = bounds_of(branch.scene, branch.name, bounds)
-    if not (wide[0] <= branch.bounds[0] and branch.bounds[1] <= wide[1]):
+    wide_bounds = check_bounds(branch.scene, branch.name, bounds)
+    if not (wide_bounds[0] <= branch.bounds[0] and branch.bounds[1] <= wide_bounds[1]):
         raise check.ArgumentError("bounds", f"must hold the branch's own, {branch.bounds}", bounds)
-    for end in (0, -1):
-        value = branch.values[end]
-        if branch.ends[end] not in LIMITS and (branch.ends[end] is not End.BOUND or value in wide):
+    for end_index in (0, -1):
+        value = branch.values[end_index]
+        if branch.ends[end_index] not in RESUMABLE_ENDS and (
+            branch.ends[end_index] is not End.BOUND or value in wide_bounds
+        ):
             continue
-        if value in domain(branch.scene, branch.name):
-            branch = _ending(branch, end, End.DOMAIN.reason(value))
+        if value in parameter_domain(branch.scene, branch.name):
+            branch = _with_end(branch, end_index, End.DOMAIN.reason(value))
             continue
         if limits.reached(1):
             reason = (End.MAX_SECONDS if limits.expired else End.MAX_POINTS).reason(value)
-            branch = _ending(branch, end, reason)
+            branch = _with_end(branch, end_index, reason)
             continue
-        more = _onwards(branch, end, wide, limits)
-        limits = limits.after(len(more) - 1)
-        closes = more.ends[end] is End.CLOSED
-        if len(more) > 1:
-            branch = merge(branch, more) if end else merge(more, branch)
-        branch = _ending(branch, end, Reason(more.ends[end], more.reasons[end]))
-        if closes:  # it came to the other end
-            return _within(_ending(branch, -1 - end, START), wide)
-    return _within(branch, wide)
+        extension = _extend_from_end(branch, end_index, wide_bounds, limits)
+        limits = limits.after(len(extension) - 1)
+        is_closed = extension.ends[end_index] is End.CLOSED
+        if len(extension) > 1:
+            branch = merge_branches(branch, extension) if end_index else merge_branches(extension, branch)
+        branch = _with_end(branch, end_index, Reason(extension.ends[end_index], extension.reasons[end_index]))
+        if is_closed:  # it came to the other end
+            return _with_bounds(_with_end(branch, -1 - end_index, START_REASON), wide_bounds)
+    return _with_bounds(branch, wide_bounds)
 
 
-def _ending(branch, end, reason):
+def _with_end(branch, end_index, reason):
     """The branch with the `Reason` of one of its ends, 0 or -1."""
     ends, reasons = list(branch.ends), list(branch.reasons)
-    ends[end], reasons[end] = reason
+    ends[end_index], reasons[end_index] = reason
     return replace(branch, ends=tuple(ends), reasons=tuple(reasons))
 
 
-def _within(branch, bounds):
+def _with_bounds(branch, bounds):
     """The branch as one within these bounds."""
-    return replace(branch, bounds=bounds, special=tuple(replace(one, bounds=bounds) for one in branch.special))
+    return replace(branch, bounds=bounds, special=tuple(replace(special, bounds=bounds) for special in branch.special))
 
 
-def _onwards(branch, end, bounds, limits):
+def _extend_from_end(branch, end_index, bounds, limits):
     """The branch beyond one of its ends, 0 or -1, from there on, or, at its first point, up to there. It closes where
     it comes to the other end."""
-    row, sign = row_of(branch.data, end), 1.0 if end else -1.0
-    spot = spot_of(row, branch.name)
-    scene = branch.scene.replace(**{branch.name: spot.value})
-    along, z = place_orbit(scene, branch.name, spot)
-    other = place_orbit(scene, branch.name, spot_of(row_of(branch.data, -1 - end), branch.name))
-    count, rows = len(spot.times), len(along.cycle.sides)
-    ahead = np.zeros(len(z))
-    hit = row["side"] != 0
-    if rows:
-        ahead[:count], ahead[rows : rows + count] = row["time_slope"][hit], row["speed_slope"][hit]
-    ahead[-1] = row["value_slope"]
-    start = start_point(z, tangent(problem(along), z, scales(along, scene_length(scene)), along, sign * ahead))
-    asked = asking(scene, branch.name, bounds, scene_length(scene), other, **branch.settings, limits=limits)
-    done = go_on(along, start, asked)
-    back, on = (done, None) if sign < 0 else (None, done)
-    return replace(assemble(scene, branch.name, bounds, branch.settings, back, on), scene=branch.scene)
+    row, sign = dataset_row(branch.data, end_index), 1.0 if end_index else -1.0
+    orbit_row = parse_orbit_row(row, branch.name)
+    scene = branch.scene.replace(**{branch.name: orbit_row.value})
+    problem, z = set_up_problem(scene, branch.name, orbit_row)
+    other_end = set_up_problem(
+        scene, branch.name, parse_orbit_row(dataset_row(branch.data, -1 - end_index), branch.name)
+    )
+    n_impacts, n_rows = len(orbit_row.times), len(problem.sequence.sides)
+    direction = np.zeros(len(z))
+    is_impact = row["side"] != 0
+    if n_rows:
+        direction[:n_impacts], direction[n_rows : n_rows + n_impacts] = (
+            row["time_slope"][is_impact],
+            row["speed_slope"][is_impact],
+        )
+    direction[-1] = row["value_slope"]
+    start = start_point(
+        z,
+        unit_tangent(
+            continuation_problem(problem), z, arclength_weights(problem, scene_length(scene)), problem, sign * direction
+        ),
+    )
+    branch_settings = make_branch_settings(
+        scene, branch.name, bounds, scene_length(scene), other_end, **branch.settings, limits=limits
+    )
+    extension = continue_through_grazings(problem, start, branch_settings)
+    backward, forward = (extension, None) if sign < 0 else (None, extension)
+    return replace(assemble_branch(scene, branch.name, bounds, branch.settings, backward, forward), scene=branch.scene)
 
 
-def _crossed(special, along, z):
+def _crossing_starts(special, problem, z):
     """Both directions of the branch that crosses that on which the point was found."""
-    scale, rows = scales(along, scene_length(special.scene)), len(along.cycle.sides)
-    count, known = len(special.spot.times), np.zeros(len(z))
-    known[:count], known[rows : rows + count] = special.slopes[:count], special.slopes[count:-1]
-    known[-1] = special.slopes[-1]
-    both = crossing.directions(problem(along), z, scale, along)
+    weights, n_rows = arclength_weights(problem, scene_length(special.scene)), len(problem.sequence.sides)
+    n_impacts, branch_tangent = len(special.spot.times), np.zeros(len(z))
+    branch_tangent[:n_impacts], branch_tangent[n_rows : n_rows + n_impacts] = (
+        special.slopes[:n_impacts],
+        special.slopes[n_impacts:-1],
+    )
+    branch_tangent[-1] = special.slopes[-1]
+    directions = crossing.branch_tangents(continuation_problem(problem), z, weights, problem)
     if special.kind == "SB":  # one branch's halves are mirror images of each other, at the same values
-        both[np.argmin(abs(both[:, -1])), -1] = 0.0
-    other = crossing.other(both, known, scale)
-    first = np.flatnonzero(abs(other) > 0.5 * abs(other).max())[0]  # a null vector has no sign of its own
-    return [(along, start_point(z, sign * np.sign(other[first]) * other)) for sign in (1.0, -1.0)]
+        directions[np.argmin(abs(directions[:, -1])), -1] = 0.0
+    crossing_tangent = crossing.farther_tangent(directions, branch_tangent, weights)
+    leading_index = np.flatnonzero(abs(crossing_tangent) > 0.5 * abs(crossing_tangent).max())[
+        0
+    ]  # a null vector has no sign of its own
+    return [
+        (problem, start_point(z, sign * np.sign(crossing_tangent[leading_index]) * crossing_tangent))
+        for sign in (1.0, -1.0)
+    ]
 
 
-def _doubled(special, along, z):
+def _doubling_starts(special, problem, z):
     """The orbit as one of twice the period, and the direction in which its two halves become different."""
-    task, rows, count = problem(along), len(along.cycle.sides), len(special.spot.times)
-    null = locate.null(locate.matrices(task, task.tests[0], z, along)[0])
-    spot, span = special.spot, special.spot.periods * 2.0 * np.pi / float(special.scene.frequency)
-    late = np.concatenate([spot.times, spot.times + span])
-    twice = along._replace(cycle=along.cycle._replace(periods=np.asarray(2.0 * spot.periods)))
-    if not count:  # of z = (x, v, the parameter)
-        tangent = np.append(null, 0.0)
-        return [(twice, start_point(z, tangent / np.linalg.norm(scales(twice, scene_length(special.scene)) * tangent)))]
-    listed = zip(late, np.tile(spot.speeds, 2), np.tile(spot.sides, 2), strict=True)
-    twice = twice._replace(cycle=padded(twice, list(listed)))
-    wide = len(twice.cycle.sides)
-    tangent = np.zeros(2 * wide + 1)
+    orbit_problem, n_rows, n_impacts = (
+        continuation_problem(problem),
+        len(problem.sequence.sides),
+        len(special.spot.times),
+    )
+    null_vector = augmented_systems.null_vector(
+        augmented_systems.matrix_and_derivative(orbit_problem, orbit_problem.test_functions[0], z, problem)[0]
+    )
+    orbit_row, orbit_duration = special.spot, special.spot.periods * 2.0 * np.pi / float(special.scene.frequency)
+    doubled_times = np.concatenate([orbit_row.times, orbit_row.times + orbit_duration])
+    doubled_problem = problem._replace(sequence=problem.sequence._replace(periods=np.asarray(2.0 * orbit_row.periods)))
+    if not n_impacts:  # of z = (x, v, the parameter)
+        tangent = np.append(null_vector, 0.0)
+        return [
+            (
+                doubled_problem,
+                start_point(
+                    z,
+                    tangent / np.linalg.norm(arclength_weights(doubled_problem, scene_length(special.scene)) * tangent),
+                ),
+            )
+        ]
+    doubled_impacts = zip(doubled_times, np.tile(orbit_row.speeds, 2), np.tile(orbit_row.sides, 2), strict=True)
+    doubled_problem = doubled_problem._replace(sequence=padded_sequence(doubled_problem, list(doubled_impacts)))
+    n_doubled_rows = len(doubled_problem.sequence.sides)
+    tangent = np.zeros(2 * n_doubled_rows + 1)
     for half in (0, 1):
-        part = null[half * rows : half * rows + count]
-        tangent[half * wide : half * wide + 2 * count] = np.concatenate([part, -part])
-    tangent /= np.linalg.norm(scales(twice, scene_length(special.scene)) * tangent)
-    start = np.concatenate([twice.cycle.times, twice.cycle.speeds, z[-1:]])
-    return [(twice, start_point(start, tangent))]
+        half_vector = null_vector[half * n_rows : half * n_rows + n_impacts]
+        tangent[half * n_doubled_rows : half * n_doubled_rows + 2 * n_impacts] = np.concatenate(
+            [half_vector, -half_vector]
+        )
+    tangent /= np.linalg.norm(arclength_weights(doubled_problem, scene_length(special.scene)) * tangent)
+    start_z = np.concatenate([doubled_problem.sequence.times, doubled_problem.sequence.speeds, z[-1:]])
+    return [(doubled_problem, start_point(start_z, tangent))]
 
 
-def _grazing(special, along, z):
+def _grazing_starts(special, problem, z):
     """Each branch that leaves a grazing and is not one that the point was found on."""
-    _, ways, _ = exits(along, z, scene_length(special.scene))
-    if len(ways) != len(special.aside):
+    _, grazing_exits, _ = find_all_exits(problem, z, scene_length(special.scene))
+    if len(grazing_exits) != len(special.aside):
         raise check.ArgumentError(
             "special", "must be a grazing that this version finds alike: follow its branch anew", special
         )
-    return [(way.along, way.point) for way, aside in zip(ways, special.aside, strict=True) if aside]
+    return [
+        (grazing_exit.problem, grazing_exit.point)
+        for grazing_exit, is_new in zip(grazing_exits, special.aside, strict=True)
+        if is_new
+    ]

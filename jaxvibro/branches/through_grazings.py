@@ -5,123 +5,152 @@ from typing import NamedTuple
 
 import numpy as np
 
+from continuation.branch_segment import BranchSegment, SpecialIndex
 from continuation.slow_progress import SlowProgress
-from continuation.stretch import Mark, Stretch
 
 from ..orbits.orbit_comparison import is_same_orbit
 from ..problem.end import End, Reason
-from ..problem.equations import codes
-from ..problem.same_orbit import impacts, is_repeated
-from ..problem.touches import scales
+from ..problem.equations import side_codes
+from ..problem.grazing_contact import arclength_weights
+from ..problem.same_orbit import impact_points, is_repeated
 from .segment import GrazingPoint, follow_itinerary
-from .through_rests import SLOW, completed, cut_anew, is_chatter
+from .through_sticking import SLOW_SPEED, complete_chatter, is_chatter, repartition_impacts
 
-MOST = 200  # pieces of a branch
-CROWD, CROWDED = 16, 1e-5  # grazings in a row, and 1 + abs of the parameter: as many within as little are slow progress
-SLOWER = 1e-2  # of the scene's length per t: where nothing goes on, as slow an impact tells of a chatter
-SAME, NEAR = 1e-7, 1e-6  # two grazings with values and impacts as near are one
+MAX_SEGMENTS = 200  # pieces of a branch
+CROWD_SIZE, CROWD_WIDTH = (
+    16,
+    1e-5,
+)  # grazings in a row, and 1 + abs of the parameter: as many within as little are slow progress
+CHATTER_SPEED = 1e-2  # of the scene's length per t: where nothing goes on, as slow an impact tells of a chatter
+VALUE_TOLERANCE, IMPACT_TOLERANCE = 1e-7, 1e-6  # two grazings with values and impacts as near are one
 
 
-class OneWay(NamedTuple):
+class DirectedBranch(NamedTuple):
     """The pieces of a branch in one direction, and why it ends."""
 
-    pieces: list[Stretch]
+    segments: list[BranchSegment]
     reason: Reason
 
 
-def go_on(along, start, asked):
-    """The `OneWay` from a `Point`, whose tangent leads away."""
-    pieces, met, rest = [], [], ()
+def continue_through_grazings(problem, start, settings):
+    """The `DirectedBranch` from a `Point`, whose tangent leads away."""
+    segments, known_grazings, sticking_indices = [], [], ()
     while True:
-        scale = scales(along, asked.length)
-        one = follow_itinerary(along, start, asked._replace(control=asked.control._replace(scale=scale)))
-        one = one._replace(marks=(*rest, *one.marks))
-        way, rest = None, ()
-        asked = asked._replace(limits=asked.limits.after(len(one.points.z)))
-        if one.end is End.GRAZE and asked.limits.reached(1):
-            one = one._replace(end=End.MAX_SECONDS if asked.limits.expired else End.MAX_POINTS)
-        if one.end is End.GRAZE:
-            one, way = _onwards(along, one, scale)
-            here = one.points.z[-1, -1], impacts(along, one.points.z[-1], asked.length)
-            if any(_is_met(here, each) for each in met):
-                one, way = one._replace(end=End.CLOSED), None
-            elif is_repeated(along, one.points.z[-1]):
-                one, way = one._replace(end=End.HALVED), None
-            elif one.marks[-1].kind == "GR" and _is_slow(along, one, asked.length, SLOW if way else SLOWER):
-                z, sign = one.points.z[-1], np.sign(one.points.tangent[-1, -1])
-                found = completed(along, z, sign, asked.length, asked.limits)
-                if found is None and asked.limits.expired:
-                    one, way = one._replace(end=End.MAX_SECONDS), None
+        weights = arclength_weights(problem, settings.length_scale)
+        segment = follow_itinerary(problem, start, settings._replace(control=settings.control._replace(scale=weights)))
+        segment = segment._replace(specials=(*sticking_indices, *segment.specials))
+        grazing_exit, sticking_indices = None, ()
+        settings = settings._replace(limits=settings.limits.after(len(segment.points.z)))
+        if segment.end is End.GRAZE and settings.limits.reached(1):
+            segment = segment._replace(end=End.MAX_SECONDS if settings.limits.expired else End.MAX_POINTS)
+        if segment.end is End.GRAZE:
+            segment, grazing_exit = _choose_exit(problem, segment, weights)
+            grazing_key = segment.points.z[-1, -1], impact_points(problem, segment.points.z[-1], settings.length_scale)
+            if any(_is_same_grazing(grazing_key, known_grazing) for known_grazing in known_grazings):
+                segment, grazing_exit = segment._replace(end=End.CLOSED), None
+            elif is_repeated(problem, segment.points.z[-1]):
+                segment, grazing_exit = segment._replace(end=End.HALVED), None
+            elif segment.specials[-1].kind == "GR" and _has_slow_impact(
+                problem, segment, settings.length_scale, SLOW_SPEED if grazing_exit else CHATTER_SPEED
+            ):
+                z, sign = segment.points.z[-1], np.sign(segment.points.tangent[-1, -1])
+                completion = complete_chatter(problem, z, sign, settings.length_scale, settings.limits)
+                if completion is None and settings.limits.expired:
+                    segment, grazing_exit = segment._replace(end=End.MAX_SECONDS), None
                 else:
-                    one, way, rest = _into_rest(one, found, way is not None)
-            met.append(here)
-        if one.end is End.STEP:
-            way = cut_anew(along, one.points.z[-1], np.sign(one.points.tangent[-1, -1]), asked.length)
-        if len(pieces) == MOST - 1 and way is not None:
-            one, way = one._replace(end=End.POINTS), None
-        pieces.append(one)
-        _warn_if_slow(pieces)
-        if way is None:
-            return OneWay(pieces, _reason(one))
-        along, start = way.along, way.point
+                    segment, grazing_exit, sticking_indices = _enter_sticking(
+                        segment, completion, grazing_exit is not None
+                    )
+            known_grazings.append(grazing_key)
+        if segment.end is End.STEP:
+            grazing_exit = repartition_impacts(
+                problem, segment.points.z[-1], np.sign(segment.points.tangent[-1, -1]), settings.length_scale
+            )
+        if len(segments) == MAX_SEGMENTS - 1 and grazing_exit is not None:
+            segment, grazing_exit = segment._replace(end=End.POINTS), None
+        segments.append(segment)
+        _warn_if_slow(segments)
+        if grazing_exit is None:
+            return DirectedBranch(segments, _end_reason(segment))
+        problem, start = grazing_exit.problem, grazing_exit.point
 
 
-def _warn_if_slow(pieces):
+def _warn_if_slow(segments):
     """Warn where many grazings in a row lie at nearly one value of the parameter."""
-    values = np.array([one.points.z[-1, -1] for one in pieces[-CROWD:]])
-    if len(pieces) % CROWD == 0 and np.ptp(values) < CROWDED * (1.0 + abs(values[-1])):
+    values = np.array([segment.points.z[-1, -1] for segment in segments[-CROWD_SIZE:]])
+    if len(segments) % CROWD_SIZE == 0 and np.ptp(values) < CROWD_WIDTH * (1.0 + abs(values[-1])):
         warnings.warn(
-            f"slow progress: {CROWD} grazings lie within {np.ptp(values):.1e} of the parameter value {values[-1]:.12g},"
+            f"slow progress: {CROWD_SIZE} grazings lie within {np.ptp(values):.1e} of the parameter value"
+            f" {values[-1]:.12g},"
             " as towards a complete chatter; set max_points or max_seconds, or narrow the bounds",
             SlowProgress,
             stacklevel=2,
         )
 
 
-def _onwards(along, one, scale):
+def _choose_exit(problem, segment, weights):
     """(the piece, its last mark telling which exits are left aside; the `GrazingExit` by which the branch goes on).
 
     It goes on with the touches' impacts exchanged, those it had for those it had not, else as many of them as can be;
     the exit is None where there is none.
     """
-    mark, met = one.marks[-1], one.marks[-1].more
-    here = tuple(touch.own for touch in met.touches)
-    arrived, rows = one.points.tangent[-1], codes(along.cycle)
+    special_index, details = segment.specials[-1], segment.specials[-1].details
+    included_contacts = tuple(contact.is_impact for contact in details.grazing_contacts)
+    arrival_tangent, row_codes = segment.points.tangent[-1], side_codes(problem.sequence)
 
-    def is_back(way):
-        same = way.included == here and np.array_equal(codes(way.along.cycle), rows)
-        return same and np.sum(scale * scale * way.point.tangent * arrived) < 0
+    def is_backward(grazing_exit):
+        is_same_problem = grazing_exit.included == included_contacts and np.array_equal(
+            side_codes(grazing_exit.problem.sequence), row_codes
+        )
+        return is_same_problem and np.sum(weights * weights * grazing_exit.point.tangent * arrival_tangent) < 0
 
-    def exchanged(way):
-        forward = way.included == here
-        return forward, sum(a != b for a, b in zip(way.included, here, strict=True))
+    def exchange_key(grazing_exit):
+        is_same_choice = grazing_exit.included == included_contacts
+        return is_same_choice, sum(
+            in_exit != in_segment for in_exit, in_segment in zip(grazing_exit.included, included_contacts, strict=True)
+        )
 
-    chosen = max((way for way in met.exits if not is_back(way)), key=exchanged, default=None)
-    aside = tuple(not (way is chosen or is_back(way)) for way in met.exits)
-    marks = (*one.marks[:-1], mark._replace(more=met._replace(aside=aside)))
-    end = one.end if chosen or met.sure else End.STEP
-    return one._replace(marks=marks, end=End.UNSETTLED if not chosen and mark.kind != "GR" else end), chosen
+    chosen_exit = max(
+        (grazing_exit for grazing_exit in details.exits if not is_backward(grazing_exit)),
+        key=exchange_key,
+        default=None,
+    )
+    not_followed = tuple(
+        not (grazing_exit is chosen_exit or is_backward(grazing_exit)) for grazing_exit in details.exits
+    )
+    special_indices = (
+        *segment.specials[:-1],
+        special_index._replace(details=details._replace(not_followed=not_followed)),
+    )
+    end = segment.end if chosen_exit or details.complete else End.STEP
+    return segment._replace(
+        specials=special_indices, end=End.UNSETTLED if not chosen_exit and special_index.kind != "GR" else end
+    ), chosen_exit
 
 
-def _into_rest(one, found, chatters):
+def _enter_sticking(segment, completion, has_exit):
     """(the piece, the `GrazingExit` by which the branch goes on, the marks at its start) where it comes near a CH;
-    found: what `completed` gives."""
-    if found is None:
-        return one._replace(end=End.CHATTER if chatters else one.end), None, ()
-    way, residual = found
-    return one, way, (Mark(0, "CH", residual, GrazingPoint((), (way,), True, (False,))),)
+    completion: what `complete_chatter` gives."""
+    if completion is None:
+        return segment._replace(end=End.CHATTER if has_exit else segment.end), None, ()
+    grazing_exit, residual = completion
+    return segment, grazing_exit, (SpecialIndex(0, "CH", residual, GrazingPoint((), (grazing_exit,), True, (False,))),)
 
 
-def _is_slow(along, one, length, slow):
+def _has_slow_impact(problem, segment, length_scale, max_speed):
     """Whether at the grazing at the end of a piece an impact besides its touches is slower than that."""
-    return is_chatter(along, one.points.z[-1], length, one.marks[-1].more.touches, slow)
+    return is_chatter(
+        problem, segment.points.z[-1], length_scale, segment.specials[-1].details.grazing_contacts, max_speed
+    )
 
 
-def _is_met(here, other):
+def _is_same_grazing(grazing_key, known_grazing):
     """Whether two grazings, (value, impacts) each, are one."""
-    return abs(here[0] - other[0]) < SAME and is_same_orbit(here[1], other[1], NEAR)
+    return abs(grazing_key[0] - known_grazing[0]) < VALUE_TOLERANCE and is_same_orbit(
+        grazing_key[1], known_grazing[1], IMPACT_TOLERANCE
+    )
 
 
-def _reason(one):
-    kind = one.marks[-1].kind if one.marks else ""
-    return one.end.reason(one.points.z[-1, -1], kind)
+def _end_reason(segment):
+    kind = segment.specials[-1].kind if segment.specials else ""
+    return segment.end.reason(segment.points.z[-1, -1], kind)

@@ -6,13 +6,13 @@ import numpy as np
 from jaxtyping import Complex, Float
 
 from continuation.event_search import Event
-from continuation.points import between
-from continuation.roots import sign_change
-from continuation.rows import at
+from continuation.intermediate_points import point_at_length
+from continuation.point_rows import row_at
+from continuation.roots import find_sign_change
 
-from ..orbits.orbit import multipliers
+from ..orbits.orbit import eigenvalue_pair
 from ..problem.diagnostics import diagnose
-from ..problem.equations import codes
+from ..problem.equations import side_codes
 from ..scene.check import ArgumentError
 
 
@@ -30,44 +30,51 @@ class MonitoredPoint(NamedTuple):
     clearance: float
 
 
-def monitored_point(along, z, look):
+def make_monitored_point(problem, z, diagnostics):
     """The `MonitoredPoint` of one point."""
-    rows, count = len(along.cycle.sides), int(np.sum(along.cycle.sides != 0))
+    n_rows, n_impacts = len(problem.sequence.sides), int(np.sum(problem.sequence.sides != 0))
     return MonitoredPoint(
         float(z[-1]),
-        z[:count],
-        z[rows : rows + count],
-        np.asarray(codes(along.cycle)[:count]),
-        look.x,
-        look.v,
-        multipliers(float(look.trace), float(look.determinant)),
-        float(look.clear.min(initial=np.inf)),
+        z[:n_impacts],
+        z[n_rows : n_rows + n_impacts],
+        np.asarray(side_codes(problem.sequence)[:n_impacts]),
+        diagnostics.x,
+        diagnostics.v,
+        eigenvalue_pair(float(diagnostics.trace), float(diagnostics.determinant)),
+        float(diagnostics.clearance.min(initial=np.inf)),
     )
 
 
-def crossings(task, points, look, kind, function):
+def locate_crossings(task, points, diagnostics, kind, function):
     """The `Event`s where a user's monitor changes its sign; task: the `driver.Task` of the branch."""
-    along = task.args
-    values = np.array([_value(kind, function, monitored_point(along, z, at(look, k))) for k, z in enumerate(points.z)])
-    for after in np.flatnonzero(values[:-1] * values[1:] < 0).tolist():
+    problem = task.args
+    monitor_values = np.array(
+        [
+            _monitor_value(kind, function, make_monitored_point(problem, z, row_at(diagnostics, k)))
+            for k, z in enumerate(points.z)
+        ]
+    )
+    for row_before in np.flatnonzero(monitor_values[:-1] * monitor_values[1:] < 0).tolist():
 
-        def value(length, after=after):
-            one = between(task, points, after, length)
-            if one is None:
+        def monitor_value_at(length, row_before=row_before):
+            point = point_at_length(task, points, row_before, length)
+            if point is None:
                 raise ArgumentError(
-                    f"monitors.{kind}", "must be followed between two points", float(points.z[after, -1])
+                    f"monitors.{kind}", "must be followed between two points", float(points.z[row_before, -1])
                 )
-            return _value(kind, function, monitored_point(along, one.z, at(diagnose(along, one.z[None]), 0)))
+            return _monitor_value(
+                kind, function, make_monitored_point(problem, point.z, row_at(diagnose(problem, point.z[None]), 0))
+            )
 
-        length = sign_change(value, float(points.step[after + 1]))
-        one = between(task, points, after, length)
-        yield Event(kind, after, length, one.z, float(one.residual))
+        length = find_sign_change(monitor_value_at, float(points.step[row_before + 1]))
+        point = point_at_length(task, points, row_before, length)
+        yield Event(kind, row_before, length, point.z, float(point.residual))
 
 
-def _value(kind, function, point):
+def _monitor_value(kind, function, point):
     """What a monitor says of a `MonitoredPoint`. Raises ArgumentError where it fails."""
     try:
         return float(function(point))
     except (ValueError, TypeError, IndexError, ArithmeticError) as error:
-        told = f"must give a number at every point of the branch ({type(error).__name__}: {error})"
-        raise ArgumentError(f"monitors.{kind}", told, point.value) from None
+        rule = f"must give a number at every point of the branch ({type(error).__name__}: {error})"
+        raise ArgumentError(f"monitors.{kind}", rule, point.value) from None

@@ -10,63 +10,65 @@ import jax.numpy as jnp
 from jax import lax
 from jax.experimental.xla_metadata import set_xla_metadata
 
-from .kernels import on_processor, traced
+from .kernels import on_cpu, trace_once
 
-OPTIONS = {"xla_cpu_prefer_vector_width": 512}
+COMPILER_OPTIONS = {"xla_cpu_prefer_vector_width": 512}
 
 
-def choose(condition, yes, no):
+def choose(condition, if_true, if_false):
     """lax.select that takes Python numbers and broadcasts: yes where the condition holds, no elsewhere."""
-    arrays = [each for each in (yes, no) if isinstance(each, jax.Array)]
+    arrays = [operand for operand in (if_true, if_false) if isinstance(operand, jax.Array)]
     dtype = arrays[0].dtype if arrays else jnp.result_type(float)
-    shape = jnp.broadcast_shapes(condition.shape, *(each.shape for each in arrays))
-    return lax.select(*(_spread(*each, shape) for each in ((condition, bool), (yes, dtype), (no, dtype))))
+    shape = jnp.broadcast_shapes(condition.shape, *(operand.shape for operand in arrays))
+    return lax.select(
+        *(_broadcast(*operand, shape) for operand in ((condition, bool), (if_true, dtype), (if_false, dtype)))
+    )
 
 
-def _spread(value, dtype, shape):
+def _broadcast(value, dtype, shape):
     if isinstance(value, jax.Array) and value.shape == shape:
         return value
     return jnp.broadcast_to(lax.convert_element_type(value, dtype), shape)
 
 
-def mask(condition, like):
-    """The lanes where a condition holds, for `merge`: all bits set or none, as wide as the numbers of `like`."""
-    whole = jnp.int64 if like.dtype == jnp.float64 else jnp.int32
-    return lax.neg(lax.convert_element_type(condition, whole))
+def bit_mask(condition, like):
+    """The lanes where a condition holds, for `merge_bits`: all bits set or none, as wide as the numbers of `like`."""
+    int_dtype = jnp.int64 if like.dtype == jnp.float64 else jnp.int32
+    return lax.neg(lax.convert_element_type(condition, int_dtype))
 
 
-def merge(mask, new, old):
-    """new where the mask's bits are set, else old: for what a loop carries, as `choose` in place is a masked store,
-    ten times as slow on some machines. The mask is to be the result of a `stage`."""
-    bits = [lax.bitcast_convert_type(each, mask.dtype) for each in (new, old)]
-    return lax.bitcast_convert_type((bits[0] & mask) | (bits[1] & ~mask), old.dtype)
+def merge_bits(mask, if_set, if_clear):
+    """new where the mask's bits are set, else if_clear: for what a loop carries, as `choose` in place is a masked
+    store, ten times as slow on some machines. The mask is to be the result of a `stage`."""
+    bits = [lax.bitcast_convert_type(operand, mask.dtype) for operand in (if_set, if_clear)]
+    return lax.bitcast_convert_type((bits[0] & mask) | (bits[1] & ~mask), if_clear.dtype)
 
 
-def positive(a):
+def positive_part(a):
     """a where it is positive, else 0."""
     return choose(a > 0, a, 0.0)
 
 
-def negative(a):
+def negative_part(a):
     """a where it is negative, else 0."""
     return choose(a < 0, a, 0.0)
 
 
-def least(a, b):
+def minimum(a, b):
     """The smaller of two; one instruction, as it promises nothing for nan."""
     return choose(a < b, a, b)
 
 
-def most(a, b):
+def maximum(a, b):
     """The larger of two."""
     return choose(a > b, a, b)
 
 
 def two_sum(a, b):
     """The rounded sum and its error (Knuth): a path's rounding errors then grow with its length, not its steps."""
-    total = a + b
-    part = total - a
-    return total, (a - (total - part)) + (b - part)
+    rounded_sum = a + b
+    virtual_b = rounded_sum - a
+    return rounded_sum, (a - (rounded_sum - virtual_b)) + (b - virtual_b)
 
 
 def stage(function, *lanes, **static):
@@ -76,11 +78,11 @@ def stage(function, *lanes, **static):
     be short, or to have few results. Only operands that the results depend on are handed over; the emitter of a whole
     loop as one kernel aborts on any other. The function is one of a module, traced once for lanes of a kind.
     """
-    stored, operands = traced(function, lanes, static)
-    call = stored.of_some
-    if on_processor():
+    traced_function, operands = trace_once(function, lanes, static)
+    flat_function = traced_function.call_with_used
+    if on_cpu():
         with set_xla_metadata(inlineable="false"):
-            results = jax.jit(call)(*stored.some(operands))
+            results = jax.jit(flat_function)(*traced_function.select_used(operands))
     else:
-        results = call(*stored.some(operands))
-    return jax.tree.unflatten(stored.tree, results)
+        results = flat_function(*traced_function.select_used(operands))
+    return jax.tree.unflatten(traced_function.tree, results)

@@ -14,13 +14,13 @@ def describe_hints() -> dict[str, Any]:
         ``applied`` (whether code is compiled for a processor, where alone hints are given), ``options`` of the
         compiler, ``marks`` of each kind of call, ``block_width`` and ``narrow_block_width`` in lanes.
     """
-    applied = kernels.on_processor()
+    enabled = kernels.on_cpu()
     stage = {"inlineable": "false"}
     marks = {"stage": stage, "one_kernel": {**stage, "xla_cpu_small_call": "true"}}
     return {
-        "applied": applied,
-        "options": dict(compiler_hints.OPTIONS),
-        "marks": marks if applied else {},
+        "applied": enabled,
+        "options": dict(compiler_hints.COMPILER_OPTIONS),
+        "marks": marks if enabled else {},
         "block_width": kernels.block_width(),
-        "narrow_block_width": kernels.narrow_width(),
+        "narrow_block_width": kernels.narrow_block_width(),
     }

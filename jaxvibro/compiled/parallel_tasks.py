@@ -18,126 +18,144 @@ EXPONENTIALS = {"exp", "exp2", "log", "expm1", "log1p", "logistic", "pow", "sqrt
 ANGLES = {"sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh"}
 TRANSCENDENTAL = EXPONENTIALS | ANGLES
 EXPENSIVE = TRANSCENDENTAL | {"div", "rem"}  # XLA keeps such a result in memory where several operations use it
-FREE = {"broadcast_in_dim", "reshape", "squeeze", "slice", "concatenate", "pad", "rev", "transpose", "iota", "copy"}
-REPEATED = 15  # evaluations of one operation in a fusion; XLA does not fuse what would need more
+COST_FREE = {
+    "broadcast_in_dim",
+    "reshape",
+    "squeeze",
+    "slice",
+    "concatenate",
+    "pad",
+    "rev",
+    "transpose",
+    "iota",
+    "copy",
+}
+MAX_FUSED_USES = 15  # evaluations of one operation in a fusion; XLA does not fuse what would need more
 IN_PLACE = {"dynamic_update_slice"}  # never split
 
 
-class Cone(NamedTuple):
+class FusionCone(NamedTuple):
     """Everything that one fusion with this result may read and compute: sets as bit masks over a region's lists."""
 
-    reads: int
-    computes: int
+    read_mask: int
+    compute_mask: int
 
 
-class Region:
+class FusionRegion:
     """Operations among which XLA may fuse: the body of a loop, a branch, or a call that is not inlined."""
 
     def __init__(self):
-        self.sizes, self.work = [], []  # bytes of each array read; (elements, whether transcendental) of each operation
-        self.share = 0.0  # largest cost over its limit
+        self.read_sizes, self.operations = (
+            [],
+            [],
+        )  # bytes of each array read; (elements, whether transcendental) of each operation
+        self.max_cost_share = 0.0  # largest cost over its limit
 
     def read(self, aval):
         """The cone of an array in memory."""
-        self.sizes.append(_bytes(aval))
-        return Cone(1 << (len(self.sizes) - 1), 0)
+        self.read_sizes.append(_size_in_bytes(aval))
+        return FusionCone(1 << (len(self.read_sizes) - 1), 0)
 
-    def computed(self, equation, cones):
+    def add_operation(self, equation, cones):
         """The cone of an operation's result."""
         name, aval = equation.primitive.name, equation.outvars[0].aval
-        reads, computes = (_union(cone[k] for cone in cones) for k in (0, 1))
-        if name not in FREE:
-            size = max(aval.size, *(v.aval.size for v in equation.invars), 1)
-            times = max(abs(equation.params["y"]).bit_length() * 2 - 2, 1) if name == "integer_pow" else 1
-            self.work += [(size, name in TRANSCENDENTAL)] * times
-            computes |= ((1 << times) - 1) << (len(self.work) - times)
+        read_mask, compute_mask = (_union_of_masks(cone[field_index] for cone in cones) for field_index in (0, 1))
+        if name not in COST_FREE:
+            n_elements = max(aval.size, *(variable.aval.size for variable in equation.invars), 1)
+            n_operations = max(abs(equation.params["y"]).bit_length() * 2 - 2, 1) if name == "integer_pow" else 1
+            self.operations += [(n_elements, name in TRANSCENDENTAL)] * n_operations
+            compute_mask |= ((1 << n_operations) - 1) << (len(self.operations) - n_operations)
         if name in EXPENSIVE:
-            reads |= self.read(aval).reads
+            read_mask |= self.read(aval).read_mask
         if name == "dynamic_slice":
             return self.read(aval)
-        return Cone(reads, computes)
+        return FusionCone(read_mask, compute_mask)
 
-    def materialised(self, aval, cone):
+    def account_for_result(self, aval, cone):
         """Account for a fusion whose result is this array."""
-        count, written = aval.size, _bytes(aval)
-        reads = [self.sizes[k] for k in _bits(cone.reads)]
-        if count <= 1 or (not cone.computes and reads == [written]):
+        n_elements, bytes_written = aval.size, _size_in_bytes(aval)
+        bytes_read = [self.read_sizes[k] for k in _set_bits(cone.read_mask)]
+        if n_elements <= 1 or (not cone.compute_mask and bytes_read == [bytes_written]):
             return  # a single number cannot be split; an array in memory is not computed
-        moved = written + sum(reads)
-        work = [self.work[k] for k in _bits(cone.computes)]
-        large = max([size for size in reads if size >= 8 * count], default=0)
-        small = [each for each in work if each[0] <= count]
-        shares = [
-            _compute(work, moved, written + large),
-            _compute(small, moved, written if large > 8 * count else moved),
+        bytes_moved = bytes_written + sum(bytes_read)
+        operations = [self.operations[k] for k in _set_bits(cone.compute_mask)]
+        largest_read = max([size for size in bytes_read if size >= 8 * n_elements], default=0)
+        small_operations = [operation for operation in operations if operation[0] <= n_elements]
+        cost_shares = [
+            _compute_cost_share(operations, bytes_moved, bytes_written + largest_read),
+            _compute_cost_share(
+                small_operations, bytes_moved, bytes_written if largest_read > 8 * n_elements else bytes_moved
+            ),
         ]
-        self.share = max(self.share, moved / MEMORY_LIMIT, *shares)
+        self.max_cost_share = max(self.max_cost_share, bytes_moved / MEMORY_LIMIT, *cost_shares)
 
 
-def _compute(work, moved, least):
+def _compute_cost_share(operations, bytes_moved, min_bytes):
     """Cost share of a fusion that computes so much, where that is more flops than the bytes that it moves at least."""
-    flops = sum(size for size, hard in work if not hard)
-    if flops <= least:
+    flops = sum(n_elements for n_elements, transcendental in operations if not transcendental)
+    if flops <= min_bytes:
         return 0.0
-    hard = sum(size for size, hard in work if hard)
-    return (flops + 2 * hard + 10 * min(moved, flops)) / COMPUTE_LIMIT
+    transcendental = sum(n_elements for n_elements, transcendental in operations if transcendental)
+    return (flops + 2 * transcendental + 10 * min(bytes_moved, flops)) / COMPUTE_LIMIT
 
 
 @lru_cache(1024)
 def cost_share(jaxpr) -> float:
     """Largest estimated cost of an operation in a jaxpr, as a fraction of the cost from which XLA splits it."""
-    region = Region()
-    _walk(region, jaxpr, [region.read(v.aval) for v in jaxpr.invars])
-    return region.share
+    region = FusionRegion()
+    _visit_jaxpr(region, jaxpr, [region.read(variable.aval) for variable in jaxpr.invars])
+    return region.max_cost_share
 
 
-def _walk(region, jaxpr, inputs):
-    cones = dict(zip(jaxpr.invars, inputs, strict=True))
-    uses = Counter(v for equation in jaxpr.eqns for v in equation.invars if not isinstance(v, core.Literal))
-    cones |= {v: region.read(v.aval) for v in jaxpr.constvars}
+def _visit_jaxpr(region, jaxpr, input_cones):
+    cones = dict(zip(jaxpr.invars, input_cones, strict=True))
+    use_counts = Counter(
+        variable for equation in jaxpr.eqns for variable in equation.invars if not isinstance(variable, core.Literal)
+    )
+    cones |= {variable: region.read(variable.aval) for variable in jaxpr.constvars}
 
-    def of(v):
-        return Cone(0, 0) if isinstance(v, core.Literal) else cones[v]
+    def cone_of(variable):
+        return FusionCone(0, 0) if isinstance(variable, core.Literal) else cones[variable]
 
     for equation in jaxpr.eqns:
-        given = [of(v) for v in equation.invars]
-        inner = list(core.jaxprs_in_params(equation.params))
+        operand_cones = [cone_of(variable) for variable in equation.invars]
+        inner_jaxprs = list(core.jaxprs_in_params(equation.params))
         name = equation.primitive.name
-        if name == "jit" and "inlineable" not in _hints(equation):
-            outputs = _walk(region, equation.params["jaxpr"].jaxpr, given)
-        elif inner or name in IN_PLACE:
-            for v, cone in zip(equation.invars, given, strict=True):
-                region.materialised(v.aval, cone)
-            region.share = max([region.share, *map(cost_share, inner)])
-            outputs = [region.read(v.aval) for v in equation.outvars]
+        if name == "jit" and "inlineable" not in _compiler_hints(equation):
+            output_cones = _visit_jaxpr(region, equation.params["jaxpr"].jaxpr, operand_cones)
+        elif inner_jaxprs or name in IN_PLACE:
+            for variable, cone in zip(equation.invars, operand_cones, strict=True):
+                region.account_for_result(variable.aval, cone)
+            region.max_cost_share = max([region.max_cost_share, *map(cost_share, inner_jaxprs)])
+            output_cones = [region.read(variable.aval) for variable in equation.outvars]
         else:
-            outputs = [region.computed(equation, given)] * len(equation.outvars)
-            if uses[equation.outvars[0]] > REPEATED:
-                region.materialised(equation.outvars[0].aval, outputs[0])
-                outputs = [region.read(equation.outvars[0].aval)]
-        cones |= dict(zip(equation.outvars, outputs, strict=True))
-    for v in jaxpr.outvars:
-        region.materialised(v.aval, of(v))
-    return [of(v) for v in jaxpr.outvars]
+            output_cones = [region.add_operation(equation, operand_cones)] * len(equation.outvars)
+            if use_counts[equation.outvars[0]] > MAX_FUSED_USES:
+                region.account_for_result(equation.outvars[0].aval, output_cones[0])
+                output_cones = [region.read(equation.outvars[0].aval)]
+        cones |= dict(zip(equation.outvars, output_cones, strict=True))
+    for variable in jaxpr.outvars:
+        region.account_for_result(variable.aval, cone_of(variable))
+    return [cone_of(variable) for variable in jaxpr.outvars]
 
 
-def _hints(equation):
+def _compiler_hints(equation):
     return getattr(equation.ctx, "xla_metadata", None) or {}
 
 
-def _bytes(aval):
+def _size_in_bytes(aval):
     return aval.size * aval.dtype.itemsize
 
 
-def _union(masks):
-    whole = 0
-    for each in masks:
-        whole |= each
-    return whole
+def _union_of_masks(masks):
+    union = 0
+    for mask in masks:
+        union |= mask
+    return union
 
 
-def _bits(mask):
+def _set_bits(mask):
     while mask:
-        low = mask & -mask
-        yield low.bit_length() - 1
-        mask ^= low
+        lowest_bit = mask & -mask
+        yield lowest_bit.bit_length() - 1
+        mask ^= lowest_bit

@@ -16,124 +16,152 @@ from jaxtyping import Float
 from continuation.persistent_jit import persistent_jit
 
 from ..flight import drive, flow
-from ..flight.coefficients import framed
+from ..flight.coefficients import flow_coefficients
 from ..flight.flows import flow_of
-from ..orbits.meeting_wall import way
-from ..orbits.saltation import meeting
+from ..orbits.saltation import evaluate_contact_map
+from ..orbits.wall_at_contact import wall_derivatives
 from ..scene.scene import SIDES
-from .few_programs import filled, with_ways
+from .shape_padding import pad_to_power_of_two, scene_with_tangents
 
 
 class Nodes(NamedTuple):
-    """Nodes in order of time. sides: -1, 1 of an impact, 0 a free state; when: the time of a free state; first, second:
-    time and speed of an impact, x and v of a state. Times since the drive was at phase 0."""
+    """Nodes in order of time. sides: -1, 1 of an impact, 0 a free state; state_times: the time of a free state; first,
+    second: time and speed of an impact, x and v of a state. Times since the drive was at phase 0."""
 
     sides: Float[np.ndarray, " nodes"]
-    when: Float[np.ndarray, " nodes"]
-    first: Float[np.ndarray, " nodes"]
-    second: Float[np.ndarray, " nodes"]
+    state_times: Float[np.ndarray, " nodes"]
+    first_unknown: Float[np.ndarray, " nodes"]
+    second_unknown: Float[np.ndarray, " nodes"]
 
     @property
     def times(self) -> Float[np.ndarray, " nodes"]:
         """Of all nodes."""
-        return np.where(self.sides == 0, self.when, self.first)
+        return np.where(self.sides == 0, self.state_times, self.first_unknown)
 
 
-class Left(NamedTuple):
-    """values: (flights, 2), what is to be zero; by: its derivatives by the node's own two unknowns, by the next one's,
-    by the free numbers and by the phase, (flights, 2, 4 + numbers + 1)."""
+class FlightResiduals(NamedTuple):
+    """values: (flights, 2), what is to be zero; derivatives: its derivatives by the node's own two unknowns, by the
+    next one's, by the free numbers and by the phase, (flights, 2, 4 + numbers + 1)."""
 
     values: Float[np.ndarray, "flights 2"]
-    by: Float[np.ndarray, "flights 2 columns"]
+    derivatives: Float[np.ndarray, "flights 2 columns"]
 
 
-def left(scene, names, nodes, numbers, phase):
-    """The `Left` of nodes in a scene whose numbers of these names are others, the drive's phase at time 0 too."""
-    count = len(nodes.sides)
-    if count < 2:
-        return Left(np.zeros((0, 2)), np.zeros((0, 2, 5 + len(names))))
-    there, ways = with_ways(scene, names, numbers)
-    values, by = (np.asarray(one) for one in _left(there, ways, *map(filled, nodes), np.asarray(float(phase))))
-    by = np.concatenate([by[: 4 + len(names)], by[-1:]])
-    return Left(values[:, : count - 1].T, np.moveaxis(by[:, :, : count - 1], (0, 1, 2), (2, 1, 0)))
+def flight_residuals(scene, names, nodes, parameters, phase):
+    """The `FlightResiduals` of nodes in a scene whose numbers of these names are others, the drive's phase at time 0
+    too."""
+    n_nodes = len(nodes.sides)
+    if n_nodes < 2:
+        return FlightResiduals(np.zeros((0, 2)), np.zeros((0, 2, 5 + len(names))))
+    changed_scene, tangents = scene_with_tangents(scene, names, parameters)
+    residuals, derivatives = (
+        np.asarray(array)
+        for array in _differentiate_flights(
+            changed_scene, tangents, *map(pad_to_power_of_two, nodes), np.asarray(float(phase))
+        )
+    )
+    derivatives = np.concatenate([derivatives[: 4 + len(names)], derivatives[-1:]])
+    return FlightResiduals(
+        residuals[:, : n_nodes - 1].T, np.moveaxis(derivatives[:, :, : n_nodes - 1], (0, 1, 2), (2, 1, 0))
+    )
 
 
-def aimed(scene, nodes, phase):
+def connecting_speeds(scene, nodes, phase):
     """(speed after the node, speed before the next), (flights,) each and towards the wall's inside and outside: with
     which a flight goes from one impact's time and place to the next's. What both say of an impact's speed differs
     where times are not those of the scene. A stay within a soft wall takes half a swing, as if nothing else pulled."""
-    count, sides = len(nodes.sides), np.asarray(nodes.sides)
-    stays = sum((np.where(sides == sign, span, 0.0) for sign, span in _half_swings(scene)), 0.0 * sides)
-    given = map(filled, nodes._replace(second=stays))
-    after, before = (np.asarray(one) for one in _aimed(scene, *given, phase))
-    return after[: count - 1], before[: count - 1]
+    n_nodes, sides = len(nodes.sides), np.asarray(nodes.sides)
+    contact_durations = sum(
+        (np.where(sides == sign, contact_duration, 0.0) for sign, contact_duration in _contact_half_periods(scene)),
+        0.0 * sides,
+    )
+    padded_nodes = map(pad_to_power_of_two, nodes._replace(second_unknown=contact_durations))
+    speeds_after, speeds_before = (np.asarray(array) for array in _compute_speeds(scene, *padded_nodes, phase))
+    return speeds_after[: n_nodes - 1], speeds_before[: n_nodes - 1]
 
 
-def _half_swings(scene):
+def _contact_half_periods(scene):
     """(side, how long the mass is within) of soft walls."""
     for side, wall in scene.walls.items():
         if wall.soft:
-            spare = 1.0 + float(wall.stiffness) - float(scene.parameter(f"{side}.damping")) ** 2
-            yield (1.0 if side == SIDES[1] else -1.0), np.pi / np.sqrt(max(spare, 1.0))
+            squared_frequency = 1.0 + float(wall.stiffness) - float(scene.parameter(f"{side}.damping")) ** 2
+            yield (1.0 if side == SIDES[1] else -1.0), np.pi / np.sqrt(max(squared_frequency, 1.0))
 
 
 @persistent_jit
-def _left(scene, ways, sides, when, first, second, phase):
+def _differentiate_flights(scene, tangents, sides, state_times, first_unknown, second_unknown, phase):
     """(values, derivatives by the unknowns, along the ways of the scene and by the phase)."""
-    own = first, second, jnp.roll(first, -1), jnp.roll(second, -1)
+    node_unknowns = first_unknown, second_unknown, jnp.roll(first_unknown, -1), jnp.roll(second_unknown, -1)
 
-    def values(first, second, after, later, scene, phase):
-        return jnp.stack(_flown(scene, sides, when, (first, second), (after, later), phase))
+    def residuals(first_unknown, second_unknown, next_first, next_second, scene, phase):
+        return jnp.stack(
+            _fly_between_nodes(
+                scene, sides, state_times, (first_unknown, second_unknown), (next_first, next_second), phase
+            )
+        )
 
-    def along(*way):
-        return jax.jvp(values, (*own, scene, phase), way)[1]
+    def derivative_along(*tangent):
+        return jax.jvp(residuals, (*node_unknowns, scene, phase), tangent)[1]
 
-    count = len(jax.tree.leaves(ways)[0])
-    eye, every = jnp.eye(4 + count + 1), jnp.ones_like(first)
-    by_own = [eye[:, k, None] * every for k in range(4)]
-    by_scene = jax.tree.map(lambda leaf: jnp.pad(leaf, (4, 1)), ways)
-    by = jax.vmap(along)(*by_own, by_scene, eye[:, -1])
-    return values(*own, scene, phase), by
+    n_tangents = len(jax.tree.leaves(tangents)[0])
+    identity, ones = jnp.eye(4 + n_tangents + 1), jnp.ones_like(first_unknown)
+    unknown_tangents = [identity[:, k, None] * ones for k in range(4)]
+    scene_tangents = jax.tree.map(lambda leaf: jnp.pad(leaf, (4, 1)), tangents)
+    derivatives = jax.vmap(derivative_along)(*unknown_tangents, scene_tangents, identity[:, -1])
+    return residuals(*node_unknowns, scene, phase), derivatives
 
 
-def _flown(scene, sides, when, own, following, phase):
+def _fly_between_nodes(scene, sides, state_times, node_unknowns, next_unknowns, phase):
     """(gap, excess): of where flights end, and of the speed there."""
-    frame, after = framed(scene), jnp.roll(sides, -1)
-    free, free_next = sides == 0, after == 0
-    begin, end = jnp.where(free, when, own[0]), jnp.where(free_next, jnp.roll(when, -1), following[0])
-    cosine, sine = _turned(frame, phase, begin)
-    met = meeting(frame, sides, cosine, sine, jnp.where(free, 0.0, own[1]))
-    stay = 0.0 if met.stay is None else jnp.where(free, 0.0, met.stay)
-    x, v = (jnp.where(free, mine, its) for mine, its in zip(own, met.state, strict=True))
-    cosine, sine = (jnp.where(free, mine, its) for mine, its in zip((cosine, sine), met.phasor, strict=True))
-    time = jnp.maximum(end - begin - stay, 0.0)
-    end_x, end_v = flow_of(frame).fly(frame, x, v, cosine, sine, time)[:2]
-    where, pace = way(frame, after, *_turned(frame, phase, end), 1)
-    gap = end_x - jnp.where(free_next, following[0], where)
-    excess = jnp.where(free_next, end_v - following[1], after * (end_v - pace) - following[1])
-    return gap, excess
+    coeffs, next_sides = flow_coefficients(scene), jnp.roll(sides, -1)
+    is_state, next_is_state = sides == 0, next_sides == 0
+    start_times, end_times = (
+        jnp.where(is_state, state_times, node_unknowns[0]),
+        jnp.where(next_is_state, jnp.roll(state_times, -1), next_unknowns[0]),
+    )
+    cosine, sine = _drive_phasor(coeffs, phase, start_times)
+    contact_map = evaluate_contact_map(coeffs, sides, cosine, sine, jnp.where(is_state, 0.0, node_unknowns[1]))
+    contact_duration = 0.0 if contact_map.contact_time is None else jnp.where(is_state, 0.0, contact_map.contact_time)
+    x, v = (
+        jnp.where(is_state, state_value, impact_value)
+        for state_value, impact_value in zip(node_unknowns, contact_map.state, strict=True)
+    )
+    cosine, sine = (
+        jnp.where(is_state, state_value, impact_value)
+        for state_value, impact_value in zip((cosine, sine), contact_map.phasor, strict=True)
+    )
+    flight_time = jnp.maximum(end_times - start_times - contact_duration, 0.0)
+    end_x, end_v = flow_of(coeffs).fly(coeffs, x, v, cosine, sine, flight_time)[:2]
+    wall_position, wall_velocity = wall_derivatives(coeffs, next_sides, *_drive_phasor(coeffs, phase, end_times), 1)
+    position_residual = end_x - jnp.where(next_is_state, next_unknowns[0], wall_position)
+    velocity_residual = jnp.where(
+        next_is_state, end_v - next_unknowns[1], next_sides * (end_v - wall_velocity) - next_unknowns[1]
+    )
+    return position_residual, velocity_residual
 
 
-def _turned(frame, phase, time):
-    angle = phase + frame.frequency * time
+def _drive_phasor(coeffs, phase, time):
+    angle = phase + coeffs.frequency * time
     return jnp.cos(angle), jnp.sin(angle)
 
 
 @persistent_jit
-def _aimed(scene, sides, when, first, stays, phase):
-    frame, after, begin = framed(scene), jnp.roll(sides, -1), first + stays
-    time = jnp.maximum(jnp.roll(first, -1) - begin, 0.0)
-    cosine, sine = _turned(frame, phase, begin)
-    x, pace = way(frame, sides, cosine, sine, 1)
-    free_flow, forced, _ = flow.doubled(frame.series, frame.frequency, frame.damping, time)
-    force = frame.force * cosine, frame.force * sine
-    still, _ = flow.flown((free_flow, forced), *force, x, 0.0 * x)
-    more = drive.responses(frame.terms, frame.frequency, frame.damping, time)
-    dx, dv = drive.forced(frame.terms, more, frame.frequency, cosine, sine)
-    still = still + dx if frame.terms else still
-    where, pace_next = way(frame, after, *_turned(frame, phase, jnp.roll(first, -1)), 1)
-    move = free_flow[1]
-    v = (where - still) / jnp.where(move == 0, 1.0, move)
-    _, end = flow.flown((free_flow, forced), *force, x, v)
-    end = end + dv if frame.terms else end
-    return -sides * (v - pace), after * (end - pace_next)
+def _compute_speeds(scene, sides, state_times, impact_times, contact_durations, phase):
+    coeffs, next_sides, start_times = flow_coefficients(scene), jnp.roll(sides, -1), impact_times + contact_durations
+    flight_time = jnp.maximum(jnp.roll(impact_times, -1) - start_times, 0.0)
+    cosine, sine = _drive_phasor(coeffs, phase, start_times)
+    x, wall_velocity = wall_derivatives(coeffs, sides, cosine, sine, 1)
+    free_flow, forced_flow, _ = flow.doubling_responses(coeffs.series, coeffs.frequency, coeffs.damping, flight_time)
+    force = coeffs.amplitude * cosine, coeffs.amplitude * sine
+    x_from_rest, _ = flow.apply_responses((free_flow, forced_flow), *force, x, 0.0 * x)
+    term_responses = drive.term_responses(coeffs.drive_terms, coeffs.frequency, coeffs.damping, flight_time)
+    dx, dv = drive.forced_response(coeffs.drive_terms, term_responses, coeffs.frequency, cosine, sine)
+    x_from_rest = x_from_rest + dx if coeffs.drive_terms else x_from_rest
+    next_wall_position, next_wall_velocity = wall_derivatives(
+        coeffs, next_sides, *_drive_phasor(coeffs, phase, jnp.roll(impact_times, -1)), 1
+    )
+    x_per_velocity = free_flow[1]
+    v = (next_wall_position - x_from_rest) / jnp.where(x_per_velocity == 0, 1.0, x_per_velocity)
+    _, end_v = flow.apply_responses((free_flow, forced_flow), *force, x, v)
+    end_v = end_v + dv if coeffs.drive_terms else end_v
+    return -sides * (v - wall_velocity), next_sides * (end_v - next_wall_velocity)

@@ -9,56 +9,87 @@ from jaxtyping import Float, Int
 
 from ..scene.scene import Scene
 from . import least_squares
-from .chain_equations import Nodes, left
-from .least_squares import ROUNDS, SHORT, Felt, Free, Problem, Solved
+from .chain_equations import Nodes, flight_residuals
+from .least_squares import (
+    MAX_ITERATIONS,
+    STEP_TOLERANCE,
+    FreeParameters,
+    LeastSquaresProblem,
+    LeastSquaresSolution,
+    Linearisation,
+)
 
-NEARER = 0.25  # a flight's time is at least as much of what it was before a step
-SHORTEST = 1e-12  # of the times of flights
-LEAST = 1e-9  # of a step
+MIN_TIME_FRACTION = 0.25  # a flight's time is at least as much of what it was before a step
+MIN_FLIGHT_TIME = 1e-12  # of the times of flights
+MIN_STEP_FRACTION = 1e-9  # of a step
 
 
-class Seen(NamedTuple):
+class Measurements(NamedTuple):
     """What was measured of nodes: of which, what of it, 0 the first unknown, 1 the second, the values, their errors."""
 
-    node: Int[np.ndarray, " seen"]
-    slot: Int[np.ndarray, " seen"]
+    node_indices: Int[np.ndarray, " seen"]
+    unknown_indices: Int[np.ndarray, " seen"]
     value: Float[np.ndarray, " seen"]
     sigma: Float[np.ndarray, " seen"]
 
 
-def solved(
-    scene: Scene, phase: float, nodes: Nodes, seen: Seen, free: Free, numbers, rounds=ROUNDS, short=SHORT
-) -> Solved:
-    """The `Solved` least squares from nodes and numbers near it; phase: the drive's at time 0 where it is not free."""
-    problem = Problem(partial(_felt, scene, phase, seen, free), _moved, _share)
-    return least_squares.solved(problem, nodes, free, numbers, rounds, short)
+def fit_chain_parameters(
+    scene: Scene,
+    phase: float,
+    nodes: Nodes,
+    measurements: Measurements,
+    free_params: FreeParameters,
+    parameters,
+    max_iterations=MAX_ITERATIONS,
+    step_tolerance=STEP_TOLERANCE,
+) -> LeastSquaresSolution:
+    """The `LeastSquaresSolution` least squares from nodes and numbers near it; phase: the drive's at time 0 where it is
+    not free."""
+    problem = LeastSquaresProblem(
+        partial(_linearise, scene, phase, measurements, free_params), _shift_nodes, _max_step_fraction
+    )
+    return least_squares.solve_least_squares(problem, nodes, free_params, parameters, max_iterations, step_tolerance)
 
 
-def _felt(scene, phase, seen, free, nodes, numbers):
-    names, turned = free.apart(numbers, phase)
-    found = left(scene, names, nodes, numbers[: len(names)], turned)
-    flights, count = len(found.values), len(nodes.sides)
-    own = found.by[:, :, :4].reshape(2 * flights, 4)
-    rows = np.repeat(np.arange(2 * flights), 4)
-    columns = np.repeat(2 * np.arange(flights), 8) + np.tile(np.arange(4), 2 * flights)
-    by_number = found.by[:, :, 4 : 4 + len(numbers)].reshape(2 * flights, -1) * free.scales
-    by_node = scipy.sparse.csr_array((own.ravel(), (rows, columns)), (2 * flights, 2 * count))
-    open_by = scipy.sparse.hstack([by_node, by_number], format="csr")
-    unknowns, seen_count = np.stack([nodes.first, nodes.second], 1), len(seen.node)
-    residuals = (unknowns[seen.node, seen.slot] - seen.value) / seen.sigma
-    places = np.arange(seen_count), 2 * seen.node + seen.slot
-    residuals_by = scipy.sparse.csr_array((1.0 / seen.sigma, places), (seen_count, open_by.shape[1]))
-    return Felt(found.values.ravel(), open_by, residuals, residuals_by)
+def _linearise(scene, phase, measurements, free_params, nodes, parameters):
+    names, drive_phase = free_params.split_phase(parameters, phase)
+    flights = flight_residuals(scene, names, nodes, parameters[: len(names)], drive_phase)
+    n_flights, n_nodes = len(flights.values), len(nodes.sides)
+    node_blocks = flights.derivatives[:, :, :4].reshape(2 * n_flights, 4)
+    rows = np.repeat(np.arange(2 * n_flights), 4)
+    columns = np.repeat(2 * np.arange(n_flights), 8) + np.tile(np.arange(4), 2 * n_flights)
+    parameter_jacobian = (
+        flights.derivatives[:, :, 4 : 4 + len(parameters)].reshape(2 * n_flights, -1) * free_params.scales
+    )
+    node_jacobian = scipy.sparse.csr_array((node_blocks.ravel(), (rows, columns)), (2 * n_flights, 2 * n_nodes))
+    constraint_jacobian = scipy.sparse.hstack([node_jacobian, parameter_jacobian], format="csr")
+    unknowns, n_measurements = np.stack([nodes.first_unknown, nodes.second_unknown], 1), len(measurements.node_indices)
+    residuals = (
+        unknowns[measurements.node_indices, measurements.unknown_indices] - measurements.value
+    ) / measurements.sigma
+    entry_indices = np.arange(n_measurements), 2 * measurements.node_indices + measurements.unknown_indices
+    residual_jacobian = scipy.sparse.csr_array(
+        (1.0 / measurements.sigma, entry_indices), (n_measurements, constraint_jacobian.shape[1])
+    )
+    return Linearisation(flights.values.ravel(), constraint_jacobian, residuals, residual_jacobian)
 
 
-def _moved(nodes, change):
-    first, second = change.reshape(-1, 2).T
-    return nodes._replace(first=nodes.first + first, second=nodes.second + second)
+def _shift_nodes(nodes, change):
+    first_changes, second_changes = change.reshape(-1, 2).T
+    return nodes._replace(
+        first_unknown=nodes.first_unknown + first_changes, second_unknown=nodes.second_unknown + second_changes
+    )
 
 
-def _share(nodes, numbers, by_node, by_number):
+def _max_step_fraction(nodes, parameters, node_change, parameter_change):
     """How much of a step leaves the nodes in order."""
-    hit = nodes.sides != 0
-    spans, change = np.diff(nodes.times), np.diff(np.where(hit, by_node.reshape(-1, 2)[:, 0], 0.0))
-    spans = np.maximum(spans, SHORTEST)
-    return max(min([1.0, *((1.0 - NEARER) * spans[change < 0] / -change[change < 0])]), LEAST)
+    is_impact = nodes.sides != 0
+    flight_times, time_changes = (
+        np.diff(nodes.times),
+        np.diff(np.where(is_impact, node_change.reshape(-1, 2)[:, 0], 0.0)),
+    )
+    flight_times = np.maximum(flight_times, MIN_FLIGHT_TIME)
+    return max(
+        min([1.0, *((1.0 - MIN_TIME_FRACTION) * flight_times[time_changes < 0] / -time_changes[time_changes < 0])]),
+        MIN_STEP_FRACTION,
+    )

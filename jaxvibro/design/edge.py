@@ -12,112 +12,136 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
-from continuation import locate
-from continuation.arrays import Array
-from continuation.implicit import Numbers, Unknowns
+from continuation import augmented_systems
+from continuation.array_type import Array
+from continuation.implicit_function import Parameters, Unknowns
 
-from ..flight.coefficients import framed
+from ..flight.coefficients import flow_coefficients
 from ..orbits import cyclic_system, flight_clearance, impact_equations
-from ..orbits.flight_clearance import TOUCH
-from ..orbits.impact_equations import Cycle
-from .point_equations import STATIC, PointEquations, closed
+from ..orbits.flight_clearance import GRAZING_TOLERANCE
+from ..orbits.impact_equations import ImpactSequence
+from .point_equations import STATIC, PointEquations, closed_jacobian
 
-TOUCHES, SLOW, CUSP = "a touch", "an impact without speed", "a cusp"
+TOUCHES, ZERO_SPEED, CUSP = "a touch", "an impact without speed", "a cusp"
 
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Edge:
-    """What is zero at an edge, a pytree. point: the sheet's `PointEquations`; end: TOUCHES, of the flight after the
-    impact in a row and a wall among the walls; SLOW: the impact in that row; CUSP, with left: what comes nearest to a
-    left null vector there."""
+class BoundaryEdge:
+    """What is zero at an edge, a pytree. equations: the sheet's `PointEquations`; end_kind: TOUCHES, of the flight
+    after the impact in a row and a wall among the walls; SLOW: the impact in that row; CUSP, with left_null: what comes
+    nearest to a left null vector there."""
 
-    point: PointEquations
-    end: str = field(metadata=STATIC)
+    equations: PointEquations
+    end_kind: str = field(metadata=STATIC)
     row: Int[Array, ""]
     wall: Int[Array, ""]
-    left: Float[Array, " speeds"] | None = None
+    left_null: Float[Array, " speeds"] | None = None
 
     @property
     def kind(self) -> str:
         """Of the sheet."""
-        return self.point.kind
+        return self.equations.kind
 
-    def cycle_at(self, unknowns: Unknowns) -> Cycle:
-        """The `Cycle` with these unknowns."""
-        return self.point.cycle_at(unknowns)
+    def sequence_at(self, unknowns: Unknowns) -> ImpactSequence:
+        """The `ImpactSequence` with these unknowns."""
+        return self.equations.sequence_at(unknowns)
 
-    def zero(self, unknowns: Unknowns, numbers: Numbers) -> Float[Array, " equations"]:
+    def residual(self, unknowns: Unknowns, scene_vector: Parameters) -> Float[Array, " equations"]:
         """What is to be zero in the scene with these numbers, two more than the unknowns are: the sheet's equations,
         and the edge's. unknowns: times and speeds, the null vector, the time of a touch since its flight's start."""
-        point = self.point
-        size = point.size
-        more = 0 if point.grazes else size
-        sheet = jnp.concatenate([unknowns[:size], jnp.zeros(1), unknowns[size : size + more]])
-        left = point.left(sheet, numbers, jnp.zeros_like(numbers))
-        built, cycle = framed(point.scene(numbers)), point.cycle_at(sheet)
-        if self.end == SLOW:
-            return jnp.append(left, cycle.speeds[self.row])
-        if self.end == TOUCHES:
-            found = impact_equations.flights(built, cycle)
-            time = jnp.where(jnp.arange(len(cycle.sides)) == self.row, unknowns[-1], 0.0)
-            every = jnp.stack([jnp.stack(one[:2]) for one in flight_clearance.relative(built, found, time)])
-            return jnp.concatenate([left, every[self.wall, :, self.row]])
-        return jnp.append(left, self._bend(built, cycle, unknowns[size : size + more]))
+        equations = self.equations
+        n_orbit_unknowns = equations.n_orbit_unknowns
+        n_null_components = 0 if equations.is_grazing else n_orbit_unknowns
+        point_unknowns = jnp.concatenate(
+            [
+                unknowns[:n_orbit_unknowns],
+                jnp.zeros(1),
+                unknowns[n_orbit_unknowns : n_orbit_unknowns + n_null_components],
+            ]
+        )
+        residual = equations.residual(point_unknowns, scene_vector, jnp.zeros_like(scene_vector))
+        coeffs, sequence = flow_coefficients(equations.scene_at(scene_vector)), equations.sequence_at(point_unknowns)
+        if self.end_kind == ZERO_SPEED:
+            return jnp.append(residual, sequence.speeds[self.row])
+        if self.end_kind == TOUCHES:
+            flights = impact_equations.compute_flights(coeffs, sequence)
+            time = jnp.where(jnp.arange(len(sequence.sides)) == self.row, unknowns[-1], 0.0)
+            wall_motions = jnp.stack(
+                [jnp.stack(wall_motion[:2]) for wall_motion in flight_clearance.relative_motion(coeffs, flights, time)]
+            )
+            return jnp.concatenate([residual, wall_motions[self.wall, :, self.row]])
+        return jnp.append(
+            residual,
+            self._cusp_function(coeffs, sequence, unknowns[n_orbit_unknowns : n_orbit_unknowns + n_null_components]),
+        )
 
-    def _bend(self, built, cycle, null):
+    def _cusp_function(self, coeffs, sequence, null_vector):
         """Of a fold, w F_uu v v, w the left null vector: zero at a cusp."""
-        slopes = impact_equations.equations(built, cycle)[1]
-        matrix, size = cyclic_system.dense(cyclic_system.of(slopes), 1.0), len(null)
-        border = jnp.block([[matrix, self.left[:, None]], [null[None], jnp.zeros((1, 1))]])
-        weights = jnp.linalg.solve(border.T, jnp.eye(size + 1)[-1])[:size]
+        derivatives = impact_equations.residual_and_jacobian(coeffs, sequence)[1]
+        matrix, n_unknowns = (
+            cyclic_system.dense_matrix(cyclic_system.assemble_matrix(derivatives), 1.0),
+            len(null_vector),
+        )
+        bordered_matrix = jnp.block([[matrix, self.left_null[:, None]], [null_vector[None], jnp.zeros((1, 1))]])
+        left_vector = jnp.linalg.solve(bordered_matrix.T, jnp.eye(n_unknowns + 1)[-1])[:n_unknowns]
 
-        def weighed(share):
-            times, speeds = jnp.split(share * null, 2)
-            there = cycle._replace(times=cycle.times + times, speeds=cycle.speeds + speeds)
-            return weights @ impact_equations.equations(built, there)[0]
+        def projected_residual(amplitude):
+            times, speeds = jnp.split(amplitude * null_vector, 2)
+            shifted_sequence = sequence._replace(times=sequence.times + times, speeds=sequence.speeds + speeds)
+            return left_vector @ impact_equations.residual_and_jacobian(coeffs, shifted_sequence)[0]
 
-        return jax.jacfwd(jax.jacfwd(weighed))(0.0)
+        return jax.jacfwd(jax.jacfwd(projected_residual))(0.0)
 
 
-def edges_of(point, unknowns, numbers):
-    """[(`Edge`, its unknowns)] that a point of a sheet is beyond: of each flight that passes through a wall, of each
-    impact from behind. unknowns: as `PointEquations` has them, numbers: of the scene there."""
-    seen = jax.device_get(clearances(point, unknowns, numbers))
-    plain = np.delete(unknowns, point.size)
-    touches = [
-        (_edge(point, TOUCHES, row, wall), np.append(plain, seen.late[row, wall]))
-        for row, wall in np.argwhere(seen.clear < (-seen.slack if point.grazes else 0.0))
+def find_edges(equations, unknowns, scene_vector):
+    """[(`BoundaryEdge`, its unknowns)] that a point of a sheet is beyond: of each flight that passes through a wall, of
+    each impact from behind. unknowns: as `PointEquations` has them, scene_vector: of the scene there."""
+    flight_gaps = jax.device_get(evaluate_clearances(equations, unknowns, scene_vector))
+    orbit_unknowns = np.delete(unknowns, equations.n_orbit_unknowns)
+    touch_edges = [
+        (_make_edge(equations, TOUCHES, row, wall), np.append(orbit_unknowns, flight_gaps.turning_times[row, wall]))
+        for row, wall in np.argwhere(flight_gaps.min_clearances < (-flight_gaps.slack if equations.is_grazing else 0.0))
     ]
-    return touches + [(_edge(point, SLOW, row), plain) for row in np.flatnonzero(seen.speeds < 0)]
+    return touch_edges + [
+        (_make_edge(equations, ZERO_SPEED, row), orbit_unknowns) for row in np.flatnonzero(flight_gaps.speeds < 0)
+    ]
 
 
-def cusp(point, unknowns, numbers):
-    """(`Edge`, its unknowns): the cusp of a sheet of SN, to be looked for from one of its points."""
-    plain = np.delete(unknowns, point.size)
-    matrix = np.asarray(closed(replace(point, cycle=point.cycle_at(jnp.asarray(plain))), jnp.asarray(numbers)))
-    return _edge(point, CUSP, left=jnp.asarray(locate.null(matrix.T))), plain
+def make_cusp(equations, unknowns, scene_vector):
+    """(`BoundaryEdge`, its unknowns): the cusp of a sheet of SN, to be looked for from one of its points."""
+    orbit_unknowns = np.delete(unknowns, equations.n_orbit_unknowns)
+    matrix = np.asarray(
+        closed_jacobian(
+            replace(equations, sequence=equations.sequence_at(jnp.asarray(orbit_unknowns))), jnp.asarray(scene_vector)
+        )
+    )
+    return _make_edge(equations, CUSP, left_null=jnp.asarray(augmented_systems.null_vector(matrix.T))), orbit_unknowns
 
 
-def _edge(point, end, row=0, wall=0, left=None):
-    return Edge(point, end, jnp.asarray(row), jnp.asarray(wall), left)
+def _make_edge(equations, end_kind, row=0, wall=0, left_null=None):
+    return BoundaryEdge(equations, end_kind, jnp.asarray(row), jnp.asarray(wall), left_null)
 
 
-class Clearances(NamedTuple):
+class FlightClearances(NamedTuple):
     """The least clearances of flights and walls, and when, since the flights' starts, (rows, walls); the impacts'
     speeds, and how long the flights are, (rows,); slack: a clearance or a speed as small is zero."""
 
-    clear: Float[ArrayLike, "rows walls"]
-    late: Float[ArrayLike, "rows walls"]
+    min_clearances: Float[ArrayLike, "rows walls"]
+    turning_times: Float[ArrayLike, "rows walls"]
     speeds: Float[ArrayLike, " rows"]
-    time: Float[ArrayLike, " rows"]
+    flight_times: Float[ArrayLike, " rows"]
     slack: Float[ArrayLike, ""]
 
 
 @jax.jit
-def clearances(point, unknowns, numbers):
-    """The `Clearances` of a point of a sheet with these unknowns, of the scene with these numbers."""
-    built, cycle = framed(point.scene(numbers)), point.cycle_at(unknowns)
-    found = impact_equations.flights(built, cycle)
-    clear, late = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
-    return Clearances(clear, late, cycle.speeds, found.time, TOUCH * built.size)
+def evaluate_clearances(equations, unknowns, scene_vector):
+    """The `FlightClearances` of a point of a sheet with these unknowns, of the scene with these numbers."""
+    coeffs, sequence = flow_coefficients(equations.scene_at(scene_vector)), equations.sequence_at(unknowns)
+    flights = impact_equations.compute_flights(coeffs, sequence)
+    min_clearances, turning_times = flight_clearance.turning_clearances(
+        coeffs, flights, flight_clearance.sample_count(coeffs, flights)
+    )
+    return FlightClearances(
+        min_clearances, turning_times, sequence.speeds, flights.time, GRAZING_TOLERANCE * coeffs.length_scale
+    )

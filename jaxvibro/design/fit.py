@@ -5,23 +5,27 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from ..scene import check
-from ..scene.parameters import tied
-from ..scene.questions import ask_of_record
+from ..scene.input_warnings import warn_about_record
+from ..scene.parameters import common_value
 from ..scene.scene import SIDES, Scene
-from . import chain_fit, fitted, motion_fit, point_fit
+from . import chain_fit, fitted, point_fit, sample_fit
+from .chain_search import match_record
 from .fitted import Fit, FitStatus
-from .free_numbers import room_of, units_of
-from .growth import matched
-from .least_squares import Free
-from .matching import WRONG, Record, at, possible, seen
+from .free_parameters import allowed_changes, check_units
+from .impact_chains import IMPOSSIBLE_COST, Record, is_possible, measurements_of, scene_and_phase
+from .least_squares import FreeParameters
+from .periodic_records import count_impact_values, count_sample_values
 from .records import ImpactRecord, PointRecord, SampleRecord
-from .settled import impacts_hold, samples_hold
 
-PHASES, HEAD, BEST = 8, 10, 3  # of an unknown phase: starts, impacts that choose among them, how many are gone on with
-TURN = 0.5  # rad: the scale of an unknown phase
+N_PHASES, HEAD_IMPACTS, MAX_CHAINS = (
+    8,
+    10,
+    3,
+)  # of an unknown phase: starts, impacts that choose among them, how many are gone on with
+PHASE_SCALE = 0.5  # rad: the scale of an unknown phase
 
 
-@check.host("use the chain's equations")
+@check.host_only("use the chain's equations")
 def fit(
     scene: Scene,
     data: ImpactRecord | SampleRecord | PointRecord,
@@ -50,130 +54,184 @@ def fit(
     if scene.dtype != np.float64:
         raise check.ArgumentError("scene", "must be in double precision", np.dtype(scene.dtype).name)
     if isinstance(data, PointRecord):
-        return _of_points(scene, data, free, bounds or {})
+        return _fit_points(scene, data, free, bounds or {})
     if not isinstance(data, ImpactRecord | SampleRecord):
         raise check.ArgumentError("data", "must be an ImpactRecord, a SampleRecord or a PointRecord", data)
-    units = units_of(scene, free)
-    room = room_of(scene, units, bounds or {})
-    ask_of_record(scene, data)
-    return (_of_impacts if isinstance(data, ImpactRecord) else _of_samples)(scene, data, units, room)
+    units = check_units(scene, free)
+    change_bounds = allowed_changes(scene, units, bounds or {})
+    warn_about_record(scene, data)
+    return (_fit_impacts if isinstance(data, ImpactRecord) else _fit_samples)(scene, data, units, change_bounds)
 
 
-def _of_impacts(scene, data, units, room):
+def _fit_impacts(scene, data, units, change_bounds):
     for side in np.unique(data.sides):
         if SIDES[int(side > 0)] not in scene.walls:
             raise check.ArgumentError("data.sides", f"the scene has no {SIDES[int(side > 0)]} wall", int(side))
-    _enough(len(data.times), "times", units, data.phase)
-    free, sigma = _free(scene, data.phase, units, room), np.full(len(data.times), data.sigma)
-    record = Record(scene, data.phase or 0.0, data.times, data.sides.astype(float), sigma, free)
+    _require_enough_data(len(data.times), "times", units, data.phase)
+    free_params, sigma = (
+        _make_free_params(scene, data.phase, units, change_bounds),
+        np.full(len(data.times), data.sigma),
+    )
+    record = Record(scene, data.phase or 0.0, data.times, data.sides.astype(float), sigma, free_params)
 
-    chain = _chained(record, data)
-    about = None if chain is None or chain.cost >= WRONG else chain.solved
-    _held(data, free, about, impacts_hold(data, float(scene.frequency), "frequency" in units))
-    if about is None:
-        return fitted.nothing(scene, free.names, free.begun)
-    free, given = free.from_phase(about.numbers), seen(record, chain)
+    chain = _match_record(record, data)
+    first_solution = None if chain is None or chain.cost >= IMPOSSIBLE_COST else chain.solution
+    _refuse_undetermined(
+        data, free_params, first_solution, count_impact_values(data, float(scene.frequency), "frequency" in units)
+    )
+    if first_solution is None:
+        return fitted.build_empty_fit(scene, free_params.names, free_params.start_values)
+    free_params, measurements = free_params.with_start_phase(first_solution.parameters), measurements_of(record, chain)
 
-    def solved(free):
-        return chain_fit.solved(scene, record.phase, about.nodes, given, free, about.numbers)
+    def solve_with(free_params):
+        return chain_fit.fit_chain_parameters(
+            scene, record.phase, first_solution.nodes, measurements, free_params, first_solution.parameters
+        )
 
-    found, said = fitted.identified(about, free, solved)
-    dof = len(given.node) - 2 - int(np.sum(~said.lost))
-    status = fitted.status(free, found, said, dof) if possible(record, found) else FitStatus.MISFIT
-    missed = tuple((float(found.nodes.first[k]), int(found.nodes.sides[k])) for k in np.flatnonzero(chain.seen < 0))
-    return _told(at(record, found.numbers)[0], free, found, said, dof, status, missed, tuple(sorted(chain.left_out)))
-
-
-def _of_samples(scene, data, units, room):
-    given = data.measured[0].size
-    _enough(given, "numbers", units, data.phase)
-    free = _free(scene, data.phase, units, room)
-    samples = motion_fit.samples_of(scene, data, free)
-    about = motion_fit.followed(samples)
-    _held(data, free, about, None if "frequency" in units else samples_hold(data, float(scene.frequency)))
-    if about is None:
-        return fitted.nothing(scene, free.names, free.begun)
-    free = free.from_phase(about.numbers)
-
-    def solved(free):
-        return motion_fit.solved(samples, about, free)
-
-    found, said = fitted.identified(about, free, solved)
-    dof = given - 2 - int(np.sum(~said.lost))
-    status = fitted.status(free, found, said, dof) if found.met else FitStatus.MISFIT
-    return _told(samples.at(found.numbers)[0], free, found, said, dof, status)
-
-
-def _enough(given, what, units, phase):
-    unknown = len(units) + 2 + (phase is None)
-    if given < unknown:
-        rule = f"must hold as many numbers as are unknown, {unknown} with the first state"
-        raise check.ArgumentError("data", rule, f"{given} {what}")
+    solution, directions = fitted.solve_identifiable(first_solution, free_params, solve_with)
+    dof = len(measurements.node_indices) - 2 - int(np.sum(~directions.is_undetermined))
+    status = (
+        fitted.fit_status(free_params, solution, directions, dof) if is_possible(record, solution) else FitStatus.MISFIT
+    )
+    missed_impacts = tuple(
+        (float(solution.nodes.first_unknown[k]), int(solution.nodes.sides[k]))
+        for k in np.flatnonzero(chain.record_indices < 0)
+    )
+    return _build_fit(
+        scene_and_phase(record, solution.parameters)[0],
+        free_params,
+        solution,
+        directions,
+        dof,
+        status,
+        missed_impacts,
+        tuple(sorted(chain.spurious_indices)),
+    )
 
 
-def _free(scene, phase, units, room):
-    """The `Free` numbers, the drive's phase at time 0 among them where it is not known."""
-    names, scales, (low, high) = tuple(units), np.array(list(units.values())), room
-    begun = np.array([float(scene.parameter(name)) for name in names])
+def _fit_samples(scene, data, units, change_bounds):
+    n_values = data.measured[0].size
+    _require_enough_data(n_values, "numbers", units, data.phase)
+    free_params = _make_free_params(scene, data.phase, units, change_bounds)
+    samples = sample_fit.make_samples(scene, data, free_params)
+    first_solution = sample_fit.follow_record(samples)
+    _refuse_undetermined(
+        data,
+        free_params,
+        first_solution,
+        None if "frequency" in units else count_sample_values(data, float(scene.frequency)),
+    )
+    if first_solution is None:
+        return fitted.build_empty_fit(scene, free_params.names, free_params.start_values)
+    free_params = free_params.with_start_phase(first_solution.parameters)
+
+    def solve_with(free_params):
+        return sample_fit.solve_samples(samples, first_solution, free_params)
+
+    solution, directions = fitted.solve_identifiable(first_solution, free_params, solve_with)
+    dof = n_values - 2 - int(np.sum(~directions.is_undetermined))
+    status = fitted.fit_status(free_params, solution, directions, dof) if solution.converged else FitStatus.MISFIT
+    return _build_fit(samples.scene_and_phase(solution.parameters)[0], free_params, solution, directions, dof, status)
+
+
+def _require_enough_data(n_values, data_name, units, phase):
+    n_unknowns = len(units) + 2 + (phase is None)
+    if n_values < n_unknowns:
+        rule = f"must hold as many numbers as are unknown, {n_unknowns} with the first state"
+        raise check.ArgumentError("data", rule, f"{n_values} {data_name}")
+
+
+def _make_free_params(scene, phase, units, change_bounds):
+    """The `FreeParameters` numbers, the drive's phase at time 0 among them where it is not known."""
+    names, scales, (lower, upper) = tuple(units), np.array(list(units.values())), change_bounds
+    start_values = np.array([float(scene.parameter(name)) for name in names])
     if phase is None:
-        names, scales, begun = (*names, "phase"), np.append(scales, TURN), np.append(begun, 0.0)
-        low, high = np.append(low, -np.inf), np.append(high, np.inf)
-    return Free(names, scales, begun, low, high, np.eye(len(names)))
+        names, scales, start_values = (*names, "phase"), np.append(scales, PHASE_SCALE), np.append(start_values, 0.0)
+        lower, upper = np.append(lower, -np.inf), np.append(upper, np.inf)
+    return FreeParameters(names, scales, start_values, lower, upper, np.eye(len(names)))
 
 
-def _chained(record, data):
+def _match_record(record, data):
     """The `Chain` of a record of impacts: of an unknown phase the best of several."""
     if data.phase is not None:
-        return matched(record, data.flawed)
-    found = []
-    for angle in 2.0 * np.pi * np.arange(PHASES) / PHASES:
-        one = record._replace(free=record.free.from_phase(np.array([angle])))
-        head = one._replace(times=one.times[:HEAD], sides=one.sides[:HEAD], sigma=one.sigma[:HEAD])
-        chain = matched(head, False)
+        return match_record(record, data.flawed)
+    trials = []
+    for angle in 2.0 * np.pi * np.arange(N_PHASES) / N_PHASES:
+        candidate = record._replace(free_params=record.free_params.with_start_phase(np.array([angle])))
+        head_record = candidate._replace(
+            times=candidate.times[:HEAD_IMPACTS],
+            sides=candidate.sides[:HEAD_IMPACTS],
+            sigma=candidate.sigma[:HEAD_IMPACTS],
+        )
+        chain = match_record(head_record, False)
         if chain is not None:
-            found.append((chain.cost, angle, one))
-    found.sort(key=lambda each: each[:2])
-    chains = [matched(one, data.flawed) for _, _, one in found[:BEST]]
-    return min((one for one in chains if one is not None), key=lambda one: one.cost, default=None)
+            trials.append((chain.cost, angle, candidate))
+    trials.sort(key=lambda trial: trial[:2])
+    chains = [match_record(candidate, data.flawed) for _, _, candidate in trials[:MAX_CHAINS]]
+    return min((candidate for candidate in chains if candidate is not None), key=lambda chain: chain.cost, default=None)
 
 
-def _held(data, free, about, holds):
+def _refuse_undetermined(data, free_params, solution, n_independent):
     """Refuse a settled record that holds fewer numbers than are free."""
-    if holds is None or holds >= len(free.names):
+    if n_independent is None or n_independent >= len(free_params.names):
         return
-    known = ""
-    if about is not None:
-        said = fitted.said(np.linalg.inv(about.covariance) - free.known)
-        known = ": " + "; ".join(map(str, said.named(free.names, slice(holds))))
-    rule = f"is settled, holds {holds} numbers and must hold as many as are free, {len(free.names)}{known}"
+    hint = ""
+    if solution is not None:
+        directions = fitted.identify_directions(np.linalg.inv(solution.covariance) - free_params.prior_information)
+        hint = ": " + "; ".join(map(str, directions.combinations(free_params.names, slice(n_independent))))
+    rule = (
+        f"is settled, holds {n_independent} numbers and must hold as many as are free, {len(free_params.names)}{hint}"
+    )
     raise check.ArgumentError("data", rule, f"{len(data.times)} times")
 
 
-def _told(scene, free, found, said, *more):
-    return fitted.told(scene, free.names, free.scales, found.numbers, said, found.covariance, found.residuals, *more)
+def _build_fit(scene, free_params, solution, directions, *details):
+    return fitted.build_fit(
+        scene,
+        free_params.names,
+        free_params.scales,
+        solution.parameters,
+        directions,
+        solution.covariance,
+        solution.residuals,
+        *details,
+    )
 
 
-def _of_points(scene, data, free, bounds):
-    groups = [(key,) if isinstance(key, str) else tuple(key) for key in free]
-    if len(data.values) < len(groups):
-        rule = f"must hold as many numbers as are unknown, {len(groups)}"
+def _fit_points(scene, data, free, bounds):
+    name_groups = [(key,) if isinstance(key, str) else tuple(key) for key in free]
+    if len(data.values) < len(name_groups):
+        rule = f"must hold as many numbers as are unknown, {len(name_groups)}"
         raise check.ArgumentError("data", rule, f"{len(data.values)} points")
-    scales, low, high = _grouped(scene, free, groups, bounds)
-    labels, begun = [" = ".join(group) for group in groups], np.array([tied(scene, group) for group in groups])
-    met = point_fit.met(point_fit.points_of(data, tuple(groups), scales, low, high), begun)
-    if met is None or not met.met:
-        return fitted.nothing(scene, labels, begun)
-    said, dof = fitted.said(met.by.T @ met.by), len(met.residuals)
-    dof -= int(np.sum(~said.lost))
-    covariance = (said.ways[:, ~said.lost] * said.errors[~said.lost] ** 2) @ said.ways[:, ~said.lost].T
-    status = fitted.misfit(float(met.residuals @ met.residuals), dof)
-    status = status or (FitStatus.UNIDENTIFIABLE if said.lost.any() else FitStatus.OK)
-    values = {name: float(number) for group, number in zip(groups, met.numbers, strict=True) for name in group}
-    there = scene.replace(**values)
-    return fitted.told(there, labels, scales, met.numbers, said, covariance, met.residuals, dof, status)
+    scales, lower, upper = _group_bounds(scene, free, name_groups, bounds)
+    labels, start_values = (
+        [" = ".join(name_group) for name_group in name_groups],
+        np.array([common_value(scene, name_group) for name_group in name_groups]),
+    )
+    solution = point_fit.fit_points(
+        point_fit.make_point_functions(data, tuple(name_groups), scales, lower, upper), start_values
+    )
+    if solution is None or not solution.converged:
+        return fitted.build_empty_fit(scene, labels, start_values)
+    directions, dof = fitted.identify_directions(solution.jacobian.T @ solution.jacobian), len(solution.residuals)
+    dof -= int(np.sum(~directions.is_undetermined))
+    covariance = (
+        directions.vectors[:, ~directions.is_undetermined] * directions.errors[~directions.is_undetermined] ** 2
+    ) @ directions.vectors[:, ~directions.is_undetermined].T
+    status = fitted.misfit_status(float(solution.residuals @ solution.residuals), dof)
+    status = status or (FitStatus.UNIDENTIFIABLE if directions.is_undetermined.any() else FitStatus.OK)
+    values = {
+        name: float(parameter)
+        for name_group, parameter in zip(name_groups, solution.parameters, strict=True)
+        for name in name_group
+    }
+    changed_scene = scene.replace(**values)
+    return fitted.build_fit(
+        changed_scene, labels, scales, solution.parameters, directions, covariance, solution.residuals, dof, status
+    )
 
 
-def _grouped(scene, free, groups, bounds):
+def _group_bounds(scene, free, name_groups, bounds):
     """(scales, low, high) of free numbers, each of one or several names. Raises ArgumentError."""
     if not isinstance(free, Mapping) or not free:
         raise check.ArgumentError("free", "must be {name: unit}, one number at least", free)
@@ -181,15 +239,15 @@ def _grouped(scene, free, groups, bounds):
         if key not in free:
             raise check.ArgumentError(f"bounds.{key}", "must be of a free number", key)
     rows = []
-    for key, group in zip(free, groups, strict=True):
-        value, ends = tied(scene, group), []
-        for name in group:
-            unit = units_of(scene, {name: free[key]})
-            ends.append(
+    for key, name_group in zip(free, name_groups, strict=True):
+        value, name_bounds = common_value(scene, name_group), []
+        for name in name_group:
+            unit = check_units(scene, {name: free[key]})
+            name_bounds.append(
                 [
-                    value + unit[name] * end[0]
-                    for end in room_of(scene, unit, {name: bounds[key]} if key in bounds else {})
+                    value + unit[name] * change[0]
+                    for change in allowed_changes(scene, unit, {name: bounds[key]} if key in bounds else {})
                 ]
             )
-        rows.append((unit[name], max(low for low, _ in ends), min(high for _, high in ends)))
+        rows.append((unit[name], max(lower for lower, _ in name_bounds), min(upper for _, upper in name_bounds)))
     return np.array(rows).T

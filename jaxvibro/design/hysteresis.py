@@ -8,16 +8,16 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float, Int
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 
 from ..branches.branch import Special
 from ..orbits.orbit import Orbit
 from ..scene import check
 from ..scene.scene import Scene
-from .located_orbit import LocatedOrbit, OrbitOfScene, located_orbit
-from .located_point import Located, located_point
+from .located_orbit import LocatedOrbit, OrbitOfScene, make_located_orbit
+from .located_point import Located, make_located_point
 
-NODES = 24  # Gauss and Legendre's, of an area
+N_QUADRATURE_NODES = 24  # Gauss and Legendre's, of an area
 
 
 @jax.tree_util.register_dataclass
@@ -50,8 +50,8 @@ class Hysteresis:
 
     def width(self, scene: Scene) -> Float[Array, "..."]:
         """How wide it is, in the parameter's units."""
-        first, last = (one(scene) for one in self.ends)
-        return last - first
+        first_value, last_value = (end(scene) for end in self.ends)
+        return last_value - first_value
 
     def area(self, scene: Scene) -> Float[Array, "..."]:
         """Of the loop, the parameter's times the measure's units. Raises ArgumentError where no orbits were given."""
@@ -61,35 +61,41 @@ class Hysteresis:
 
     def solve(self, scene: Scene) -> HysteresisLoop:
         """The `HysteresisLoop` of a scene, single or a batch."""
-        first, last = (one.solve(scene) for one in self.ends)
-        status, width = jnp.maximum(first.status, last.status), last.value - first.value
+        first_point, last_point = (item.solve(scene) for item in self.ends)
+        status, width = jnp.maximum(first_point.status, last_point.status), last_point.value - first_point.value
         if self.orbits is None:
-            return HysteresisLoop(first.value, last.value, width, jnp.nan * width, status)
-        nodes, weights = np.polynomial.legendre.leggauss(NODES)
+            return HysteresisLoop(first_point.value, last_point.value, width, jnp.nan * width, status)
+        nodes, weights = np.polynomial.legendre.leggauss(N_QUADRATURE_NODES)
         angles = 0.25 * np.pi * (nodes + 1.0)  # roots at the ends are smooth in them
-        shares, weights = np.sin(angles) ** 2, 0.25 * np.pi * weights * np.sin(2.0 * angles)
-        area, half = 0.0 * width, NODES // 2
-        for part in (slice(half - 1, None, -1), slice(half, None)):  # from the middle to either end
-            there = jnp.expand_dims(first.value, -1) + jnp.expand_dims(width, -1) * shares[part]
-            wide = jax.tree.map(lambda leaf, shape=there.shape: jnp.broadcast_to(leaf[..., None], shape), scene)
-            upper, lower = (one.along(wide.replace(**{self.name: there})) for one in self.orbits)
-            area += width * jnp.sum(weights[part] * (self.measure(upper) - self.measure(lower)), -1)
-            for one in (upper, lower):
-                status = jnp.maximum(status, jnp.max(one.status, -1))
-        return HysteresisLoop(first.value, last.value, width, area, status)
+        fractions, weights = np.sin(angles) ** 2, 0.25 * np.pi * weights * np.sin(2.0 * angles)
+        area, half_count = 0.0 * width, N_QUADRATURE_NODES // 2
+        for half_slice in (slice(half_count - 1, None, -1), slice(half_count, None)):  # from the middle to either end
+            parameter_values = (
+                jnp.expand_dims(first_point.value, -1) + jnp.expand_dims(width, -1) * fractions[half_slice]
+            )
+            scenes = jax.tree.map(
+                lambda leaf, shape=parameter_values.shape: jnp.broadcast_to(leaf[..., None], shape), scene
+            )
+            upper_orbits, lower_orbits = (
+                item.along(scenes.replace(**{self.name: parameter_values})) for item in self.orbits
+            )
+            area += width * jnp.sum(weights[half_slice] * (self.measure(upper_orbits) - self.measure(lower_orbits)), -1)
+            for item in (upper_orbits, lower_orbits):
+                status = jnp.maximum(status, jnp.max(item.status, -1))
+        return HysteresisLoop(first_point.value, last_point.value, width, area, status)
 
 
-def of_peak(found: OrbitOfScene) -> Float[Array, "..."]:
+def peak_of(orbit: OrbitOfScene) -> Float[Array, "..."]:
     """The largest abs x of orbits."""
-    return found.peak
+    return orbit.peak
 
 
-@check.host("use the function that it gives")
+@check.host_only("use the function that it gives")
 def hysteresis(
     first: Special | Located,
     last: Special | Located,
     orbits: tuple[Orbit, Orbit] | None = None,
-    measure: Callable[[OrbitOfScene], Float[Array, "..."]] = of_peak,
+    measure: Callable[[OrbitOfScene], Float[Array, "..."]] = peak_of,
 ) -> Hysteresis:
     """The hysteresis between two special points of one parameter, as a function of the scene: a `Hysteresis`.
 
@@ -103,12 +109,12 @@ def hysteresis(
 
     Raises ArgumentError for points of different parameters, and what `located` does.
     """
-    begin, end = (one if isinstance(one, Located) else located_point(one) for one in (first, last))
-    if begin.name != end.name:
-        raise check.ArgumentError("last", f"must be of the same parameter, {begin.name}", end.name)
+    first_end, last_end = (item if isinstance(item, Located) else make_located_point(item) for item in (first, last))
+    if first_end.name != last_end.name:
+        raise check.ArgumentError("last", f"must be of the same parameter, {first_end.name}", last_end.name)
     if orbits is None:
-        return Hysteresis((begin, end), None, measure)
-    if len(orbits) != 2 or not all(isinstance(one, Orbit) for one in orbits):
+        return Hysteresis((first_end, last_end), None, measure)
+    if len(orbits) != 2 or not all(isinstance(item, Orbit) for item in orbits):
         raise check.ArgumentError("orbits", "must be two Orbits, the upper and the lower", orbits)
-    upper, lower = (located_orbit(one, "peak") for one in orbits)
-    return Hysteresis((begin, end), (upper, lower), measure)
+    upper_orbit, lower_orbit = (make_located_orbit(item, "peak") for item in orbits)
+    return Hysteresis((first_end, last_end), (upper_orbit, lower_orbit), measure)

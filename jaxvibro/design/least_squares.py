@@ -13,157 +13,176 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-from ..scene.scene import Scene, changed
+from ..scene.scene import Scene, replace_unchecked
 
-ROUNDS = 200  # of Newton's steps
-SHORT = 1e-6  # of the errors: a step as short is the last
-CLOSED = 1e-3  # of that: what may be left open between nodes
-FAR = 4.0  # scales that a number may change by in a step
-HALVINGS = 8
-RARE = 1e-5  # a chi2 that noise makes larger so seldom is too large
-WEAKEST = 1e-12  # of H's first entries: what makes it regular in unknowns that nothing is known of
+MAX_ITERATIONS = 200  # of Newton's steps
+STEP_TOLERANCE = 1e-6  # of the errors: a step as short is the last
+CONSTRAINT_FACTOR = 1e-3  # of that: what may be left open between nodes
+MAX_STEP = 4.0  # scales that a number may change by in a step
+MAX_HALVINGS = 8
+MISFIT_PROBABILITY = 1e-5  # a chi2 that noise makes larger so seldom is too large
+REGULARISATION = 1e-12  # of H's first entries: what makes it regular in unknowns that nothing is known of
 
 
-class Free(NamedTuple):
+class FreeParameters(NamedTuple):
     """The free numbers: their names, the drive's phase at time 0 last where it is free; scales; where they began; in
     scales, how far from there they may go, and how much is known of them beforehand, a matrix."""
 
     names: tuple[str, ...]
     scales: Float[np.ndarray, " free"]
-    begun: Float[np.ndarray, " free"]
-    low: Float[np.ndarray, " free"]
-    high: Float[np.ndarray, " free"]
-    known: Float[np.ndarray, "free free"]
+    start_values: Float[np.ndarray, " free"]
+    lower: Float[np.ndarray, " free"]
+    upper: Float[np.ndarray, " free"]
+    prior_information: Float[np.ndarray, "free free"]
 
-    def apart(self, numbers: Float[np.ndarray, "free ..."], phase: float) -> tuple[tuple[str, ...], Any]:
+    def split_phase(self, parameters: Float[np.ndarray, "free ..."], phase: float) -> tuple[tuple[str, ...], Any]:
         """(the names of the scene's numbers among them, the drive's phase at time 0, which may be one of the
         numbers)."""
-        return (self.names[:-1], numbers[-1]) if self.names[-1:] == ("phase",) else (self.names, phase)
+        return (self.names[:-1], parameters[-1]) if self.names[-1:] == ("phase",) else (self.names, phase)
 
-    def at(self, scene: Scene, phase: float, numbers: Float[np.ndarray, " free"]) -> tuple[Scene, float]:
+    def scene_and_phase(
+        self, scene: Scene, phase: float, parameters: Float[np.ndarray, " free"]
+    ) -> tuple[Scene, float]:
         """(the scene with these numbers, the phase)."""
-        names, phase = self.apart(numbers, phase)
-        return changed(scene, dict(zip(names, numbers[: len(names)], strict=True))), float(phase)
+        names, phase = self.split_phase(parameters, phase)
+        return replace_unchecked(scene, dict(zip(names, parameters[: len(names)], strict=True))), float(phase)
 
-    def from_phase(self, numbers: Float[np.ndarray, " free"]) -> "Free":
+    def with_start_phase(self, parameters: Float[np.ndarray, " free"]) -> "FreeParameters":
         """The same begun at the phase of other numbers, where it is free."""
         if self.names[-1] != "phase":
             return self
-        return self._replace(begun=np.append(self.begun[:-1], numbers[-1]))
+        return self._replace(start_values=np.append(self.start_values[:-1], parameters[-1]))
 
-    def room(self, numbers: Float[np.ndarray, " free"]) -> Float[np.ndarray, "2 free"]:
+    def remaining_range(self, parameters: Float[np.ndarray, " free"]) -> Float[np.ndarray, "2 free"]:
         """(low, high) of the further change of numbers, in scales."""
-        return np.array([self.low, self.high]) - (numbers - self.begun) / self.scales
+        return np.array([self.lower, self.upper]) - (parameters - self.start_values) / self.scales
 
 
-class Felt(NamedTuple):
+class Linearisation(NamedTuple):
     """Of nodes and numbers: what is left open and its derivative by the nodes' unknowns, then by the numbers in their
     scales; the residuals in errors, and their derivative."""
 
-    open: Float[np.ndarray, " equations"]
-    open_by: "scipy.sparse.csr_array"
+    constraints: Float[np.ndarray, " equations"]
+    constraint_jacobian: "scipy.sparse.csr_array"
     residuals: Float[np.ndarray, " seen"]
-    residuals_by: "scipy.sparse.csr_array"
+    residual_jacobian: "scipy.sparse.csr_array"
 
 
-class Problem(NamedTuple):
-    """felt: (nodes, numbers) -> `Felt`; moved: (nodes, change of their unknowns) -> nodes; share: (nodes, numbers,
-    change of the unknowns, of the numbers) -> how much of it may be made at once, 1 at most."""
+class LeastSquaresProblem(NamedTuple):
+    """linearise: (nodes, numbers) -> `Linearisation`; shift_nodes: (nodes, change of their unknowns) -> nodes;
+    max_step_fraction: (nodes, numbers, change of the unknowns, of the numbers) -> how much of it may be made at once, 1
+    at most."""
 
-    felt: Callable[[Any, Float[np.ndarray, " free"]], Felt]
-    moved: Callable[[Any, Float[np.ndarray, " inner"]], Any]
-    share: Callable[[Any, Float[np.ndarray, " free"], Float[np.ndarray, " inner"], Float[np.ndarray, " free"]], float]
+    linearise: Callable[[Any, Float[np.ndarray, " free"]], Linearisation]
+    shift_nodes: Callable[[Any, Float[np.ndarray, " inner"]], Any]
+    max_step_fraction: Callable[
+        [Any, Float[np.ndarray, " free"], Float[np.ndarray, " inner"], Float[np.ndarray, " free"]], float
+    ]
 
 
-class Solved(NamedTuple):
-    """nodes, numbers; residuals in errors; chi2: their squares' sum; moved: the same of what was known beforehand;
-    open: what is left open at most; parts: the factors of the last system, None where it is singular; inner: how many
-    unknowns the nodes have; met: whether the last step was a short one."""
+class LeastSquaresSolution(NamedTuple):
+    """nodes, numbers; residuals in errors; chi2: their squares' sum; prior_chi2: the same of what was known beforehand;
+    max_constraint: what is left open at most; factors: the factors of the last system, None where it is singular;
+    n_node_unknowns: how many unknowns the nodes have; converged: whether the last step was a short one."""
 
     nodes: Any
-    numbers: Float[np.ndarray, " free"]
+    parameters: Float[np.ndarray, " free"]
     residuals: Float[np.ndarray, " seen"]
     chi2: float
-    moved: float
-    open: float
-    parts: "scipy.sparse.linalg.SuperLU | None"
-    inner: int
-    met: bool
+    prior_chi2: float
+    max_constraint: float
+    factors: "scipy.sparse.linalg.SuperLU | None"
+    n_node_unknowns: int
+    converged: bool
 
     @property
     def covariance(self) -> Float[np.ndarray, "free free"]:
         """Of the numbers, in scales."""
-        return self.spread([])
+        return self.covariance_with([])
 
-    def spread(self, places: Sequence[int]) -> Float[np.ndarray, "some some"]:
+    def covariance_with(self, node_indices: Sequence[int]) -> Float[np.ndarray, "some some"]:
         """The covariance of some of the nodes' unknowns, and then the numbers in scales; nan where there is none."""
-        chosen = np.array([*places, *range(self.inner, self.inner + len(self.numbers))])
-        if self.parts is None:
-            return np.full((len(chosen),) * 2, np.nan)
-        columns = np.zeros((self.parts.shape[0], len(chosen)))
-        columns[chosen, np.arange(len(chosen))] = 1.0
-        return self.parts.solve(columns)[chosen]
+        selection = np.array([*node_indices, *range(self.n_node_unknowns, self.n_node_unknowns + len(self.parameters))])
+        if self.factors is None:
+            return np.full((len(selection),) * 2, np.nan)
+        columns = np.zeros((self.factors.shape[0], len(selection)))
+        columns[selection, np.arange(len(selection))] = 1.0
+        return self.factors.solve(columns)[selection]
 
 
-class _Point(NamedTuple):
+class _Iterate(NamedTuple):
     nodes: Any
-    numbers: Float[np.ndarray, " free"]
-    felt: Felt
+    parameters: Float[np.ndarray, " free"]
+    linearisation: Linearisation
 
 
-def solved(problem: Problem, nodes, free: Free, numbers, rounds=ROUNDS, short=SHORT) -> Solved:
-    """The `Solved` least squares from nodes and numbers near it; short: of errors and scales, a step as short is the
-    last."""
-    now = _Point(nodes, numbers, problem.felt(nodes, numbers))
-    price, met = 0.0, False
-    for _ in range(rounds):
-        way = _step(now, free)
-        if way is None:
+def solve_least_squares(
+    problem: LeastSquaresProblem,
+    nodes,
+    free_params: FreeParameters,
+    parameters,
+    max_iterations=MAX_ITERATIONS,
+    step_tolerance=STEP_TOLERANCE,
+) -> LeastSquaresSolution:
+    """The `LeastSquaresSolution` least squares from nodes and numbers near it; step_tolerance: of errors and scales, a
+    step as short is the last."""
+    iterate = _Iterate(nodes, parameters, problem.linearise(nodes, parameters))
+    penalty, converged = 0.0, False
+    for _ in range(max_iterations):
+        newton_step = _newton_step(iterate, free_params)
+        if newton_step is None:
             break
-        step, multipliers, parts = way
-        price = max(price, 1.5 * np.max(abs(multipliers), initial=0.0))
-        last = _longest_move(now, step) <= short
-        new = _moved(problem, now, free, step, price, parts, last)
-        if not np.isfinite(_merit(new, free, price)):
+        full_step, multipliers, factors = newton_step
+        penalty = max(penalty, 1.5 * np.max(abs(multipliers), initial=0.0))
+        is_last = _step_size(iterate, full_step) <= step_tolerance
+        next_iterate = _line_search(problem, iterate, free_params, full_step, penalty, factors, is_last)
+        if not np.isfinite(_merit(next_iterate, free_params, penalty)):
             break
-        now = new
-        met = bool(last and _left_open(now) <= CLOSED * short)
-        if met:
+        iterate = next_iterate
+        converged = bool(is_last and _max_constraint(iterate) <= CONSTRAINT_FACTOR * step_tolerance)
+        if converged:
             break
-    return _told(now, free, met)
+    return _make_solution(iterate, free_params, converged)
 
 
 def largest_chi2(dof: int) -> float:
     """What noise makes larger too seldom."""
-    return float(scipy.special.chdtri(max(1, dof), RARE))
+    return float(scipy.special.chdtri(max(1, dof), MISFIT_PROBABILITY))
 
 
-def _left_open(now):
-    return float(abs(now.felt.open).max(initial=0.0))
+def _max_constraint(iterate):
+    return float(abs(iterate.linearisation.constraints).max(initial=0.0))
 
 
-def _away(now, free):
-    return (now.numbers - free.begun) / free.scales
+def _prior_deviation(iterate, free_params):
+    return (iterate.parameters - free_params.start_values) / free_params.scales
 
 
-def _merit(now, free, price):
-    away, residuals = _away(now, free), now.felt.residuals
-    return 0.5 * (residuals @ residuals + away @ free.known @ away) + price * abs(now.felt.open).sum()
+def _merit(iterate, free_params, penalty):
+    prior_deviation, residuals = _prior_deviation(iterate, free_params), iterate.linearisation.residuals
+    return (
+        0.5 * (residuals @ residuals + prior_deviation @ free_params.prior_information @ prior_deviation)
+        + penalty * abs(iterate.linearisation.constraints).sum()
+    )
 
 
-def _system(now, free):
+def _kkt_system(iterate, free_params):
     """(the matrix of Karush, Kuhn and Tucker, the gradient)."""
-    felt = now.felt
-    inner = felt.open_by.shape[1] - len(now.numbers)
-    normal = felt.residuals_by.T @ felt.residuals_by
-    slope = felt.residuals_by.T @ felt.residuals
-    slope[inner:] += free.known @ _away(now, free)
-    least = WEAKEST * np.max(normal.diagonal()[:inner], initial=1.0)
-    normal = normal + scipy.sparse.block_diag([least * scipy.sparse.eye_array(inner), free.known])
-    return scipy.sparse.block_array([[normal, felt.open_by.T], [felt.open_by, None]], format="csc"), slope
+    linearisation = iterate.linearisation
+    n_node_unknowns = linearisation.constraint_jacobian.shape[1] - len(iterate.parameters)
+    normal_matrix = linearisation.residual_jacobian.T @ linearisation.residual_jacobian
+    gradient = linearisation.residual_jacobian.T @ linearisation.residuals
+    gradient[n_node_unknowns:] += free_params.prior_information @ _prior_deviation(iterate, free_params)
+    regularisation = REGULARISATION * np.max(normal_matrix.diagonal()[:n_node_unknowns], initial=1.0)
+    normal_matrix = normal_matrix + scipy.sparse.block_diag(
+        [regularisation * scipy.sparse.eye_array(n_node_unknowns), free_params.prior_information]
+    )
+    return scipy.sparse.block_array(
+        [[normal_matrix, linearisation.constraint_jacobian.T], [linearisation.constraint_jacobian, None]], format="csc"
+    ), gradient
 
 
-def _factors(matrix):
+def _factorise(matrix):
     """The factors of a matrix, None where it has none."""
     if not np.isfinite(matrix.data).all():
         return None
@@ -173,73 +192,94 @@ def _factors(matrix):
         return None
 
 
-def _step(now, free):
+def _newton_step(iterate, free_params):
     """(step, multipliers, the matrix's factors), None where there is none. A number that would pass the end of where it
     may be goes there."""
-    matrix, slope = _system(now, free)
-    size, inner = len(slope), len(slope) - len(now.numbers)
-    right = -np.concatenate([slope, now.felt.open])
-    low, high = free.room(now.numbers)
-    held = np.zeros(len(low), bool)
-    while (parts := _factors(matrix)) is not None:
-        found = parts.solve(right)
-        if not np.isfinite(found).all():
+    matrix, gradient = _kkt_system(iterate, free_params)
+    n_unknowns, n_node_unknowns = len(gradient), len(gradient) - len(iterate.parameters)
+    right_side = -np.concatenate([gradient, iterate.linearisation.constraints])
+    lower, upper = free_params.remaining_range(iterate.parameters)
+    is_fixed = np.zeros(len(lower), bool)
+    while (factors := _factorise(matrix)) is not None:
+        solution = factors.solve(right_side)
+        if not np.isfinite(solution).all():
             break
-        step = found[inner:size]
-        past = ((step < low) | (step > high)) & ~held
-        if not past.any():
-            return found[:size], found[size:], parts
-        rows = np.isin(np.arange(len(right)), inner + np.flatnonzero(past)).astype(float)
-        matrix = (scipy.sparse.diags_array(1.0 - rows) @ matrix + scipy.sparse.diags_array(rows)).tocsc()
-        right[inner + np.flatnonzero(past)] = np.where(step < low, low, high)[past]
-        held |= past
+        step = solution[n_node_unknowns:n_unknowns]
+        is_beyond = ((step < lower) | (step > upper)) & ~is_fixed
+        if not is_beyond.any():
+            return solution[:n_unknowns], solution[n_unknowns:], factors
+        fixed_rows = np.isin(np.arange(len(right_side)), n_node_unknowns + np.flatnonzero(is_beyond)).astype(float)
+        matrix = (scipy.sparse.diags_array(1.0 - fixed_rows) @ matrix + scipy.sparse.diags_array(fixed_rows)).tocsc()
+        right_side[n_node_unknowns + np.flatnonzero(is_beyond)] = np.where(step < lower, lower, upper)[is_beyond]
+        is_fixed |= is_beyond
     return None
 
 
-def _moved(problem, now, free, step, price, parts, last):
-    """The `_Point` after as much of a step as makes it better, of the last step after all of it. Where the whole step
+def _line_search(problem, iterate, free_params, step, penalty, factors, is_last):
+    """The `_Iterate` after as much of a step as makes it better, of the last step after all of it. Where the whole step
     does not, what is then left open is taken away first (Maratos's effect)."""
 
-    def after(change):
-        by_node, by_number = _parts(now, change)
-        nodes, numbers = problem.moved(now.nodes, by_node), now.numbers + by_number * free.scales
-        return _Point(nodes, numbers, problem.felt(nodes, numbers))
+    def iterate_after(change):
+        node_change, parameter_change = _split_step(iterate, change)
+        nodes, parameters = (
+            problem.shift_nodes(iterate.nodes, node_change),
+            iterate.parameters + parameter_change * free_params.scales,
+        )
+        return _Iterate(nodes, parameters, problem.linearise(nodes, parameters))
 
-    def longest(change):
-        by_node, by_number = _parts(now, change)
-        share = problem.share(now.nodes, now.numbers, by_node, by_number * free.scales)
-        return min(share, FAR / max(np.max(abs(by_number), initial=0.0), FAR))
+    def step_fraction(change):
+        node_change, parameter_change = _split_step(iterate, change)
+        fraction = problem.max_step_fraction(
+            iterate.nodes, iterate.parameters, node_change, parameter_change * free_params.scales
+        )
+        return min(fraction, MAX_STEP / max(np.max(abs(parameter_change), initial=0.0), MAX_STEP))
 
-    whole = longest(step)
-    share, before = whole, _merit(now, free, price)
-    for _ in range(HALVINGS):
-        new = after(share * step)
-        if last or _merit(new, free, price) <= before:
+    full_fraction = step_fraction(step)
+    fraction, merit_before = full_fraction, _merit(iterate, free_params, penalty)
+    for _ in range(MAX_HALVINGS):
+        next_iterate = iterate_after(fraction * step)
+        if is_last or _merit(next_iterate, free_params, penalty) <= merit_before:
             break
-        if share == whole == 1.0:
-            closing = np.concatenate([0.0 * step, -new.felt.open])
-            further = step + parts.solve(closing)[: len(step)]
-            new = after(longest(further) * further)
-            if _merit(new, free, price) <= before:
+        if fraction == full_fraction == 1.0:
+            constraint_rhs = np.concatenate([0.0 * step, -next_iterate.linearisation.constraints])
+            corrected_step = step + factors.solve(constraint_rhs)[: len(step)]
+            next_iterate = iterate_after(step_fraction(corrected_step) * corrected_step)
+            if _merit(next_iterate, free_params, penalty) <= merit_before:
                 break
-        share *= 0.5
-    return new
+        fraction *= 0.5
+    return next_iterate
 
 
-def _parts(now, step):
+def _split_step(iterate, step):
     """(of the nodes' unknowns, of the numbers in scales)."""
-    inner = len(step) - len(now.numbers)
-    return step[:inner], step[inner:]
+    n_node_unknowns = len(step) - len(iterate.parameters)
+    return step[:n_node_unknowns], step[n_node_unknowns:]
 
 
-def _longest_move(now, step):
+def _step_size(iterate, step):
     """The largest change of what was measured, in errors, and of the numbers, in scales."""
-    return max(abs(now.felt.residuals_by @ step).max(initial=0.0), abs(_parts(now, step)[1]).max(initial=0.0))
+    return max(
+        abs(iterate.linearisation.residual_jacobian @ step).max(initial=0.0),
+        abs(_split_step(iterate, step)[1]).max(initial=0.0),
+    )
 
 
-def _told(now, free, met):
-    matrix, _ = _system(now, free)
-    residuals, away = now.felt.residuals, _away(now, free)
-    chi2, moved = float(residuals @ residuals), float(away @ free.known @ away)
-    inner = now.felt.open_by.shape[1] - len(now.numbers)
-    return Solved(now.nodes, now.numbers, residuals, chi2, moved, _left_open(now), _factors(matrix), inner, met)
+def _make_solution(iterate, free_params, converged):
+    matrix, _ = _kkt_system(iterate, free_params)
+    residuals, prior_deviation = iterate.linearisation.residuals, _prior_deviation(iterate, free_params)
+    chi2, prior_chi2 = (
+        float(residuals @ residuals),
+        float(prior_deviation @ free_params.prior_information @ prior_deviation),
+    )
+    n_node_unknowns = iterate.linearisation.constraint_jacobian.shape[1] - len(iterate.parameters)
+    return LeastSquaresSolution(
+        iterate.nodes,
+        iterate.parameters,
+        residuals,
+        chi2,
+        prior_chi2,
+        _max_constraint(iterate),
+        _factorise(matrix),
+        n_node_unknowns,
+        converged,
+    )

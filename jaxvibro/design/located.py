@@ -3,11 +3,11 @@
 from ..branches.branch import Special
 from ..orbits.orbit import Orbit
 from ..scene import check
-from .located_orbit import LocatedOrbit, located_orbit
-from .located_point import Located, located_point
+from .located_orbit import LocatedOrbit, make_located_orbit
+from .located_point import Located, make_located_point
 
 
-@check.host("use the function that it gives")
+@check.host_only("use the function that it gives")
 def located(point: Special | Orbit, name: str | None = None, wall: str | None = None) -> Located | LocatedOrbit:
     """A special point's value, or what an orbit has, as a JAX function of its scene: a `Located`, a `LocatedOrbit`.
 
@@ -26,5 +26,5 @@ def located(point: Special | Orbit, name: str | None = None, wall: str | None = 
     if isinstance(point, Orbit):
         if wall is not None:
             raise check.ArgumentError("wall", "must be None for an orbit", wall)
-        return located_orbit(point, name)
-    return located_point(point, name, wall)
+        return make_located_orbit(point, name)
+    return make_located_point(point, name, wall)

@@ -8,22 +8,22 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from continuation.arrays import Array
-from continuation.implicit import JUMPED, LOST, carried, in_turn, root
+from continuation.array_type import Array
+from continuation.implicit_function import FAILED, JUMPED, continue_root, implicit_root, loop_over_lanes
 
 from ..branches.branch import Special
-from ..compiled.kernels import one_kernel
-from ..flight.coefficients import framed
-from ..loci.first_point import equations, start_of
+from ..compiled.kernels import call_as_kernel
+from ..flight.coefficients import flow_coefficients
+from ..loci.locus_start import locus_problems, make_locus_start
 from ..orbits import impact_equations
-from ..orbits.flight_clearance import is_real
+from ..orbits.flight_clearance import is_admissible
 from ..scene import check
 from ..scene.codes import SolutionStatus
-from ..scene.force import LOOSEST
+from ..scene.force import MAX_TOLERANCE
 from ..scene.scene import SIDES, Scene
-from .point_equations import STATIC, PointEquations, at_point, mark, whole
+from .point_equations import STATIC, PointEquations, complete_scene, equations_at_point, parameter_mask
 
-LOOSER = 100.0  # the steps by which the flow's error is estimated
+TOLERANCE_RATIO = 100.0  # the steps by which the flow's error is estimated
 
 
 @jax.tree_util.register_dataclass
@@ -68,121 +68,138 @@ class Located:
 
     def solve(self, scene: Scene) -> LocatedPoint:
         """The `LocatedPoint` of the scene. Raises ArgumentError for a scene with other walls."""
-        require_walls(scene, self.special.scene)
-        begin, end, shape = whole(self.special.scene), whole(scene), scene.shape
-        rows = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in jax.tree.leaves(end)], 1)
-        here, way = (mark(each, self.name) for each in (self.special.scene, scene))
-        given = jnp.stack(jax.tree.leaves(begin)) * (1.0 - here), rows * (1.0 - way), way
-        found, _ = solved(self._equations, self._start, *given)
-        found = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
+        require_same_walls(scene, self.special.scene)
+        start_scene, end_scene, shape = complete_scene(self.special.scene), complete_scene(scene), scene.shape
+        scene_vectors = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in jax.tree.leaves(end_scene)], 1)
+        start_mask, end_mask = (parameter_mask(marked_scene, self.name) for marked_scene in (self.special.scene, scene))
+        arguments = (
+            jnp.stack(jax.tree.leaves(start_scene)) * (1.0 - start_mask),
+            scene_vectors * (1.0 - end_mask),
+            end_mask,
+        )
+        located_points, _ = solve_points(self._equations, self._start, *arguments)
+        located_points = jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), located_points)
         if self.name == "hardness":  # it is counted from the walls' stiffness
-            found = replace(found, value=found.value + scene.parameter("hardness"))
-        cycle = self._equations.cycle
-        sides = tuple(int(side) for side in np.asarray(cycle.sides))
-        return replace(found, sides=sides, periods=float(cycle.periods))
+            located_points = replace(located_points, value=located_points.value + scene.parameter("hardness"))
+        sequence = self._equations.sequence
+        sides = tuple(int(side) for side in np.asarray(sequence.sides))
+        return replace(located_points, sides=sides, periods=float(sequence.periods))
 
     def flow_error(self) -> float:
         """How far the flow's own error has the value off, as two tolerances tell: what it changes by where steps under
-        a `Force` are to be `LOOSER` times as loose, over that. 0 under spring and damper, whose flow is exact."""
+        a `Force` are to be `TOLERANCE_RATIO` times as loose, over that. 0 under spring and damper, whose flow is
+        exact."""
         scene = self.special.scene
         if scene.force is None:
             return 0.0
-        loose = min(LOOSER * scene.force.tolerance, LOOSEST)
-        special = replace(self.special, scene=replace(scene, force=replace(scene.force, tolerance=loose)))
-        other = located_point(special, self.name, self.wall)
-        change = abs(float(other(special.scene)) - float(self(scene)))
-        return change * scene.force.tolerance / loose
+        loose_tolerance = min(TOLERANCE_RATIO * scene.force.tolerance, MAX_TOLERANCE)
+        special = replace(self.special, scene=replace(scene, force=replace(scene.force, tolerance=loose_tolerance)))
+        loose_point = make_located_point(special, self.name, self.wall)
+        value_change = abs(float(loose_point(special.scene)) - float(self(scene)))
+        return value_change * scene.force.tolerance / loose_tolerance
 
 
-def located_point(special: Special, name: str | None = None, wall: str | None = None) -> Located:
+def make_located_point(special: Special, name: str | None = None, wall: str | None = None) -> Located:
     """The `Located` of a special point, as `located_orbit.located` tells."""
-    start = start_of(special)
+    locus_start = make_locus_start(special)
     if special.orbit.rests:
         raise check.ArgumentError(
             "point", "must be of an orbit that does not rest: `sensitivity` has its derivatives", special.label
         )
     name = special.name if name is None else name
-    check.require_known(name, start.scene.names, name)
+    check.require_parameter(name, locus_start.scene.names, name)
     if wall not in (None, *SIDES):
         raise check.ArgumentError("wall", 'must be "left", "right" or None', wall)
-    point, unknowns = _only(start, name, wall)
+    equations, unknowns = _select_contact(locus_start, name, wall)
     if name == "hardness":
-        unknowns[point.size] = 0.0
-    return Located(special, name, wall, point, unknowns)
+        unknowns[equations.n_orbit_unknowns] = 0.0
+    return Located(special, name, wall, equations, unknowns)
 
 
-def _only(start, name, wall):
+def _select_contact(locus_start, name, wall):
     """(`PointEquations`, unknowns) of the one touch of a wall."""
-    found = [at_point(start.kind, *sheet) for sheet in equations(start, (name,), whole=True)]
-    sides = [SIDES[int(each.cycle.sides[0] > 0)] if each.grazes else None for each, _ in found]
-    chosen = [one for one, side in zip(found, sides, strict=True) if wall in (None, side)]
-    if len(chosen) != 1:
-        told = ", ".join(side for side in sides if side) or "none"
-        raise check.ArgumentError("wall", f"must be one of those that are touched, {told}", wall)
-    return chosen[0]
+    candidates = [
+        equations_at_point(locus_start.kind, *problem_and_z)
+        for problem_and_z in locus_problems(locus_start, (name,), whole_orbit=True)
+    ]
+    sides = [
+        SIDES[int(equations.sequence.sides[0] > 0)] if equations.is_grazing else None for equations, _ in candidates
+    ]
+    matches = [candidate for candidate, side in zip(candidates, sides, strict=True) if wall in (None, side)]
+    if len(matches) != 1:
+        sides_text = ", ".join(side for side in sides if side) or "none"
+        raise check.ArgumentError("wall", f"must be one of those that are touched, {sides_text}", wall)
+    return matches[0]
 
 
-def require_walls(scene: Scene, known: Scene) -> None:
+def require_same_walls(scene: Scene, reference_scene: Scene) -> None:
     """Raise ArgumentError where what is no scene, or has walls of other kinds than one that is known."""
-    kind = _kind(known)
-    if not isinstance(scene, Scene) or _kind(scene) != kind:
-        raise check.ArgumentError("scene", f"must be a Scene with the walls of the point's, {kind}", _told(scene))
+    walls_text = _describe_walls(reference_scene)
+    if not isinstance(scene, Scene) or _describe_walls(scene) != walls_text:
+        raise check.ArgumentError(
+            "scene", f"must be a Scene with the walls of the point's, {walls_text}", _describe_scene(scene)
+        )
 
 
-def _kind(scene):
+def _describe_walls(scene):
     """What is static of a scene, in words."""
-    walls = []
+    descriptions = []
     for side, wall in scene.walls.items():
-        moving = "" if wall.motion is None else f", moving {wall.motion.harmonic} times a period"
-        walls.append(f"{side} {'soft' if wall.soft else 'rigid'}{moving}")
-    return "; ".join(walls)
+        motion_text = "" if wall.motion is None else f", moving {wall.motion.harmonic} times a period"
+        descriptions.append(f"{side} {'soft' if wall.soft else 'rigid'}{motion_text}")
+    return "; ".join(descriptions)
 
 
-def _told(scene):
-    return _kind(scene) if isinstance(scene, Scene) else scene
+def _describe_scene(scene):
+    return _describe_walls(scene) if isinstance(scene, Scene) else scene
 
 
 @jax.jit
-def solved(point, start, begin, rows, direction):
+def solve_points(equations, start_unknowns, start_vector, scene_vectors, direction):
     """(the `LocatedPoint`s from scenes whose numbers are in rows, along a direction of them, value: how far; the
     unknowns).
 
-    point: the `PointEquations`; start: their unknowns where the numbers are those of begin.
+    equations: the `PointEquations`; start_unknowns: their unknowns where the numbers are those of begin.
     """
-    find, look = root(_left, _found, one_kernel), in_turn(_admissible, one_kernel)
-    fixed = point, jnp.asarray(direction), jnp.asarray(start), jnp.asarray(begin)
+    find_root, check_admissible = (
+        implicit_root(_residual, _follow_point, call_as_kernel),
+        loop_over_lanes(_is_admissible, call_as_kernel),
+    )
+    fixed_arguments = equations, jnp.asarray(direction), jnp.asarray(start_unknowns), jnp.asarray(start_vector)
 
-    def at(row):
-        unknowns, told = find(row, fixed)
-        real = look(point, fixed[1], *lax.stop_gradient((row, unknowns)))
-        return _record(point, unknowns, *told, real), unknowns
+    def solve_at(scene_vector):
+        unknowns, outcome = find_root(scene_vector, fixed_arguments)
+        is_admissible = check_admissible(equations, fixed_arguments[1], *lax.stop_gradient((scene_vector, unknowns)))
+        return _make_point(equations, unknowns, *outcome, is_admissible), unknowns
 
-    return jax.vmap(at)(rows)
-
-
-def _left(unknowns, numbers, fixed):
-    point, direction, *_ = fixed
-    return point.left(unknowns, numbers, direction)
+    return jax.vmap(solve_at)(scene_vectors)
 
 
-def _found(numbers, fixed):
+def _residual(unknowns, scene_vector, fixed_arguments):
+    equations, direction, *_ = fixed_arguments
+    return equations.residual(unknowns, scene_vector, direction)
+
+
+def _follow_point(scene_vector, fixed_arguments):
     """(unknowns, (the residual, how they were found))."""
-    *_, start, begin = fixed
-    found = carried(_left, start, begin, numbers, fixed)
-    return found.u, (found.residual, found.kind)
+    *_, start_unknowns, start_vector = fixed_arguments
+    solution = continue_root(_residual, start_unknowns, start_vector, scene_vector, fixed_arguments)
+    return solution.u, (solution.residual, solution.kind)
 
 
-def _record(point, unknowns, residual, kind, admissible):
-    value, cycle = unknowns[point.size], point.cycle_at(unknowns)
-    status = jnp.where(admissible, SolutionStatus.OK, SolutionStatus.VIRTUAL)
-    status = jnp.where((status == SolutionStatus.OK) & (kind == JUMPED), SolutionStatus.JUMPED, status)
-    status = jnp.where(kind == LOST, SolutionStatus.NONE, status)
-    blank = jnp.where(kind == LOST, jnp.nan, 1.0)
-    return LocatedPoint(value * blank, cycle.times * blank, cycle.speeds * blank, residual, status)
+def _make_point(equations, unknowns, residual, outcome, is_admissible):
+    value, sequence = unknowns[equations.n_orbit_unknowns], equations.sequence_at(unknowns)
+    status = jnp.where(is_admissible, SolutionStatus.OK, SolutionStatus.VIRTUAL)
+    status = jnp.where((status == SolutionStatus.OK) & (outcome == JUMPED), SolutionStatus.JUMPED, status)
+    status = jnp.where(outcome == FAILED, SolutionStatus.NONE, status)
+    nan_factor = jnp.where(outcome == FAILED, jnp.nan, 1.0)
+    return LocatedPoint(value * nan_factor, sequence.times * nan_factor, sequence.speeds * nan_factor, residual, status)
 
 
-def _admissible(point, direction, numbers, unknowns):
+def _is_admissible(equations, direction, scene_vector, unknowns):
     """Whether the orbit keeps to its walls and hits them with positive speed, one after the other."""
-    cycle = point.cycle_at(unknowns)
-    built = framed(point.scene(numbers + unknowns[point.size] * direction))
-    return is_real(built, impact_equations.flights(built, cycle), cycle.speeds, point.grazes)
+    sequence = equations.sequence_at(unknowns)
+    coeffs = flow_coefficients(equations.scene_at(scene_vector + unknowns[equations.n_orbit_unknowns] * direction))
+    return is_admissible(
+        coeffs, impact_equations.compute_flights(coeffs, sequence), sequence.speeds, equations.is_grazing
+    )

@@ -10,34 +10,35 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
-from continuation.limits import EXPIRED, limits_of
+from continuation.limits import EXPIRED_REASON, limits_of
 
-from ..orbits.impact_equations import Cycle
+from ..orbits.impact_equations import ImpactSequence
 from ..orbits.orbit import Orbit, OrbitError
-from ..output.table_text import columns, headed
-from ..output.units import unit_in, unit_of
+from ..output.table_text import align_columns, column_header
+from ..output.units import unit_in_system, unit_of
 from ..scene import check
 from ..scene.codes import SolutionStatus
-from ..scene.parameters import domain
+from ..scene.parameters import parameter_domain
 from ..scene.scene import Scene
 from ..scene.symmetry import stays_symmetric
-from .edge import CUSP, Edge, cusp, edges_of
-from .free_numbers import room_of, units_of
-from .located_point import solved
-from .nearest import nearest
-from .nearest_edge import nearest_on
-from .point_equations import mark, whole
-from .ray_end import point_at
-from .rays import RayEnd, rays
+from .edge import CUSP, BoundaryEdge, find_edges, make_cusp
+from .free_parameters import allowed_changes, check_units
+from .located_point import solve_points
+from .nearest_edge import find_nearest_edge_point
+from .nearest_point import find_nearest_point
+from .point_equations import complete_scene, parameter_mask
+from .ray_end_equations import equations_at_ray_end
+from .rays import RayEnd, follow_rays
 
 KINDS = ("SN", "PD", "SB", "GR")
-REACHES = 1.0, 4.0, 16.0, 64.0, 256.0  # units: one after the other, until a boundary is found
-MOST = 4  # starts of a kind and of touches of one wall
-ROUNDING = 1e-12  # of 1 + a number's change: so far beyond its bound it is at it
-ALIKE = 1e-6  # of 1 + the distance: two points as near are one
-SLACK = 4.0 / 1024.0  # of a way: a ray's end is so well known
-NEAR = 1e-3  # units: edges are looked for once from places as near
-APART = 0.3  # of 1 + the largest unknown: an orbit that far on from a cusp, by the cube root of `SLACK`, has passed it
+SEARCH_RADII = 1.0, 4.0, 16.0, 64.0, 256.0  # units: one after the other, until a boundary is found
+MAX_STARTS = 4  # starts of a kind and of touches of one wall
+BOUND_TOLERANCE = 1e-12  # of 1 + a number's change: so far beyond its bound it is at it
+DISTINCT_TOLERANCE = 1e-6  # of 1 + the distance: two points as near are one
+RAY_TOLERANCE = 4.0 / 1024.0  # of a way: a ray's end is so well known
+EDGE_TOLERANCE = 1e-3  # units: edges are looked for once from places as near
+# of 1 + the largest unknown: an orbit that far on from a cusp, by the cube root of `RAY_TOLERANCE`, has passed it
+MAX_TIP_CHANGE = 0.3
 REACHED, BEHIND = "reached", "behind another"
 
 
@@ -90,35 +91,46 @@ class Margin:
 
         Raises ArgumentError for other units, and where the scene has no scales.
         """
-        known = {name: unit_in(self.orbit.scene, unit_of(name), units) for name in self.free}
+        column_units = {name: unit_in_system(self.orbit.scene, unit_of(name), units) for name in self.free}
 
-        def values(scene):
-            return (f"{size * float(scene.parameter(name)):.9g}" for name, (_, size) in known.items())
+        def format_values(scene):
+            return (f"{unit_size * float(scene.parameter(name)):.9g}" for name, (_, unit_size) in column_units.items())
 
-        rows = [("kind", "distance", *(headed(name, unit, units) for name, (unit, _) in known.items()), "status")]
-        for one in self.points:
-            status = one.status + (f", at a bound of {', '.join(one.at_bound)}" if one.at_bound else "")
-            status += f", ends there in {one.edge}" if one.edge else ""
-            rows.append((one.kind, f"{one.distance:.9g}", *values(one.scene), status))
-        rows.append((self.orbit.label, "0", *values(self.orbit.scene), "the orbit itself"))
-        steps = ", ".join(f"{name} {known[name][1] * step:g}" for name, step in self.free.items())
-        reach, ways = self.searched
-        told = f"followed to a distance of {reach:g} in {ways} directions"
-        return "\n".join([columns(rows), f"units: {steps}", told, *([self.stopped] if self.stopped else [])])
+        rows = [
+            (
+                "kind",
+                "distance",
+                *(column_header(name, unit, units) for name, (unit, _) in column_units.items()),
+                "status",
+            )
+        ]
+        for near_point in self.points:
+            status = near_point.status + (
+                f", at a bound of {', '.join(near_point.at_bound)}" if near_point.at_bound else ""
+            )
+            status += f", ends there in {near_point.edge}" if near_point.edge else ""
+            rows.append((near_point.kind, f"{near_point.distance:.9g}", *format_values(near_point.scene), status))
+        rows.append((self.orbit.label, "0", *format_values(self.orbit.scene), "the orbit itself"))
+        unit_text = ", ".join(f"{name} {column_units[name][1] * unit_step:g}" for name, unit_step in self.free.items())
+        radius, n_directions = self.searched
+        search_text = f"followed to a distance of {radius:g} in {n_directions} directions"
+        return "\n".join(
+            [align_columns(rows), f"units: {unit_text}", search_text, *([self.stopped] if self.stopped else [])]
+        )
 
 
-class _Space(NamedTuple):
-    """The free numbers. names; units: what one of each is of the scene's numbers; low, high: bounds, in units from the
-    scene; symmetric: which of them keep a symmetric scene so."""
+class _ParameterSpace(NamedTuple):
+    """The free numbers. names; unit_vectors: what one of each is of the scene's numbers; lower, upper: bounds, in units
+    from the scene; keeps_symmetry: which of them keep a symmetric scene so."""
 
     names: tuple[str, ...]
-    units: Float[np.ndarray, "free numbers"]
-    low: Float[np.ndarray, " free"]
-    high: Float[np.ndarray, " free"]
-    symmetric: Float[np.ndarray, " free"]
+    unit_vectors: Float[np.ndarray, "free numbers"]
+    lower: Float[np.ndarray, " free"]
+    upper: Float[np.ndarray, " free"]
+    keeps_symmetry: Float[np.ndarray, " free"]
 
 
-@check.host("use the function that located gives")
+@check.host_only("use the function that located gives")
 def margin(
     orbit: Orbit,
     free: Mapping[str, float],
@@ -151,199 +163,244 @@ def margin(
         check.require_spring(orbit.scene, "margin of an orbit without impacts")
     if orbit.unknowns == "state" and orbit.impacts.count:
         raise OrbitError("the orbit rests on a wall, or chatters", orbit.residual, "margin takes separate impacts")
-    units, kinds = units_of(orbit.scene, free), check.sequence("kinds", kinds)
+    units, kinds = check_units(orbit.scene, free), check.name_tuple("kinds", kinds)
     if not set(kinds) <= set(KINDS) or not kinds:
         raise check.ArgumentError("kinds", f"must be some of {', '.join(KINDS)}", kinds)
-    count = check.whole("directions", directions, 2 * len(units))
-    space, cycle = _space(orbit.scene, units, bounds or {}), cycle_of(orbit)
-    scene = whole(orbit.scene)
-    numbers, tree = np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(scene)]), jax.tree.structure(scene)
-    ways = directions_of(len(units), count, seed)
-    for reach in REACHES:
-        ends, lengths = _ends(tree, cycle, numbers, space, ways, reach)
-        starts = _starts(tree, cycle, numbers, space, ways, lengths, ends, kinds)
+    n_directions = check.whole_number("directions", directions, 2 * len(units))
+    space, sequence = _make_space(orbit.scene, units, bounds or {}), impact_sequence_of(orbit)
+    scene = complete_scene(orbit.scene)
+    scene_vector, treedef = np.stack([np.asarray(leaf) for leaf in jax.tree.leaves(scene)]), jax.tree.structure(scene)
+    unit_directions = sample_directions(len(units), n_directions, seed)
+    for radius in SEARCH_RADII:
+        ray_results, ray_lengths = _follow_directions(treedef, sequence, scene_vector, space, unit_directions, radius)
+        starts = _select_starts(
+            treedef, sequence, scene_vector, space, unit_directions, ray_lengths, ray_results, kinds
+        )
         if starts or limits.expired:
             break
-    feet = [_foot(numbers, space, *start) for start in takewhile(lambda start: not limits.expired, starts)]
-    late = len(feet) < len(starts) or limits.expired
-    stopped = f"{EXPIRED}: {len(feet)} of {len(starts)} points near it looked for" if late else ""
-    feet += [] if late else _edges(numbers, space, starts, feet)
-    found = [_near(orbit, tree, cycle, numbers, space, *foot) for foot in feet if foot is not None]
-    found = _distinct(sorted((one for one in found if one), key=lambda one: (one.status == BEHIND, one.distance)))
-    first = [next((one for one in found if one.kind == kind), None) for kind in kinds]
-    points = sorted((one for one in first if one), key=lambda one: one.distance)
-    others = tuple(one for one in found if one not in points)
-    return Margin(orbit, units, tuple(points), others, (reach, count), stopped)
+    nearest_points = [
+        _find_nearest(scene_vector, space, *start) for start in takewhile(lambda start: not limits.expired, starts)
+    ]
+    is_incomplete = len(nearest_points) < len(starts) or limits.expired
+    stop_reason = (
+        f"{EXPIRED_REASON}: {len(nearest_points)} of {len(starts)} points near it looked for" if is_incomplete else ""
+    )
+    nearest_points += [] if is_incomplete else _find_on_edges(scene_vector, space, starts, nearest_points)
+    near_points = [
+        _make_near_point(orbit, treedef, sequence, scene_vector, space, *nearest_point)
+        for nearest_point in nearest_points
+        if nearest_point is not None
+    ]
+    near_points = _drop_duplicates(
+        sorted(
+            (near_point for near_point in near_points if near_point),
+            key=lambda near_point: (near_point.status == BEHIND, near_point.distance),
+        )
+    )
+    nearest_by_kind = [
+        next((near_point for near_point in near_points if near_point.kind == kind), None) for kind in kinds
+    ]
+    points = sorted(
+        (near_point for near_point in nearest_by_kind if near_point), key=lambda near_point: near_point.distance
+    )
+    other_points = tuple(near_point for near_point in near_points if near_point not in points)
+    return Margin(orbit, units, tuple(points), other_points, (radius, n_directions), stop_reason)
 
 
-def _space(scene, free, bounds):
-    units = np.stack([mark(scene, name) * unit for name, unit in free.items()])
-    symmetric = np.array([float(stays_symmetric(scene, name)) for name in free])
-    return _Space(tuple(free), units, *room_of(scene, free, bounds), symmetric)
+def _make_space(scene, free, bounds):
+    unit_vectors = np.stack([parameter_mask(scene, name) * unit for name, unit in free.items()])
+    keeps_symmetry = np.array([float(stays_symmetric(scene, name)) for name in free])
+    return _ParameterSpace(tuple(free), unit_vectors, *allowed_changes(scene, free, bounds), keeps_symmetry)
 
 
-def cycle_of(orbit):
-    """The `Cycle` of an orbit, without empty rows, times since phase 0."""
+def impact_sequence_of(orbit):
+    """The `ImpactSequence` of an orbit, without empty rows, times since phase 0."""
     impacts, scene = orbit.impacts, orbit.scene
-    span = orbit.periods * 2.0 * np.pi / float(scene.frequency)
-    late = np.mod(np.asarray(impacts.time) + float(orbit.state.phase) / float(scene.frequency), span)
-    order = np.argsort(late)
-    rows = (jnp.asarray(np.asarray(each, float)[order]) for each in (late, impacts.speed, impacts.side))
-    return Cycle(*rows, jnp.zeros(()), jnp.asarray(float(orbit.periods)))
+    duration = orbit.periods * 2.0 * np.pi / float(scene.frequency)
+    times = np.mod(np.asarray(impacts.time) + float(orbit.state.phase) / float(scene.frequency), duration)
+    order = np.argsort(times)
+    columns = (jnp.asarray(np.asarray(column, float)[order]) for column in (times, impacts.speed, impacts.side))
+    return ImpactSequence(*columns, jnp.zeros(()), jnp.asarray(float(orbit.periods)))
 
 
-def directions_of(size, count, seed):
+def sample_directions(n_params, n_directions, seed):
     """Unit vectors, (count, size): the axes both ways, then random ones."""
-    axes = np.concatenate([np.eye(size), -np.eye(size)])
-    more = np.random.default_rng(seed).normal(size=(count - len(axes), size))
-    return np.concatenate([axes, more / np.linalg.norm(more, axis=1, keepdims=True)])
+    axes = np.concatenate([np.eye(n_params), -np.eye(n_params)])
+    random_vectors = np.random.default_rng(seed).normal(size=(n_directions - len(axes), n_params))
+    return np.concatenate([axes, random_vectors / np.linalg.norm(random_vectors, axis=1, keepdims=True)])
 
 
-def _ends(tree, cycle, numbers, space, ways, reach):
+def _follow_directions(treedef, sequence, scene_vector, space, directions, radius):
     """(the `Ray`s, NumPy's, how long each way is): to the reach, or to where a bound is."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        room = np.where(ways > 0, space.high / ways, np.where(ways < 0, space.low / ways, np.inf))
-    lengths = np.minimum(reach, np.nan_to_num(room, nan=0.0, posinf=np.inf).min(axis=1))
-    found = rays(tree, cycle, numbers, (lengths[:, None] * ways) @ space.units)
-    return jax.device_get(found), lengths
+        bound_distances = np.where(
+            directions > 0, space.upper / directions, np.where(directions < 0, space.lower / directions, np.inf)
+        )
+    ray_lengths = np.minimum(radius, np.nan_to_num(bound_distances, nan=0.0, posinf=np.inf).min(axis=1))
+    ray_results = follow_rays(treedef, sequence, scene_vector, (ray_lengths[:, None] * directions) @ space.unit_vectors)
+    return jax.device_get(ray_results), ray_lengths
 
 
-def _starts(tree, cycle, numbers, space, ways, lengths, ends, kinds):
+def _select_starts(treedef, sequence, scene_vector, space, directions, ray_lengths, ray_results, kinds):
     """(`PointEquations`, unknowns, offset) where to look for the nearest points from: of each kind and touched wall the
     nearest ends of ways."""
-    found, taken = [], {}
-    for k in np.argsort(ends.share * lengths):
-        if ends.end[k] == RayEnd.NONE or lengths[k] == 0:
+    starts, n_taken = [], {}
+    for k in np.argsort(ray_results.fraction * ray_lengths):
+        if ray_results.end[k] == RayEnd.NONE or ray_lengths[k] == 0:
             continue
-        offset = ends.share[k] * lengths[k] * ways[k]
-        end = type(ends)(*(each[k] for each in ends))
-        kind, point, unknowns = point_at(tree, cycle, numbers + offset @ space.units, end)
-        key = kind, point.grazes and int(point.cycle.sides[0])
-        if kind not in kinds or taken.get(key, 0) == MOST or not offset.any():
+        offset = ray_results.fraction[k] * ray_lengths[k] * directions[k]
+        ray_result = type(ray_results)(*(component[k] for component in ray_results))
+        kind, equations, unknowns = equations_at_ray_end(
+            treedef, sequence, scene_vector + offset @ space.unit_vectors, ray_result
+        )
+        key = kind, equations.is_grazing and int(equations.sequence.sides[0])
+        if kind not in kinds or n_taken.get(key, 0) == MAX_STARTS or not offset.any():
             continue
-        taken[key] = taken.get(key, 0) + 1
-        unknowns[point.size] = np.linalg.norm(offset)
-        found.append((point, unknowns, offset))
-    return found
+        n_taken[key] = n_taken.get(key, 0) + 1
+        unknowns[equations.n_orbit_unknowns] = np.linalg.norm(offset)
+        starts.append((equations, unknowns, offset))
+    return starts
 
 
-def _foot(numbers, space, point, unknowns, offset):
-    """(the `Foot` within the bounds, which numbers are at one) on a boundary, or its `Edge`; None where Newton's method
-    leads to none."""
-    held = np.zeros(len(offset), bool)
-    if point.kind == "SB":
-        held = space.symmetric == 0
-    find = nearest_on if isinstance(point, Edge) else nearest
-    fixed, bound = np.where(held, 0.0, np.nan), np.zeros(len(offset), bool)
-    while not held.all():
-        base = numbers + np.where(held, fixed, 0.0) @ space.units
-        found = find(point, unknowns, base, space.units[~held], offset[~held])
-        if found is None or found.status == SolutionStatus.NONE:
+def _find_nearest(scene_vector, space, equations, unknowns, offset):
+    """(the `Foot` within the bounds, which numbers are at one) on a boundary, or its `BoundaryEdge`; None where
+    Newton's method leads to none."""
+    is_fixed = np.zeros(len(offset), bool)
+    if equations.kind == "SB":
+        is_fixed = space.keeps_symmetry == 0
+    find_nearest = find_nearest_edge_point if isinstance(equations, BoundaryEdge) else find_nearest_point
+    fixed_offset, is_bounded = np.where(is_fixed, 0.0, np.nan), np.zeros(len(offset), bool)
+    while not is_fixed.all():
+        base_vector = scene_vector + np.where(is_fixed, fixed_offset, 0.0) @ space.unit_vectors
+        nearest_point = find_nearest(equations, unknowns, base_vector, space.unit_vectors[~is_fixed], offset[~is_fixed])
+        if nearest_point is None or nearest_point.status == SolutionStatus.NONE:
             return None
-        offset = np.where(held, fixed, 0.0)
-        offset[~held] = found.offset
-        out = np.where(held, 0.0, np.maximum(offset - space.high, space.low - offset))
-        place = int(np.argmax(out))
-        if out[place] <= ROUNDING * (1.0 + abs(offset[place])):
-            return found._replace(offset=np.clip(offset, space.low, space.high)), bound
-        limit = space.high[place] if offset[place] > space.high[place] else space.low[place]
-        held[place], fixed[place], bound[place] = True, limit, True
-        if isinstance(point, Edge):
-            unknowns, offset[place] = found.unknowns, limit
+        offset = np.where(is_fixed, fixed_offset, 0.0)
+        offset[~is_fixed] = nearest_point.offset
+        excess = np.where(is_fixed, 0.0, np.maximum(offset - space.upper, space.lower - offset))
+        worst_index = int(np.argmax(excess))
+        if excess[worst_index] <= BOUND_TOLERANCE * (1.0 + abs(offset[worst_index])):
+            return nearest_point._replace(offset=np.clip(offset, space.lower, space.upper)), is_bounded
+        bound_value = (
+            space.upper[worst_index] if offset[worst_index] > space.upper[worst_index] else space.lower[worst_index]
+        )
+        is_fixed[worst_index], fixed_offset[worst_index], is_bounded[worst_index] = True, bound_value, True
+        if isinstance(equations, BoundaryEdge):
+            unknowns, offset[worst_index] = nearest_point.unknowns, bound_value
             continue
-        unknowns, offset = _brought(found, numbers, space, offset, place, limit, held)
+        unknowns, offset = _move_to_bound(
+            nearest_point, scene_vector, space, offset, worst_index, bound_value, is_fixed
+        )
         if unknowns is None:
             return None
     return None
 
 
-def _edges(numbers, space, starts, feet):
+def _find_on_edges(scene_vector, space, starts, nearest_points):
     """[(`Foot`, which numbers are at a bound)] where no nearest point was found, none of a real orbit, or one that
     is farther than where it was looked for from."""
-    found, tried = [], []
-    for (point, unknowns, offset), here in zip(starts, feet, strict=True):
-        foot = None if here is None else here[0]
-        if foot is not None and foot.status == SolutionStatus.VIRTUAL:
-            guesses, offset = edges_of(point, foot.unknowns, numbers + foot.offset @ space.units), foot.offset
-        elif point.kind == "SN" and (foot is None or foot.distance > (1.0 + SLACK) * np.linalg.norm(offset)):
-            guesses = [cusp(point, unknowns, numbers + offset @ space.units)]
+    edge_points, attempts = [], []
+    for (equations, unknowns, offset), result in zip(starts, nearest_points, strict=True):
+        nearest_point = None if result is None else result[0]
+        if nearest_point is not None and nearest_point.status == SolutionStatus.VIRTUAL:
+            edge_guesses, offset = (
+                find_edges(equations, nearest_point.unknowns, scene_vector + nearest_point.offset @ space.unit_vectors),
+                nearest_point.offset,
+            )
+        elif equations.kind == "SN" and (
+            nearest_point is None or nearest_point.distance > (1.0 + RAY_TOLERANCE) * np.linalg.norm(offset)
+        ):
+            edge_guesses = [make_cusp(equations, unknowns, scene_vector + offset @ space.unit_vectors)]
         else:
             continue
-        for edge, plain in guesses:
-            key = edge.kind, edge.end, int(edge.row), int(edge.wall)
-            if any(key == other and np.linalg.norm(offset - there) < NEAR for other, there in tried):
+        for edge, orbit_unknowns in edge_guesses:
+            key = edge.kind, edge.end_kind, int(edge.row), int(edge.wall)
+            if any(
+                key == other_key and np.linalg.norm(offset - other_offset) < EDGE_TOLERANCE
+                for other_key, other_offset in attempts
+            ):
                 continue
-            tried.append((key, offset))
-            found.append(_foot(numbers, space, edge, plain, offset))
-    return found
+            attempts.append((key, offset))
+            edge_points.append(_find_nearest(scene_vector, space, edge, orbit_unknowns, offset))
+    return edge_points
 
 
-def _brought(foot, numbers, space, offset, place, limit, held):
+def _move_to_bound(nearest_point, scene_vector, space, offset, bound_index, bound_value, is_fixed):
     """(unknowns, offset) on the boundary where one number is at its bound; None where there is none."""
-    rest = np.where(held, 0.0, offset)
-    size = np.linalg.norm(rest)
-    if size == 0:
+    free_offset = np.where(is_fixed, 0.0, offset)
+    free_distance = np.linalg.norm(free_offset)
+    if free_distance == 0:
         return None, offset
-    direction = rest / size @ space.units
-    start = np.array(foot.unknowns)
-    start[foot.point.size] = size
-    begin = numbers + np.where(held, offset, 0.0) @ space.units
+    direction = free_offset / free_distance @ space.unit_vectors
+    start_unknowns = np.array(nearest_point.unknowns)
+    start_unknowns[nearest_point.equations.n_orbit_unknowns] = free_distance
+    start_vector = scene_vector + np.where(is_fixed, offset, 0.0) @ space.unit_vectors
     offset = np.array(offset)
-    offset[place] = limit
-    end = numbers + np.where(held, offset, 0.0) @ space.units
-    found, seen = jax.device_get(solved(foot.point, start, begin, end[None], direction))
-    if found.status[0] in (SolutionStatus.NONE, SolutionStatus.JUMPED):
+    offset[bound_index] = bound_value
+    end_vector = scene_vector + np.where(is_fixed, offset, 0.0) @ space.unit_vectors
+    located_points, solution_unknowns = jax.device_get(
+        solve_points(nearest_point.equations, start_unknowns, start_vector, end_vector[None], direction)
+    )
+    if located_points.status[0] in (SolutionStatus.NONE, SolutionStatus.JUMPED):
         return None, offset
-    return seen[0], np.where(held, offset, rest / size * found.value[0])
+    return solution_unknowns[0], np.where(is_fixed, offset, free_offset / free_distance * located_points.value[0])
 
 
-def _near(orbit, tree, cycle, numbers, space, foot, bound):
+def _make_near_point(orbit, treedef, sequence, scene_vector, space, nearest_point, is_bounded):
     """The `NearPoint` of a `Foot`, None where its orbit is none."""
-    if foot.status == SolutionStatus.VIRTUAL or (foot.bends <= 0).any():
+    if nearest_point.status == SolutionStatus.VIRTUAL or (nearest_point.curvatures <= 0).any():
         return None
-    way = jax.device_get(rays(tree, cycle, numbers, (1.0 + SLACK) * (foot.offset @ space.units)[None]))
-    status = REACHED if way.share[0] * (1.0 + SLACK) >= 1.0 - SLACK else BEHIND
-    if status == REACHED and way.end[0] == RayEnd.NONE and not _is_tip(foot, way):
+    ray_result = jax.device_get(
+        follow_rays(
+            treedef, sequence, scene_vector, (1.0 + RAY_TOLERANCE) * (nearest_point.offset @ space.unit_vectors)[None]
+        )
+    )
+    status = REACHED if ray_result.fraction[0] * (1.0 + RAY_TOLERANCE) >= 1.0 - RAY_TOLERANCE else BEHIND
+    if status == REACHED and ray_result.end[0] == RayEnd.NONE and not _passes_cusp(nearest_point, ray_result):
         return None  # a boundary of another orbit
-    names, scene, changes = space.names, orbit.scene, foot.offset * abs(space.units).max(axis=1)
+    names, scene, changes = space.names, orbit.scene, nearest_point.offset * abs(space.unit_vectors).max(axis=1)
     values = [float(scene.parameter(name)) + change for name, change in zip(names, changes, strict=True)]
-    ends = (domain(scene, name) for name in names)
-    values = [min(max(value, low), high) for value, (low, high) in zip(values, ends, strict=True)]  # a rounding beyond
+    domains = (parameter_domain(scene, name) for name in names)
+    values = [
+        min(max(value, lower), upper) for value, (lower, upper) in zip(values, domains, strict=True)
+    ]  # a rounding beyond
     scene = scene.replace(**dict(zip(names, values, strict=True)))
-    there = foot.point.cycle_at(jnp.asarray(foot.unknowns))
+    point_sequence = nearest_point.equations.sequence_at(jnp.asarray(nearest_point.unknowns))
     return NearPoint(
-        kind=foot.point.kind,
-        distance=foot.distance,
+        kind=nearest_point.equations.kind,
+        distance=nearest_point.distance,
         change=dict(zip(names, map(float, changes), strict=True)),
-        direction=dict(zip(names, map(float, foot.offset / foot.distance), strict=True)),
+        direction=dict(zip(names, map(float, nearest_point.offset / nearest_point.distance), strict=True)),
         scene=scene,
-        times=np.asarray(there.times),
-        speeds=np.asarray(there.speeds),
-        sides=tuple(int(side) for side in np.asarray(there.sides)),
-        residual=foot.residual,
-        slope=foot.slope,
+        times=np.asarray(point_sequence.times),
+        speeds=np.asarray(point_sequence.speeds),
+        sides=tuple(int(side) for side in np.asarray(point_sequence.sides)),
+        residual=nearest_point.residual,
+        slope=nearest_point.slope,
         status=status,
-        at_bound=tuple(name for name, is_held in zip(names, bound, strict=True) if is_held),
-        edge=foot.point.end if isinstance(foot.point, Edge) else "",
+        at_bound=tuple(name for name, is_at_bound in zip(names, is_bounded, strict=True) if is_at_bound),
+        edge=nearest_point.equations.end_kind if isinstance(nearest_point.equations, BoundaryEdge) else "",
     )
 
 
-def _is_tip(foot, way):
+def _passes_cusp(nearest_point, ray_result):
     """Whether a way that went on led through a cusp, by the orbit just after it."""
-    if not isinstance(foot.point, Edge) or foot.point.end != CUSP:
+    if not isinstance(nearest_point.equations, BoundaryEdge) or nearest_point.equations.end_kind != CUSP:
         return False
-    there = foot.unknowns[: foot.point.point.size]
-    return bool(abs(way.unknowns[0] - there).max() <= APART * (1.0 + abs(there).max()))
+    orbit_unknowns = nearest_point.unknowns[: nearest_point.equations.equations.n_orbit_unknowns]
+    return bool(
+        abs(ray_result.unknowns[0] - orbit_unknowns).max() <= MAX_TIP_CHANGE * (1.0 + abs(orbit_unknowns).max())
+    )
 
 
-def _distinct(found):
-    kept = []
-    for one in found:
-        apart = [
-            np.linalg.norm([(one.change[n] - other.change[n]) for n in one.change])
-            for other in kept
-            if other.kind == one.kind
+def _drop_duplicates(near_points):
+    distinct_points = []
+    for near_point in near_points:
+        distances = [
+            np.linalg.norm([(near_point.change[name] - distinct_point.change[name]) for name in near_point.change])
+            for distinct_point in distinct_points
+            if distinct_point.kind == near_point.kind
         ]
-        if min(apart, default=np.inf) > ALIKE * (1.0 + one.distance):
-            kept.append(one)
-    return kept
+        if min(distances, default=np.inf) > DISTINCT_TOLERANCE * (1.0 + near_point.distance):
+            distinct_points.append(near_point)
+    return distinct_points

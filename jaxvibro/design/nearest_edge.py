@@ -8,83 +8,96 @@ import jax
 import numpy as np
 
 from ..scene.codes import SolutionStatus
-from .edge import clearances
-from .nearest import Foot
+from .edge import evaluate_clearances
+from .nearest_point import NearestBoundaryPoint
 
-CLOSING = 30  # of Gauss and Newton's steps onto the edge
-ROUNDS = 40  # of Newton's on the condition
-FAR = 0.3  # of 1 + the largest unknown: the longest step
-APART = 1e-5  # of 1 + the largest unknown: the points of a difference
-SHARP = 1e-10  # of 1 + the largest unknown: a step as short is the last
+MAX_GAUSS_NEWTON = 30  # of Gauss and Newton's steps onto the edge
+MAX_NEWTON = 40  # of Newton's on the condition
+MAX_STEP = 0.3  # of 1 + the largest unknown: the longest step
+DIFFERENCE_STEP = 1e-5  # of 1 + the largest unknown: the points of a difference
+STEP_TOLERANCE = 1e-10  # of 1 + the largest unknown: a step as short is the last
 TINY = 1e-300
 
 
 @jax.jit
-def _terms(edge, numbers, units, rows):
+def _residuals_and_jacobians(edge, scene_vector, unit_vectors, rows):
     """(r, its derivative) by unknowns and offsets in rows."""
-    free = len(units)
+    n_params = len(unit_vectors)
 
-    def zero(w):
-        return edge.zero(w[:-free], numbers + w[-free:] @ units)
+    def residual(variables):
+        return edge.residual(variables[:-n_params], scene_vector + variables[-n_params:] @ unit_vectors)
 
-    return jax.vmap(zero)(rows), jax.vmap(jax.jacfwd(zero))(rows)
+    return jax.vmap(residual)(rows), jax.vmap(jax.jacfwd(residual))(rows)
 
 
-def nearest_on(edge, unknowns, numbers, units, offset):
-    """The `Foot` that Newton's method reaches from a guess; None where it reaches none, or fewer than two numbers
-    are free. Arguments as of `nearest.nearest`."""
-    size, free = len(unknowns), len(offset)
-    if free < 2:
+def find_nearest_edge_point(edge, unknowns, scene_vector, unit_vectors, offset):
+    """The `NearestBoundaryPoint` that Newton's method reaches from a guess; None where it reaches none, or fewer than
+    two numbers are free. Arguments as of `nearest.nearest`."""
+    n_unknowns, n_params = len(unknowns), len(offset)
+    if n_params < 2:
         return None
-    joined = np.concatenate([unknowns, offset])
-    wanted = np.concatenate([np.zeros(size), np.ones(free)])
+    variables = np.concatenate([unknowns, offset])
+    offset_mask = np.concatenate([np.zeros(n_unknowns), np.ones(n_params)])
 
-    def terms(joined):
+    def evaluate(variables):
         """(r, its derivative, and that's derivative, of differences: it only points the way)."""
-        apart = APART * (1.0 + abs(joined).max())
-        shifts = apart * np.eye(len(joined))
-        rows = joined + np.concatenate([shifts, -shifts, np.zeros((1, len(joined)))])
-        left, slopes = jax.device_get(_terms(edge, numbers, units, rows))
-        up, down = slopes[: len(joined)], slopes[len(joined) : -1]
-        return left[-1], slopes[-1], (up - down) / (2.0 * apart)
+        spacing = DIFFERENCE_STEP * (1.0 + abs(variables).max())
+        shifts = spacing * np.eye(len(variables))
+        variable_rows = variables + np.concatenate([shifts, -shifts, np.zeros((1, len(variables)))])
+        residuals, jacobians = jax.device_get(_residuals_and_jacobians(edge, scene_vector, unit_vectors, variable_rows))
+        upper_jacobians, lower_jacobians = jacobians[: len(variables)], jacobians[len(variables) : -1]
+        return residuals[-1], jacobians[-1], (upper_jacobians - lower_jacobians) / (2.0 * spacing)
 
-    def bent(bends, multipliers):
-        whole = np.einsum("iej,e->ij", bends, multipliers)
-        return 0.5 * (whole + whole.T) + np.diag(wanted)
+    def hessian(second_derivatives, multipliers):
+        weighted_sum = np.einsum("iej,e->ij", second_derivatives, multipliers)
+        return 0.5 * (weighted_sum + weighted_sum.T) + np.diag(offset_mask)
 
-    for _ in range(CLOSING):
-        left, slopes, _ = terms(joined)
-        if not np.isfinite(slopes).all():
+    for _ in range(MAX_GAUSS_NEWTON):
+        residual, jacobian, _ = evaluate(variables)
+        if not np.isfinite(jacobian).all():
             return None
-        step = _shortened(-np.linalg.lstsq(slopes, left, rcond=None)[0], joined)
-        joined = joined + step
-        if abs(step).max() <= SHARP * (1.0 + abs(joined).max()):
+        step = _limit_step(-np.linalg.lstsq(jacobian, residual, rcond=None)[0], variables)
+        variables = variables + step
+        if abs(step).max() <= STEP_TOLERANCE * (1.0 + abs(variables).max()):
             break
     else:
         return None
-    multipliers = -np.linalg.lstsq(slopes.T, wanted * joined, rcond=None)[0]
-    for _ in range(ROUNDS):
-        left, slopes, bends = terms(joined)
-        if not np.isfinite(bends).all():
+    multipliers = -np.linalg.lstsq(jacobian.T, offset_mask * variables, rcond=None)[0]
+    for _ in range(MAX_NEWTON):
+        residual, jacobian, second_derivatives = evaluate(variables)
+        if not np.isfinite(second_derivatives).all():
             return None
-        whole = np.block([[bent(bends, multipliers), slopes.T], [slopes, np.zeros((size + 2, size + 2))]])
-        found = np.linalg.lstsq(whole, -np.concatenate([wanted * joined, left]), rcond=None)[0]
-        step = _shortened(found[: size + free], joined)
-        joined, multipliers = joined + step, found[size + free :]
-        if abs(step).max() <= SHARP * (1.0 + abs(joined).max()):
+        kkt_matrix = np.block(
+            [
+                [hessian(second_derivatives, multipliers), jacobian.T],
+                [jacobian, np.zeros((n_unknowns + 2, n_unknowns + 2))],
+            ]
+        )
+        solution = np.linalg.lstsq(kkt_matrix, -np.concatenate([offset_mask * variables, residual]), rcond=None)[0]
+        step = _limit_step(solution[: n_unknowns + n_params], variables)
+        variables, multipliers = variables + step, solution[n_unknowns + n_params :]
+        if abs(step).max() <= STEP_TOLERANCE * (1.0 + abs(variables).max()):
             break
     else:
         return None
-    left, slopes, bends = terms(joined)
-    along = np.linalg.svd(slopes)[2][size + 2 :]
-    slope = float(abs(wanted * joined + slopes.T @ multipliers).max())
-    curved = np.linalg.eigvalsh(along @ bent(bends, multipliers) @ along.T) if len(along) else np.zeros(0)
-    unknowns, offset = joined[:size], joined[size:]
-    seen = jax.device_get(clearances(edge.point, unknowns, numbers + offset @ units))
-    real = (seen.clear >= -seen.slack).all() and (seen.speeds >= -seen.slack).all() and (seen.time > 0).all()
-    status = SolutionStatus.OK if real else SolutionStatus.VIRTUAL
-    return Foot(edge, unknowns, offset, slope, curved, float(abs(left).max()), int(status))
+    residual, jacobian, second_derivatives = evaluate(variables)
+    tangent_basis = np.linalg.svd(jacobian)[2][n_unknowns + 2 :]
+    slope = float(abs(offset_mask * variables + jacobian.T @ multipliers).max())
+    curvatures = (
+        np.linalg.eigvalsh(tangent_basis @ hessian(second_derivatives, multipliers) @ tangent_basis.T)
+        if len(tangent_basis)
+        else np.zeros(0)
+    )
+    unknowns, offset = variables[:n_unknowns], variables[n_unknowns:]
+    flight_gaps = jax.device_get(evaluate_clearances(edge.equations, unknowns, scene_vector + offset @ unit_vectors))
+    is_real = (
+        (flight_gaps.min_clearances >= -flight_gaps.slack).all()
+        and (flight_gaps.speeds >= -flight_gaps.slack).all()
+        and (flight_gaps.flight_times > 0).all()
+    )
+    status = SolutionStatus.OK if is_real else SolutionStatus.VIRTUAL
+    return NearestBoundaryPoint(edge, unknowns, offset, slope, curvatures, float(abs(residual).max()), int(status))
 
 
-def _shortened(step, joined):
-    return step * min(1.0, FAR * (1.0 + abs(joined).max()) / max(abs(step).max(), TINY))
+def _limit_step(step, variables):
+    return step * min(1.0, MAX_STEP * (1.0 + abs(variables).max()) / max(abs(step).max(), TINY))

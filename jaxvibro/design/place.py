@@ -9,23 +9,23 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from continuation.limits import EXPIRED, UNLIMITED, limits_of
+from continuation.limits import EXPIRED_REASON, UNLIMITED, limits_of
 
 from ..branches.branch import Special
-from ..output.table_text import columns
+from ..output.table_text import align_columns
 from ..scene import check
 from ..scene.codes import SolutionStatus
 from ..scene.scene import Scene
-from .free_numbers import room_of, units_of
+from .free_parameters import allowed_changes, check_units
 from .located import located
 from .located_point import Located
 
-ROUNDS = 30  # of Newton's steps
-APART = 1e-5  # units: the points of a difference
-SHORTEST = 1.0 / 256.0  # of the way to the targets: a step as short that fails is the end
-FAR = 1.0  # unit and more: the longest of Newton's steps, over 1 + the change
-SHARP = 1e-13  # of 1 + the largest: what rounding leaves
-Value = Callable[[Scene], Float[jax.Array, ""]]
+MAX_ITERATIONS = 30  # of Newton's steps
+DIFFERENCE_STEP = 1e-5  # units: the points of a difference
+MIN_FRACTION = 1.0 / 256.0  # of the way to the targets: a step as short that fails is the end
+MAX_STEP = 1.0  # unit and more: the longest of Newton's steps, over 1 + the change
+ROUNDING_TOLERANCE = 1e-13  # of 1 + the largest: what rounding leaves
+ValueFunction = Callable[[Scene], Float[jax.Array, ""]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,45 +49,48 @@ class Placement:
         """The free numbers, before and after, and the values."""
         rows = [("number", "was", "is")]
         for name, change in self.change.items():
-            now = float(self.scene.parameter(name))
-            rows.append((name, f"{now - change:.9g}", f"{now:.9g}" + (" (bound)" if name in self.at_bound else "")))
-        told = [
+            new_value = float(self.scene.parameter(name))
+            rows.append(
+                (name, f"{new_value - change:.9g}", f"{new_value:.9g}" + (" (bound)" if name in self.at_bound else ""))
+            )
+        value_lines = [
             f"value {value:.9g}, wanted {target:.9g}" for value, target in zip(self.values, self.targets, strict=True)
         ]
-        return "\n".join([columns(rows), *told, *([self.why] if self.why else [])])
+        return "\n".join([align_columns(rows), *value_lines, *([self.why] if self.why else [])])
 
 
-class _Asked(NamedTuple):
-    """names, units of free numbers; now: their values; low, high: bounds, in units from there; sloped: (places,
-    free) -> (values, slopes); virtual: (free,) -> the kinds of the points that are virtual there."""
+class _PlacementProblem(NamedTuple):
+    """names, units of free numbers; start_values: their values; lower, upper: bounds, in units from there; evaluate:
+    (places, free) -> (values, slopes); virtual_kinds: (free,) -> the kinds of the points that are virtual there."""
 
     names: tuple[str, ...]
     units: Float[np.ndarray, " free"]
-    now: Float[np.ndarray, " free"]
-    low: Float[np.ndarray, " free"]
-    high: Float[np.ndarray, " free"]
-    sloped: Callable[
+    start_values: Float[np.ndarray, " free"]
+    lower: Float[np.ndarray, " free"]
+    upper: Float[np.ndarray, " free"]
+    evaluate: Callable[
         [Float[np.ndarray, "places free"]],
         tuple[Float[np.ndarray, "places targets"], Float[np.ndarray, "places targets free"]],
     ]
-    virtual: Callable[[Float[np.ndarray, " free"]], list[str]]
+    virtual_kinds: Callable[[Float[np.ndarray, " free"]], list[str]]
 
 
-class _Step(NamedTuple):
-    """A point on the way to the targets. share: of the way; change: in units; force: multipliers; held: which free
-    numbers are at a bound; slope: what is left of the condition; late: whether the time was over there."""
+class _PathPoint(NamedTuple):
+    """A point on the way to the targets. fraction: of the way; change: in units; multipliers: multipliers; at_bound:
+    which free numbers are at a bound; slope: what is left of the condition; is_expired: whether the time was over
+    there."""
 
-    share: float
+    fraction: float
     change: Float[np.ndarray, " free"]
-    force: Float[np.ndarray, " targets"]
-    held: Bool[np.ndarray, " free"]
+    multipliers: Float[np.ndarray, " targets"]
+    at_bound: Bool[np.ndarray, " free"]
     slope: float
-    late: bool = False
+    is_expired: bool = False
 
 
-@check.host("use the function that located gives")
+@check.host_only("use the function that located gives")
 def place(
-    what: Special | Value | Sequence[Special | Value],
+    what: Special | ValueFunction | Sequence[Special | ValueFunction],
     name: str | None,
     target: float | Sequence[float],
     free: Mapping[str, float],
@@ -113,175 +116,212 @@ def place(
     targets than free numbers.
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    every = tuple(what) if isinstance(what, list | tuple) else (what,)
-    goal = np.atleast_1d(np.asarray(target, float))
-    values = [located(one, name) if isinstance(one, Special) else one for one in every]
-    first = next((one for one in every if isinstance(one, Special)), None)
-    begin = scene if scene is not None else getattr(first, "scene", None)
-    if not isinstance(begin, Scene):
+    sources = tuple(what) if isinstance(what, list | tuple) else (what,)
+    target_values = np.atleast_1d(np.asarray(target, float))
+    value_functions = [located(source, name) if isinstance(source, Special) else source for source in sources]
+    first_special = next((source for source in sources if isinstance(source, Special)), None)
+    start_scene = scene if scene is not None else getattr(first_special, "scene", None)
+    if not isinstance(start_scene, Scene):
         raise check.ArgumentError("scene", "must be a Scene, where no Special is given", scene)
-    if not all(callable(each) for each in values):
+    if not all(callable(function) for function in value_functions):
         raise check.ArgumentError("what", "must be a Special, or a function of a scene", what)
-    free = units_of(begin, free)
-    own = {each.name for each in values if isinstance(each, Located)}
-    for key in own & set(free):
+    free = check_units(start_scene, free)
+    target_names = {function.name for function in value_functions if isinstance(function, Located)}
+    for key in target_names & set(free):
         raise check.ArgumentError(f"free.{key}", "must be none of the parameters that have the target", free[key])
-    if goal.shape != (len(values),) or not np.isfinite(goal).all() or len(goal) > len(free):
-        rule = f"must be a finite number for each of {len(values)} values, and no more than free numbers, {len(free)}"
+    if (
+        target_values.shape != (len(value_functions),)
+        or not np.isfinite(target_values).all()
+        or len(target_values) > len(free)
+    ):
+        rule = (
+            f"must be a finite number for each of {len(value_functions)} values, and no more than free numbers,"
+            f" {len(free)}"
+        )
         raise check.ArgumentError("target", rule, target)
-    asked = _asked(begin, free, bounds or {}, values)
-    return _result(begin, asked, goal, *_approached(asked, goal, limits))
+    problem = _make_problem(start_scene, free, bounds or {}, value_functions)
+    return _make_placement(start_scene, problem, target_values, *_approach_targets(problem, target_values, limits))
 
 
-def _asked(scene, free, bounds, values):
+def _make_problem(scene, free, bounds, value_functions):
     names, units = tuple(free), np.array(list(free.values()))
-    now = np.array([float(scene.parameter(name)) for name in names])
+    start_values = np.array([float(scene.parameter(name)) for name in names])
 
-    def value(change):
-        there = scene.replace(**dict(zip(names, jnp.asarray(now) + change * units, strict=True)))
-        found = jnp.stack([each(there) for each in values])
-        return found, found
+    def evaluate_values(change):
+        changed_scene = scene.replace(**dict(zip(names, jnp.asarray(start_values) + change * units, strict=True)))
+        values = jnp.stack([function(changed_scene) for function in value_functions])
+        return values, values
 
-    sloped = jax.vmap(jax.jacrev(value, has_aux=True))
-    if not all(isinstance(each, Located) for each in values):  # what a special point calls is compiled once for all
-        sloped = jax.jit(sloped)
+    jacobian_function = jax.vmap(jax.jacrev(evaluate_values, has_aux=True))
+    if not all(
+        isinstance(function, Located) for function in value_functions
+    ):  # what a special point calls is compiled once for all
+        jacobian_function = jax.jit(jacobian_function)
 
-    def both(places):
-        slopes, found = jax.device_get(sloped(places))
-        return found, slopes
+    def evaluate(changes):
+        jacobians, values = jax.device_get(jacobian_function(changes))
+        return values, jacobians
 
-    def virtual(change):
-        there = scene.replace(**dict(zip(names, now + change * units, strict=True)))
-        points = [each for each in values if isinstance(each, Located)]
-        return [each.special.kind for each in points if each.solve(there).status == SolutionStatus.VIRTUAL]
+    def virtual_kinds(change):
+        changed_scene = scene.replace(**dict(zip(names, start_values + change * units, strict=True)))
+        located_points = [function for function in value_functions if isinstance(function, Located)]
+        return [
+            function.special.kind
+            for function in located_points
+            if function.solve(changed_scene).status == SolutionStatus.VIRTUAL
+        ]
 
-    return _Asked(names, units, now, *room_of(scene, free, bounds), both, virtual)
+    return _PlacementProblem(names, units, start_values, *allowed_changes(scene, free, bounds), evaluate, virtual_kinds)
 
 
-def _approached(asked, goal, limits=UNLIMITED):
-    """(the last admissible `_Step`, which numbers are at a bound there, or stop it, the kinds of points that are
+def _approach_targets(problem, target_values, limits=UNLIMITED):
+    """(the last admissible `_PathPoint`, which numbers are at a bound there, or stop it, the kinds of points that are
     virtual beyond it). limits: no further place is looked for once their time is over."""
-    size = len(asked.names)
-    now = last = _Step(0.0, np.zeros(size), np.zeros(len(goal)), np.zeros(size, bool), 0.0)
-    begun = asked.sloped(_around(now.change))[0][0]
-    if not np.isfinite(begun).all():
-        raise check.ArgumentError("scene", "must have the points that are to be placed", begun)
+    n_params = len(problem.names)
+    path_point = last_admissible = _PathPoint(
+        0.0, np.zeros(n_params), np.zeros(len(target_values)), np.zeros(n_params, bool), 0.0
+    )
+    start_values = problem.evaluate(_difference_points(path_point.change))[0][0]
+    if not np.isfinite(start_values).all():
+        raise check.ArgumentError("scene", "must have the points that are to be placed", start_values)
 
-    def ahead(now, share):
-        found, stops = _within(asked, now.change, now.force, now.held, begun + share * (goal - begun))
-        return None if found is None else _Step(share, *found), stops
+    def solve_at(path_point, fraction):
+        solution, blocking_bounds = _solve_within_bounds(
+            problem,
+            path_point.change,
+            path_point.multipliers,
+            path_point.at_bound,
+            start_values + fraction * (target_values - start_values),
+        )
+        return None if solution is None else _PathPoint(fraction, *solution), blocking_bounds
 
-    step, virtual = 1.0, asked.virtual(now.change)
-    stops, late = now.held, False
-    while now.share < 1.0 and step >= SHORTEST and not (late := limits.expired):
-        found, stops = ahead(now, min(1.0, now.share + step))
-        if found is None:
-            step *= 0.5
+    fraction_step, virtual_kinds = 1.0, problem.virtual_kinds(path_point.change)
+    blocking_bounds, is_expired = path_point.at_bound, False
+    while path_point.fraction < 1.0 and fraction_step >= MIN_FRACTION and not (is_expired := limits.expired):
+        next_point, blocking_bounds = solve_at(path_point, min(1.0, path_point.fraction + fraction_step))
+        if next_point is None:
+            fraction_step *= 0.5
         else:
-            now, step = found, 2.0 * step
-            virtual = asked.virtual(now.change)
-            last = last if virtual else now
-    if not virtual:
-        return now._replace(late=late), now.held if now.share == 1.0 or late else stops, virtual
-    beyond = now.share
-    while beyond - last.share > SHORTEST and not (late := late or limits.expired):
-        middle = 0.5 * (last.share + beyond)
-        found, _ = ahead(last, middle)
-        if found is None or asked.virtual(found.change):
-            beyond = middle
+            path_point, fraction_step = next_point, 2.0 * fraction_step
+            virtual_kinds = problem.virtual_kinds(path_point.change)
+            last_admissible = last_admissible if virtual_kinds else path_point
+    if not virtual_kinds:
+        return (
+            path_point._replace(is_expired=is_expired),
+            path_point.at_bound if path_point.fraction == 1.0 or is_expired else blocking_bounds,
+            virtual_kinds,
+        )
+    upper_fraction = path_point.fraction
+    while upper_fraction - last_admissible.fraction > MIN_FRACTION and not (is_expired := is_expired or limits.expired):
+        middle_fraction = 0.5 * (last_admissible.fraction + upper_fraction)
+        next_point, _ = solve_at(last_admissible, middle_fraction)
+        if next_point is None or problem.virtual_kinds(next_point.change):
+            upper_fraction = middle_fraction
         else:
-            last = found
-    return last._replace(late=late), last.held, virtual
+            last_admissible = next_point
+    return last_admissible._replace(is_expired=is_expired), last_admissible.at_bound, virtual_kinds
 
 
-def _within(asked, change, force, held, goal):
+def _solve_within_bounds(problem, change, multipliers, at_bound, target_values):
     """((change, multipliers, which numbers are at a bound, slope) of the least change with these values, within the
     bounds, None where Newton's method leads to none; which numbers were at a bound last)."""
     for _ in range(2 * len(change) + 1):
-        found = _solved(asked, change, force, held, goal)
-        if found is None:
-            return None, held
-        change, force, pull, slope = found
-        out = np.where(held, 0.0, np.maximum(change - asked.high, asked.low - change))
-        leaves = np.where(change >= asked.high, -pull, pull)
-        wrong = np.where(held, leaves, 0.0)  # a bound that holds what would leave it
-        if out.max() > SHARP:
-            place = int(np.argmax(out))
-            held = held | (np.arange(len(held)) == place)
-            change = np.clip(change, asked.low, asked.high)
-        elif wrong.max() > SHARP * (1.0 + abs(pull).max()):
-            held = held & (np.arange(len(held)) != int(np.argmax(wrong)))
+        solution = _solve_kkt(problem, change, multipliers, at_bound, target_values)
+        if solution is None:
+            return None, at_bound
+        change, multipliers, gradient, slope = solution
+        excess = np.where(at_bound, 0.0, np.maximum(change - problem.upper, problem.lower - change))
+        release_rates = np.where(change >= problem.upper, -gradient, gradient)
+        release_excess = np.where(at_bound, release_rates, 0.0)  # a bound that holds what would leave it
+        if excess.max() > ROUNDING_TOLERANCE:
+            worst_index = int(np.argmax(excess))
+            at_bound = at_bound | (np.arange(len(at_bound)) == worst_index)
+            change = np.clip(change, problem.lower, problem.upper)
+        elif release_excess.max() > ROUNDING_TOLERANCE * (1.0 + abs(gradient).max()):
+            at_bound = at_bound & (np.arange(len(at_bound)) != int(np.argmax(release_excess)))
         else:
-            return (change, force, held, slope), held
-    return None, held
+            return (change, multipliers, at_bound, slope), at_bound
+    return None, at_bound
 
 
-def _around(change):
+def _difference_points(change):
     """Places about one, itself first."""
-    steps = APART * np.eye(len(change))
+    steps = DIFFERENCE_STEP * np.eye(len(change))
     return np.concatenate([change[None], change + steps, change - steps])
 
 
-def _solved(asked, change, force, held, goal):
+def _solve_kkt(problem, change, multipliers, at_bound, target_values):
     """(change, multipliers, what pulls each number, the largest of it that is left) by Newton's method; None."""
-    size, count, step, loose = len(change), len(goal), np.inf, ~held
-    for _ in range(ROUNDS):
-        values, slopes = asked.sloped(_around(change))
-        if not (np.isfinite(values).all() and np.isfinite(slopes).all()):
+    n_params, n_targets, step_length, is_free = len(change), len(target_values), np.inf, ~at_bound
+    for _ in range(MAX_ITERATIONS):
+        values, jacobians = problem.evaluate(_difference_points(change))
+        if not (np.isfinite(values).all() and np.isfinite(jacobians).all()):
             return None
-        here, bend = slopes[0], (slopes[1 : size + 1] - slopes[size + 1 :]) / (2.0 * APART)
-        curved = np.eye(size) + np.einsum("jci,c->ij", bend, force)
-        curved = 0.5 * (curved + curved.T)
-        pull, miss = change + force @ here, values[0] - goal
-        small = SHARP * (1.0 + abs(change).max())
-        if step <= 1e-9 * (1.0 + abs(change).max()):
-            return change, force, -pull, float(abs(pull[loose]).max(initial=0.0))
-        if loose.sum() < count:
+        jacobian, jacobian_derivatives = (
+            jacobians[0],
+            (jacobians[1 : n_params + 1] - jacobians[n_params + 1 :]) / (2.0 * DIFFERENCE_STEP),
+        )
+        hessian = np.eye(n_params) + np.einsum("jci,c->ij", jacobian_derivatives, multipliers)
+        hessian = 0.5 * (hessian + hessian.T)
+        gradient, value_errors = change + multipliers @ jacobian, values[0] - target_values
+        tolerance = ROUNDING_TOLERANCE * (1.0 + abs(change).max())
+        if step_length <= 1e-9 * (1.0 + abs(change).max()):
+            return change, multipliers, -gradient, float(abs(gradient[is_free]).max(initial=0.0))
+        if is_free.sum() < n_targets:
             return None
-        table = np.zeros((loose.sum() + count,) * 2)
-        block = curved[np.ix_(loose, loose)]
-        table[:-count, :-count] = block if np.linalg.eigvalsh(block).min() > small else np.eye(loose.sum())
-        table[-count:, :-count], table[:-count, -count:] = here[:, loose], here[:, loose].T
+        kkt_matrix = np.zeros((is_free.sum() + n_targets,) * 2)
+        free_hessian = hessian[np.ix_(is_free, is_free)]
+        kkt_matrix[:-n_targets, :-n_targets] = (
+            free_hessian if np.linalg.eigvalsh(free_hessian).min() > tolerance else np.eye(is_free.sum())
+        )
+        kkt_matrix[-n_targets:, :-n_targets], kkt_matrix[:-n_targets, -n_targets:] = (
+            jacobian[:, is_free],
+            jacobian[:, is_free].T,
+        )
         try:
-            move = -np.linalg.solve(table, np.concatenate([change[loose], miss]))
+            solution = -np.linalg.solve(kkt_matrix, np.concatenate([change[is_free], value_errors]))
         except np.linalg.LinAlgError:
             return None
-        way, new = np.zeros(size), move[-count:]
-        way[loose] = move[:-count]
-        cut = min(1.0, FAR * (1.0 + np.linalg.norm(change)) / max(np.linalg.norm(way), 1e-300))
-        change, force, step = change + cut * way, new, float(np.linalg.norm(way))
+        full_step, new_multipliers = np.zeros(n_params), solution[-n_targets:]
+        full_step[is_free] = solution[:-n_targets]
+        step_fraction = min(1.0, MAX_STEP * (1.0 + np.linalg.norm(change)) / max(np.linalg.norm(full_step), 1e-300))
+        change, multipliers, step_length = (
+            change + step_fraction * full_step,
+            new_multipliers,
+            float(np.linalg.norm(full_step)),
+        )
     return None
 
 
-def _result(scene, asked, goal, last, held, virtual):
-    change = last.change
-    there = scene.replace(**dict(zip(asked.names, asked.now + change * asked.units, strict=True)))
-    found = asked.sloped(_around(change))[0][0]
-    names = tuple(name for name, each in zip(asked.names, held, strict=True) if each)
-    why = _why(last.share, virtual, names, last.late)
+def _make_placement(scene, problem, target_values, path_point, at_bound, virtual_kinds):
+    change = path_point.change
+    new_scene = scene.replace(**dict(zip(problem.names, problem.start_values + change * problem.units, strict=True)))
+    values = problem.evaluate(_difference_points(change))[0][0]
+    names = tuple(name for name, is_bound in zip(problem.names, at_bound, strict=True) if is_bound)
+    reason = _failure_reason(path_point.fraction, virtual_kinds, names, path_point.is_expired)
     return Placement(
-        scene=there,
-        change=dict(zip(asked.names, map(float, change * asked.units), strict=True)),
+        scene=new_scene,
+        change=dict(zip(problem.names, map(float, change * problem.units), strict=True)),
         distance=float(np.linalg.norm(change)),
-        values=found,
-        targets=goal,
-        met=not why,
-        why=why,
+        values=values,
+        targets=target_values,
+        met=not reason,
+        why=reason,
         at_bound=names,
-        slope=last.slope,
+        slope=path_point.slope,
     )
 
 
-def _why(share, virtual, names, late=False):
-    """What stands in the way to the targets; "" where they are met. virtual: kinds of points whose orbits pass through
-    a wall beyond; names: of numbers at a bound; late: whether the time was over."""
-    if share == 1.0:
+def _failure_reason(fraction, virtual_kinds, names, is_expired=False):
+    """What stands in the way to the targets; "" where they are met. virtual_kinds: kinds of points whose orbits pass
+    through a wall beyond; names: of numbers at a bound; is_expired: whether the time was over."""
+    if fraction == 1.0:
         return ""
-    what = "the point cannot be followed on (it meets another, or the value has an extreme there)"
-    if late:
-        what = EXPIRED
-    elif virtual:
-        what = f"beyond, the {virtual[0]}'s orbit passes through a wall"
+    cause = "the point cannot be followed on (it meets another, or the value has an extreme there)"
+    if is_expired:
+        cause = EXPIRED_REASON
+    elif virtual_kinds:
+        cause = f"beyond, the {virtual_kinds[0]}'s orbit passes through a wall"
     elif names:
-        what = f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} at a bound"
-    return f"the way ends after {share:.3g} of it: {what}"
+        cause = f"{', '.join(names)} {'are' if len(names) > 1 else 'is'} at a bound"
+    return f"the way ends after {fraction:.3g} of it: {cause}"

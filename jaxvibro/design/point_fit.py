@@ -8,119 +8,140 @@ from jaxtyping import Float
 
 from ..scene import check
 from ..scene.codes import SolutionStatus
-from ..scene.scene import changed
+from ..scene.scene import replace_unchecked
 from .located import located
 from .located_point import Located
 
-ROUNDS, LEAST = 60, 1e-12  # of Newton's steps; one as short, in scales, is the last
-SMALL = 1e-8  # scales: of steps that are shorter, one that is no shorter than the one before is the last: rounding
-FAR = 2.0  # scales: the longest step
-NEARER = 0.25  # of the way to a bound is kept
-SHORTEST = 1.0 / 64.0  # of a step
-ROUNDING = 1e-12  # of the squares' sum
+MAX_ITERATIONS, STEP_TOLERANCE = 60, 1e-12  # of Newton's steps; one as short, in scales, is the last
+ROUNDING_STEP = (
+    1e-8  # scales: of steps that are shorter, one that is no shorter than the one before is the last: rounding
+)
+MAX_STEP = 2.0  # scales: the longest step
+BOUND_FRACTION = 0.25  # of the way to a bound is kept
+MIN_FRACTION = 1.0 / 64.0  # of a step
+COST_TOLERANCE = 1e-12  # of the squares' sum
 TINY = 1e-300
-WEAKEST = 1e-9  # of the strongest combination: a weaker one is not felt by the points, and held
+RANK_TOLERANCE = 1e-9  # of the strongest combination: a weaker one is not felt by the points, and held
 
 
-class Points(NamedTuple):
+class PointFunctions(NamedTuple):
     """Values of special points as functions of numbers: the functions, what was published, its errors, the names of
     each number, of several that are one, and their scales."""
 
     functions: tuple[Located, ...]
     values: Float[np.ndarray, " points"]
     sigma: Float[np.ndarray, " points"]
-    names: tuple[tuple[str, ...], ...]
+    name_groups: tuple[tuple[str, ...], ...]
     scales: Float[np.ndarray, " numbers"]
-    low: Float[np.ndarray, " numbers"]
-    high: Float[np.ndarray, " numbers"]
+    lower: Float[np.ndarray, " numbers"]
+    upper: Float[np.ndarray, " numbers"]
 
 
-class Met(NamedTuple):
-    """numbers; residuals: values less published ones, in errors; by: their derivatives by numbers in scales; met:
+class PointFit(NamedTuple):
+    """numbers; residuals: values less published ones, in errors; jacobian: their derivatives by numbers in scales; met:
     whether the last step was a short one."""
 
-    numbers: Float[np.ndarray, " numbers"]
+    parameters: Float[np.ndarray, " numbers"]
     residuals: Float[np.ndarray, " points"]
-    by: Float[np.ndarray, "points numbers"]
-    met: bool
+    jacobian: Float[np.ndarray, "points numbers"]
+    converged: bool
 
 
-def points_of(record, names, scales, low, high):
-    """The `Points` of a `PointRecord`."""
-    functions = tuple(located(one, None, wall) for one, wall in zip(record.points, record.walls, strict=True))
-    for one in functions:
-        for name in (each for group in names for each in group):
-            check.require_known(name, one.special.scene.names, name)
-            if name == one.name:
+def make_point_functions(record, name_groups, scales, lower, upper):
+    """The `PointFunctions` of a `PointRecord`."""
+    functions = tuple(located(point, None, wall) for point, wall in zip(record.points, record.walls, strict=True))
+    for point in functions:
+        for name in (group_name for name_group in name_groups for group_name in name_group):
+            check.require_parameter(name, point.special.scene.names, name)
+            if name == point.name:
                 raise check.ArgumentError(f"free.{name}", "must not be what a point's value is of", name)
-    return Points(functions, record.values, np.full(len(functions), record.sigma), names, scales, low, high)
-
-
-def met(points, numbers):
-    """The least squares from numbers on: `Met`; None where a point exists at none of the numbers on the way there."""
-    own = np.array(
-        [[float(one.special.scene.parameter(group[0])) for group in points.names] for one in points.functions]
+    return PointFunctions(
+        functions, record.values, np.full(len(functions), record.sigma), name_groups, scales, lower, upper
     )
-    now = _there(points, np.mean(own, 0), numbers)
-    if now is None:
+
+
+def fit_points(points, parameters):
+    """The least squares from numbers on: `PointFit`; None where a point exists at none of the numbers on the way
+    there."""
+    own_values = np.array(
+        [
+            [float(function.special.scene.parameter(name_group[0])) for name_group in points.name_groups]
+            for function in points.functions
+        ]
+    )
+    point_fit = _nearest_solvable_fit(points, np.mean(own_values, 0), parameters)
+    if point_fit is None:
         return None
-    before = SMALL
-    for _ in range(ROUNDS):
-        step = -np.linalg.lstsq(now.by, now.residuals, rcond=WEAKEST)[0]
-        size = float(abs(step).max())
-        short, before = size <= LEAST or before <= size < SMALL, size
-        new = _stepped(points, now, _longest(points, now.numbers, step) * step)
-        if new is None:
-            return now
-        now = new
-        if short:
-            return now._replace(met=True)
-    return now
+    previous_size = ROUNDING_STEP
+    for _ in range(MAX_ITERATIONS):
+        step = -np.linalg.lstsq(point_fit.jacobian, point_fit.residuals, rcond=RANK_TOLERANCE)[0]
+        step_size = float(abs(step).max())
+        is_short, previous_size = step_size <= STEP_TOLERANCE or previous_size <= step_size < ROUNDING_STEP, step_size
+        next_fit = _take_step(points, point_fit, _max_step_fraction(points, point_fit.parameters, step) * step)
+        if next_fit is None:
+            return point_fit
+        point_fit = next_fit
+        if is_short:
+            return point_fit._replace(converged=True)
+    return point_fit
 
 
-def _there(points, own, numbers):
-    """The `Met` at numbers, or as near on the way from the points' own as all of them exist."""
-    share = 1.0
-    while share >= SHORTEST:
-        found = _felt(points, own + share * (numbers - own))
-        if found is not None:
-            return found
-        share *= 0.5
-    return _felt(points, own)
+def _nearest_solvable_fit(points, own_values, parameters):
+    """The `PointFit` at numbers, or as near on the way from the points' own as all of them exist."""
+    fraction = 1.0
+    while fraction >= MIN_FRACTION:
+        point_fit = _evaluate(points, own_values + fraction * (parameters - own_values))
+        if point_fit is not None:
+            return point_fit
+        fraction *= 0.5
+    return _evaluate(points, own_values)
 
 
-def _stepped(points, now, step):
-    """The `Met` after as much of a step as makes it no worse; None where none does."""
-    share, most = 1.0, (1.0 + ROUNDING) * (now.residuals @ now.residuals)
-    while share >= SHORTEST:
-        found = _felt(points, now.numbers + share * step * points.scales)
-        if found is not None and (found.residuals @ found.residuals <= most or abs(step).max() <= SMALL):
-            return found
-        share *= 0.5
+def _take_step(points, point_fit, step):
+    """The `PointFit` after as much of a step as makes it no worse; None where none does."""
+    fraction, max_cost = 1.0, (1.0 + COST_TOLERANCE) * (point_fit.residuals @ point_fit.residuals)
+    while fraction >= MIN_FRACTION:
+        next_fit = _evaluate(points, point_fit.parameters + fraction * step * points.scales)
+        if next_fit is not None and (
+            next_fit.residuals @ next_fit.residuals <= max_cost or abs(step).max() <= ROUNDING_STEP
+        ):
+            return next_fit
+        fraction *= 0.5
     return None
 
 
-def _longest(points, numbers, step):
+def _max_step_fraction(points, parameters, step):
     """How much of a step is taken at most."""
-    shares = [1.0, FAR / max(float(abs(step).max()), TINY)]
-    for number, move, low, high in zip(numbers, step * points.scales, points.low, points.high, strict=True):
-        room = (high - number) if move > 0 else (number - low)
-        if move and np.isfinite(room):
-            shares.append((1.0 - NEARER) * room / abs(move))
-    return min(shares)
+    fractions = [1.0, MAX_STEP / max(float(abs(step).max()), TINY)]
+    for parameter, change, lower, upper in zip(
+        parameters, step * points.scales, points.lower, points.upper, strict=True
+    ):
+        bound_distance = (upper - parameter) if change > 0 else (parameter - lower)
+        if change and np.isfinite(bound_distance):
+            fractions.append((1.0 - BOUND_FRACTION) * bound_distance / abs(change))
+    return min(fractions)
 
 
-def _felt(points, numbers):
-    """The `Met` at numbers, None where a point is not reached."""
-    residuals, by = [], []
-    for one, value, sigma in zip(points.functions, points.values, points.sigma, strict=True):
-        scene = one.special.scene
-        moved = changed(scene, {name: number for g, number in zip(points.names, numbers, strict=True) for name in g})
-        found = one.solve(moved)
-        if int(found.status) != SolutionStatus.OK:
+def _evaluate(points, parameters):
+    """The `PointFit` at numbers, None where a point is not reached."""
+    residuals, jacobian = [], []
+    for function, value, sigma in zip(points.functions, points.values, points.sigma, strict=True):
+        scene = function.special.scene
+        changed_scene = replace_unchecked(
+            scene,
+            {
+                name: parameter
+                for name_group, parameter in zip(points.name_groups, parameters, strict=True)
+                for name in name_group
+            },
+        )
+        located_point = function.solve(changed_scene)
+        if int(located_point.status) != SolutionStatus.OK:
             return None
-        slopes = jax.grad(one)(moved)
-        residuals.append((float(found.value) - value) / sigma)
-        by.append([sum(float(slopes.parameter(name)) for name in group) for group in points.names])
-    by = np.array(by) * points.scales / points.sigma[:, None]
-    return Met(np.array(numbers), np.array(residuals), by, False)
+        gradient = jax.grad(function)(changed_scene)
+        residuals.append((float(located_point.value) - value) / sigma)
+        jacobian.append(
+            [sum(float(gradient.parameter(name)) for name in name_group) for name_group in points.name_groups]
+        )
+    jacobian = np.array(jacobian) * points.scales / points.sigma[:, None]
+    return PointFit(np.array(parameters), np.array(residuals), jacobian, False)

@@ -15,20 +15,20 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import ArrayLike, Float
 
-from continuation.arrays import Array
-from continuation.implicit import in_turn
-from continuation.linear import solve
-from continuation.newton import OK, SINGULAR, Solved, newton
+from continuation.array_type import Array
+from continuation.implicit_function import loop_over_lanes
+from continuation.linear_solver import solve
+from continuation.newton import OK, SINGULAR, NewtonSolution, newton
 
-from ..compiled.kernels import one_kernel
+from ..compiled.kernels import call_as_kernel
 from ..flight import drive, flow
-from ..flight.coefficients import framed
+from ..flight.coefficients import flow_coefficients
 from ..orbits import cyclic_system, flight_clearance, impact_equations
-from ..orbits.impact_equations import LONGEST
+from ..orbits.impact_equations import MAX_TIME_CHANGE
 
-STEPS = 32.0  # at least, to the end of a way
-FINE = 2.0**-10  # of the way: so near is the end known
-STRAY = 0.1  # of 1 + the largest unknown: the most that a step changes
+MIN_STEPS = 32.0  # at least, to the end of a way
+END_TOLERANCE = 2.0**-10  # of the way: so near is the end known
+MAX_CHANGE = 0.1  # of 1 + the largest unknown: the most that a step changes
 
 
 class RayEnd(IntEnum):
@@ -38,15 +38,15 @@ class RayEnd(IntEnum):
     FOLD = 1
     FLIP = 2
     TOUCH = 3
-    SLOW = 4
+    ZERO_SPEED = 4
 
 
 class Ray(NamedTuple):
-    """share: of the way, the last place where the orbit is known; unknowns: times, then speeds, there; end: a `RayEnd`
-    just beyond; row, wall, time: of a touch: the flight after that impact, the wall's place among the walls, the time
-    since the section's phase; of an impact without speed its row."""
+    """fraction: of the way, the last place where the orbit is known; unknowns: times, then speeds, there; end: a
+    `RayEnd` just beyond; row, wall, time: of a touch: the flight after that impact, the wall's place among the walls,
+    the time since the section's phase; of an impact without speed its row."""
 
-    share: Float[ArrayLike, "*ways"]
+    fraction: Float[ArrayLike, "*ways"]
     unknowns: Float[ArrayLike, "*ways unknowns"]
     end: Float[ArrayLike, "*ways"]
     row: Float[ArrayLike, "*ways"]
@@ -54,10 +54,10 @@ class Ray(NamedTuple):
     time: Float[ArrayLike, "*ways"]
 
 
-class _Seen(NamedTuple):
+class _OrbitTests(NamedTuple):
     fold: Float[Array, ""]
     flip: Float[Array, ""]
-    least: Float[Array, ""]
+    min_clearance: Float[Array, ""]
     end: Float[Array, ""]
     row: Float[Array, ""]
     wall: Float[Array, ""]
@@ -65,124 +65,174 @@ class _Seen(NamedTuple):
 
 
 @partial(jax.jit, static_argnums=0)
-def rays(tree, cycle, numbers, ways):
+def follow_rays(treedef, sequence, scene_vector, displacements):
     """The `Ray`s from an orbit, a `Cycle` without empty rows, of the scene with these numbers, (numbers,), along ways,
     (ways, numbers): what is added to them at the end. Or each from an orbit of its own: cycle and numbers have the
     ways' axis first."""
-    look = in_turn(partial(_ray, tree), one_kernel)
-    own = 0 if jnp.ndim(numbers) > 1 else None
-    return jax.vmap(look, in_axes=(own, own, 0))(cycle, numbers, ways)
+    follow = loop_over_lanes(partial(_follow_ray, treedef), call_as_kernel)
+    batch_axis = 0 if jnp.ndim(scene_vector) > 1 else None
+    return jax.vmap(follow, in_axes=(batch_axis, batch_axis, 0))(sequence, scene_vector, displacements)
 
 
-def _ray(tree, cycle, numbers, way):
+def _follow_ray(treedef, sequence, scene_vector, displacement):
     """The `Ray`; of an orbit without impacts the unknowns are x and v at the section."""
-    hits = bool(len(cycle.sides))
-    start = jnp.concatenate([cycle.times, cycle.speeds])
-    longest = jnp.where(jnp.arange(len(start)) < len(cycle.sides), LONGEST, jnp.inf)
+    has_impacts = bool(len(sequence.sides))
+    start_unknowns = jnp.concatenate([sequence.times, sequence.speeds])
+    max_changes = jnp.where(jnp.arange(len(start_unknowns)) < len(sequence.sides), MAX_TIME_CHANGE, jnp.inf)
 
-    def built(share):
-        return framed(tree.unflatten(list(numbers + share * way)))
+    def coeffs_at(fraction):
+        return flow_coefficients(treedef.unflatten(list(scene_vector + fraction * displacement)))
 
-    def solved(frame, unknowns):
-        if not hits:
-            return _response(frame, cycle)
+    def solve_orbit(coeffs, unknowns):
+        if not has_impacts:
+            return _solve_free_orbit(coeffs, sequence)
 
-        def function(unknowns):
-            return impact_equations.equations(frame, at_unknowns(cycle, unknowns))
+        def residual(unknowns):
+            return impact_equations.residual_and_jacobian(coeffs, sequence_at(sequence, unknowns))
 
-        return newton(function, unknowns, longest * frame.period, most=8, solve=impact_equations.solve)
+        return newton(residual, unknowns, max_changes * coeffs.period, max_steps=8, solve=impact_equations.solve_cyclic)
 
     def advance(carry):
-        share, step, unknowns, rate, seen, _ = carry
-        ahead = jnp.minimum(1.0, share + step)
-        frame = built(ahead)
-        found = solved(frame, unknowns + (ahead - share) * rate)
-        change = jnp.max(abs(found.unknowns - unknowns))
-        new = see(frame, at_unknowns(cycle, found.unknowns) if hits else cycle, found.unknowns)
-        good = (found.status == OK) & (change <= STRAY * (1.0 + jnp.max(abs(unknowns))))
-        end = jnp.where(
-            new.fold * seen.fold < 0, RayEnd.FOLD, jnp.where(new.flip * seen.flip < 0, RayEnd.FLIP, new.end)
+        fraction, step, unknowns, unknowns_rate, orbit_tests, _ = carry
+        next_fraction = jnp.minimum(1.0, fraction + step)
+        coeffs = coeffs_at(next_fraction)
+        solution = solve_orbit(coeffs, unknowns + (next_fraction - fraction) * unknowns_rate)
+        max_change = jnp.max(abs(solution.unknowns - unknowns))
+        new_tests = evaluate_tests(
+            coeffs, sequence_at(sequence, solution.unknowns) if has_impacts else sequence, solution.unknowns
         )
-        end = jnp.where(good, end, RayEnd.FOLD)
-        on = end == RayEnd.NONE
-        bent = (found.unknowns - unknowns) / jnp.where(ahead > share, ahead - share, 1.0)
-        step = jnp.where(on, jnp.minimum(1.5 * step, 1.0 / STEPS), 0.5 * step)
-        over = (~on & (step < FINE)) | (on & (ahead >= 1.0))
-        kept = new._replace(end=seen.end, row=seen.row, wall=seen.wall, time=seen.time)
-        last = seen._replace(end=end, row=new.row, wall=new.wall, time=new.time)
-        seen = jax.tree.map(lambda a, b: jnp.where(on, a, b), kept, last)
-        share, unknowns, rate = (
-            jnp.where(on, *each) for each in ((ahead, share), (found.unknowns, unknowns), (bent, rate))
+        is_good = (solution.status == OK) & (max_change <= MAX_CHANGE * (1.0 + jnp.max(abs(unknowns))))
+        ray_end = jnp.where(
+            new_tests.fold * orbit_tests.fold < 0,
+            RayEnd.FOLD,
+            jnp.where(new_tests.flip * orbit_tests.flip < 0, RayEnd.FLIP, new_tests.end),
         )
-        return share, step, unknowns, rate, seen, over
+        ray_end = jnp.where(is_good, ray_end, RayEnd.FOLD)
+        continues = ray_end == RayEnd.NONE
+        new_rate = (solution.unknowns - unknowns) / jnp.where(next_fraction > fraction, next_fraction - fraction, 1.0)
+        step = jnp.where(continues, jnp.minimum(1.5 * step, 1.0 / MIN_STEPS), 0.5 * step)
+        is_done = (~continues & (step < END_TOLERANCE)) | (continues & (next_fraction >= 1.0))
+        advanced_tests = new_tests._replace(
+            end=orbit_tests.end, row=orbit_tests.row, wall=orbit_tests.wall, time=orbit_tests.time
+        )
+        end_tests = orbit_tests._replace(end=ray_end, row=new_tests.row, wall=new_tests.wall, time=new_tests.time)
+        orbit_tests = jax.tree.map(lambda a, b: jnp.where(continues, a, b), advanced_tests, end_tests)
+        fraction, unknowns, unknowns_rate = (
+            jnp.where(continues, *candidates)
+            for candidates in ((next_fraction, fraction), (solution.unknowns, unknowns), (new_rate, unknowns_rate))
+        )
+        return fraction, step, unknowns, unknowns_rate, orbit_tests, is_done
 
-    zero, see = jnp.zeros((), numbers.dtype), _seen if hits else _free
-    start = start if hits else _response(built(zero), cycle).unknowns
-    seen = see(built(zero), cycle, start)._replace(end=zero)
-    carry = (zero, zero + 1.0 / STEPS, start, 0.0 * start, seen, zero > 0)
-    share, _, unknowns, _, seen, _ = lax.while_loop(lambda carry: ~carry[-1], advance, carry)
-    end = jnp.where(share >= 1.0, 0.0, seen.end)
-    return Ray(share, unknowns, end, seen.row, seen.wall, seen.time)
+    zero_scalar, evaluate_tests = jnp.zeros((), scene_vector.dtype), _impact_tests if has_impacts else _free_tests
+    start_unknowns = start_unknowns if has_impacts else _solve_free_orbit(coeffs_at(zero_scalar), sequence).unknowns
+    orbit_tests = evaluate_tests(coeffs_at(zero_scalar), sequence, start_unknowns)._replace(end=zero_scalar)
+    carry = (
+        zero_scalar,
+        zero_scalar + 1.0 / MIN_STEPS,
+        start_unknowns,
+        0.0 * start_unknowns,
+        orbit_tests,
+        zero_scalar > 0,
+    )
+    fraction, _, unknowns, _, orbit_tests, _ = lax.while_loop(lambda carry: ~carry[-1], advance, carry)
+    ray_end = jnp.where(fraction >= 1.0, 0.0, orbit_tests.end)
+    return Ray(fraction, unknowns, ray_end, orbit_tests.row, orbit_tests.wall, orbit_tests.time)
 
 
-def at_unknowns(cycle, unknowns):
+def sequence_at(sequence, unknowns):
     """The `Cycle` with these times and speeds."""
-    return cycle._replace(times=unknowns[: len(cycle.sides)], speeds=unknowns[len(cycle.sides) :])
+    return sequence._replace(times=unknowns[: len(sequence.sides)], speeds=unknowns[len(sequence.sides) :])
 
 
-def tests_of(frame, cycle, unknowns):
+def bifurcation_tests(coeffs, sequence, unknowns):
     """The determinants that vanish at a fold and at a period doubling, the least clearance, the least speed, in a row:
     of an orbit without impacts 1, 1, the clearance and infinity."""
-    if len(cycle.sides):
-        seen, slow = _seen(frame, cycle, unknowns), jnp.min(cycle.speeds)
+    if len(sequence.sides):
+        orbit_tests, min_speed = _impact_tests(coeffs, sequence, unknowns), jnp.min(sequence.speeds)
     else:
-        seen, slow = _free(frame, cycle, unknowns), jnp.inf
-    return jnp.stack([seen.fold, seen.flip, seen.least, slow + 0.0 * seen.fold])
-
-
-def free_response(frame, cycle):
-    """x and v at the section of the motion that meets no wall."""
-    return _response(frame, cycle).unknowns
-
-
-def _seen(frame, cycle, _):
-    found = impact_equations.flights(frame, cycle)
-    fold, flip = cyclic_system.determinants(cyclic_system.of(impact_equations.equations(frame, cycle, found)[1]))
-    begin = cycle.times if found.met.stay is None else cycle.times + found.met.stay
-    least, row, wall, time = _least(frame, found, begin)
-    slow = jnp.any(cycle.speeds <= 0)
-    end = jnp.where(slow, RayEnd.SLOW, jnp.where(least < 0, RayEnd.TOUCH, RayEnd.NONE))
-    return _Seen(
-        fold, flip, least, end + 0.0 * fold, jnp.where(slow, jnp.argmin(cycle.speeds), row) + 0.0 * fold, wall, time
+        orbit_tests, min_speed = _free_tests(coeffs, sequence, unknowns), jnp.inf
+    return jnp.stack(
+        [orbit_tests.fold, orbit_tests.flip, orbit_tests.min_clearance, min_speed + 0.0 * orbit_tests.fold]
     )
 
 
-def _least(frame, found, begin):
+def free_response(coeffs, sequence):
+    """x and v at the section of the motion that meets no wall."""
+    return _solve_free_orbit(coeffs, sequence).unknowns
+
+
+def _impact_tests(coeffs, sequence, _):
+    flights = impact_equations.compute_flights(coeffs, sequence)
+    fold_test, flip_test = cyclic_system.determinants(
+        cyclic_system.assemble_matrix(impact_equations.residual_and_jacobian(coeffs, sequence, flights)[1])
+    )
+    start_times = (
+        sequence.times
+        if flights.contact_map.contact_time is None
+        else sequence.times + flights.contact_map.contact_time
+    )
+    min_clearance, row, wall, time = _closest_approach(coeffs, flights, start_times)
+    has_zero_speed = jnp.any(sequence.speeds <= 0)
+    ray_end = jnp.where(has_zero_speed, RayEnd.ZERO_SPEED, jnp.where(min_clearance < 0, RayEnd.TOUCH, RayEnd.NONE))
+    return _OrbitTests(
+        fold_test,
+        flip_test,
+        min_clearance,
+        ray_end + 0.0 * fold_test,
+        jnp.where(has_zero_speed, jnp.argmin(sequence.speeds), row) + 0.0 * fold_test,
+        wall,
+        time,
+    )
+
+
+def _closest_approach(coeffs, flights, start_times):
     """(the least distance at a turning point, inf: none; the flight's row, the wall's place, the time)."""
-    clear, late = flight_clearance.clearances(frame, found, flight_clearance.samples(frame, found))
-    place = jnp.argmin(clear.reshape(-1)).astype(int)
-    row, wall = place // clear.shape[1], place % clear.shape[1]
-    least, late = (lax.dynamic_index_in_dim(each.reshape(-1), place, keepdims=False) for each in (clear, late))
-    zero = 0.0 * late
-    return least, row + zero, wall + zero, late + lax.dynamic_index_in_dim(begin, row, keepdims=False)
+    min_clearances, turning_time = flight_clearance.turning_clearances(
+        coeffs, flights, flight_clearance.sample_count(coeffs, flights)
+    )
+    flat_index = jnp.argmin(min_clearances.reshape(-1)).astype(int)
+    row, wall = flat_index // min_clearances.shape[1], flat_index % min_clearances.shape[1]
+    min_clearance, turning_time = (
+        lax.dynamic_index_in_dim(array.reshape(-1), flat_index, keepdims=False)
+        for array in (min_clearances, turning_time)
+    )
+    zero_scalar = 0.0 * turning_time
+    return (
+        min_clearance,
+        row + zero_scalar,
+        wall + zero_scalar,
+        turning_time + lax.dynamic_index_in_dim(start_times, row, keepdims=False),
+    )
 
 
-def _response(frame, cycle):
+def _solve_free_orbit(coeffs, sequence):
     """`newton.Solved` of the motion that meets no wall."""
-    span = cycle.periods * frame.period
-    (p00, p01, p11), forced = flow.responses(frame.frequency, frame.damping, span)
-    phasor = jnp.cos(cycle.phase), jnp.sin(cycle.phase)
-    pushed = frame.force * (phasor[0] * jnp.stack(forced[0]) - phasor[1] * jnp.stack(forced[1]))
-    if frame.terms:
-        more = drive.responses(frame.terms, frame.frequency, frame.damping, span)
-        pushed = pushed + jnp.stack(drive.forced(frame.terms, more, frame.frequency, *phasor))
+    duration = sequence.periods * coeffs.period
+    (p00, p01, p11), forced_response = flow.flight_responses(coeffs.frequency, coeffs.damping, duration)
+    phasor = jnp.cos(sequence.phase), jnp.sin(sequence.phase)
+    forced_state = coeffs.amplitude * (
+        phasor[0] * jnp.stack(forced_response[0]) - phasor[1] * jnp.stack(forced_response[1])
+    )
+    if coeffs.drive_terms:
+        term_responses = drive.term_responses(coeffs.drive_terms, coeffs.frequency, coeffs.damping, duration)
+        forced_state = forced_state + jnp.stack(
+            drive.forced_response(coeffs.drive_terms, term_responses, coeffs.frequency, *phasor)
+        )
     matrix = jnp.stack([jnp.stack([1.0 - p00, -p01]), jnp.stack([p01, 1.0 - p11])])
-    found = solve(matrix, pushed)
-    return Solved(found.x, 0.0 * span, 0.0 * span, found.worst, jnp.where(found.worst > 0, OK, SINGULAR))
+    solution = solve(matrix, forced_state)
+    return NewtonSolution(
+        solution.x,
+        0.0 * duration,
+        0.0 * duration,
+        solution.pivot_ratio,
+        jnp.where(solution.pivot_ratio > 0, OK, SINGULAR),
+    )
 
 
-def _free(frame, cycle, unknowns):
-    found = flight_clearance.without_impacts(frame, cycle.phase, cycle.periods, *unknowns)
-    least, row, wall, time = _least(frame, found, jnp.zeros(1, unknowns.dtype))
-    one = jnp.ones_like(least)
-    return _Seen(one, one, least, jnp.where(least < 0, RayEnd.TOUCH, RayEnd.NONE) + 0.0 * one, row, wall, time)
+def _free_tests(coeffs, sequence, unknowns):
+    flight = flight_clearance.impact_free_flight(coeffs, sequence.phase, sequence.periods, *unknowns)
+    min_clearance, row, wall, time = _closest_approach(coeffs, flight, jnp.zeros(1, unknowns.dtype))
+    ones = jnp.ones_like(min_clearance)
+    return _OrbitTests(
+        ones, ones, min_clearance, jnp.where(min_clearance < 0, RayEnd.TOUCH, RayEnd.NONE) + 0.0 * ones, row, wall, time
+    )

@@ -27,15 +27,15 @@ class ImpactRecord:
     flawed: bool = True
 
     def __post_init__(self) -> None:
-        times = _row("times", self.times)
-        sides = _as_long("sides", self.sides, times)
+        times = _parse_row("times", self.times)
+        sides = _parse_matching_row("sides", self.sides, times)
         if not np.all(np.isin(sides, (-1.0, 1.0))):
             raise check.ArgumentError("sides", "must be -1 (left) or 1 (right)", float(sides[abs(sides) != 1.0][0]))
-        _in_order(times, np.diff(times) < 0)
+        _require_order(times, np.diff(times) < 0)
         object.__setattr__(self, "times", times)
         object.__setattr__(self, "sides", sides.astype(int))
-        object.__setattr__(self, "sigma", positive("sigma", self.sigma))
-        object.__setattr__(self, "phase", _phase(self.phase))
+        object.__setattr__(self, "sigma", positive_number("sigma", self.sigma))
+        object.__setattr__(self, "phase", _parse_phase(self.phase))
         if not isinstance(self.flawed, bool):
             raise check.ArgumentError("flawed", "must be True or False", self.flawed)
 
@@ -58,19 +58,19 @@ class SampleRecord:
     phase: float | None = 0.0
 
     def __post_init__(self) -> None:
-        times = _row("times", self.times)
-        _in_order(times, np.diff(times) <= 0)
+        times = _parse_row("times", self.times)
+        _require_order(times, np.diff(times) <= 0)
         object.__setattr__(self, "times", times)
         for key in ("x", "v"):
-            given = getattr(self, key)
-            if given is not None:
-                object.__setattr__(self, key, _as_long(key, given, times))
+            column = getattr(self, key)
+            if column is not None:
+                object.__setattr__(self, key, _parse_matching_row(key, column, times))
         if self.v is None and self.sigma_v is not None:
             raise check.ArgumentError("sigma_v", "must be left out where there is no v", self.sigma_v)
-        object.__setattr__(self, "sigma", positive("sigma", self.sigma))
+        object.__setattr__(self, "sigma", positive_number("sigma", self.sigma))
         if self.sigma_v is not None:
-            object.__setattr__(self, "sigma_v", positive("sigma_v", self.sigma_v))
-        object.__setattr__(self, "phase", _phase(self.phase))
+            object.__setattr__(self, "sigma_v", positive_number("sigma_v", self.sigma_v))
+        object.__setattr__(self, "phase", _parse_phase(self.phase))
 
     @property
     def measured(self) -> tuple[Float[np.ndarray, "samples channels"], Float[np.ndarray, " channels"]]:
@@ -80,7 +80,7 @@ class SampleRecord:
         return np.stack([self.x, self.v], 1), np.array([self.sigma, self.sigma_v or self.sigma])
 
 
-@check.host("multiply by what `scene.scales` says")
+@check.host_only("multiply by what `scene.scales` says")
 def record_from_physical(record: ImpactRecord | SampleRecord, scene: Scene) -> ImpactRecord | SampleRecord:
     """A record in seconds, metres and m/s, errors included, as a scene with scales measures it: another record of its
     kind, for `fit`.
@@ -90,52 +90,52 @@ def record_from_physical(record: ImpactRecord | SampleRecord, scene: Scene) -> I
     if not isinstance(record, ImpactRecord | SampleRecord):
         raise check.ArgumentError("record", "must be an ImpactRecord or a SampleRecord", record)
     scales = require_scales(scene)
-    natural, length = scales.natural_frequency, scales.length
-    times = natural * np.asarray(record.times)
+    natural_frequency, length_scale = scales.natural_frequency, scales.length
+    times = natural_frequency * np.asarray(record.times)
     if isinstance(record, ImpactRecord):
-        return replace(record, times=times, sigma=natural * record.sigma)
-    pace, v = length * natural, record.v
-    sigma_v = (record.sigma if record.sigma_v is None else record.sigma_v) / pace
+        return replace(record, times=times, sigma=natural_frequency * record.sigma)
+    velocity_scale, v = length_scale * natural_frequency, record.v
+    sigma_v = (record.sigma if record.sigma_v is None else record.sigma_v) / velocity_scale
     return replace(
         record,
         times=times,
-        x=np.asarray(record.x) / length,
-        sigma=record.sigma / length,
-        v=None if v is None else np.asarray(v) / pace,
+        x=np.asarray(record.x) / length_scale,
+        sigma=record.sigma / length_scale,
+        v=None if v is None else np.asarray(v) / velocity_scale,
         sigma_v=None if v is None else sigma_v,
     )
 
 
-def positive(key, value):
+def positive_number(key, value):
     """A value as a plain number, refused where it is not finite and greater than 0."""
-    found = check.number(key, value, np.float64)
-    if found.ndim or found <= 0:
+    number = check.finite_array(key, value, np.float64)
+    if number.ndim or number <= 0:
         raise check.ArgumentError(key, "must be a number greater than 0", value)
-    return float(found)
+    return float(number)
 
 
-def _as_long(key, value, times):
-    found = _row(key, value)
-    if len(found) != len(times):
-        raise check.ArgumentError(key, f"must be one for each time, {len(times)}", len(found))
-    return found
+def _parse_matching_row(key, value, times):
+    array = _parse_row(key, value)
+    if len(array) != len(times):
+        raise check.ArgumentError(key, f"must be one for each time, {len(times)}", len(array))
+    return array
 
 
-def _in_order(times, wrong):
-    if np.any(wrong):
-        place = int(np.flatnonzero(wrong)[0]) + 1
-        raise check.ArgumentError("times", "must be in order", float(times[place]), (place,))
+def _require_order(times, is_wrong):
+    if np.any(is_wrong):
+        bad_index = int(np.flatnonzero(is_wrong)[0]) + 1
+        raise check.ArgumentError("times", "must be in order", float(times[bad_index]), (bad_index,))
 
 
-def _phase(value):
-    return None if value is None else float(check.number("phase", value, np.float64))
+def _parse_phase(value):
+    return None if value is None else float(check.finite_array("phase", value, np.float64))
 
 
-def _row(key, value):
-    found = check.number(key, value, np.float64)
-    if found.ndim != 1 or not len(found):
+def _parse_row(key, value):
+    array = check.finite_array(key, value, np.float64)
+    if array.ndim != 1 or not len(array):
         raise check.ArgumentError(key, "must be a row of numbers, one at least", value)
-    return found
+    return array
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,16 +153,16 @@ class PointRecord:
     walls: tuple[str | None, ...] = ()
 
     def __post_init__(self) -> None:
-        points, values = tuple(self.points), _row("values", self.values)
+        points, values = tuple(self.points), _parse_row("values", self.values)
         if len(points) != len(values):
             raise check.ArgumentError("values", f"must be one for each point, {len(points)}", len(values))
-        for one in points:
-            if not isinstance(one, Special):
-                raise check.ArgumentError("points", "must be Specials", one)
+        for point in points:
+            if not isinstance(point, Special):
+                raise check.ArgumentError("points", "must be Specials", point)
         walls = tuple(self.walls) or (None,) * len(points)
         if len(walls) != len(points) or not set(walls) <= {None, *SIDES}:
             raise check.ArgumentError("walls", 'must be "left", "right" or None for each point', self.walls)
         object.__setattr__(self, "walls", walls)
         object.__setattr__(self, "points", points)
         object.__setattr__(self, "values", values)
-        object.__setattr__(self, "sigma", positive("sigma", self.sigma))
+        object.__setattr__(self, "sigma", positive_number("sigma", self.sigma))

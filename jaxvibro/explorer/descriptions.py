@@ -7,14 +7,14 @@ import numpy as np
 import xarray as xr
 
 from ..attractors.shares import share_text
-from ..branches.branch import MEANINGS, Branch, Special, labels_of
-from ..branches.switch import KINDS as LEAVING
-from ..loci.first_point import KINDS, RESTS
+from ..branches.branch import KIND_NAMES, Branch, Special, neighbour_labels
+from ..branches.switch import SWITCHING_KINDS as LEAVING
+from ..loci.locus_start import KINDS, STICKING_KINDS
 from ..orbits.orbit import Orbit
-from .lines import resolved
-from .shown import Shown, branches
+from .calls import resolve
+from .page_state import PageState, branches
 
-WHOLE = {  # of the scene, and so always there
+SCENE_ACTIONS = {  # of the scene, and so always there
     "explore": "all branches",
     "sweep": "sweep up and down",
     "attractors": "attractors from 200 starts",
@@ -23,78 +23,96 @@ WHOLE = {  # of the scene, and so always there
 }
 
 
-def facts(shown: Shown, results: Mapping[str, Any]) -> str:
+def page_facts(page: PageState, results: Mapping[str, Any]) -> str:
     """What is known of the orbit, or motion, that the portrait shows, and of the special point that was chosen."""
-    told = []
-    chosen = resolved(shown.chosen, results) if shown.chosen else None
-    if isinstance(chosen, Special):
-        form = chosen.normal_form
-        more = f", {form.consequence}: {form}" if form else ""
-        meets = f", where {' and '.join(labels_of(chosen))} meet" if chosen.joins else ""
-        told.append(f"{chosen.kind} ({MEANINGS.get(chosen.kind, 'a monitor')}) at {chosen.value:.12g}{meets}{more}")
-    elif shown.place is not None and isinstance(chosen, Branch):
-        told.append(f"point {shown.place} of {len(chosen)} at {chosen.name} {chosen.values[shown.place]:.12g}")
-    one = results.get(shown.current)
-    if isinstance(one, Orbit):
-        told.append(one.table())
-    elif isinstance(one, xr.Dataset):
-        told.append(_of_motion(one))
-    for line in shown.lines[-1:]:
+    paragraphs = []
+    selection = resolve(page.chosen, results) if page.chosen else None
+    if isinstance(selection, Special):
+        normal_form = selection.normal_form
+        form_text = f", {normal_form.consequence}: {normal_form}" if normal_form else ""
+        neighbours_text = f", where {' and '.join(neighbour_labels(selection))} meet" if selection.joins else ""
+        paragraphs.append(
+            f"{selection.kind} ({KIND_NAMES.get(selection.kind, 'a monitor')}) at"
+            f" {selection.value:.12g}{neighbours_text}{form_text}"
+        )
+    elif page.place is not None and isinstance(selection, Branch):
+        paragraphs.append(
+            f"point {page.place} of {len(selection)} at {selection.name} {selection.values[page.place]:.12g}"
+        )
+    motion = results.get(page.current)
+    if isinstance(motion, Orbit):
+        paragraphs.append(motion.table())
+    elif isinstance(motion, xr.Dataset):
+        paragraphs.append(_describe_motion(motion))
+    for line in page.lines[-1:]:
         value = results[line.name]
         if line.call == "margin":
-            told.append(value.table())
+            paragraphs.append(value.table())
         elif line.call == "attractors":
-            told.append("\n".join(f"{each.label}, {share_text(each)}" for each in value))
-    return "\n\n".join(told)
+            paragraphs.append("\n".join(f"{attractor.label}, {share_text(attractor)}" for attractor in value))
+    return "\n\n".join(paragraphs)
 
 
-def title(shown: Shown, results: Mapping[str, Any]) -> str:
+def portrait_title(page: PageState, results: Mapping[str, Any]) -> str:
     """What the portrait shows, in a few words."""
-    one = results.get(shown.current)
-    if isinstance(one, Orbit):
-        return f"{one.label}, {'stable' if one.stable else 'unstable'}"
-    return "" if one is None else "no orbit"
+    motion = results.get(page.current)
+    if isinstance(motion, Orbit):
+        return f"{motion.label}, {'stable' if motion.stable else 'unstable'}"
+    return "" if motion is None else "no orbit"
 
 
-def label_of(call: str, shown: Shown, results: Mapping[str, Any]) -> str:
+def action_label(call: str, page: PageState, results: Mapping[str, Any]) -> str:
     """What an action is called."""
-    return next((one["label"] for one in actions(shown, results) if one["call"] == call), call)
+    return next((action["label"] for action in available_actions(page, results) if action["call"] == call), call)
 
 
-def _of_motion(motion):
+def _describe_motion(motion):
     x, v = (motion[name].values for name in ("x", "v"))
-    hits = motion.sizes["impact"]
-    turns = (motion["phase"].values[-1] - motion["phase"].values[0]) / (2.0 * np.pi)
+    n_impacts = motion.sizes["impact"]
+    n_periods = (motion["phase"].values[-1] - motion["phase"].values[0]) / (2.0 * np.pi)
     return (
-        f"no periodic orbit of up to 32 periods was settled on: {turns:.0f} periods are shown, with {hits} impacts;\n"
+        f"no periodic orbit of up to 32 periods was settled on: {n_periods:.0f} periods are shown, with"
+        f" {n_impacts} impacts;\n"
         f"x from {x.min():.6g} to {x.max():.6g}, v from {v.min():.6g} to {v.max():.6g}"
     )
 
 
-def actions(shown: Shown, results: Mapping[str, Any]) -> list[dict[str, str]]:
+def available_actions(page: PageState, results: Mapping[str, Any]) -> list[dict[str, str]]:
     """What can be asked now: {"call", "label"} each, what concerns the clicked point first."""
-    chosen, found = resolved(shown.chosen, results) if shown.chosen else None, []
-    if isinstance(chosen, Special):
-        if chosen.kind in LEAVING:
-            found.append(("switch", f"branches that leave {chosen.kind}"))
-        if chosen.kind in (*KINDS, *RESTS):
-            found.append(("locus", f"locus of {chosen.kind}"))
-    one = results.get(shown.current)
-    if isinstance(one, Orbit):
-        found.append(("follow", f"branch of {one.label}"))
-        found.append(("margin", f"margin of {one.label}"))
-    return [{"call": call, "label": label} for call, label in (*found, *WHOLE.items())]
+    selection, choices = resolve(page.chosen, results) if page.chosen else None, []
+    if isinstance(selection, Special):
+        if selection.kind in LEAVING:
+            choices.append(("switch", f"branches that leave {selection.kind}"))
+        if selection.kind in (*KINDS, *STICKING_KINDS):
+            choices.append(("locus", f"locus of {selection.kind}"))
+    motion = results.get(page.current)
+    if isinstance(motion, Orbit):
+        choices.append(("follow", f"branch of {motion.label}"))
+        choices.append(("margin", f"margin of {motion.label}"))
+    return [{"call": call, "label": label} for call, label in (*choices, *SCENE_ACTIONS.items())]
 
 
-def points(shown: Shown, results: Mapping[str, Any]) -> list[dict[str, Any]]:
+def special_points(page: PageState, results: Mapping[str, Any]) -> list[dict[str, Any]]:
     """The special points of the diagram's branches, by value: reference, kind, value, label, what it means."""
-    found: list[dict[str, Any]] = []
-    for reference, branch in branches(shown, results):
-        for k, one in enumerate(branch.special):
-            if one.kind == "EP":
+    records: list[dict[str, Any]] = []
+    for reference, branch in branches(page, results):
+        for k, special in enumerate(branch.special):
+            if special.kind == "EP":
                 continue
-            told = {"of": f"{reference}.special[{k}]", "kind": one.kind, "value": one.value, "label": one.label}
-            known = [each for each in found if (each["kind"], each["label"]) == (one.kind, one.label)]
-            if not any(abs(each["value"] - one.value) <= 1e-9 * (1.0 + abs(one.value)) for each in known):
-                found.append(told | {"meaning": MEANINGS.get(one.kind, "monitor")})
-    return sorted(found, key=lambda one: one["value"])
+            record = {
+                "of": f"{reference}.special[{k}]",
+                "kind": special.kind,
+                "value": special.value,
+                "label": special.label,
+            }
+            same_kind = [
+                other_record
+                for other_record in records
+                if (other_record["kind"], other_record["label"]) == (special.kind, special.label)
+            ]
+            if not any(
+                abs(other_record["value"] - special.value) <= 1e-9 * (1.0 + abs(special.value))
+                for other_record in same_kind
+            ):
+                records.append(record | {"meaning": KIND_NAMES.get(special.kind, "monitor")})
+    return sorted(records, key=lambda record: record["value"])

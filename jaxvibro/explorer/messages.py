@@ -7,11 +7,11 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from ..scene.check import ArgumentError, short
+from ..scene.check import ArgumentError, shorten
 
 Panel = Literal["diagram", "plane", "portrait", "trace"]
-Pair = tuple[float, float]
-Text = Annotated[str, Meta(max_length=200)]
+Interval = tuple[float, float]
+ShortText = Annotated[str, Meta(max_length=200)]
 Count = Annotated[int, Meta(ge=1, le=100_000)]
 
 
@@ -21,7 +21,7 @@ class Message(Struct, tag_field="do", forbid_unknown_fields=True, kw_only=True):
     number: int = 0
 
     @property
-    def replaces(self) -> tuple[Any, ...] | None:
+    def replacement_key(self) -> tuple[Any, ...] | None:
         """Of two messages in a row with one key the later one alone counts; None: each counts."""
         return None
 
@@ -41,7 +41,7 @@ class Resize(Message, tag="size"):
     ratio: float = 1.0
 
     @property
-    def replaces(self) -> tuple[Any, ...]:
+    def replacement_key(self) -> tuple[Any, ...]:
         return "size", self.panel
 
 
@@ -49,15 +49,15 @@ class Zoom(Message, tag="zoom"):
     """Other limits of a panel's axes, None: all of it."""
 
     panel: Panel
-    x: Pair | None = None
-    y: Pair | None = None
+    x: Interval | None = None
+    y: Interval | None = None
 
     @property
-    def replaces(self) -> tuple[Any, ...]:
+    def replacement_key(self) -> tuple[Any, ...]:
         return "zoom", self.panel
 
 
-class Pick(Message, tag="pick"):
+class Click(Message, tag="pick"):
     """A click into the diagram, or into the plane of two parameters: the nearest point there."""
 
     panel: Literal["diagram", "plane"]
@@ -65,57 +65,57 @@ class Pick(Message, tag="pick"):
     y: float
 
     @property
-    def replaces(self) -> tuple[Any, ...]:
+    def replacement_key(self) -> tuple[Any, ...]:
         return "pick", self.panel
 
 
-class Begin(Message, tag="start"):
+class SetStart(Message, tag="start"):
     """A new start: position and velocity at phase 0."""
 
     x: float
     v: float
 
     @property
-    def replaces(self) -> tuple[Any, ...]:
+    def replacement_key(self) -> tuple[Any, ...]:
         return ("start",)
 
 
-class Put(Message, tag="set"):
+class SetParameter(Message, tag="set"):
     """A number of the scene; last: the slider has been let go of."""
 
-    name: Text
+    name: ShortText
     value: float
     last: bool = True
 
     @property
-    def replaces(self) -> tuple[Any, ...]:
+    def replacement_key(self) -> tuple[Any, ...]:
         return "set", self.name
 
 
-class Choose(Message, tag="choose"):
+class Select(Message, tag="choose"):
     """A special point, an orbit or a line, by its reference."""
 
-    of: Text
+    of: ShortText
 
 
-class Move(Message, tag="move"):
+class MoveOnBranch(Message, tag="move"):
     """Along the branch by so many points; branch: to another branch, so many on."""
 
     by: int = 0
     branch: int = 0
 
 
-class Along(Message, tag="along"):
+class SetAxes(Message, tag="along"):
     """The parameter of the diagram and its range, and the second one of the plane; variable: what is drawn."""
 
-    parameter: Text
-    bounds: Pair
-    second: Text
-    second_bounds: Pair
-    variable: Text
+    parameter: ShortText
+    bounds: Interval
+    second: ShortText
+    second_bounds: Interval
+    variable: ShortText
 
 
-class Ask(Message, tag="ask"):
+class RunAction(Message, tag="ask"):
     """A call on what is chosen. count: of a grid's side, or of a sweep's values; max_period: of `explore`."""
 
     call: Literal["follow", "switch", "explore", "locus", "margin", "basins", "map", "sweep", "attractors"]
@@ -137,44 +137,58 @@ class Load(Message, tag="load"):
     text: str
 
 
-Sent = Hello | Resize | Zoom | Pick | Begin | Put | Choose | Move | Along | Ask | Stop | Undo | Load
-_decoder = msgspec.json.Decoder(Sent)
+PageMessage = (
+    Hello
+    | Resize
+    | Zoom
+    | Click
+    | SetStart
+    | SetParameter
+    | Select
+    | MoveOnBranch
+    | SetAxes
+    | RunAction
+    | Stop
+    | Undo
+    | Load
+)
+_message_decoder = msgspec.json.Decoder(PageMessage)
 
 
-class _Numbered(Struct):
+class _NumberedMessage(Struct):
     number: int = 0
 
 
-_numbers = msgspec.json.Decoder(_Numbered)
+_number_decoder = msgspec.json.Decoder(_NumberedMessage)
 
 
-def read(text: str | bytes) -> Sent:
+def decode(text: str | bytes) -> PageMessage:
     """The message of a text. Raises ArgumentError for what is none."""
     try:
-        return _decoder.decode(text)
+        return _message_decoder.decode(text)
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise ArgumentError("message", f"must be one that the page knows ({short(error)})", short(text)) from None
+        raise ArgumentError("message", f"must be one that the page knows ({shorten(error)})", shorten(text)) from None
 
 
-def number_of(text: str | bytes) -> int:
+def message_number(text: str | bytes) -> int:
     """The number of a message that may be none the page knows, 0 without."""
     try:
-        return _numbers.decode(text).number
+        return _number_decoder.decode(text).number
     except (msgspec.MsgspecError, ValueError, RecursionError):
         return 0
 
 
-def written(record: dict[str, Any]) -> str:
+def encode(record: dict[str, Any]) -> str:
     """A record as JSON that browsers read: numbers that are not finite become null."""
     try:
         return json.dumps(record, allow_nan=False)
     except ValueError:
-        return json.dumps(_finite(record))
+        return json.dumps(_replace_nonfinite(record))
 
 
-def _finite(value):
+def _replace_nonfinite(value):
     if isinstance(value, dict):
-        return {key: _finite(each) for key, each in value.items()}
+        return {key: _replace_nonfinite(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
+        return [_replace_nonfinite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

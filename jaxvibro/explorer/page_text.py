@@ -7,51 +7,53 @@ import msgspec
 
 from ..branches.curves import VARIABLES
 from ..studies.schema import SceneFile
-from . import descriptions, screen, shown
-from .lines import SCENE, python
-from .shown import Shown
+from . import descriptions, page_state, screen
+from .calls import SCENE_NAME, python_program
+from .page_state import PageState
 
 
-def state_of(now: Shown, results: Mapping[str, Any], is_undoable: bool, works: Mapping[int, str]) -> dict[str, Any]:
+def live_fields(
+    page: PageState, results: Mapping[str, Any], can_undo: bool, task_labels: Mapping[int, str]
+) -> dict[str, Any]:
     """What of a page changes as a slider moves: facts, numbers, marks."""
-    scene = results[now.scene]
-    numbers = {name: float(scene.parameter(name)) for name in scene.names}
+    scene = results[page.scene]
+    parameter_values = {name: float(scene.parameter(name)) for name in scene.names}
     return {
-        "numbers": numbers,
-        "facts": descriptions.facts(now, results),
-        "title": descriptions.title(now, results),
-        "marks": screen.marks(now, results),
-        "actions": descriptions.actions(now, results),
-        "undo": is_undoable,
-        "works": [{"work": number, "label": label} for number, label in works.items()],
+        "numbers": parameter_values,
+        "facts": descriptions.page_facts(page, results),
+        "title": descriptions.portrait_title(page, results),
+        "marks": screen.marker_positions(page, results),
+        "actions": descriptions.available_actions(page, results),
+        "undo": can_undo,
+        "works": [{"work": task_number, "label": label} for task_number, label in task_labels.items()],
     }
 
 
-def rest_of(now: Shown, results: Mapping[str, Any], file: SceneFile | None) -> dict[str, Any]:
+def static_fields(page: PageState, results: Mapping[str, Any], file: SceneFile | None) -> dict[str, Any]:
     """The rest: sliders, what is along the axes, special points, lines of Python, and the page as a scene file."""
-    scene = results[SCENE]
+    scene = results[SCENE_NAME]
     return {
-        "sliders": [_slider(scene, name) for name in scene.names],
-        "along": {name: getattr(now, name) for name in ("parameter", "bounds", "second", "second_bounds", "variable")},
+        "sliders": [_slider_record(scene, name) for name in scene.names],
+        "along": {name: getattr(page, name) for name in ("parameter", "bounds", "second", "second_bounds", "variable")},
         "variables": list(VARIABLES),
         "max_period": file.explore.max_period if file and file.explore else 2,
-        "points": descriptions.points(now, results),
-        "chosen": now.chosen,
-        "python": program(now, results, file),
-        "file": "" if file is None else text_of(now, file),
+        "points": descriptions.special_points(page, results),
+        "chosen": page.chosen,
+        "python": program_text(page, results, file),
+        "file": "" if file is None else scene_file_text(page, file),
     }
 
 
-def _slider(scene, name):
-    low, high = shown.slider(scene, name)
-    return {"name": name, "low": low, "high": high}
+def _slider_record(scene, name):
+    lower, upper = page_state.slider_range(scene, name)
+    return {"name": name, "low": lower, "high": upper}
 
 
-def program(now: Shown, results: Mapping[str, Any], file: SceneFile | None) -> str:
+def program_text(page: PageState, results: Mapping[str, Any], file: SceneFile | None) -> str:
     """What was asked, as Python."""
-    return python(None if file is None else file.scene, now.lines, results)
+    return python_program(None if file is None else file.scene, page.lines, results)
 
 
-def text_of(now: Shown, file: SceneFile) -> str:
+def scene_file_text(page: PageState, file: SceneFile) -> str:
     """The page as a scene file: the file's own tables, and what was asked as [[view]]."""
-    return msgspec.toml.encode(msgspec.structs.replace(file, view=list(now.lines))).decode()
+    return msgspec.toml.encode(msgspec.structs.replace(file, view=list(page.lines))).decode()

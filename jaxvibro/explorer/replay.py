@@ -6,43 +6,50 @@ from typing import Any
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..studies.schema import ViewTable
-from .lines import LOOKS, SCENE, evaluated
-from .shown import Shown
-from .work import Tell
+from .background_tasks import ProgressCallback
+from .calls import MOTION_CALLS, SCENE_NAME, evaluate
+from .page_state import PageState
 
 
-def replayed(lines: Sequence[ViewTable], scene: Scene, tell: Tell) -> dict[str, Any]:
+def replay_lines(lines: Sequence[ViewTable], scene: Scene, report: ProgressCallback) -> dict[str, Any]:
     """{name: result} of lines. Raises ArgumentError for one that no page can have asked, and what its call raises."""
-    results: dict[str, Any] = {SCENE: scene}
-    for place, line in enumerate(lines, 1):
+    results: dict[str, Any] = {SCENE_NAME: scene}
+    for line_number, line in enumerate(lines, 1):
         if line.name in results:
             raise ArgumentError("view.name", "must differ from those before", line.name)
-        tell(f"line {place} of {len(lines)}")
-        results[line.name] = evaluated(line, results, tell)
+        report(f"line {line_number} of {len(lines)}")
+        results[line.name] = evaluate(line, results, report)
     return results
 
 
-def shown_again(first: Shown, lines: Sequence[ViewTable], results: Mapping[str, Any]) -> Shown:
+def restore_page(first_page: PageState, lines: Sequence[ViewTable], results: Mapping[str, Any]) -> PageState:
     """What is shown after lines: their last scene, orbit and parameters, the others as at first."""
-    scenes = [line.name for line in lines if line.call == "replace"]
-    looks = [line for line in lines if line.call in LOOKS]
-    found: dict[str, Any] = {"scene": scenes[-1] if scenes else SCENE}
-    if looks:
-        last = looks[-1]
-        is_point = last.call in ("orbit", "special")
-        place = last.arguments.get("place") if is_point else None
-        found |= {"current": last.name, "chosen": last.of if is_point else "", "place": place}
-    along = [line.arguments for line in lines if line.call in ("follow", "explore")]
-    if along:
-        found |= {"parameter": along[-1]["parameter"], "bounds": (along[-1]["low"], along[-1]["high"])}
-        others = [line.arguments["bounds"] for line in lines if line.call in ("locus", "map")]
-        pair: dict[str, Any] = next((each for each in others if found["parameter"] in each), {})
-        second = next((name for name in (*pair, first.second, first.parameter) if name != found["parameter"]), None)
+    scene_names = [line.name for line in lines if line.call == "replace"]
+    motion_lines = [line for line in lines if line.call in MOTION_CALLS]
+    fields: dict[str, Any] = {"scene": scene_names[-1] if scene_names else SCENE_NAME}
+    if motion_lines:
+        last_line = motion_lines[-1]
+        is_point = last_line.call in ("orbit", "special")
+        point_index = last_line.arguments.get("place") if is_point else None
+        fields |= {"current": last_line.name, "chosen": last_line.of if is_point else "", "place": point_index}
+    branch_arguments = [line.arguments for line in lines if line.call in ("follow", "explore")]
+    if branch_arguments:
+        fields |= {
+            "parameter": branch_arguments[-1]["parameter"],
+            "bounds": (branch_arguments[-1]["low"], branch_arguments[-1]["high"]),
+        }
+        bounds_records = [line.arguments["bounds"] for line in lines if line.call in ("locus", "map")]
+        bounds: dict[str, Any] = next(
+            (candidate for candidate in bounds_records if fields["parameter"] in candidate), {}
+        )
+        second = next(
+            (name for name in (*bounds, first_page.second, first_page.parameter) if name != fields["parameter"]), None
+        )
         if second is not None:
-            found["second"] = second
-            found["second_bounds"] = tuple(pair[second]) if second in pair else _own(first, second)
-    return first.having(*lines, **found)
+            fields["second"] = second
+            fields["second_bounds"] = tuple(bounds[second]) if second in bounds else _first_bounds(first_page, second)
+    return first_page.with_lines(*lines, **fields)
 
 
-def _own(first, name):
-    return first.second_bounds if name == first.second else first.bounds
+def _first_bounds(first_page, name):
+    return first_page.second_bounds if name == first_page.second else first_page.bounds

@@ -5,17 +5,17 @@ from ..scene.scene_table import SceneTable
 
 def scene_code(table: SceneTable) -> str:
     """The expression that makes the scene of a table, scales left out."""
-    plain = {name: getattr(table, name) for name in ("amplitude", "frequency", "damping", "restitution")}
-    told = [f"{name}={value!r}" for name, value in plain.items() if value is not None]
+    numbers = {name: getattr(table, name) for name in ("amplitude", "frequency", "damping", "restitution")}
+    arguments = [f"{name}={value!r}" for name, value in numbers.items() if value is not None]
     if table.left is not None or table.right is not None:
-        told.append(f"walls=({_wall(table.left)}, {_wall(table.right)})")
+        arguments.append(f"walls=({_wall_code(table.left)}, {_wall_code(table.right)})")
     if table.force is not None:
         force = table.force
-        how = f"tolerance={force.tolerance!r}, solver={force.solver!r}"
-        told.append(f"force=jv.Force({force.name!r}, {force.numbers!r}, {how})")
+        options = f"tolerance={force.tolerance!r}, solver={force.solver!r}"
+        arguments.append(f"force=jv.Force({force.name!r}, {force.numbers!r}, {options})")
     if table.drive:
-        told.append(f"drive=[{', '.join(map(_motion, table.drive))}]")
-    return f"jv.make_scene({', '.join(told)})"
+        arguments.append(f"drive=[{', '.join(map(_motion_code, table.drive))}]")
+    return f"jv.make_scene({', '.join(arguments)})"
 
 
 def scales_code(table: SceneTable) -> str | None:
@@ -24,18 +24,18 @@ def scales_code(table: SceneTable) -> str | None:
     return None if scales is None else f"jv.Scales({scales.mass!r}, {scales.stiffness!r}, {scales.length!r})"
 
 
-def _wall(table):
+def _wall_code(table):
     if table is None:
         return "None"
-    told = [repr(table.position)]
+    arguments = [repr(table.position)]
     numbers = {name: getattr(table, name) for name in ("restitution", "stiffness", "damping")}
-    told += [f"{name}={value!r}" for name, value in numbers.items() if value is not None]
+    arguments += [f"{name}={value!r}" for name, value in numbers.items() if value is not None]
     if table.motion is not None:
-        told.append(f"motion={_motion(table.motion)}")
+        arguments.append(f"motion={_motion_code(table.motion)}")
     if table.law is not None:
-        told.append(f"law=jv.Push({table.law.name!r}, {table.law.numbers!r})")
-    return f"jv.Wall({', '.join(told)})"
+        arguments.append(f"law=jv.Push({table.law.name!r}, {table.law.numbers!r})")
+    return f"jv.Wall({', '.join(arguments)})"
 
 
-def _motion(table):
+def _motion_code(table):
     return f"jv.Motion({table.amplitude!r}, {table.phase!r}, {table.harmonic!r})"

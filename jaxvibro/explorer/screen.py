@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 
 from ..branches.branch import Branch, Special
-from ..branches.curves import columns_of
+from ..branches.curves import variable_columns
 from ..orbits.orbit import Orbit
-from . import panels, shown
-from .complaints import complaint, told
-from .lines import resolved
+from . import page_state, panels
+from .calls import resolve
+from .error_records import error_record, message_record
+from .page_state import PageState
 from .panels import Limits, Panel
-from .shown import Shown
 
-ORDER = ("portrait", "trace", "diagram", "plane")
-FAST = ("portrait",)  # drawn while a slider moves
+PANEL_ORDER = ("portrait", "trace", "diagram", "plane")
+FAST_PANELS = ("portrait",)  # drawn while a slider moves
 
 
 class Screen:
@@ -25,42 +25,46 @@ class Screen:
     def __init__(self) -> None:
         self.panels: dict[str, Panel] = {}
         self.limits: dict[str, Limits] = {}
-        self.boxes: dict[str, tuple[list[float], list[float]]] = {}
-        self.drawn: dict[str, Any] = {}  # (key, parts) of each panel: what a key names is not to be lost
+        self.drawn_limits: dict[str, tuple[list[float], list[float]]] = {}
+        self.picture_cache: dict[str, Any] = {}  # (key, parts) of each panel: what a key names is not to be lost
 
-    def forget(self) -> None:
+    def invalidate(self) -> None:
         """All is to be drawn anew."""
         self.limits.clear()
-        self.drawn.clear()
+        self.picture_cache.clear()
 
-    def box(self, panel: str, now: Shown) -> tuple[Any, Any]:
+    def axis_limits(self, panel: str, page: PageState) -> tuple[Any, Any]:
         """The limits of a panel's axes, across and up; before it has been drawn what is asked for."""
-        return self.boxes.get(panel, (now.bounds, now.second_bounds))
+        return self.drawn_limits.get(panel, (page.bounds, page.second_bounds))
 
-    def pictures(self, now: Shown, results: Mapping[str, Any], fast: bool) -> Iterator[dict[str, Any]]:
-        """What the page is to be told of each panel that is to look otherwise. fast: of the portrait alone."""
-        for panel in FAST if fast else ORDER:
+    def changed_pictures(
+        self, page: PageState, results: Mapping[str, Any], fast_only: bool
+    ) -> Iterator[dict[str, Any]]:
+        """What the page is to be told of each panel that is to look otherwise. fast_only: of the portrait alone."""
+        for panel in FAST_PANELS if fast_only else PANEL_ORDER:
             if panel not in self.panels:
                 continue
-            parts = parts_of(panel, now, results)
+            arguments = draw_arguments(panel, page, results)
             for limits in dict.fromkeys((self.limits.get(panel, Limits()), Limits())):
-                key = parts and (*map(_key, parts), self.panels[panel].size, limits)
-                if parts is None or key == self.drawn.get(panel, (None,))[0]:
+                key = arguments and (*map(_identity_key, arguments), self.panels[panel].size, limits)
+                if arguments is None or key == self.picture_cache.get(panel, (None,))[0]:
                     break
-                self.drawn[panel] = key, parts
+                self.picture_cache[panel] = key, arguments
                 try:
-                    found = self.panels[panel].picture(partial(_draw, DRAW[panel], parts), limits, fast)
+                    record = self.panels[panel].render(
+                        partial(_call_draw, DRAW_FUNCTIONS[panel], arguments), limits, fast_only
+                    )
                 except Exception as error:  # of numbers that cannot be drawn; then with other limits, or not at all
                     self.panels[panel] = Panel(self.panels[panel].size)
                     self.limits.pop(panel, None)
-                    yield told(f"the {panel} cannot be drawn: {complaint(error)['text']}")
+                    yield message_record(f"the {panel} cannot be drawn: {error_record(error)['text']}")
                     continue
-                self.boxes[panel] = found["x"], found["y"]
-                yield {"kind": "picture", "panel": panel, **found}
+                self.drawn_limits[panel] = record["x"], record["y"]
+                yield {"kind": "picture", "panel": panel, **record}
                 break
 
 
-DRAW: dict[str, Callable[..., None]] = {
+DRAW_FUNCTIONS: dict[str, Callable[..., None]] = {
     "portrait": panels.portrait,
     "trace": panels.trace,
     "diagram": panels.diagram,
@@ -68,48 +72,59 @@ DRAW: dict[str, Callable[..., None]] = {
 }
 
 
-def parts_of(panel: str, now: Shown, results: Mapping[str, Any]) -> tuple[Any, ...] | None:
+def draw_arguments(panel: str, page: PageState, results: Mapping[str, Any]) -> tuple[Any, ...] | None:
     """What a panel's picture is made of, None where there is nothing to draw."""
     if panel == "diagram":
-        curves = tuple(one for _, one in shown.branches(now, results))
-        value, found = float(results[now.scene].parameter(now.parameter)), shown.latest(now, results, "attractors")
-        swept = tuple(shown.swept(now, results))
-        return curves, swept, found or (), value if found else 0.0, now.parameter, now.bounds, now.variable
+        branches = tuple(result for _, result in page_state.branches(page, results))
+        parameter_value, attractors = (
+            float(results[page.scene].parameter(page.parameter)),
+            page_state.latest_result(page, results, "attractors"),
+        )
+        sweeps = tuple(page_state.current_sweeps(page, results))
+        return (
+            branches,
+            sweeps,
+            attractors or (),
+            parameter_value if attractors else 0.0,
+            page.parameter,
+            page.bounds,
+            page.variable,
+        )
     if panel == "plane":
-        loci = tuple(one for _, one in shown.loci(now, results))
-        names, bounds = (now.parameter, now.second), (now.bounds, now.second_bounds)
-        return loci, shown.mapped(now, results), shown.near(now, results), names, bounds
-    one = results.get(now.current)
-    if one is None:
+        loci = tuple(result for _, result in page_state.loci(page, results))
+        names, bounds = (page.parameter, page.second), (page.bounds, page.second_bounds)
+        return loci, page_state.current_map(page, results), page_state.current_margin(page, results), names, bounds
+    result = results.get(page.current)
+    if result is None:
         return None
-    scene = one.scene if isinstance(one, Orbit) else results[now.scene]
+    scene = result.scene if isinstance(result, Orbit) else results[page.scene]
     if panel == "trace":
-        return one, scene
-    return one, scene, isinstance(one, Orbit) and one.stable, shown.latest(now, results, "basins")
+        return result, scene
+    return result, scene, isinstance(result, Orbit) and result.stable, page_state.latest_result(page, results, "basins")
 
 
-def marks(now: Shown, results: Mapping[str, Any]) -> dict[str, list[list[float]]]:
+def marker_positions(page: PageState, results: Mapping[str, Any]) -> dict[str, list[list[float]]]:
     """Where in the diagram and in the plane what is shown lies: {panel: [[across, up], ...]}."""
-    scene, one = results[now.scene], results.get(now.current)
-    here = [float(scene.parameter(name)) for name in (now.parameter, now.second)]
-    chosen = resolved(now.chosen, results) if now.chosen else None
-    up: list[float] = []
-    if isinstance(chosen, Special):
-        curve = resolved(now.chosen.rpartition(".special")[0], results)
-        up = columns_of(curve, now.variable)[chosen.place].tolist()
-    elif isinstance(chosen, Branch) and now.place is not None:
-        up = columns_of(chosen, now.variable)[now.place].tolist()
-    elif isinstance(one, Orbit) and now.variable in ("x", "v") and not one.state.phase:
-        up = [float(getattr(one.state, now.variable))]
-    return {"diagram": [[here[0], each] for each in up if np.isfinite(each)], "plane": [here]}
+    scene, motion = results[page.scene], results.get(page.current)
+    coordinates = [float(scene.parameter(name)) for name in (page.parameter, page.second)]
+    selection = resolve(page.chosen, results) if page.chosen else None
+    heights: list[float] = []
+    if isinstance(selection, Special):
+        branch = resolve(page.chosen.rpartition(".special")[0], results)
+        heights = variable_columns(branch, page.variable)[selection.place].tolist()
+    elif isinstance(selection, Branch) and page.place is not None:
+        heights = variable_columns(selection, page.variable)[page.place].tolist()
+    elif isinstance(motion, Orbit) and page.variable in ("x", "v") and not motion.state.phase:
+        heights = [float(getattr(motion.state, page.variable))]
+    return {"diagram": [[coordinates[0], height] for height in heights if np.isfinite(height)], "plane": [coordinates]}
 
 
-def _draw(draw, parts, ax):
-    draw(ax, *parts)
+def _call_draw(draw, arguments, ax):
+    draw(ax, *arguments)
 
 
-def _key(part):
+def _identity_key(argument):
     """Equal where a part would be drawn alike: results are never changed."""
-    if isinstance(part, tuple):
-        return tuple(map(_key, part))
-    return part if isinstance(part, str | float | int | bool | None) else id(part)
+    if isinstance(argument, tuple):
+        return tuple(map(_identity_key, argument))
+    return argument if isinstance(argument, str | float | int | bool | None) else id(argument)

@@ -22,18 +22,18 @@ from tornado import httpserver, netutil, web, websocket
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
 from ..studies.schema import SceneFile
-from ..studies.text_limits import LARGEST
-from . import files, messages
-from .ahead import Ahead
-from .complaints import complaint, told
-from .page_text import program, text_of
+from ..studies.text_limits import MAX_BYTES
+from . import downloads, messages
+from .error_records import error_record, message_record
+from .page_text import program_text, scene_file_text
+from .precomputation import Precomputation
 from .session import Session
 
-PAGE = Path(__file__).with_name("page")
+PAGE_FOLDER = Path(__file__).with_name("page")
 PORTS = range(8420, 8440)
-MOST_WAITING = 500  # messages of a page
-MOST_PAGES = 16
-QUIET = 3.0  # s after a message: as long nothing is compiled that no page waits for
+MAX_QUEUED = 500  # messages of a page
+MAX_PAGES = 16
+IDLE_TIME = 3.0  # s after a message: as long nothing is compiled that no page waits for
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; img-src 'self' data:; object-src 'none'; base-uri 'none'; "
     "frame-ancestors 'self' http://localhost:* http://127.0.0.1:*",
@@ -51,42 +51,42 @@ def is_loopback(host: str) -> bool:
         return False
 
 
-class Line:
+class PageThread:
     """A thread of a page's own, which sees to its messages in turn: of several in a row that replace each other to the
     last alone."""
 
-    def __init__(self, double: bool) -> None:
-        self._ended = False
-        self._waiting: deque[tuple[Callable[[], object] | None, Any]] = deque()
-        self._changed, self._double = threading.Condition(), double
+    def __init__(self, double_precision: bool) -> None:
+        self._closed = False
+        self._queue: deque[tuple[Callable[[], object] | None, Any]] = deque()
+        self._condition, self._double_precision = threading.Condition(), double_precision
         threading.Thread(target=self._run, daemon=True).start()
 
-    def add(self, does: Callable[[], object] | None, replaces: Any = None) -> bool:
+    def add(self, job: Callable[[], object] | None, replacement_key: Any = None) -> bool:
         """Sees to something when its turn comes; None: ends. Whether there was room for it, and it has not ended."""
-        with self._changed:
-            if self._ended:
+        with self._condition:
+            if self._closed:
                 return False
-            self._ended = does is None
-            if replaces is not None and self._waiting and self._waiting[-1][1] == replaces:
-                self._waiting.pop()
-            elif does is not None and len(self._waiting) >= MOST_WAITING:
+            self._closed = job is None
+            if replacement_key is not None and self._queue and self._queue[-1][1] == replacement_key:
+                self._queue.pop()
+            elif job is not None and len(self._queue) >= MAX_QUEUED:
                 return False
-            self._waiting.append((does, replaces))
-            self._changed.notify()
+            self._queue.append((job, replacement_key))
+            self._condition.notify()
         return True
 
     def _run(self) -> None:
-        with jax.enable_x64(self._double):
-            while (does := self._next()) is not None:
+        with jax.enable_x64(self._double_precision):
+            while (job := self._next_job()) is not None:
                 try:
-                    does()
+                    job()
                 except Exception:  # of the program's own: the page goes on
                     traceback.print_exc()
 
-    def _next(self):
-        with self._changed:
-            self._changed.wait_for(lambda: self._waiting)
-            return self._waiting.popleft()[0]
+    def _next_job(self):
+        with self._condition:
+            self._condition.wait_for(lambda: self._queue)
+            return self._queue.popleft()[0]
 
 
 class Explorer:
@@ -102,53 +102,53 @@ class Explorer:
         if not is_loopback(address):
             raise ArgumentError("address", "must be this machine's own, as 127.0.0.1", address)
         self.scene, self.file, self.token = scene, file, token or secrets.token_urlsafe(32)
-        self.pages: dict[str, Socket] = {}
-        self._sockets = _bound(address, port)
-        self.port = self._sockets[0].getsockname()[1]
+        self.pages: dict[str, PageSocket] = {}
+        self._listening_sockets = _bind_sockets(address, port)
+        self.port = self._listening_sockets[0].getsockname()[1]
         host = f"[{address}]" if ":" in address else address
         self.url = f"http://{host}:{self.port}/?token={self.token}"
-        self._begun = threading.Event()
-        self.last = 0.0  # s: when a page last asked anything
-        self.ahead = Ahead(scene, self._is_quiet)
+        self._started = threading.Event()
+        self.last_request_time = 0.0  # s: when a page last asked anything
+        self.precomputation = Precomputation(scene, self._is_idle)
 
     async def serve(self) -> None:
         """Serves until `stop`."""
-        self._loop, self._end = asyncio.get_running_loop(), asyncio.Event()
-        self._begun.set()
-        given = {"explorer": self}
+        self._loop, self._stop_requested = asyncio.get_running_loop(), asyncio.Event()
+        self._started.set()
+        handler_arguments = {"explorer": self}
         routes = [
-            (r"/", Page, given),
-            (r"/(panel\.js|page\.js|page\.css)", Asset, given),
-            (r"/socket", Socket, given),
-            (r"/take/([\w-]+)/([\w.]+)", Take, given),
+            (r"/", PageHandler, handler_arguments),
+            (r"/(panel\.js|page\.js|page\.css)", AssetHandler, handler_arguments),
+            (r"/socket", PageSocket, handler_arguments),
+            (r"/take/([\w-]+)/([\w.]+)", DownloadHandler, handler_arguments),
         ]
-        settings: dict[str, Any] = {"websocket_max_message_size": LARGEST + 4096, "websocket_ping_interval": 20}
-        settings |= {"default_handler_class": Missing, "default_handler_args": given}
+        settings: dict[str, Any] = {"websocket_max_message_size": MAX_BYTES + 4096, "websocket_ping_interval": 20}
+        settings |= {"default_handler_class": NotFoundHandler, "default_handler_args": handler_arguments}
         server = httpserver.HTTPServer(web.Application(routes, **settings), max_body_size=4096, max_header_size=65536)
-        server.add_sockets(self._sockets)
+        server.add_sockets(self._listening_sockets)
         try:
-            await self._end.wait()
+            await self._stop_requested.wait()
         finally:
-            for page in list(self.pages.values()):
-                page.close()
+            for socket in list(self.pages.values()):
+                socket.close()
             server.stop()
 
     def stop(self) -> None:
         """Ends serving, from any thread; pages see that the server has gone."""
-        self._begun.wait()
-        self._loop.call_soon_threadsafe(self._end.set)
-        self.ahead.end()
+        self._started.wait()
+        self._loop.call_soon_threadsafe(self._stop_requested.set)
+        self.precomputation.stop()
 
-    def _is_quiet(self):
-        return time.monotonic() - self.last > QUIET
+    def _is_idle(self):
+        return time.monotonic() - self.last_request_time > IDLE_TIME
 
     def allows(self, request: Any) -> bool:
         """Return True if a request has the token, and comes from this machine under its own name."""
-        given = request.query_arguments.get("token", [b""])[-1]
-        return hmac.compare_digest(given, self.token.encode()) and is_loopback(host_of(f"//{request.host}"))
+        token = request.query_arguments.get("token", [b""])[-1]
+        return hmac.compare_digest(token, self.token.encode()) and is_loopback(host_name(f"//{request.host}"))
 
 
-def host_of(url: str) -> str:
+def host_name(url: str) -> str:
     """The host that a text from outside names as a URL does, without its port; "" if it names none."""
     return (urlsplit(url).hostname or "") if is_url(url) else ""
 
@@ -161,16 +161,16 @@ def is_url(text: str) -> bool:
         return False
 
 
-def _bound(address, port):
-    for one in PORTS if port is None else [port]:
+def _bind_sockets(address, port):
+    for candidate in PORTS if port is None else [port]:
         try:
-            return netutil.bind_sockets(one, address)
+            return netutil.bind_sockets(candidate, address)
         except OSError as error:
-            last = error
-    raise OSError(last.errno, f"no port is free at {address} ({last.strerror})")
+            last_error = error
+    raise OSError(last_error.errno, f"no port is free at {address} ({last_error.strerror})")
 
 
-class Guarded(web.RequestHandler):
+class GuardedHandler(web.RequestHandler):
     """Refuses what has no token, or comes under another name than this machine's."""
 
     def initialize(self, explorer: Explorer) -> None:
@@ -184,13 +184,13 @@ class Guarded(web.RequestHandler):
         if not self.explorer.allows(self.request):
             raise web.HTTPError(403)
 
-    def write_error(self, status_code: int, **given: Any) -> None:
+    def write_error(self, status_code: int, **kwargs: Any) -> None:
         self.set_header("Content-Type", "text/plain; charset=utf-8")
-        known = {403: "this page needs the address with its token, which jaxvibro view prints"}
-        self.finish(f"{status_code}: {known.get(status_code, self._reason)}\n")
+        explanations = {403: "this page needs the address with its token, which jaxvibro view prints"}
+        self.finish(f"{status_code}: {explanations.get(status_code, self._reason)}\n")
 
 
-class Missing(Guarded):
+class NotFoundHandler(GuardedHandler):
     """An address at which there is nothing."""
 
     def prepare(self) -> None:
@@ -198,69 +198,69 @@ class Missing(Guarded):
         raise web.HTTPError(404)
 
 
-class Page(Guarded):
+class PageHandler(GuardedHandler):
     """The page itself."""
 
     def get(self) -> None:
         self.set_header("Content-Type", "text/html; charset=utf-8")
-        self.finish((PAGE / "index.html").read_text().replace("TOKEN", self.explorer.token))
+        self.finish((PAGE_FOLDER / "index.html").read_text().replace("TOKEN", self.explorer.token))
 
 
-class Asset(Guarded):
+class AssetHandler(GuardedHandler):
     """What the page is made of."""
 
     def get(self, name: str) -> None:
         kind = "text/css" if name.endswith("css") else "text/javascript"
         self.set_header("Content-Type", f"{kind}; charset=utf-8")
-        self.finish((PAGE / name).read_bytes())
+        self.finish((PAGE_FOLDER / name).read_bytes())
 
 
-class Take(Guarded):
+class DownloadHandler(GuardedHandler):
     """A file of what a page shows: scene.toml, lines.py, data.zip, or a panel's picture."""
 
-    async def get(self, page: str, name: str) -> None:
-        socket = self.explorer.pages.get(page)
+    async def get(self, page_name: str, file_name: str) -> None:
+        socket = self.explorer.pages.get(page_name)
         if socket is None or socket.session is None:
             raise web.HTTPError(404)
         session = socket.session
-        loop, done = asyncio.get_running_loop(), asyncio.get_running_loop().create_future()
+        loop, future = asyncio.get_running_loop(), asyncio.get_running_loop().create_future()
 
-        def work():
+        def produce():
             try:
-                found = content(name, session), None
+                outcome = download_content(file_name, session), None
             except Exception as error:  # whatever it was, the request is answered
-                found = None, error
+                outcome = None, error
             with suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(done.set_result, found)
+                loop.call_soon_threadsafe(future.set_result, outcome)
 
-        if not socket.line.add(work):
+        if not socket.page_thread.add(produce):
             raise web.HTTPError(503)
-        found, error = await done
+        data, error = await future
         if error is not None:
             self.set_status(400)
-            self.finish(f"{complaint(error)['text']}\n")
+            self.finish(f"{error_record(error)['text']}\n")
             return
         self.set_header("Content-Type", "application/octet-stream")
-        self.set_header("Content-Disposition", f'attachment; filename="{name}"')
-        self.finish(found)
+        self.set_header("Content-Disposition", f'attachment; filename="{file_name}"')
+        self.finish(data)
 
 
-def content(name: str, session: Session) -> bytes:
+def download_content(name: str, session: Session) -> bytes:
     """The content of a file that can be taken. Raises ArgumentError for others."""
-    now, results = session.shown, session.results
+    page, results = session.page, session.results
     if name == "scene.toml":
         if session.file is None:
             raise ArgumentError("scene.toml", "must be of a scene that can be written: its force has no name", name)
-        return text_of(now, session.file).encode()
+        return scene_file_text(page, session.file).encode()
     if name == "lines.py":
-        return program(now, results, session.file).encode()
+        return program_text(page, results, session.file).encode()
     if name == "data.zip":
-        return files.archive(now, results)
-    panel, _, kind = name.partition(".")
-    return files.picture(panel, kind, now, results, session.screen)
+        return downloads.data_archive(page, results)
+    panel, _, file_format = name.partition(".")
+    return downloads.panel_picture(panel, file_format, page, results, session.screen)
 
 
-class Socket(websocket.WebSocketHandler):
+class PageSocket(websocket.WebSocketHandler):
     """A page's socket: JSON both ways. When it closes, the page's work ends."""
 
     def initialize(self, explorer: Explorer) -> None:
@@ -271,7 +271,7 @@ class Socket(websocket.WebSocketHandler):
         origins = (self.request.headers.get(name, "") for name in ("Origin", "Sec-Websocket-Origin"))
         if not (self.explorer.allows(self.request) and all(map(is_url, origins))):  # tornado reads them as URLs
             raise web.HTTPError(403)
-        if len(self.explorer.pages) >= MOST_PAGES:
+        if len(self.explorer.pages) >= MAX_PAGES:
             raise web.HTTPError(503)
 
     def check_origin(self, origin: str) -> bool:
@@ -280,15 +280,15 @@ class Socket(websocket.WebSocketHandler):
 
     def open(self) -> None:
         self.set_nodelay(True)
-        loop, double = asyncio.get_running_loop(), bool(self.explorer.scene.dtype == np.float64)
+        loop, double_precision = asyncio.get_running_loop(), bool(self.explorer.scene.dtype == np.float64)
 
-        def push(record):
+        def send_record(record):
             with suppress(RuntimeError):  # the loop has ended
-                loop.call_soon_threadsafe(self._send, messages.written(record))
+                loop.call_soon_threadsafe(self._send, messages.encode(record))
 
-        self.line = Line(double)
-        given = self.explorer.file, self.explorer.scene, push, self.line.add
-        self.session = Session(*given, self.explorer.ahead.ready.wait)
+        self.page_thread = PageThread(double_precision)
+        session_arguments = self.explorer.file, self.explorer.scene, send_record, self.page_thread.add
+        self.session = Session(*session_arguments, self.explorer.precomputation.ready.wait)
         self.explorer.pages[self.name] = self
         self._send(json.dumps({"kind": "page", "name": self.name}))
 
@@ -298,18 +298,18 @@ class Socket(websocket.WebSocketHandler):
 
     def on_message(self, text: str | bytes) -> None:
         try:
-            message = messages.read(text)
+            message = messages.decode(text)
         except ArgumentError as error:
-            self._send(json.dumps(complaint(error)))
-            self._send(json.dumps({"kind": "answer", "number": messages.number_of(text)}))
+            self._send(json.dumps(error_record(error)))
+            self._send(json.dumps({"kind": "answer", "number": messages.message_number(text)}))
             return
-        session, self.explorer.last = self.session, time.monotonic()
-        if session is not None and not self.line.add(lambda: session.receive(message), message.replaces):
-            self._send(json.dumps(told("too much at once: the last was left out")))
+        session, self.explorer.last_request_time = self.session, time.monotonic()
+        if session is not None and not self.page_thread.add(lambda: session.receive(message), message.replacement_key):
+            self._send(json.dumps(message_record("too much at once: the last was left out")))
             self._send(json.dumps({"kind": "answer", "number": message.number}))
 
     def on_close(self) -> None:
         self.explorer.pages.pop(self.name, None)
         if self.session is not None:
             self.session.close()
-            self.line.add(None)
+            self.page_thread.add(None)

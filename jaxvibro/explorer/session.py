@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..branches.curves import VARIABLES
-from ..flight.wall_positions import fit
+from ..flight.wall_positions import clamp_to_walls
 from ..orbits.orbit import Orbit, OrbitError
 from ..scene import check
 from ..scene.check import ArgumentError
@@ -15,335 +15,346 @@ from ..scene.scene import Scene
 from ..scene.state import State
 from ..studies import scene_file
 from ..studies.schema import SceneFile, ViewTable
-from ..studies.text_limits import LARGEST
-from . import asks, descriptions, messages, screen, shown
-from .complaints import complaint
-from .lines import SCENE, evaluated, resolved
-from .nearest import nearest
-from .page_text import rest_of, state_of
+from ..studies.text_limits import MAX_BYTES
+from . import actions, descriptions, messages, page_state, screen
+from .background_tasks import BackgroundTasks, Schedule, progress_text
+from .calls import SCENE_NAME, evaluate, resolve
+from .error_records import error_record
+from .nearest_point import nearest_point
+from .page_state import PageState
+from .page_text import live_fields, static_fields
 from .panels import Limits, Panel, Size
-from .replay import replayed, shown_again
-from .shown import Shown
-from .work import Later, Works, text_of_far
+from .replay import replay_lines, restore_page
 
-MOST_PAST = 200  # steps that can be taken back
-MOVED = 16  # periods of a motion that is shown while a slider moves
+MAX_UNDO = 200  # steps that can be taken back
+DRAG_PERIODS = 16  # periods of a motion that is shown while a slider moves
 
-Push = Callable[[dict[str, Any]], object]
+Send = Callable[[dict[str, Any]], object]
 Wait = Callable[[], object]
 
 
 class Session:
     """What one page is about. Its methods are called by one thread.
 
-    file: of the scene, its tables say what is looked at first; None of a scene that has no text. push: called with each
-    record that the page is to be told, from any thread; later: called with what this session's thread is to do; wait:
-    called once the page knows what there is to ask, before anything is.
-    """
+    file: of the scene, its tables say what is looked at first; None of a scene that has no text. send: called with each
+    record that the page is to be told, from any thread; schedule: called with what this session's thread is to do;
+    wait: called once the page knows what there is to ask, before anything is."""
 
     def __init__(
-        self, file: SceneFile | None, scene: Scene, push: Push, later: Later, wait: Wait = lambda: None
+        self, file: SceneFile | None, scene: Scene, send: Send, schedule: Schedule, wait: Wait = lambda: None
     ) -> None:
-        self.push, self.later, self.wait, self.screen, self.greeted = push, later, wait, screen.Screen(), False
+        self.send, self.schedule, self.wait, self.screen, self.connected = send, schedule, wait, screen.Screen(), False
         self._open(file, scene)
 
     def _open(self, file: SceneFile | None, scene: Scene) -> None:
         """Begins with a scene."""
         self.file = file
-        self.results: dict[str, Any] = {SCENE: scene}
-        self.counts = {"scene": 2}  # the next number of each kind of name
-        self.past: list[Shown] = []
-        self.taken: tuple[Shown, tuple[str, str, str]] | None = None  # what there was when a slider was taken
-        self.shown = shown.first_shown(scene, file)
-        self.screen.forget()
-        self.works = Works(self._tell_far, self.later, bool(scene.dtype == np.float64))
-        self.told: dict[str, Any] = {}  # what the page knows
-        self.rested: Shown | None = None  # of which it knows the rest
+        self.results: dict[str, Any] = {SCENE_NAME: scene}
+        self.name_counters = {"scene": 2}  # the next number of each kind of name
+        self.history: list[PageState] = []
+        self.drag_start: tuple[PageState, tuple[str, str, str]] | None = None  # what there was when a slider was taken
+        self.page = page_state.first_page(scene, file)
+        self.screen.invalidate()
+        self.tasks = BackgroundTasks(self._send_progress, self.schedule, bool(scene.dtype == np.float64))
+        self.sent_fields: dict[str, Any] = {}  # what the page knows
+        self.static_page: PageState | None = None  # of which it knows the rest
 
-    def _again(self, results: dict[str, Any] | None, error: Exception | None) -> None:
+    def _end_replay(self, results: dict[str, Any] | None, error: Exception | None) -> None:
         """Shows what the file's [[view]] asked, once that is done."""
         if results is None or self.file is None:
-            self._ended(error)
+            self._finish_action(error)
             return
         for line in self.file.view:
             stem, _, number = line.name.rpartition("_")
-            if int(number) >= self.counts.get(stem, 1):
-                self.counts[stem] = int(number) + 1
+            if int(number) >= self.name_counters.get(stem, 1):
+                self.name_counters[stem] = int(number) + 1
         self.results = results
-        self._show(shown_again(self.shown, self.file.view, results))
-        self.past.clear()
-        self.tell()
+        self._show(restore_page(self.page, self.file.view, results))
+        self.history.clear()
+        self.update_page()
 
     def close(self) -> None:
         """Ends all work: the page has gone, or has asked for it."""
-        self.works.stop()
+        self.tasks.stop()
 
-    def receive(self, message: messages.Sent) -> None:
+    def receive(self, message: messages.PageMessage) -> None:
         """Does what a message asks, and tells the page; a complaint is one line."""
-        self.greeted |= not isinstance(message, messages.Resize)
+        self.connected |= not isinstance(message, messages.Resize)
         try:
-            if self.taken is not None and not isinstance(message, messages.Put | messages.Resize):
-                self._let_go()
-            self._do(message)
+            if self.drag_start is not None and not isinstance(message, messages.SetParameter | messages.Resize):
+                self._end_drag()
+            self._handle(message)
         except Exception as error:  # whatever it was, the page is answered and goes on
-            self._complain(error)
-        self.tell()
-        self.push({"kind": "answer", "number": message.number})
+            self._send_error(error)
+        self.update_page()
+        self.send({"kind": "answer", "number": message.number})
 
     @singledispatchmethod
-    def _do(self, message: Any) -> None:
+    def _handle(self, message: Any) -> None:
         raise ArgumentError("message", "must be one that the page knows", type(message).__name__)
 
-    @_do.register
+    @_handle.register
     def _(self, message: messages.Hello) -> None:
         if message.text:
-            self._do(messages.Load(text=message.text))
+            self._handle(messages.Load(text=message.text))
         else:
-            self._begin()
+            self._run_first_actions()
 
-    @_do.register
+    @_handle.register
     def _(self, message: messages.Resize) -> None:
         size = Size(message.width, message.height, message.ratio)
         if message.panel not in self.screen.panels or self.screen.panels[message.panel].size != size:
             self.screen.panels[message.panel] = Panel(size)
 
-    @_do.register
+    @_handle.register
     def _(self, message: messages.Zoom) -> None:
-        for pair in (message.x, message.y):
-            asks.require_rising("zoom", pair)
+        for interval in (message.x, message.y):
+            actions.require_increasing("zoom", interval)
         self.screen.limits[message.panel] = Limits(message.x, message.y)
 
-    @_do.register
-    def _(self, message: messages.Pick) -> None:
-        now = self.shown
+    @_handle.register
+    def _(self, message: messages.Click) -> None:
+        page = self.page
         if message.panel == "plane":
-            self._put({now.parameter: message.x, now.second: message.y})
+            self._set_parameters({page.parameter: message.x, page.second: message.y})
             return
-        box = self.screen.box("diagram", now)
-        found = nearest(shown.branches(now, self.results), now.variable, (message.x, message.y), box)
-        if found is None:
-            self._put({now.parameter: message.x})
+        limits = self.screen.axis_limits("diagram", page)
+        point = nearest_point(page_state.branches(page, self.results), page.variable, (message.x, message.y), limits)
+        if point is None:
+            self._set_parameters({page.parameter: message.x})
         else:
-            self._choose(*found)
+            self._select(*point)
 
-    @_do.register
-    def _(self, message: messages.Begin) -> None:
-        self._start(message.x, message.v)
+    @_handle.register
+    def _(self, message: messages.SetStart) -> None:
+        self._set_start(message.x, message.v)
 
-    @_do.register
-    def _(self, message: messages.Put) -> None:
-        if self.taken is None:
-            self.taken = self.shown, self._names()
-        before, names = self.taken
+    @_handle.register
+    def _(self, message: messages.SetParameter) -> None:
+        if self.drag_start is None:
+            self.drag_start = self.page, self._new_names()
+        page_before, names = self.drag_start
         try:
-            self.shown = self._changed({message.name: message.value}, before, names, None if message.last else MOVED)
+            self.page = self._change_parameters(
+                {message.name: message.value}, page_before, names, None if message.last else DRAG_PERIODS
+            )
         finally:
             if message.last:
-                self._let_go()
+                self._end_drag()
 
-    @_do.register
-    def _(self, message: messages.Choose) -> None:
-        self._choose(message.of, None)
+    @_handle.register
+    def _(self, message: messages.Select) -> None:
+        self._select(message.of, None)
 
-    @_do.register
-    def _(self, message: messages.Move) -> None:
-        known = dict(shown.branches(self.shown, self.results))
-        if not known:
+    @_handle.register
+    def _(self, message: messages.MoveOnBranch) -> None:
+        branches = dict(page_state.branches(self.page, self.results))
+        if not branches:
             raise ArgumentError("move", "must be along a branch: there is none yet, follow one", message.by)
-        names, own = list(known), self.shown.chosen.partition(".special")[0]
-        row = self.shown.place
-        if own in known and row is None:
-            row = resolved(self.shown.chosen, self.results).place
-        name, row = (own, row) if own in known and row is not None else (names[0], 0)
+        names, reference = list(branches), self.page.chosen.partition(".special")[0]
+        row = self.page.place
+        if reference in branches and row is None:
+            row = resolve(self.page.chosen, self.results).place
+        name, row = (reference, row) if reference in branches and row is not None else (names[0], 0)
         if message.branch:
             name, row = names[(names.index(name) + message.branch) % len(names)], 0
-        self._choose(name, max(0, min(len(known[name]) - 1, row + message.by)))
+        self._select(name, max(0, min(len(branches[name]) - 1, row + message.by)))
 
-    @_do.register
-    def _(self, message: messages.Along) -> None:
-        names = self.results[self.shown.scene].names
-        for name, pair in ((message.parameter, message.bounds), (message.second, message.second_bounds)):
-            check.require_known(name, names, name)
-            asks.require_rising("bounds", pair)
+    @_handle.register
+    def _(self, message: messages.SetAxes) -> None:
+        names = self.results[self.page.scene].names
+        for name, interval in ((message.parameter, message.bounds), (message.second, message.second_bounds)):
+            check.require_parameter(name, names, name)
+            actions.require_increasing("bounds", interval)
         if message.parameter == message.second:
             raise ArgumentError("second", "must be another parameter than the diagram's", message.second)
         if message.variable not in VARIABLES:
             raise ArgumentError("variable", f"must be one of {', '.join(VARIABLES)}", message.variable)
         keys = ("parameter", "bounds", "second", "second_bounds", "variable")
         self.screen.limits.clear()
-        self._show(self.shown.having(**{key: getattr(message, key) for key in keys}))
+        self._show(self.page.with_lines(**{key: getattr(message, key) for key in keys}))
 
-    @_do.register
-    def _(self, message: messages.Ask) -> None:
-        rounds = list(asks.asked(message, self.shown, self.results, self._name))
-        self._long(descriptions.label_of(message.call, self.shown, self.results), rounds)
+    @_handle.register
+    def _(self, message: messages.RunAction) -> None:
+        rounds = list(actions.action_lines(message, self.page, self.results, self._new_name))
+        self._run_rounds(descriptions.action_label(message.call, self.page, self.results), rounds)
 
-    @_do.register
+    @_handle.register
     def _(self, message: messages.Stop) -> None:
         self.close()
 
-    @_do.register
+    @_handle.register
     def _(self, message: messages.Undo) -> None:
-        if not self.past:
+        if not self.history:
             raise ArgumentError("undo", "must have something to take back", "nothing was asked before")
-        self.shown = self.past.pop()
-        self._forget()
+        self.page = self.history.pop()
+        self._drop_unused_results()
 
-    @_do.register
+    @_handle.register
     def _(self, message: messages.Load) -> None:
-        if len(message.text) > LARGEST:
-            raise ArgumentError("scene file", f"must be at most {LARGEST:,} bytes long", "more")
-        file = scene_file.of_content("scene file", message.text.encode())
-        scene = file.scene.make(self.results[SCENE].dtype)
+        if len(message.text) > MAX_BYTES:
+            raise ArgumentError("scene file", f"must be at most {MAX_BYTES:,} bytes long", "more")
+        file = scene_file.parse_content("scene file", message.text.encode())
+        scene = file.scene.make(self.results[SCENE_NAME].dtype)
         self.close()
         self._open(file, scene)
-        self._begin()
+        self._run_first_actions()
 
     # What these are made of.
 
-    def _begin(self) -> None:
+    def _run_first_actions(self) -> None:
         """Does again what the file's [[view]] asked; else what it asks for first: its orbit, then its branches."""
-        self._tell_texts()
+        self._send_fields()
         self.wait()
         if self.file is not None and self.file.view:
-            lines, scene = tuple(self.file.view), self.results[SCENE]
-            self.works.begin("what was asked before", lambda tell, later: replayed(lines, scene, tell), self._again)
+            lines, scene = tuple(self.file.view), self.results[SCENE_NAME]
+            self.tasks.start(
+                "what was asked before", lambda report, schedule: replay_lines(lines, scene, report), self._end_replay
+            )
             return
         table = self.file and self.file.branch
         try:
-            self._start(*((table.start.x, table.start.v) if table else (0.0, 0.0)))
+            self._set_start(*((table.start.x, table.start.v) if table else (0.0, 0.0)))
         except Exception as error:
-            self._complain(error)
-        self.past.clear()
-        self.tell()
-        explores = self.file and self.file.explore
-        if explores:
-            self._do(messages.Ask(call="explore", max_period=explores.max_period))
-        elif isinstance(self.results.get(self.shown.current), Orbit):
-            self._do(messages.Ask(call="follow"))
+            self._send_error(error)
+        self.history.clear()
+        self.update_page()
+        explore_table = self.file and self.file.explore
+        if explore_table:
+            self._handle(messages.RunAction(call="explore", max_period=explore_table.max_period))
+        elif isinstance(self.results.get(self.page.current), Orbit):
+            self._handle(messages.RunAction(call="follow"))
 
-    def tell(self) -> None:
+    def update_page(self) -> None:
         """Tells the page what is other than it knows, once it has said more than how large its panels are."""
-        if not self.greeted:
+        if not self.connected:
             return
-        moving = self.taken is not None
+        is_dragging = self.drag_start is not None
         try:
-            for record in self.screen.pictures(self.shown, self.results, moving):
-                self.push(record)
-            self._tell_texts(moving)
+            for record in self.screen.changed_pictures(self.page, self.results, is_dragging):
+                self.send(record)
+            self._send_fields(is_dragging)
         except Exception as error:
-            self._complain(error)
+            self._send_error(error)
 
-    def _tell_texts(self, moving: bool = False) -> None:
-        """Tells what is other than the page knows besides pictures. moving: what changes as a slider moves alone."""
-        state = state_of(self.shown, self.results, bool(self.past), self.works.labels)
-        if not moving and self.shown is not self.rested:
-            state |= rest_of(self.shown, self.results, self.file)
-            self.rested = self.shown
-        new = {key: value for key, value in state.items() if self.told.get(key, ...) != value}
-        if new:
-            self.told |= new
-            self.push({"kind": "state", **new})
+    def _send_fields(self, is_dragging: bool = False) -> None:
+        """Tells what is other than the page knows besides pictures. is_dragging: what changes as a slider moves
+        alone."""
+        fields = live_fields(self.page, self.results, bool(self.history), self.tasks.labels)
+        if not is_dragging and self.page is not self.static_page:
+            fields |= static_fields(self.page, self.results, self.file)
+            self.static_page = self.page
+        new_fields = {key: value for key, value in fields.items() if self.sent_fields.get(key, ...) != value}
+        if new_fields:
+            self.sent_fields |= new_fields
+            self.send({"kind": "state", **new_fields})
 
-    def _tell_far(self, number: int, far: Any) -> None:
-        self.push({"kind": "progress", "work": number, "far": text_of_far(far)})
+    def _send_progress(self, task_number: int, progress: Any) -> None:
+        self.send({"kind": "progress", "work": task_number, "far": progress_text(progress)})
 
-    def _complain(self, error: Exception) -> None:
-        self.push(complaint(error))
+    def _send_error(self, error: Exception) -> None:
+        self.send(error_record(error))
 
-    def _name(self, stem: str) -> str:
-        number = self.counts.get(stem, 1)
-        self.counts[stem] = number + 1
+    def _new_name(self, stem: str) -> str:
+        number = self.name_counters.get(stem, 1)
+        self.name_counters[stem] = number + 1
         return f"{stem}_{number}"
 
-    def _names(self) -> tuple[str, str, str]:
-        return self._name("scene"), self._name("orbit"), self._name("motion")
+    def _new_names(self) -> tuple[str, str, str]:
+        return self._new_name("scene"), self._new_name("orbit"), self._new_name("motion")
 
-    def _show(self, new: Shown) -> None:
+    def _show(self, page: PageState) -> None:
         """Shows something else, which can be taken back."""
-        if new != self.shown:
-            self.past = [*self.past[1 - MOST_PAST :], self.shown]
-            self.shown = new
-            self._forget()
+        if page != self.page:
+            self.history = [*self.history[1 - MAX_UNDO :], self.page]
+            self.page = page
+            self._drop_unused_results()
 
-    def _forget(self) -> None:
+    def _drop_unused_results(self) -> None:
         """Leaves out the results that no step needs any more."""
-        needed = {line.name for each in (*self.past, self.shown) for line in each.lines} | {SCENE}
-        self.results = {name: value for name, value in self.results.items() if name in needed}
+        needed_names = {line.name for page in (*self.history, self.page) for line in page.lines} | {SCENE_NAME}
+        self.results = {name: value for name, value in self.results.items() if name in needed_names}
 
-    def _let_go(self) -> None:
+    def _end_drag(self) -> None:
         """A slider has been let go of: the whole way is one step."""
-        if self.taken is not None:
-            (before, _), self.taken = self.taken, None
-            now, self.shown = self.shown, before
-            self._show(now)
+        if self.drag_start is not None:
+            (page_before, _), self.drag_start = self.drag_start, None
+            page, self.page = self.page, page_before
+            self._show(page)
 
-    def _start(self, x: float, v: float) -> None:
-        line = self._settled(self.shown.scene, State(x, v), self._names(), None)
-        self._show(self.shown.having(line, current=line.name, chosen="", place=None))
+    def _set_start(self, x: float, v: float) -> None:
+        line = self._settle(self.page.scene, State(x, v), self._new_names(), None)
+        self._show(self.page.with_lines(line, current=line.name, chosen="", place=None))
 
-    def _settled(self, scene: str, state: State, names: Sequence[str], periods: int | None) -> ViewTable:
+    def _settle(self, scene: str, state: State, names: Sequence[str], periods: int | None) -> ViewTable:
         """The line of the orbit, or motion, that a start settles on; its result is kept."""
-        x, v, phase = (float(np.asarray(each)) for each in (state.x, state.v, state.phase))
+        x, v, phase = (float(np.asarray(coordinate)) for coordinate in (state.x, state.v, state.phase))
         start = {"x": x, "v": v} | ({"phase": phase} if phase else {})
         line = ViewTable(name=names[1], call="moved" if periods else "find_orbit", of=scene, arguments=start)
         try:
-            self.results[line.name] = evaluated(line, self.results)
+            self.results[line.name] = evaluate(line, self.results)
         except OrbitError:
-            more = {"periods": periods or asks.LONGEST}
-            line = ViewTable(name=names[2], call="motion", of=scene, arguments=start | more)
-            self.results[line.name] = evaluated(line, self.results)
+            extra = {"periods": periods or actions.MOTION_PERIODS}
+            line = ViewTable(name=names[2], call="motion", of=scene, arguments=start | extra)
+            self.results[line.name] = evaluate(line, self.results)
         return line
 
-    def _put(self, changes: dict[str, float]) -> None:
-        self._show(self._changed(changes, self.shown, self._names(), None))
+    def _set_parameters(self, changes: dict[str, float]) -> None:
+        self._show(self._change_parameters(changes, self.page, self._new_names(), None))
 
-    def _changed(
-        self, changes: dict[str, float], now: Shown, names: tuple[str, str, str], periods: int | None
-    ) -> Shown:
+    def _change_parameters(
+        self, changes: dict[str, float], page: PageState, names: tuple[str, str, str], periods: int | None
+    ) -> PageState:
         """What there is, with numbers of the scene that are others; the motion goes on from where it is."""
-        scene, line = asks.changed(now, self.results, changes, names[0])
+        scene, line = actions.change_scene(page, self.results, changes, names[0])
         self.results[line.name] = scene
-        look = self._settled(line.name, fit(scene, asks.state_of(self.results.get(now.current))), names, periods)
-        return now.having(line, look, scene=line.name, current=look.name, chosen="", place=None)
+        motion_line = self._settle(
+            line.name, clamp_to_walls(scene, actions.last_state(self.results.get(page.current))), names, periods
+        )
+        return page.with_lines(line, motion_line, scene=line.name, current=motion_line.name, chosen="", place=None)
 
-    def _choose(self, reference: str, place: int | None) -> None:
+    def _select(self, reference: str, point_index: int | None) -> None:
         """Shows the orbit at a special point, or at a point of a branch."""
-        now = self.shown
-        line = asks.look(reference, place, resolved(reference, self.results), self._name("orbit"))
-        one = self.results[line.name] = evaluated(line, self.results)
-        there = {now.parameter: float(one.scene.parameter(now.parameter))}
-        scene, moved = asks.changed(now, self.results, there, self._name("scene"))
-        self.results[moved.name] = scene
-        new = {"scene": moved.name, "current": line.name, "chosen": reference, "place": place}
-        self._show(now.having(moved, line, **new))
+        page = self.page
+        line = actions.orbit_line(reference, point_index, resolve(reference, self.results), self._new_name("orbit"))
+        orbit = self.results[line.name] = evaluate(line, self.results)
+        parameter_change = {page.parameter: float(orbit.scene.parameter(page.parameter))}
+        scene, scene_line = actions.change_scene(page, self.results, parameter_change, self._new_name("scene"))
+        self.results[scene_line.name] = scene
+        fields = {"scene": scene_line.name, "current": line.name, "chosen": reference, "place": point_index}
+        self._show(page.with_lines(scene_line, line, **fields))
 
-    def _long(self, label: str, rounds: list[list[ViewTable]]) -> None:
+    def _run_rounds(self, label: str, rounds: list[list[ViewTable]]) -> None:
         """Evaluates rounds of lines, each in place of the one before, and shows each as it is there."""
-        then, results = self.shown, dict(self.results)
+        page_before, results = self.page, dict(self.results)
 
-        def run(tell, later):
-            before: list[ViewTable] = []
-            for place, lines in enumerate(rounds, 1):
-                part = f"{place} of {len(rounds)}: " if len(rounds) > 1 else ""
+        def run_lines(report, schedule):
+            previous_lines: list[ViewTable] = []
+            for round_number, lines in enumerate(rounds, 1):
+                prefix = f"{round_number} of {len(rounds)}: " if len(rounds) > 1 else ""
                 for line in lines:
-                    results[line.name] = evaluated(line, results, lambda far, part=part: tell(part + text_of_far(far)))
-                later(lambda found=(lines, before, then, dict(results)): self._found(*found))
-                before = lines
+                    results[line.name] = evaluate(
+                        line, results, lambda progress, prefix=prefix: report(prefix + progress_text(progress))
+                    )
+                schedule(lambda outcome=(lines, previous_lines, page_before, dict(results)): self._show_lines(*outcome))
+                previous_lines = lines
 
-        self.works.begin(label, run, lambda value, error: self._ended(error))
+        self.tasks.start(label, run_lines, lambda value, error: self._finish_action(error))
 
-    def _found(self, lines: list[ViewTable], left: list[ViewTable], then: Shown, results: dict[str, Any]) -> None:
-        """Shows what long work has found; left: lines in whose place it is; then, results: when it was begun."""
-        new = asks.with_found(self.shown, lines, left, then)
-        self.results |= {line.name: results[line.name] for line in new.lines if line.name not in self.results}
-        if left:
-            self.shown = new
+    def _show_lines(
+        self, lines: list[ViewTable], superseded: list[ViewTable], page_before: PageState, results: dict[str, Any]
+    ) -> None:
+        """Shows what long work has found; superseded: lines in whose place it is; page_before, results: when it was
+        begun."""
+        page = actions.add_lines(self.page, lines, superseded, page_before)
+        self.results |= {line.name: results[line.name] for line in page.lines if line.name not in self.results}
+        if superseded:
+            self.page = page
         else:
-            self._show(new)
-        self.tell()
+            self._show(page)
+        self.update_page()
 
-    def _ended(self, error: Exception | None) -> None:
+    def _finish_action(self, error: Exception | None) -> None:
         if error is not None:
-            self._complain(error)
-        self.tell()
+            self._send_error(error)
+        self.update_page()

@@ -8,7 +8,7 @@ from os import PathLike
 
 from ..scene import check
 from ..scene.scene import Scene
-from ..scene.scene_table import scene_text_or_none, table_of
+from ..scene.scene_table import make_scene_table, scene_toml_or_empty
 from ..studies import scene_file
 from ..studies.schema import SceneFile
 from .server import Explorer
@@ -43,7 +43,7 @@ class View:
         return f'<iframe src="{escape(self.url)}" width="100%" height="{HEIGHT}" title="jaxvibro"></iframe>'
 
 
-@check.host("use the scene itself")
+@check.host_only("use the scene itself")
 def view(
     scene: Scene | str | PathLike[str],
     port: int | None = None,
@@ -61,11 +61,11 @@ def view(
     Raises SceneError and OSError as `load_scene` does, ArgumentError for a batch of scenes, for an address that is not
     loopback and a port that cannot be, OSError where no port is free.
     """
-    if port is not None and check.whole("port", port, 0) > LAST_PORT:
+    if port is not None and check.whole_number("port", port, 0) > LAST_PORT:
         raise check.ArgumentError("port", f"must be at most {LAST_PORT}", port)
     if isinstance(scene, Scene):
         check.require_single(scene)
-        file = SceneFile(scene=table_of(scene)) if scene_text_or_none(scene) else None
+        file = SceneFile(scene=make_scene_table(scene)) if scene_toml_or_empty(scene) else None
         return View(Explorer(scene, file, address, port, token))
     file = scene_file.read(scene, changes)
     return View(Explorer(file.scene.make(), file, address, port, token))

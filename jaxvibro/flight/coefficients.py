@@ -13,223 +13,233 @@ from jaxtyping import Float
 from ..compiled.compiler_hints import choose
 from ..scene import check
 from ..scene.force import Force
-from ..scene.force_trace import without_rule
-from ..scene.scale import swift
+from ..scene.force_trace import ops_without_series
+from ..scene.typical_scales import fast_part_amplitude
 from . import drive, flow
-from .event import TERMS, smallest, weights
-from .soft_contact import SoftFlow, contact
+from .event import N_TERMS, smallest_length, taylor_weights
+from .soft_contact import SoftWallFlow, soft_wall_flow
 from .traced_force import is_series_of_root
-from .wall import Lane, extent, lane, tail
+from .wall_motion import WallCoefficients, remainder_bounds, wall_coefficients, wall_extent
 
-SIDES = (-1, 1)
-TURN_LOW = 2.4492935982947064e-16  # 2 pi less its double
+WALL_SIGNS = (-1, 1)
+TWO_PI_LOW = 2.4492935982947064e-16  # 2 pi less its double
 
 
-class Stays(Enum):
+class ContactLaw(Enum):
     """What stays within soft walls are: none, where all walls are rigid; of a spring and a damper on top of the
     oscillator's; or pushed back beside a force of the user's own."""
 
-    NONE = "none"
-    SPRING = "spring"
-    PUSHED = "pushed"
+    RIGID = "none"
+    LINEAR = "spring"
+    FORCE_LAW = "pushed"
 
 
-class Frame(NamedTuple):
+class FlowCoefficients(NamedTuple):
     """The oscillator, its drive, its walls, and bounds for the longest step; each number a scalar or one for each lane.
 
-    force A, frequency omega, damping gamma; terms: of the drive, beside A cos(omega t); walls: those that exist, left
-    first; period 2 pi / omega and its low part; swift: see `path`; series: of the flow; reach: the longest step (t),
-    pace: 1 / reach, weights: reach^k / k!; size: a length of the scene, the walls' distances and the drive's amplitudes
-    together, to measure rounding by, `smallest` where these are all 0; curb, slope: abs x^(8) is at most curb + slope
-    (abs x^(6) + abs x^(7)) over a step, these at its start; tails, swings: see `wall.tail`, for each wall; rushes:
-    bounds on the change of the press on each; gap: the walls are never nearer to each other; contacts: the
-    `soft_contact.SoftFlow` within each wall, under a force of the user's own its `Lane` (`pushed_flow`), None for rigid
-    ones.
+    force A, frequency omega, damping gamma; drive_terms: of the drive, beside A cos(omega t); walls: those that exist,
+    left first; period 2 pi / omega and its low part; swift_amplitude: see `path`; series: of the flow; max_step: the
+    longest step (t), inverse_max_step: 1 / max_step, taylor_weights: reach^k / k!; length_scale: a length of the scene,
+    the walls' distances and the drive's amplitudes together, to measure rounding by, `smallest_length` where these are
+    all 0; jet_bound, jet_bound_slope: abs x^(8) is at most curb + slope (abs x^(6) + abs x^(7)) over a step, these at
+    its start; force_remainders, wall_remainders: see `wall.tail`, for each wall; rushes: bounds on the change of the
+    press on each; min_wall_gap: the walls are never nearer to each other; soft_flows: the `soft_contact.SoftFlow`
+    within each wall, under a force of the user's own its `WallCoefficients` (`pushed_flow`), None for rigid ones.
 
-    stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`). law: a force of
-    the user's own; then damping and swift are 0, and what bounds the linear flow is None.
-    """
+    stiffness and its root are 1, and None, but where they are what a lane feels (`soft_contact.felt`). force_law: a
+    force of the user's own; then damping and swift are 0, and what bounds the linear flow is None."""
 
-    force: Float[jax.Array, "..."]
+    amplitude: Float[jax.Array, "..."]
     frequency: Float[jax.Array, "..."]
     damping: Float[jax.Array, "..."]
-    walls: tuple[Lane, ...]
+    walls: tuple[WallCoefficients, ...]
     period: Float[jax.Array, "..."]
     period_low: Float[jax.Array, "..."]
-    swift: Float[jax.Array, "..."]
-    series: flow.Series
-    reach: Float[jax.Array, "..."]
-    pace: Float[jax.Array, "..."]
-    weights: tuple[Float[jax.Array, "..."], ...]
-    size: Float[jax.Array, "..."]
-    curb: Float[jax.Array, "..."]
-    slope: Float[jax.Array, "..."]
-    tails: tuple[Float[jax.Array, "..."], ...]
-    swings: tuple[Float[jax.Array, "..."], ...]
-    rushes: tuple[Float[jax.Array, "..."], ...]
-    gap: Float[jax.Array, "..."]
-    contacts: tuple[SoftFlow | Lane | None, ...] = ()
+    swift_amplitude: Float[jax.Array, "..."]
+    series: flow.FlowSeries
+    max_step: Float[jax.Array, "..."]
+    inverse_max_step: Float[jax.Array, "..."]
+    taylor_weights: tuple[Float[jax.Array, "..."], ...]
+    length_scale: Float[jax.Array, "..."]
+    jet_bound: Float[jax.Array, "..."]
+    jet_bound_slope: Float[jax.Array, "..."]
+    force_remainders: tuple[Float[jax.Array, "..."], ...]
+    wall_remainders: tuple[Float[jax.Array, "..."], ...]
+    force_rate_bounds: tuple[Float[jax.Array, "..."], ...]
+    min_wall_gap: Float[jax.Array, "..."]
+    soft_flows: tuple[SoftWallFlow | WallCoefficients | None, ...] = ()
     stiffness: Float[jax.Array, "..."] | None = None
-    root: Float[jax.Array, "..."] | None = None
-    law: Force | None = None
-    terms: tuple[drive.Term, ...] = ()
+    root_stiffness: Float[jax.Array, "..."] | None = None
+    force_law: Force | None = None
+    drive_terms: tuple[drive.DriveTerm, ...] = ()
 
     @property
-    def stays(self) -> Stays:
+    def contact_law(self) -> ContactLaw:
         """What its stays within soft walls are: asked for here alone."""
-        if all(each is None for each in self.contacts):
-            return Stays.NONE
-        return Stays.SPRING if self.law is None else Stays.PUSHED
+        if all(soft_flow is None for soft_flow in self.soft_flows):
+            return ContactLaw.RIGID
+        return ContactLaw.LINEAR if self.force_law is None else ContactLaw.FORCE_LAW
 
 
-def frame(scene):
-    """The `Frame` of a scene."""
+def compute_coefficients(scene):
+    """The `FlowCoefficients` of a scene."""
     if scene.force is not None:
-        return _of_force(scene)
+        return _force_law_coefficients(scene)
     dtype = scene.dtype
-    force, frequency, damping = (jnp.asarray(n, dtype) for n in (scene.amplitude, scene.frequency, scene.damping))
-    walls, terms = _walls(scene), drive.terms(scene, frequency, damping)
-    rate = flow.rate(frequency, damping)
+    amplitude, frequency, damping = (
+        jnp.asarray(value, dtype) for value in (scene.amplitude, scene.frequency, scene.damping)
+    )
+    walls, drive_terms = _wall_coefficients(scene), drive.drive_terms(scene, frequency, damping)
+    max_rate = flow.max_rate(frequency, damping)
     for wall in walls:
-        rate = jnp.maximum(rate, frequency * (wall.harmonic if wall.swing is not None else 1.0))
-    if terms:
-        rate = jnp.maximum(rate, frequency * float(drive.fastest(terms)))
-    reach = flow.STEP / rate
+        max_rate = jnp.maximum(max_rate, frequency * (wall.harmonic if wall.amplitude is not None else 1.0))
+    if drive_terms:
+        max_rate = jnp.maximum(max_rate, frequency * float(drive.highest_harmonic(drive_terms)))
+    max_step = flow.MAX_SCALED_STEP / max_rate
     # energy of x^(6): abs x^(6), abs x^(7) <= abs x^(6)(0) + abs x^(7)(0) + A omega^6 t, damping only helps
-    forcing, slope = drive.largest(terms, force, frequency, 6), jnp.sqrt(1.0 + 4.0 * damping * damping)
+    force_bound, jet_bound_slope = (
+        drive.total_derivative_bound(drive_terms, amplitude, frequency, 6),
+        jnp.sqrt(1.0 + 4.0 * damping * damping),
+    )
     period = 2.0 * jnp.pi / frequency
-    bounds = [tail(wall, force, frequency, damping, TERMS, terms) for wall in walls]
-    return Frame(
-        force=force,
+    wall_bounds = [remainder_bounds(wall, amplitude, frequency, damping, N_TERMS, drive_terms) for wall in walls]
+    return FlowCoefficients(
+        amplitude=amplitude,
         frequency=frequency,
         damping=damping,
         walls=walls,
         period=period,
-        period_low=_remainder(frequency, period) / frequency,
-        swift=swift(frequency, damping, force),
-        series=flow.series(frequency, damping),
-        reach=reach,
-        pace=rate / flow.STEP,
-        weights=weights(reach),
-        size=_size(walls, drive.largest(terms, force, frequency, 0)),
-        curb=forcing * (1.0 + slope * reach),
-        slope=slope,
-        tails=tuple(press for press, _ in bounds),
-        swings=tuple(swing for _, swing in bounds),
-        rushes=tuple(tail(wall, force, frequency, damping, 1, terms)[0] for wall in walls),
-        gap=_gap(walls, force),
-        contacts=tuple(contact(wall, force, frequency, terms) for wall in walls),
-        terms=terms,
+        period_low=_period_remainder(frequency, period) / frequency,
+        swift_amplitude=fast_part_amplitude(frequency, damping, amplitude),
+        series=flow.flow_series(frequency, damping),
+        max_step=max_step,
+        inverse_max_step=max_rate / flow.MAX_SCALED_STEP,
+        taylor_weights=taylor_weights(max_step),
+        length_scale=_length_scale(walls, drive.total_derivative_bound(drive_terms, amplitude, frequency, 0)),
+        jet_bound=force_bound * (1.0 + jet_bound_slope * max_step),
+        jet_bound_slope=jet_bound_slope,
+        force_remainders=tuple(force_remainder for force_remainder, _ in wall_bounds),
+        wall_remainders=tuple(wall_remainder for _, wall_remainder in wall_bounds),
+        force_rate_bounds=tuple(
+            remainder_bounds(wall, amplitude, frequency, damping, 1, drive_terms)[0] for wall in walls
+        ),
+        min_wall_gap=_min_wall_gap(walls, amplitude),
+        soft_flows=tuple(soft_wall_flow(wall, amplitude, frequency, drive_terms) for wall in walls),
+        drive_terms=drive_terms,
     )
 
 
-def _of_force(scene):
-    """The `Frame` of a scene with a force of the user's own."""
-    force, dtype = scene.force, scene.dtype
+def _force_law_coefficients(scene):
+    """The `FlowCoefficients` of a scene with a force of the user's own."""
+    force_law, dtype = scene.force, scene.dtype
     for side, wall in scene.walls.items():
         if wall.law is not None:
             _require_series(f"{side}.law", wall.law, dtype)
-    amplitude, frequency = (jnp.asarray(number, dtype) for number in (scene.amplitude, scene.frequency))
-    walls, terms = _walls(scene), drive.terms(scene, frequency, None)
-    fast = max((wall.harmonic for wall in walls if wall.swing is not None), default=1)
-    fast = max(fast, drive.fastest(terms))
-    period, none = 2.0 * jnp.pi / frequency, jnp.zeros_like(frequency)
-    reach = flow.STEP / (frequency * fast)
-    return Frame(
-        force=amplitude,
+    amplitude, frequency = (jnp.asarray(value, dtype) for value in (scene.amplitude, scene.frequency))
+    walls, drive_terms = _wall_coefficients(scene), drive.drive_terms(scene, frequency, None)
+    max_harmonic = max((wall.harmonic for wall in walls if wall.amplitude is not None), default=1)
+    max_harmonic = max(max_harmonic, drive.highest_harmonic(drive_terms))
+    period, zero = 2.0 * jnp.pi / frequency, jnp.zeros_like(frequency)
+    max_step = flow.MAX_SCALED_STEP / (frequency * max_harmonic)
+    return FlowCoefficients(
+        amplitude=amplitude,
         frequency=frequency,
-        damping=none,
+        damping=zero,
         walls=walls,
         period=period,
-        period_low=_remainder(frequency, period) / frequency,
-        swift=none,
+        period_low=_period_remainder(frequency, period) / frequency,
+        swift_amplitude=zero,
         series=None,
-        reach=reach,
-        pace=1.0 / reach,
-        weights=weights(reach),
-        size=_size(walls, drive.largest(terms, amplitude, frequency, 0)),
-        curb=None,
-        slope=None,
-        tails=(),
-        swings=tuple(tail(wall, none, frequency, none, TERMS)[1] for wall in walls),
-        rushes=(),
-        gap=_gap(walls, amplitude),
-        contacts=tuple(None if wall.restitution is not None else wall for wall in walls),
-        law=jax.tree.map(lambda number: jnp.asarray(number, dtype), force),
-        terms=terms,
+        max_step=max_step,
+        inverse_max_step=1.0 / max_step,
+        taylor_weights=taylor_weights(max_step),
+        length_scale=_length_scale(walls, drive.total_derivative_bound(drive_terms, amplitude, frequency, 0)),
+        jet_bound=None,
+        jet_bound_slope=None,
+        force_remainders=(),
+        wall_remainders=tuple(remainder_bounds(wall, zero, frequency, zero, N_TERMS)[1] for wall in walls),
+        force_rate_bounds=(),
+        min_wall_gap=_min_wall_gap(walls, amplitude),
+        soft_flows=tuple(None if wall.restitution is not None else wall for wall in walls),
+        force_law=jax.tree.map(lambda param: jnp.asarray(param, dtype), force_law),
+        drive_terms=drive_terms,
     )
 
 
-def _require_series(key, law, dtype):
+def _require_series(key, contact_law, dtype):
     """Refuse the law of a wall that is no power series in the root of the depth."""
-    given = law.function, tuple(law.numbers), np.dtype(dtype)
-    unknown = without_rule(*given, 2)
-    if unknown:
-        told = f"has operations of which no Taylor series is known ({', '.join(unknown)})"
-        raise check.SceneError(key, told, law.function)
-    if not is_series_of_root(*given):
-        raise check.SceneError(key, "must be a power series in the root of the depth", law.function)
+    signature = contact_law.function, tuple(contact_law.numbers), np.dtype(dtype)
+    unknown_operations = ops_without_series(*signature, 2)
+    if unknown_operations:
+        message = f"has operations of which no Taylor series is known ({', '.join(unknown_operations)})"
+        raise check.SceneError(key, message, contact_law.function)
+    if not is_series_of_root(*signature):
+        raise check.SceneError(key, "must be a power series in the root of the depth", contact_law.function)
 
 
-def _walls(scene):
-    given = zip(SIDES, (scene.left, scene.right), strict=True)
-    return tuple(lane(wall, scene, side, scene.dtype) for side, wall in given if wall is not None)
+def _wall_coefficients(scene):
+    signed_walls = zip(WALL_SIGNS, (scene.left, scene.right), strict=True)
+    return tuple(wall_coefficients(wall, scene, side, scene.dtype) for side, wall in signed_walls if wall is not None)
 
 
-def _size(walls, amplitude):
-    """The length scale of a scene, never 0: `smallest` where all walls are at 0 and there is no drive."""
-    size = sum((extent(wall) for wall in walls), amplitude)
-    return choose(size > 0, size, lax.full_like(size, smallest(size.dtype)))
+def _length_scale(walls, amplitude):
+    """The length scale of a scene, never 0: `smallest_length` where all walls are at 0 and there is no drive."""
+    length = sum((wall_extent(wall) for wall in walls), amplitude)
+    return choose(length > 0, length, lax.full_like(length, smallest_length(length.dtype)))
 
 
-def _gap(walls, like):
+def _min_wall_gap(walls, amplitude):
     if len(walls) < 2:
-        return jnp.full_like(like, jnp.inf)
-    left, right = walls
-    return (right.position - left.position) - sum(abs(wall.swing) for wall in walls if wall.swing is not None)
+        return jnp.full_like(amplitude, jnp.inf)
+    left_wall, right_wall = walls
+    return (right_wall.position - left_wall.position) - sum(
+        abs(wall.amplitude) for wall in walls if wall.amplitude is not None
+    )
 
 
-def _remainder(frequency, period):
+def _period_remainder(frequency, period):
     """2 pi - frequency period, the product taken exactly (Dekker) and 2 pi beyond its double."""
     product = frequency * period
-    error = product_error(frequency, period, product)
-    turn = jnp.asarray(2.0 * jnp.pi, period.dtype)
-    beyond = TURN_LOW if period.dtype == jnp.float64 else 2.0 * math.pi - float(np.float32(2.0 * math.pi))
-    return (turn - product) - error + beyond
+    product_error = dekker_product_error(frequency, period, product)
+    two_pi = jnp.asarray(2.0 * jnp.pi, period.dtype)
+    two_pi_low = TWO_PI_LOW if period.dtype == jnp.float64 else 2.0 * math.pi - float(np.float32(2.0 * math.pi))
+    return (two_pi - product) - product_error + two_pi_low
 
 
-def product_error(a, b, product):
+def dekker_product_error(a, b, product):
     """a b less the product rounded (Dekker)."""
-    (high, low), (top, bottom) = _split(a), _split(b)
-    return ((high * top - product) + high * bottom + low * top) + low * bottom
+    (a_upper, a_lower), (b_upper, b_lower) = _split_digits(a), _split_digits(b)
+    return ((a_upper * b_upper - product) + a_upper * b_lower + a_lower * b_upper) + a_lower * b_lower
 
 
-def _split(a):
+def _split_digits(a):
     """a as the sum of two numbers of half its digits (Veltkamp)."""
     scaled = a * (2.0 ** ((jnp.finfo(a.dtype).nmant + 2) // 2) + 1.0)
-    high = scaled - (scaled - a)
-    return high, a - high
+    upper_half = scaled - (scaled - a)
+    return upper_half, a - upper_half
 
 
-def is_valid(frame):
+def check_validity(coeffs):
     """Whether the scene of each lane keeps the rules that `make_scene` checks: (valid, finite)."""
-    given = [(term.force, term.cosine) for term in frame.terms]
-    numbers = jax.tree.leaves((frame.force, frame.frequency, frame.damping, frame.walls, given))
-    finite = jnp.isfinite(frame.force)
-    for number in numbers:
-        finite &= jnp.isfinite(number)
-    valid = (frame.frequency > 0) & (frame.damping >= 0)
-    for wall in frame.walls:
+    term_values = [(term.amplitude, term.cosine) for term in coeffs.drive_terms]
+    values = jax.tree.leaves((coeffs.amplitude, coeffs.frequency, coeffs.damping, coeffs.walls, term_values))
+    finite = jnp.isfinite(coeffs.amplitude)
+    for value in values:
+        finite &= jnp.isfinite(value)
+    valid = (coeffs.frequency > 0) & (coeffs.damping >= 0)
+    for wall in coeffs.walls:
         if wall.law is not None:
             continue
         if wall.stiffness is None:
             valid &= (wall.restitution >= 0) & (wall.restitution <= 1)
         else:
             valid &= (wall.stiffness > 0) & (wall.damping >= 0)
-    if len(frame.walls) == 2:
-        left, right = frame.walls
-        valid &= left.position < right.position
+    if len(coeffs.walls) == 2:
+        left_wall, right_wall = coeffs.walls
+        valid &= left_wall.position < right_wall.position
     return valid, finite
 
 
-framed = jax.jit(frame)  # of what is traced time and again for few lanes: once a process for scenes of a kind
+flow_coefficients = jax.jit(
+    compute_coefficients
+)  # of what is traced time and again for few lanes: once a process for scenes of a kind

@@ -15,113 +15,137 @@ from . import flow
 
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True, eq=False)
-class Term:
+class DriveTerm:
     """force cos(harmonic omega t + phase), numbers scalars or lanes. cosine, sine: of the phase; series: of the flow
     under it, None under a force of the user's own."""
 
-    force: Float[jax.Array, "..."]
+    amplitude: Float[jax.Array, "..."]
     cosine: Float[jax.Array, "..."]
     sine: Float[jax.Array, "..."]
-    series: flow.Series | None
+    series: flow.FlowSeries | None
     harmonic: int = field(metadata={"static": True})
 
 
-def terms(scene, frequency, damping):
-    """The further `Term`s of a scene's drive; damping: None under a force of the user's own."""
-    found = []
-    for each in scene.drive:
-        phase = jnp.asarray(each.phase, scene.dtype)
-        series = None if damping is None else flow.series(frequency * float(each.harmonic), damping)
-        force = jnp.asarray(each.amplitude, scene.dtype)
-        found.append(Term(force, jnp.cos(phase), jnp.sin(phase), series, each.harmonic))
-    return tuple(found)
+def drive_terms(scene, frequency, damping):
+    """The further `DriveTerm`s of a scene's drive; damping: None under a force of the user's own."""
+    terms = []
+    for motion in scene.drive:
+        phase = jnp.asarray(motion.phase, scene.dtype)
+        series = None if damping is None else flow.flow_series(frequency * float(motion.harmonic), damping)
+        amplitude = jnp.asarray(motion.amplitude, scene.dtype)
+        terms.append(DriveTerm(amplitude, jnp.cos(phase), jnp.sin(phase), series, motion.harmonic))
+    return tuple(terms)
 
 
-def rate_of(term, frequency):
+def angular_rate(term, frequency):
     """How fast its angle grows."""
     return frequency * float(term.harmonic)
 
 
-def fastest(terms):
+def highest_harmonic(terms):
     """The highest of their harmonics, 0 of none."""
-    return max((each.harmonic for each in terms), default=0)
+    return max((term.harmonic for term in terms), default=0)
 
 
-def bound(terms, frequency, order):
+def derivative_bound(terms, frequency, order):
     """A bound on the derivative of an order of their force."""
-    return sum(abs(each.force) * rate_of(each, frequency) ** order for each in terms)
+    return sum(abs(term.amplitude) * angular_rate(term, frequency) ** order for term in terms)
 
 
-def largest(terms, force, frequency, order):
+def total_derivative_bound(terms, amplitude, frequency, order):
     """The same with force cos(omega t)."""
-    own = abs(force) * frequency**order if order else abs(force)
-    return own + bound(terms, frequency, order) if terms else own
+    first_bound = abs(amplitude) * frequency**order if order else abs(amplitude)
+    return first_bound + derivative_bound(terms, frequency, order) if terms else first_bound
 
 
-def waves(terms, frequency, cosine, sine):
+def term_forces(terms, frequency, cosine, sine):
     """[(along, across, rate)], where the drive is at this cosine and sine: a force along cos - across sin of its own
     angle since now."""
-    found = []
-    for each in terms:
-        c, s = wave(each, cosine, sine)
-        found.append((each.force * c, each.force * s, rate_of(each, frequency)))
-    return found
+    forces = []
+    for term in terms:
+        term_cosine, term_sine = harmonic_phasor(term, cosine, sine)
+        forces.append((term.amplitude * term_cosine, term.amplitude * term_sine, angular_rate(term, frequency)))
+    return forces
 
 
-def forces(terms, frequency, cosine, sine, order):
+def force_derivatives(terms, frequency, cosine, sine, order):
     """Their force together and its derivatives to an order, where the drive is at this cosine and sine."""
-    total = None
-    for along, across, rate in waves(terms, frequency, cosine, sine):
-        own = [along, -across * rate]
+    total_derivs = None
+    for force_cos, force_sin, rate in term_forces(terms, frequency, cosine, sine):
+        derivatives = [force_cos, -force_sin * rate]
         for k in range(2, order + 1):
-            own.append(own[k - 2] * -(rate * rate))
-        total = own if total is None else [a + b for a, b in zip(total, own, strict=True)]
-    return total[: order + 1]
+            derivatives.append(derivatives[k - 2] * -(rate * rate))
+        total_derivs = (
+            derivatives if total_derivs is None else [a + b for a, b in zip(total_derivs, derivatives, strict=True)]
+        )
+    return total_derivs[: order + 1]
 
 
-def pushed(terms, frequency, cosine, sine, given, first=0):
-    """Derivatives of a force, from the first on, None where zero, and those of the terms: `given` where there are
+def add_term_derivatives(terms, frequency, cosine, sine, derivatives, first_order=0):
+    """Derivatives of a force, from the first on, None where zero, and those of the terms: `derivatives` where there are
     none."""
     if not terms:
-        return given
-    more = forces(terms, frequency, cosine, sine, first + len(given) - 1)[first:]
-    return [new if own is None else own + new for own, new in zip(given, more, strict=True)]
+        return derivatives
+    term_derivatives = force_derivatives(terms, frequency, cosine, sine, first_order + len(derivatives) - 1)[
+        first_order:
+    ]
+    return [
+        term_derivative if derivative is None else derivative + term_derivative
+        for derivative, term_derivative in zip(derivatives, term_derivatives, strict=True)
+    ]
 
 
-def moved(terms, frequency, cosine, sine, move, lifted):
-    """(dx, dv) that they make of a flight; move: of the `flow.Gains`; lifted: (lift, lag) of each."""
+def term_increments(terms, frequency, cosine, sine, p01, responses):
+    """(dx, dv) that they make of a flight; p01: of the `flow.Gains`; responses: (lift, lag) of each."""
     dx = dv = 0.0
-    for (along, across, rate), (lift, lag) in zip(waves(terms, frequency, cosine, sine), lifted, strict=True):
-        dx = dx + (along * lift - across * lag)
-        dv = dv + (along * (move - rate * lag) - across * (rate * lift))
+    for (force_cos, force_sin, rate), (cos_response, sin_response) in zip(
+        term_forces(terms, frequency, cosine, sine), responses, strict=True
+    ):
+        dx = dx + (force_cos * cos_response - force_sin * sin_response)
+        dv = dv + (force_cos * (p01 - rate * sin_response) - force_sin * (rate * cos_response))
     return dx, dv
 
 
-def responses(terms, frequency, damping, time):
+def term_responses(terms, frequency, damping, time):
     """x and v after a start from rest under the cosine, the sine of each one's angle over any time >= 0."""
-    return [flow.doubled(each.series, rate_of(each, frequency), damping, time)[1] for each in terms]
+    return [flow.doubling_responses(term.series, angular_rate(term, frequency), damping, time)[1] for term in terms]
 
 
-def forced(terms, responses, frequency, cosine, sine):
-    """(x, v) after a flight from rest of these `responses`."""
+def forced_response(terms, responses, frequency, cosine, sine):
+    """(x, v) after a flight from rest of these `term_responses`."""
     x = v = 0.0
-    for (along, across, _), (first, second) in zip(waves(terms, frequency, cosine, sine), responses, strict=True):
-        x, v = x + (along * first[0] - across * second[0]), v + (along * first[1] - across * second[1])
+    for (force_cos, force_sin, _), (cos_response, sin_response) in zip(
+        term_forces(terms, frequency, cosine, sine), responses, strict=True
+    ):
+        x, v = (
+            x + (force_cos * cos_response[0] - force_sin * sin_response[0]),
+            v + (force_cos * cos_response[1] - force_sin * sin_response[1]),
+        )
     return x, v
 
 
-def wave(each, cosine, sine):
-    """Cosine and sine of the angle of a harmonic, a `Term`'s or a wall's, from the drive's."""
-    c, s = _power(cosine, sine, each.harmonic)
-    return c * each.cosine - s * each.sine, s * each.cosine + c * each.sine
+def harmonic_phasor(term_or_wall, cosine, sine):
+    """Cosine and sine of the angle of a harmonic, a `DriveTerm`'s or a wall's, from the drive's."""
+    multiple_cosine, multiple_sine = _multiple_angle(cosine, sine, term_or_wall.harmonic)
+    return (
+        multiple_cosine * term_or_wall.cosine - multiple_sine * term_or_wall.sine,
+        multiple_sine * term_or_wall.cosine + multiple_cosine * term_or_wall.sine,
+    )
 
 
-def _power(cosine, sine, harmonic):
+def _multiple_angle(cosine, sine, harmonic):
     """Cosine and sine of a whole multiple of the angle, by squaring."""
     if harmonic == 0:
         return lax.full_like(cosine, 1.0), lax.full_like(sine, 0.0)
     if harmonic == 1:
         return cosine, sine
-    c, s = _power(cosine, sine, harmonic // 2)
-    c, s = c * c - s * s, 2.0 * c * s
-    return (c * cosine - s * sine, s * cosine + c * sine) if harmonic % 2 else (c, s)
+    multiple_cosine, multiple_sine = _multiple_angle(cosine, sine, harmonic // 2)
+    multiple_cosine, multiple_sine = (
+        multiple_cosine * multiple_cosine - multiple_sine * multiple_sine,
+        2.0 * multiple_cosine * multiple_sine,
+    )
+    return (
+        (multiple_cosine * cosine - multiple_sine * sine, multiple_sine * cosine + multiple_cosine * sine)
+        if harmonic % 2
+        else (multiple_cosine, multiple_sine)
+    )

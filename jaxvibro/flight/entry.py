@@ -5,114 +5,132 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jax import lax
 
-from ..compiled.compiler_hints import choose, positive
+from ..compiled.compiler_hints import choose, positive_part
 from ..scene.codes import Contact, Status
 from . import event, impact
-from .coefficients import is_valid
-from .flight_state import Path, SlowMotion, motion
+from .coefficients import check_validity
+from .flight_state import Path, SlowMotion, split_motion
 from .soft_contact import is_inside
-from .wall import course, extent, less
-from .within_wall import within
+from .soft_wall_lanes import in_soft_wall
+from .wall_motion import subtract, wall_extent, wall_jet
 
-WIDE = 0.4  # exponent: squares and products of two lengths below largest**WIDE stay finite
+MAX_LENGTH_EXPONENT = 0.4  # exponent: squares and products of two lengths below largest**WIDE stay finite
 
 
-def enter(frame, state, rules=is_valid):
-    """(path, fault): a path with no time to go yet, and OK, INVALID or NONFINITE; rules: what the scene must keep.
+def start_path(coeffs, state, check_rules=check_validity):
+    """(path, fault): a path with no time to go yet, and OK, INVALID or NONFINITE; check_rules: what the scene must
+    keep.
 
     A start on a wall that moves into it stays free, so that its first event is that impact. One that moves away has
     landed; one without speed is decided by the press, then by its change (`impact.settle`). A position or a speed whose
     square would be lost is none.
     """
     cosine, sine = jnp.cos(state.phase), jnp.sin(state.phase)
-    valid, finite = rules(frame)
-    for number in (state.x, state.v, cosine, state.contact):
-        finite &= jnp.isfinite(number)
+    valid, finite = check_rules(coeffs)
+    for value in (state.x, state.v, cosine, state.contact):
+        finite &= jnp.isfinite(value)
     kind = jnp.finfo(jnp.result_type(state.x))
-    small = event.smallest(kind.dtype)
-    x, v = (choose(abs(each) > small, each, 0.0) for each in (state.x, state.v))
-    largest = jnp.maximum(frame.size, jnp.maximum(abs(x), abs(v)))
-    finite &= (largest >= small) & (largest < float(kind.max) ** WIDE)
-    state, none = replace(state, x=x, v=v), jnp.zeros_like(state.x)
-    cosine, sine = cosine + none, sine + none
-    start = SlowMotion(none, none, none, none, cosine, sine)
-    path = Path(state.x + none, none, state.v + none, start, none, none, none)
-    kind = abs(state.contact) + none
+    min_length = event.smallest_length(kind.dtype)
+    x, v = (choose(abs(pair) > min_length, pair, 0.0) for pair in (state.x, state.v))
+    largest_length = jnp.maximum(coeffs.length_scale, jnp.maximum(abs(x), abs(v)))
+    finite &= (largest_length >= min_length) & (largest_length < float(kind.max) ** MAX_LENGTH_EXPONENT)
+    state, zero = replace(state, x=x, v=v), jnp.zeros_like(state.x)
+    cosine, sine = cosine + zero, sine + zero
+    motion_at_rest = SlowMotion(zero, zero, zero, zero, cosine, sine)
+    path = Path(state.x + zero, zero, state.v + zero, motion_at_rest, zero, zero, zero)
+    kind = abs(state.contact) + zero
     valid &= (kind == 0) | (kind == Contact.LANDED) | (kind == Contact.STUCK) | (kind == Contact.WITHIN)
-    known = kind == 0
-    for wall, soft in zip(frame.walls, frame.contacts, strict=True):
-        place = course(wall, frame.frequency, cosine, sine, 1)
-        given = state.contact * wall.sign
-        inside = is_inside(path.contact)  # of the wall before, from which the lane is counted
-        here = path._replace(x=choose(inside, state.x + none, path.x), v=choose(inside, state.v + none, path.v))
-        here, fits = (_at_wall if soft is None else _at_soft_wall)(frame, wall, place, here, given)
-        kept = zip((path.x, path.v, path.contact), (here.x, here.v, here.contact), strict=True)
-        path = path._replace(**dict(zip(("x", "v", "contact"), (choose(inside, *each) for each in kept), strict=True)))
-        valid &= fits & (given != (Contact.WITHIN if soft is None else Contact.STUCK))
-        known |= given > 0
-    inside = within(frame, path.contact)
-    if inside is not None:
-        frame = frame._replace(swift=choose(inside, 0.0, frame.swift + none))
-    path = path._replace(motion=motion(frame, path.x, path.v, cosine, sine))
-    fault = choose(finite, choose(valid & known, lax.full_like(none, Status.OK), Status.INVALID), Status.NONFINITE)
-    return path, fault
-
-
-def _at_soft_wall(frame, wall, place, path, given):
-    """As `_at_wall`: beyond this wall a start is within it, and is counted from it."""
-    where, speed = place
-    pace = jnp.zeros_like(where) if speed is None else speed
-    depth, closing = wall.sign * (path.x - where), wall.sign * (path.v - pace)
-    eps = 2.0 * event.rounding(depth.dtype)
-    near = _near(wall, depth)
-    within, landed = given == Contact.WITHIN, given == Contact.LANDED
-    met = landed | (abs(depth) <= near) | (within & (depth <= 0))
-    push, change = impact.surface(frame, path.x * 0.0 + wall.sign, path.cosine, path.sine)[2:]
-    push, change = wall.sign * push, wall.sign * change
-    pressed = (push > 0) | ((push == 0) & (change > 0))
-    inside = choose(met, within & (closing > 0) | (closing == 0) & pressed, depth > 0)
-    leaves = met & ~inside & (landed | (closing <= 0))
-    loose = eps**0.5 * frame.size
-    fits = ~(within | landed) | (choose(landed, abs(depth), -depth) <= loose)
-    fits &= ~landed | (closing <= eps**0.5 * (abs(path.v) + frame.size * (1.0 + frame.frequency)))
-    kind = choose(
-        inside,
-        choose(met, Contact.ENTERED, lax.full_like(depth, Contact.WITHIN)),
-        choose(leaves, Contact.LANDED, lax.full_like(depth, 0.0)),
+    has_known_contact = kind == 0
+    for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
+        wall_state = wall_jet(wall, coeffs.frequency, cosine, sine, 1)
+        wall_contact = state.contact * wall.sign
+        is_inside_wall = is_inside(path.contact)  # of the wall before, from which the lane is counted
+        wall_path = path._replace(
+            x=choose(is_inside_wall, state.x + zero, path.x), v=choose(is_inside_wall, state.v + zero, path.v)
+        )
+        wall_path, is_allowed = (_start_at_rigid_wall if soft_flow is None else _start_at_soft_wall)(
+            coeffs, wall, wall_state, wall_path, wall_contact
+        )
+        field_pairs = zip((path.x, path.v, path.contact), (wall_path.x, wall_path.v, wall_path.contact), strict=True)
+        path = path._replace(
+            **dict(zip(("x", "v", "contact"), (choose(is_inside_wall, *pair) for pair in field_pairs), strict=True))
+        )
+        valid &= is_allowed & (wall_contact != (Contact.WITHIN if soft_flow is None else Contact.STUCK))
+        has_known_contact |= wall_contact > 0
+    is_inside_wall = in_soft_wall(coeffs, path.contact)
+    if is_inside_wall is not None:
+        coeffs = coeffs._replace(swift_amplitude=choose(is_inside_wall, 0.0, coeffs.swift_amplitude + zero))
+    path = path._replace(motion=split_motion(coeffs, path.x, path.v, cosine, sine))
+    status = choose(
+        finite, choose(valid & has_known_contact, lax.full_like(zero, Status.OK), Status.INVALID), Status.NONFINITE
     )
-    x = choose(inside, choose(met, 0.0, wall.sign * depth), choose(met, where, path.x))
-    v = choose(inside, path.v - pace, path.v)
-    here = inside | leaves
-    return path._replace(x=x, v=v, contact=choose(here, wall.sign * kind, path.contact)), fits
+    return path, status
 
 
-def _at_wall(frame, wall, place, path, given):
-    """The path as this wall finds it, and whether the start is allowed; given: the contact times the wall's sign."""
-    where, speed = place
-    gap = wall.sign * ((where - path.x) + path.x_low)
-    closing = wall.sign * less(path.v, speed)
-    eps = 2.0 * event.rounding(gap.dtype)
-    near = _near(wall, gap)
-    loose = eps**0.5
-    touching = given > 0
-    met = ~touching & (abs(gap) <= near)
-    fits = choose(touching, abs(gap) <= loose * frame.size, gap >= -near)
-    pace = abs(path.v) + frame.size * (1.0 + frame.frequency)
-    off = choose(given == Contact.STUCK, abs(closing), closing)
-    fits &= ~touching | (off <= loose * pace)
-    push = [wall.sign * each for each in impact.surface(frame, path.x * 0.0 + wall.sign, path.cosine, path.sine)[2:]]
-    leaving = choose(given == Contact.STUCK, 0.0, positive(-closing))
-    kind = wall.sign * impact.settle(frame, leaving, *push)
-    on = touching | (met & (closing <= 0))
-    rests = on & ((abs(kind) == Contact.STUCK) | (leaving == 0))
-    still = jnp.zeros_like(gap) if speed is None else speed
+def _start_at_soft_wall(coeffs, wall, wall_state, path, wall_contact):
+    """As `_start_at_rigid_wall`: beyond this wall a start is within it, and is counted from it."""
+    wall_position, velocity_or_none = wall_state
+    wall_velocity = jnp.zeros_like(wall_position) if velocity_or_none is None else velocity_or_none
+    depth, approach_speed = wall.sign * (path.x - wall_position), wall.sign * (path.v - wall_velocity)
+    eps = 2.0 * event.unit_roundoff(depth.dtype)
+    tolerance = _contact_tolerance(wall, depth)
+    is_within, is_landed = wall_contact == Contact.WITHIN, wall_contact == Contact.LANDED
+    at_surface = is_landed | (abs(depth) <= tolerance) | (is_within & (depth <= 0))
+    contact_force, force_rate = impact.wall_surface(coeffs, path.x * 0.0 + wall.sign, path.cosine, path.sine)[2:]
+    contact_force, force_rate = wall.sign * contact_force, wall.sign * force_rate
+    is_pressed = (contact_force > 0) | ((contact_force == 0) & (force_rate > 0))
+    starts_inside = choose(at_surface, is_within & (approach_speed > 0) | (approach_speed == 0) & is_pressed, depth > 0)
+    starts_leaving = at_surface & ~starts_inside & (is_landed | (approach_speed <= 0))
+    loose_tolerance = eps**0.5 * coeffs.length_scale
+    is_allowed = ~(is_within | is_landed) | (choose(is_landed, abs(depth), -depth) <= loose_tolerance)
+    is_allowed &= ~is_landed | (
+        approach_speed <= eps**0.5 * (abs(path.v) + coeffs.length_scale * (1.0 + coeffs.frequency))
+    )
+    contact_kind = choose(
+        starts_inside,
+        choose(at_surface, Contact.ENTERED, lax.full_like(depth, Contact.WITHIN)),
+        choose(starts_leaving, Contact.LANDED, lax.full_like(depth, 0.0)),
+    )
+    new_x = choose(starts_inside, choose(at_surface, 0.0, wall.sign * depth), choose(at_surface, wall_position, path.x))
+    new_v = choose(starts_inside, path.v - wall_velocity, path.v)
+    in_contact = starts_inside | starts_leaving
     return path._replace(
-        x=choose(on | met, where, path.x),
-        v=choose(rests, still, path.v),
-        contact=choose(on, kind, path.contact),
-    ), fits
+        x=new_x, v=new_v, contact=choose(in_contact, wall.sign * contact_kind, path.contact)
+    ), is_allowed
 
 
-def _near(wall, like):
+def _start_at_rigid_wall(coeffs, wall, wall_state, path, wall_contact):
+    """The path as this wall finds it, and whether the start is allowed; wall_contact: the contact times the wall's
+    sign."""
+    wall_position, velocity_or_none = wall_state
+    gap = wall.sign * ((wall_position - path.x) + path.x_low)
+    approach_speed = wall.sign * subtract(path.v, velocity_or_none)
+    eps = 2.0 * event.unit_roundoff(gap.dtype)
+    tolerance = _contact_tolerance(wall, gap)
+    loose_factor = eps**0.5
+    is_touching = wall_contact > 0
+    at_surface = ~is_touching & (abs(gap) <= tolerance)
+    is_allowed = choose(is_touching, abs(gap) <= loose_factor * coeffs.length_scale, gap >= -tolerance)
+    speed_scale = abs(path.v) + coeffs.length_scale * (1.0 + coeffs.frequency)
+    excess_speed = choose(wall_contact == Contact.STUCK, abs(approach_speed), approach_speed)
+    is_allowed &= ~is_touching | (excess_speed <= loose_factor * speed_scale)
+    force_and_rate = [
+        wall.sign * value for value in impact.wall_surface(coeffs, path.x * 0.0 + wall.sign, path.cosine, path.sine)[2:]
+    ]
+    rebound_speed = choose(wall_contact == Contact.STUCK, 0.0, positive_part(-approach_speed))
+    new_contact = wall.sign * impact.next_contact(coeffs, rebound_speed, *force_and_rate)
+    in_contact = is_touching | (at_surface & (approach_speed <= 0))
+    moves_with_wall = in_contact & ((abs(new_contact) == Contact.STUCK) | (rebound_speed == 0))
+    wall_velocity = jnp.zeros_like(gap) if velocity_or_none is None else velocity_or_none
+    return path._replace(
+        x=choose(in_contact | at_surface, wall_position, path.x),
+        v=choose(moves_with_wall, wall_velocity, path.v),
+        contact=choose(in_contact, new_contact, path.contact),
+    ), is_allowed
+
+
+def _contact_tolerance(wall, depth):
     """How far from a wall that moves a start is on it: where such a wall is comes rounded to whoever works it out."""
-    return jnp.zeros_like(like) if wall.swing is None else 8.0 * event.rounding(like.dtype) * extent(wall)
+    return (
+        jnp.zeros_like(depth) if wall.amplitude is None else 8.0 * event.unit_roundoff(depth.dtype) * wall_extent(wall)
+    )

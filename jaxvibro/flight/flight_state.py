@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from ..compiled.compiler_hints import choose, two_sum
 from . import flow, soft_contact
-from .wall import course
+from .wall_motion import wall_jet
 
 CAPPED = -1.0
 
@@ -42,8 +42,8 @@ class Path(NamedTuple):
     x_low: Float[jax.Array, "*lanes"]
     v: Float[jax.Array, "*lanes"]
     motion: SlowMotion
-    to_go: Float[jax.Array, "*lanes"]
-    to_go_low: Float[jax.Array, "*lanes"]
+    time_remaining: Float[jax.Array, "*lanes"]
+    time_remaining_low: Float[jax.Array, "*lanes"]
     contact: Float[jax.Array, "*lanes"]
 
     @property
@@ -55,43 +55,43 @@ class Path(NamedTuple):
         return self.motion.sine
 
 
-def motion(frame, x, v, cosine, sine):
+def split_motion(coeffs, x, v, cosine, sine):
     """The `SlowMotion` of a position and a velocity."""
-    slow_x, slow_v = -(frame.swift * cosine), frame.swift * frame.frequency * sine
+    slow_x, slow_v = -(coeffs.swift_amplitude * cosine), coeffs.swift_amplitude * coeffs.frequency * sine
     return SlowMotion(*two_sum(x, slow_x), *two_sum(v, slow_v), cosine, sine)
 
 
-def place(frame, motion):
+def motion_state(coeffs, motion):
     """(x, its low part, v) of a motion."""
     slow_x, slow_x_low, slow_v, slow_v_low, cosine, sine = motion
-    x, low = two_sum(slow_x, frame.swift * cosine)
-    return x, low + slow_x_low, slow_v + (slow_v_low - frame.swift * frame.frequency * sine)
+    x, x_low = two_sum(slow_x, coeffs.swift_amplitude * cosine)
+    return x, x_low + slow_x_low, slow_v + (slow_v_low - coeffs.swift_amplitude * coeffs.frequency * sine)
 
 
-def added(motion, dx, dv):
+def add_increments(motion, dx, dv):
     """(slow_x, slow_x_low, slow_v, slow_v_low) of a motion that has gained so much."""
     return *two_sum(motion.slow_x, dx + motion.slow_x_low), *two_sum(motion.slow_v, dv + motion.slow_v_low)
 
 
-def turned(frequency, cosine, sine, time):
+def rotate_drive(frequency, cosine, sine, time):
     """The drive's cosine and sine a time later."""
     angle = frequency * time
-    return flow.turn(cosine, sine, flow.versine(angle), flow.sinus(angle))
+    return flow.rotate(cosine, sine, flow.cos_less_1(angle), flow.sin_by_series(angle))
 
 
-def remaining(path, time):
+def subtract_time(path, time):
     """The time to go, and its low part, a time later."""
-    to_go, low = two_sum(path.to_go, -time)
-    return two_sum(to_go, low + path.to_go_low)
+    time_remaining, low_part = two_sum(path.time_remaining, -time)
+    return two_sum(time_remaining, low_part + path.time_remaining_low)
 
 
-def absolute(frame, path):
+def absolute_state(coeffs, path):
     """(x, v) of the lanes, also of those that are within a soft wall."""
     x, v = path.x, path.v
-    for wall, soft in zip(frame.walls, frame.contacts, strict=True):
-        if soft is not None:
-            where, pace = course(wall, frame.frequency, path.cosine, path.sine, 1)
-            inside = soft_contact.is_inside(path.contact) & (path.contact * wall.sign > 0)
-            x = choose(inside, where + path.x, x)
-            v = v if pace is None else choose(inside, pace + path.v, v)
+    for wall, soft_flow in zip(coeffs.walls, coeffs.soft_flows, strict=True):
+        if soft_flow is not None:
+            wall_position, wall_velocity = wall_jet(wall, coeffs.frequency, path.cosine, path.sine, 1)
+            is_inside_wall = soft_contact.is_inside(path.contact) & (path.contact * wall.sign > 0)
+            x = choose(is_inside_wall, wall_position + path.x, x)
+            v = v if wall_velocity is None else choose(is_inside_wall, wall_velocity + path.v, v)
     return x, v

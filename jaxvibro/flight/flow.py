@@ -19,177 +19,190 @@ from jaxtyping import Float
 from ..compiled.compiler_hints import choose
 from ..scene import check
 
-STEP = 1.0  # longest step, in units of 1 / rate
-ORDER = 18  # STEP^19 / 19! < 1e-17
-SPARED = 5  # of the degrees of a `Series`, by `shortened`
+MAX_SCALED_STEP = 1.0  # longest step, in units of 1 / rate
+SERIES_ORDER = 18  # STEP^19 / 19! < 1e-17
+DROPPED_DEGREES = 5  # of the degrees of a `FlowSeries`, by `economise_series`
 
 
-Number = Float[jax.Array, "..."]
-FreeFlow = tuple[Number, Number, Number]  # p00, p01, p11
-ForcedFlow = tuple[tuple[Number, Number], tuple[Number, Number]]  # x, v under cos, under sin
-Rows = Float[jax.Array, "_ ..."] | list[Float[jax.Array, "..."]]
+Scalars = Float[jax.Array, "..."]
+FreeFlow = tuple[Scalars, Scalars, Scalars]  # p00, p01, p11
+ForcedFlow = tuple[tuple[Scalars, Scalars], tuple[Scalars, Scalars]]  # x, v under cos, under sin
+CoefficientRows = Float[jax.Array, "_ ..."] | list[Float[jax.Array, "..."]]
 
 
-class Series(NamedTuple):
-    """Taylor coefficients of the `Gains`, their order first, each from its first power of t that is not zero."""
+class FlowSeries(NamedTuple):
+    """Taylor coefficients of the `Propagator`, their order first, each from its first power of t that is not zero."""
 
-    stay: Rows
-    move: Rows
-    lift: Rows
-    lag: Rows
+    p00_minus_1: CoefficientRows
+    p01: CoefficientRows
+    cos_response: CoefficientRows
+    sin_response: CoefficientRows
 
 
-class Gains(NamedTuple):
+class Propagator(NamedTuple):
     """What a flight of a given time does, from its series.
 
-    stay: p00 - 1 and move: p01 of the free flow ((p00, p01), (-p01, p00 - 2 gamma p01)); lift, lag: x after a start
-    from rest under the force cos(omega t), sin(omega t); versed, sined: cos - 1 and sin of the drive's angle.
-    """
+    p00_minus_1: p00 - 1 and p01: p01 of the free flow ((p00, p01), (-p01, p00 - 2 gamma p01)); cos_response,
+    sin_response: x after a start from rest under the force cos(omega t), sin(omega t); cos_less_1, sin_angle: cos - 1
+    and sin of the drive's angle."""
 
-    stay: Float[jax.Array, "*lanes"]
-    move: Float[jax.Array, "*lanes"]
-    lift: Float[jax.Array, "*lanes"]
-    lag: Float[jax.Array, "*lanes"]
-    versed: Float[jax.Array, "*lanes"]
-    sined: Float[jax.Array, "*lanes"]
+    p00_minus_1: Float[jax.Array, "*lanes"]
+    p01: Float[jax.Array, "*lanes"]
+    cos_response: Float[jax.Array, "*lanes"]
+    sin_response: Float[jax.Array, "*lanes"]
+    cos_less_1: Float[jax.Array, "*lanes"]
+    sin_angle: Float[jax.Array, "*lanes"]
 
 
-def rate(frequency, damping, stiffness=None):
+def max_rate(frequency, damping, stiffness=None):
     """An upper bound, at least 1, of how fast the drive and the free oscillation turn or decay, in radians over t."""
-    own = 1.0 if stiffness is None else lax.sqrt(stiffness)
-    fast = choose(frequency > own, frequency, own)
-    return choose(2.0 * damping > fast, 2.0 * damping, fast)
+    natural_frequency = 1.0 if stiffness is None else lax.sqrt(stiffness)
+    faster_rate = choose(frequency > natural_frequency, frequency, natural_frequency)
+    return choose(2.0 * damping > faster_rate, 2.0 * damping, faster_rate)
 
 
-def pulled(stiffness, x):
+def spring_force(stiffness, x):
     """The spring's pull at x."""
     return x if stiffness is None else stiffness * x
 
 
-def series(frequency, damping, stiffness=None):
-    """The `Series` of an oscillator: derivatives at t = 0 by the equation of motion, over factorials."""
-    one = jnp.ones_like(frequency * damping * (1.0 if stiffness is None else stiffness))
-    none = jnp.zeros_like(one)
+def flow_series(frequency, damping, stiffness=None):
+    """The `FlowSeries` of an oscillator: derivatives at t = 0 by the equation of motion, over factorials."""
+    ones = jnp.ones_like(frequency * damping * (1.0 if stiffness is None else stiffness))
+    zeros = jnp.zeros_like(ones)
 
-    def extended(pairs, _):
-        (drive, drive_next), (free, free_next), (forced, forced_next) = pairs
-        new = (
-            (drive_next, -(frequency * frequency) * drive),
-            (free_next, -2.0 * damping * free_next - pulled(stiffness, free)),
-            (forced_next, drive - 2.0 * damping * forced_next - pulled(stiffness, forced)),
+    def next_derivatives(pairs, _):
+        (drive_deriv, next_drive), (free_deriv, next_free), (forced_deriv, next_forced) = pairs
+        next_pairs = (
+            (next_drive, -(frequency * frequency) * drive_deriv),
+            (next_free, -2.0 * damping * next_free - spring_force(stiffness, free_deriv)),
+            (next_forced, drive_deriv - 2.0 * damping * next_forced - spring_force(stiffness, forced_deriv)),
         )
-        return new, (free, forced)
+        return next_pairs, (free_deriv, forced_deriv)
 
-    _, (free, forced) = lax.scan(extended, ((one, none), (none, one), (none, none)), length=ORDER + 1)
+    _, (free_derivs, forced_derivs) = lax.scan(
+        next_derivatives, ((ones, zeros), (zeros, ones), (zeros, zeros)), length=SERIES_ORDER + 1
+    )
 
-    def over(values, more):
-        found = [1.0 / math.factorial(k + more) for k in range(ORDER + 1)]
-        return values * jnp.array(found, values.dtype).reshape(-1, *[1] * one.ndim)
+    def divide_by_factorials(values, shift):
+        inverse_factorials = [1.0 / math.factorial(k + shift) for k in range(SERIES_ORDER + 1)]
+        return values * jnp.array(inverse_factorials, values.dtype).reshape(-1, *[1] * ones.ndim)
 
     # p00' = -stiffness p01, lag' = omega lift
-    return Series(
-        -pulled(stiffness, over(free, 1)[1:-1]),
-        over(free, 0)[1:],
-        over(forced, 0)[2:],
-        frequency * over(forced, 1)[2:-1],
+    return FlowSeries(
+        -spring_force(stiffness, divide_by_factorials(free_derivs, 1)[1:-1]),
+        divide_by_factorials(free_derivs, 0)[1:],
+        divide_by_factorials(forced_derivs, 0)[2:],
+        frequency * divide_by_factorials(forced_derivs, 1)[2:-1],
     )
 
 
-def shortened(series):
-    """The `Series` with polynomials of `SPARED` degrees less, for times from 0 to a longest step, which is to be 1.
+def economise_series(series):
+    """The `FlowSeries` with polynomials of `DROPPED_DEGREES` degrees less, for times from 0 to a longest step, which is
+    to be 1.
 
     They are the old ones without Chebyshev's polynomials beyond the degree (economisation): less than 1e-16 of the
     first coefficient, as those of a flow fall like 1 / k!.
     """
-    return Series(*(rows if rows is None else _shortened(rows) for rows in series))
+    return FlowSeries(*(rows if rows is None else _economise(rows) for rows in series))
 
 
-def _shortened(rows):
-    kept = len(rows) - SPARED
-    total = rows[:kept]
-    for shares, row in zip(_shares(kept), rows[kept:], strict=True):
-        total = total + jnp.array(shares, rows.dtype).reshape(-1, *[1] * row.ndim) * row
-    return total
+def _economise(rows):
+    n_kept = len(rows) - DROPPED_DEGREES
+    kept_rows = rows[:n_kept]
+    for row_weights, row in zip(_economy_weights(n_kept), rows[n_kept:], strict=True):
+        kept_rows = kept_rows + jnp.array(row_weights, rows.dtype).reshape(-1, *[1] * row.ndim) * row
+    return kept_rows
 
 
 @lru_cache(8)
-def _shares(kept):
+def _economy_weights(n_kept):
     """For each power of t that is spared, what it adds to the coefficients that are kept."""
     chebyshev = [[1], [-1, 2]]  # in t from 0 to 1
-    for _ in range(kept - 2):
-        last, before = chebyshev[-1], [*chebyshev[-2], 0, 0]
-        chebyshev.append([4 * a - 2 * b - c for a, b, c in zip([0, *last], [*last, 0], before, strict=True)])
-    found = []
-    for power in range(kept, kept + SPARED):
-        total = [Fraction(0)] * kept
-        for j, own in enumerate(chebyshev):
-            part = Fraction(math.comb(2 * power, power - j) * (2 if j else 1), 4**power)
-            total[: j + 1] = [old + part * each for old, each in zip(total, own, strict=False)]
-        found.append([float(each) for each in total])
-    return found
+    for _ in range(n_kept - 2):
+        previous, second_previous = chebyshev[-1], [*chebyshev[-2], 0, 0]
+        chebyshev.append(
+            [4 * a - 2 * b - c for a, b, c in zip([0, *previous], [*previous, 0], second_previous, strict=True)]
+        )
+    weights = []
+    for power in range(n_kept, n_kept + DROPPED_DEGREES):
+        kept_weights = [Fraction(0)] * n_kept
+        for j, polynomial in enumerate(chebyshev):
+            factor = Fraction(math.comb(2 * power, power - j) * (2 if j else 1), 4**power)
+            kept_weights[: j + 1] = [
+                weight + factor * value for weight, value in zip(kept_weights, polynomial, strict=False)
+            ]
+        weights.append([float(value) for value in kept_weights])
+    return weights
 
 
-def gains(series, frequency, time):
-    """The `Gains` over 0 <= time <= STEP / rate."""
+def step_propagator(series, frequency, time):
+    """The `Propagator` over 0 <= time <= STEP / rate."""
     angle = frequency * time
-    square = time * time
-    stay, move = horner(series.stay, time) * square, horner(series.move, time) * time
-    return Gains(stay, move, *lifts(series, time), versine(angle), sinus(angle))
+    time_squared = time * time
+    p00_minus_1, p01 = horner(series.p00_minus_1, time) * time_squared, horner(series.p01, time) * time
+    return Propagator(p00_minus_1, p01, *drive_responses(series, time), cos_less_1(angle), sin_by_series(angle))
 
 
-def lifts(series, time):
-    """(lift, lag) of the `Gains`."""
-    square = time * time
-    return horner(series.lift, time) * square, horner(series.lag, time) * (square * time)
+def drive_responses(series, time):
+    """(lift, lag) of the `Propagator`."""
+    time_squared = time * time
+    return horner(series.cos_response, time) * time_squared, horner(series.sin_response, time) * (time_squared * time)
 
 
 def horner(coefficients, time):
     """The polynomial with these coefficients, from the constant on: rows of an array, or a list."""
-    total = coefficients[len(coefficients) - 1]
+    value = coefficients[len(coefficients) - 1]
     for k in range(len(coefficients) - 2, -1, -1):
-        total = total * time + coefficients[k]
-    return total
+        value = value * time + coefficients[k]
+    return value
 
 
-def extend(frequency, damping, stiffness, drive, bias, jet):
+def extend_jet(frequency, damping, stiffness, drive_derivs, extra_derivs, jet):
     """The next two derivatives of the drive's force and of x from the last two of each: (drive, jet).
 
-    bias: those of another force, None where it is zero.
+    extra_derivs: those of another force, None where it is zero.
     """
-    square, drag = -(frequency * frequency), -2.0 * damping
-    first, second = (own if more is None else own + more for own, more in zip(drive, bias, strict=True))
-    third = first + (drag * jet[1] - pulled(stiffness, jet[0]))
-    fourth = second + (drag * third - pulled(stiffness, jet[1]))
-    return (drive[0] * square, drive[1] * square), (third, fourth)
+    minus_omega_squared, drag_factor = -(frequency * frequency), -2.0 * damping
+    force, force_rate = (
+        drive_part if extra_part is None else drive_part + extra_part
+        for drive_part, extra_part in zip(drive_derivs, extra_derivs, strict=True)
+    )
+    second_last_deriv = force + (drag_factor * jet[1] - spring_force(stiffness, jet[0]))
+    last_deriv = force_rate + (drag_factor * second_last_deriv - spring_force(stiffness, jet[1]))
+    return (drive_derivs[0] * minus_omega_squared, drive_derivs[1] * minus_omega_squared), (
+        second_last_deriv,
+        last_deriv,
+    )
 
 
-def versine(angle):
+def cos_less_1(angle):
     """cos(angle) - 1 to rounding for abs(angle) <= STEP."""
-    square = angle * angle
-    total = lax.full_like(angle, -1.0 / math.factorial(18))
+    angle_squared = angle * angle
+    value = lax.full_like(angle, -1.0 / math.factorial(18))
     for k in range(8, 0, -1):
-        total = total * square + (-1.0) ** k / math.factorial(2 * k)
-    return total * square
+        value = value * angle_squared + (-1.0) ** k / math.factorial(2 * k)
+    return value * angle_squared
 
 
-def sinus(angle):
+def sin_by_series(angle):
     """sin(angle) to rounding for abs(angle) <= STEP."""
-    square = angle * angle
-    total = lax.full_like(angle, 1.0 / math.factorial(17))
+    angle_squared = angle * angle
+    value = lax.full_like(angle, 1.0 / math.factorial(17))
     for k in range(7, -1, -1):
-        total = total * square + (-1.0) ** k / math.factorial(2 * k + 1)
-    return total * angle
+        value = value * angle_squared + (-1.0) ** k / math.factorial(2 * k + 1)
+    return value * angle
 
 
-def turn(cosine, sine, versed, sined):
+def rotate(cosine, sine, cos_less_1, sin_angle):
     """The drive's cosine and sine, turned by an angle given by its cosine less 1 and its sine."""
-    return cosine + (cosine * versed - sine * sined), sine + (sine * versed + cosine * sined)
+    return cosine + (cosine * cos_less_1 - sine * sin_angle), sine + (sine * cos_less_1 + cosine * sin_angle)
 
 
-def rotated(cosine, sine, angle):
+def rotate_by_angle(cosine, sine, angle):
     """The drive's cosine and sine, turned by any angle."""
-    c, s = jnp.cos(angle), jnp.sin(angle)
-    return cosine * c - sine * s, sine * c + cosine * s
+    angle_cosine, angle_sine = jnp.cos(angle), jnp.sin(angle)
+    return cosine * angle_cosine - sine * angle_sine, sine * angle_cosine + cosine * angle_sine
 
 
 def fly(scene, state, time):
@@ -201,76 +214,95 @@ def fly(scene, state, time):
     check.require_one_harmonic(scene, "fly")
     values = (scene.amplitude, scene.frequency, scene.damping, state.x, state.v, state.phase, time)
     values = jnp.broadcast_arrays(*(jnp.asarray(value, scene.dtype) for value in values))
-    force, frequency, damping, x, v, phase, time = values
-    return flown(responses(frequency, damping, time), force * jnp.cos(phase), force * jnp.sin(phase), x, v)
+    amplitude, frequency, damping, x, v, phase, time = values
+    return apply_responses(
+        flight_responses(frequency, damping, time), amplitude * jnp.cos(phase), amplitude * jnp.sin(phase), x, v
+    )
 
 
-def flown(responses, cosine, sine, x, v, stiffness=None):
-    """(x, v) after the flight of these `responses`, under the force cosine cos(omega t) - sine sin(omega t)."""
-    (p00, p01, p11), (in_phase, in_quadrature) = responses
-    moved = p00 * x + p01 * v + (cosine * in_phase[0] - sine * in_quadrature[0])
-    return moved, p11 * v - p01 * pulled(stiffness, x) + (cosine * in_phase[1] - sine * in_quadrature[1])
+def apply_responses(responses, force_cos, force_sin, x, v, stiffness=None):
+    """(x, v) after the flight of these `flight_responses`, under the force cosine cos(omega t) - sine sin(omega t)."""
+    (p00, p01, p11), (cos_response, sin_response) = responses
+    new_x = p00 * x + p01 * v + (force_cos * cos_response[0] - force_sin * sin_response[0])
+    return new_x, p11 * v - p01 * spring_force(stiffness, x) + (
+        force_cos * cos_response[1] - force_sin * sin_response[1]
+    )
 
 
-def responses(frequency, damping, time):
+def flight_responses(frequency, damping, time):
     """((p00, p01, p11), (of cos, of sin)): the free flow's matrix ((p00, p01), (-p01, p11)) over a time >= 0, and x, v
     after a start from rest under the force cos(omega t), sin(omega t). All of one shape."""
-    return doubled(series(frequency, damping), frequency, damping, time)[:2]
+    return doubling_responses(flow_series(frequency, damping), frequency, damping, time)[:2]
 
 
 @jax.jit
-def doubled(series, frequency, damping, time, stiffness=None):
-    """The `responses` over any time >= 0 from a `Series`, and cos - 1 and sin of the drive's angle.
+def doubling_responses(series, frequency, damping, time, stiffness=None):
+    """The `flight_responses` over any time >= 0 from a `FlowSeries`, and cos - 1 and sin of the drive's angle.
 
     The free flow's matrix is ((p00, p01), (-stiffness p01, p11)).
     """
-    fast, zero = rate(frequency, damping, stiffness), lax.full_like(time, 0.0)
+    rate_limit, zero = max_rate(frequency, damping, stiffness), lax.full_like(time, 0.0)
 
-    def is_long(carry):
-        return jnp.any(carry[0] * fast > STEP)
+    def needs_halving(carry):
+        return jnp.any(carry[0] * rate_limit > MAX_SCALED_STEP)
 
     def halve(carry):
-        step, count = carry
-        long = step * fast > STEP
-        return choose(long, 0.5 * step, step), count + choose(long, zero + 1.0, 0.0)
+        step_time, n_halvings = carry
+        is_long = step_time * rate_limit > MAX_SCALED_STEP
+        return choose(is_long, 0.5 * step_time, step_time), n_halvings + choose(is_long, zero + 1.0, 0.0)
 
-    _, count = lax.while_loop(is_long, halve, (lax.stop_gradient(time), zero))
+    _, n_doublings = lax.while_loop(needs_halving, halve, (lax.stop_gradient(time), zero))
 
     def double(carry):
-        left, now = carry
-        new = twice(stiffness, *now)
-        return left - 1.0, jax.tree.map(lambda new, old: choose(left > 0, new, old), new, now)
+        n_left, responses = carry
+        doubled = double_responses(stiffness, *responses)
+        return n_left - 1.0, jax.tree.map(
+            lambda updated, current: choose(n_left > 0, updated, current), doubled, responses
+        )
 
-    start = (count, _short(series, frequency, damping, time * jnp.exp2(-count)))
-    return lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double, start)[1]
-
-
-def redoubled(series, frequency, damping, time, stiffness, count):
-    """As `doubled`, the time at most 2^count of the longest steps."""
-    now = _short(series, frequency, damping, time * 0.5**count)
-    for _ in range(count):
-        now = twice(stiffness, *now)
-    return now
+    initial_carry = (n_doublings, _step_responses(series, frequency, damping, time * jnp.exp2(-n_doublings)))
+    return lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double, initial_carry)[1]
 
 
-def _short(series, frequency, damping, time):
-    """As `doubled`, over a time no longer than a step."""
-    step = gains(series, frequency, time)
-    free = (1.0 + step.stay, step.move, 1.0 + step.stay - 2.0 * damping * step.move)
-    forced = ((step.lift, step.move - frequency * step.lag), (step.lag, frequency * step.lift))
-    return free, forced, (step.versed, step.sined)
+def fixed_doubling_responses(series, frequency, damping, time, stiffness, n_doublings):
+    """As `doubling_responses`, the time at most 2^count of the longest steps."""
+    responses = _step_responses(series, frequency, damping, time * 0.5**n_doublings)
+    for _ in range(n_doublings):
+        responses = double_responses(stiffness, *responses)
+    return responses
 
 
-def twice(stiffness, free, forced, angle):
-    (p00, p01, p11), (u, w), (versed, sined) = free, forced, angle
-    cosine = 1.0 + versed
+def _step_responses(series, frequency, damping, time):
+    """As `doubling_responses`, over a time no longer than a step."""
+    propagator = step_propagator(series, frequency, time)
+    free_flow = (
+        1.0 + propagator.p00_minus_1,
+        propagator.p01,
+        1.0 + propagator.p00_minus_1 - 2.0 * damping * propagator.p01,
+    )
+    forced_flow = (
+        (propagator.cos_response, propagator.p01 - frequency * propagator.sin_response),
+        (propagator.sin_response, frequency * propagator.cos_response),
+    )
+    return free_flow, forced_flow, (propagator.cos_less_1, propagator.sin_angle)
 
-    def move(first, second):
-        return p00 * first + p01 * second, p11 * second - p01 * pulled(stiffness, first)
 
-    (ux, uv), (wx, wv) = move(*u), move(*w)
-    u = (ux + cosine * u[0] - sined * w[0], uv + cosine * u[1] - sined * w[1])
-    w = (wx + cosine * w[0] + sined * (u_before := forced[0])[0], wv + cosine * w[1] + sined * u_before[1])
-    turned = p01 * pulled(stiffness, p01)
-    free = (p00 * p00 - turned, p01 * (p00 + p11), p11 * p11 - turned)
-    return free, (u, w), (2.0 * versed * (2.0 + versed), 2.0 * sined * cosine)
+def double_responses(stiffness, free_flow, forced_flow, angle_pair):
+    (p00, p01, p11), (cos_response, sin_response), (cos_less_1, sin_angle) = free_flow, forced_flow, angle_pair
+    cosine = 1.0 + cos_less_1
+
+    def apply_free_flow(x, v):
+        return p00 * x + p01 * v, p11 * v - p01 * spring_force(stiffness, x)
+
+    (cos_x, cos_v), (sin_x, sin_v) = apply_free_flow(*cos_response), apply_free_flow(*sin_response)
+    cos_response = (
+        cos_x + cosine * cos_response[0] - sin_angle * sin_response[0],
+        cos_v + cosine * cos_response[1] - sin_angle * sin_response[1],
+    )
+    sin_response = (
+        sin_x + cosine * sin_response[0] + sin_angle * (old_cos_response := forced_flow[0])[0],
+        sin_v + cosine * sin_response[1] + sin_angle * old_cos_response[1],
+    )
+    coupling = p01 * spring_force(stiffness, p01)
+    free_flow = (p00 * p00 - coupling, p01 * (p00 + p11), p11 * p11 - coupling)
+    return free_flow, (cos_response, sin_response), (2.0 * cos_less_1 * (2.0 + cos_less_1), 2.0 * sin_angle * cosine)

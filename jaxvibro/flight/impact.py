@@ -6,138 +6,172 @@ import jax
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, least, positive, two_sum
+from ..compiled.compiler_hints import choose, minimum, positive_part, two_sum
 from ..scene.codes import Contact
 from . import event, flow
-from .flight_state import CAPPED, Path, SlowMotion, motion
+from .contact_laws import contact_law_of
+from .flight_state import CAPPED, Path, SlowMotion, split_motion
 from .flows import flow_of
-from .soft_contact import bounce, gives
-from .stays import stays_of
-from .wall import course_on, less, picked
-from .within_wall import counted, within
+from .soft_contact import is_soft_side, restitution_of
+from .soft_wall_lanes import in_soft_wall, relative_wall_derivs
+from .wall_motion import select_lists_by_side, subtract, wall_jet_on_side
 
-ENDLESS = -1.0  # the least speed of a chatter
-HOPS = 4.85  # 2 (1 + sqrt(2)), and for rounding
-NEAR = 0.25  # by what part of itself a speed may change up to the event: more, and it is rounding that is far from it
+CHATTER_SPEED = -1.0  # the least speed of a chatter
+BOUNCE_TIME_FACTOR = 4.85  # 2 (1 + sqrt(2)), and for rounding
+MAX_RELATIVE_CHANGE = (
+    0.25  # by what part of itself a speed may change up to the event: more, and it is rounding that is far from it
+)
 
 
-class Strike(NamedTuple):
+class EventOutcome(NamedTuple):
     """What an event does: the speed against the wall before it, the least speed that follows, the contact after it.
 
     The speed is negative where the event is the end of a contact with a soft wall.
     """
 
-    speed: Float[jax.Array, "*lanes"]
-    least: Float[jax.Array, "*lanes"]
+    approach_speed: Float[jax.Array, "*lanes"]
+    least_speed: Float[jax.Array, "*lanes"]
     contact: Float[jax.Array, "*lanes"]
 
 
-def late(frame, path, side):
+def event_delay(coeffs, path, side):
     """How much later than the end of a step its event is: one step of Halley's, from nearer than `event.landing`.
 
     What is left to the event of a slow impact may be rounding, which is not to be divided by its speed: none.
     """
     phasor = path.cosine, path.sine
-    where, speed, bend = course_on(frame, side, *phasor, 2)
-    presses = [flow_of(frame).press(frame, wall, *phasor, 1) for wall in frame.walls]
-    push, change = picked(side, frame.walls, presses)
-    pull, _ = _pulled(frame, path)
-    where, speed, bend = counted(within(frame, path.contact), side, (where, speed, bend))
-    closing, bending = less(path.v, speed), less(pull, bend)
-    stuck = lax.abs(path.contact) == Contact.STUCK
-    time = choose(stuck, -push, (where - path.x) - path.x_low) / choose(stuck, change, closing)
-    turned = choose(stuck, time * frame.pace, bending * time / closing)
-    time = time * choose(stuck, 1.0, 1.0 - 0.5 * turned)
-    return choose((side != 0) & (lax.abs(turned) < NEAR), time, 0.0)
+    wall_position, wall_velocity, wall_acceleration = wall_jet_on_side(coeffs, side, *phasor, 2)
+    force_lists = [flow_of(coeffs).contact_force(coeffs, wall, *phasor, 1) for wall in coeffs.walls]
+    contact_force, force_rate = select_lists_by_side(side, coeffs.walls, force_lists)
+    acceleration, _ = _acceleration_and_jerk(coeffs, path)
+    wall_position, wall_velocity, wall_acceleration = relative_wall_derivs(
+        in_soft_wall(coeffs, path.contact), side, (wall_position, wall_velocity, wall_acceleration)
+    )
+    relative_velocity, relative_accel = subtract(path.v, wall_velocity), subtract(acceleration, wall_acceleration)
+    is_sticking = lax.abs(path.contact) == Contact.STUCK
+    time = choose(is_sticking, -contact_force, (wall_position - path.x) - path.x_low) / choose(
+        is_sticking, force_rate, relative_velocity
+    )
+    relative_change = choose(is_sticking, time * coeffs.inverse_max_step, relative_accel * time / relative_velocity)
+    time = time * choose(is_sticking, 1.0, 1.0 - 0.5 * relative_change)
+    return choose((side != 0) & (lax.abs(relative_change) < MAX_RELATIVE_CHANGE), time, 0.0)
 
 
-def strike(frame, path, side, late):
-    """The `Strike` of an event: rebound, rest, release; a lane without one keeps what it has."""
-    stuck = lax.abs(path.contact) == Contact.STUCK
-    cosine, sine = _turned(frame, path, late)
-    _, speed, push, change = surface(frame, choose(stuck, path.contact, side), cosine, sine)
-    pull, jerk = _pulled(frame, path)
-    inside = within(frame, path.contact)
-    (speed,) = counted(inside, side, (speed,))
-    closing = side * (path.v + late * (pull + 0.5 * late * jerk) - speed)
-    again = bounce(frame, side)
-    leaving = again * closing
-    leaving = choose(lax.abs(leaving) > event.smallest(leaving.dtype), leaving, 0.0)
-    state = settle(frame, leaving, side * push, side * change)
-    rush, damping, rise = flow_of(frame).hops(frame, side, pull, closing, cosine, sine)
-    ends = chatters(frame._replace(damping=damping), leaving, side * push, again, rush, path.to_go, rise)
-    state = choose(stuck, Contact.RELEASED, choose(ends, Contact.STUCK, state))
-    if inside is not None:
-        state = choose(inside, Contact.LANDED, choose(gives(frame, side), Contact.ENTERED, state))
-    least_speed = choose((state == Contact.STUCK) & (leaving > 0), ENDLESS, closing)
-    return Strike(choose(stuck, 0.0, closing), least_speed, choose(side != 0, side * state, path.contact))
+def resolve_event(coeffs, path, side, delay):
+    """The `EventOutcome` of an event: rebound, rest, release; a lane without one keeps what it has."""
+    is_sticking = lax.abs(path.contact) == Contact.STUCK
+    cosine, sine = _rotate_drive(coeffs, path, delay)
+    _, wall_velocity, contact_force, force_rate = wall_surface(
+        coeffs, choose(is_sticking, path.contact, side), cosine, sine
+    )
+    acceleration, jerk = _acceleration_and_jerk(coeffs, path)
+    is_inside_wall = in_soft_wall(coeffs, path.contact)
+    (wall_velocity,) = relative_wall_derivs(is_inside_wall, side, (wall_velocity,))
+    approach_speed = side * (path.v + delay * (acceleration + 0.5 * delay * jerk) - wall_velocity)
+    restitution = restitution_of(coeffs, side)
+    rebound_speed = restitution * approach_speed
+    rebound_speed = choose(lax.abs(rebound_speed) > event.smallest_length(rebound_speed.dtype), rebound_speed, 0.0)
+    new_contact = next_contact(coeffs, rebound_speed, side * contact_force, side * force_rate)
+    force_rate_bound, damping, force_growth = flow_of(coeffs).chatter_bounds(
+        coeffs, side, acceleration, approach_speed, cosine, sine
+    )
+    chatter_completes = is_complete_chatter(
+        coeffs._replace(damping=damping),
+        rebound_speed,
+        side * contact_force,
+        restitution,
+        force_rate_bound,
+        path.time_remaining,
+        force_growth,
+    )
+    new_contact = choose(is_sticking, Contact.RELEASED, choose(chatter_completes, Contact.STUCK, new_contact))
+    if is_inside_wall is not None:
+        new_contact = choose(
+            is_inside_wall, Contact.LANDED, choose(is_soft_side(coeffs, side), Contact.ENTERED, new_contact)
+        )
+    least_speed = choose((new_contact == Contact.STUCK) & (rebound_speed > 0), CHATTER_SPEED, approach_speed)
+    return EventOutcome(
+        choose(is_sticking, 0.0, approach_speed), least_speed, choose(side != 0, side * new_contact, path.contact)
+    )
 
 
-def _pulled(frame, path):
+def _acceleration_and_jerk(coeffs, path):
     """The acceleration of the mass and its rate of change."""
-    bias = stays_of(frame).bias(frame, path)
-    return flow_of(frame).accelerations(frame, path.x, path.v, path.cosine, path.sine, bias)
+    extra_force = contact_law_of(coeffs).extra_force(coeffs, path)
+    return flow_of(coeffs).acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine, extra_force)
 
 
-def part(frame, path, side, late, strike, time):
+def apply_event(coeffs, path, side, delay, outcome, step_time):
     """The path after the event: a lane without one goes on, one that rests is kept to its wall.
 
     One that enters a soft wall is from there on counted from it.
     """
-    cosine, sine = _turned(frame, path, late)
-    stuck = lax.abs(path.contact) == Contact.STUCK
-    where, speed, _, _ = surface(frame, choose(stuck, path.contact, side), cosine, sine)
-    on = (side != 0) | stuck
-    leaving = bounce(frame, side) * strike.speed
-    keeps = lax.abs(strike.contact) == Contact.LANDED
-    inside = within(frame, path.contact)
-    if inside is not None:
-        enters = (side != 0) & (lax.abs(strike.contact) == Contact.ENTERED)
-        keeps |= enters
-        leaving = choose(enters | inside, -strike.speed, leaving)
-        where, speed = counted(enters, side, (where, speed))
-        frame = frame._replace(swift=choose(enters, 0.0, frame.swift))
-    after = speed - side * choose(keeps, leaving, 0.0)
-    x, v = choose(on, where, path.x), choose(on, after, path.v)
-    moved = motion(frame, where, after, cosine, sine)
-    slow = (choose(on, new, old) for new, old in zip(moved[:4], path.motion[:4], strict=True))
-    moved = SlowMotion(*slow, cosine, sine)
-    to_go, to_go_low = two_sum(path.to_go, path.to_go_low - late)
-    idle = (time > 0) & ~on
-    contact = choose(idle, 0.0, strike.contact)
-    if inside is not None:
-        inside &= side == 0
-        contact = choose(inside & (time > 0), lax.sign(path.contact) * Contact.WITHIN, contact)
-    to_go = choose(path.to_go == CAPPED, CAPPED, positive(to_go))
-    return Path(x, choose(on, 0.0, path.x_low), v, moved, to_go, to_go_low, contact)
+    cosine, sine = _rotate_drive(coeffs, path, delay)
+    is_sticking = lax.abs(path.contact) == Contact.STUCK
+    wall_position, wall_velocity, _, _ = wall_surface(coeffs, choose(is_sticking, path.contact, side), cosine, sine)
+    at_wall = (side != 0) | is_sticking
+    rebound_speed = restitution_of(coeffs, side) * outcome.approach_speed
+    rebounds = lax.abs(outcome.contact) == Contact.LANDED
+    is_inside_wall = in_soft_wall(coeffs, path.contact)
+    if is_inside_wall is not None:
+        enters_wall = (side != 0) & (lax.abs(outcome.contact) == Contact.ENTERED)
+        rebounds |= enters_wall
+        rebound_speed = choose(enters_wall | is_inside_wall, -outcome.approach_speed, rebound_speed)
+        wall_position, wall_velocity = relative_wall_derivs(enters_wall, side, (wall_position, wall_velocity))
+        coeffs = coeffs._replace(swift_amplitude=choose(enters_wall, 0.0, coeffs.swift_amplitude))
+    new_velocity = wall_velocity - side * choose(rebounds, rebound_speed, 0.0)
+    x, v = choose(at_wall, wall_position, path.x), choose(at_wall, new_velocity, path.v)
+    new_motion = split_motion(coeffs, wall_position, new_velocity, cosine, sine)
+    slow_parts = (
+        choose(at_wall, new_value, old_value)
+        for new_value, old_value in zip(new_motion[:4], path.motion[:4], strict=True)
+    )
+    new_motion = SlowMotion(*slow_parts, cosine, sine)
+    time_remaining, time_remaining_low = two_sum(path.time_remaining, path.time_remaining_low - delay)
+    is_free_flight = (step_time > 0) & ~at_wall
+    contact = choose(is_free_flight, 0.0, outcome.contact)
+    if is_inside_wall is not None:
+        is_inside_wall &= side == 0
+        contact = choose(is_inside_wall & (step_time > 0), lax.sign(path.contact) * Contact.WITHIN, contact)
+    time_remaining = choose(path.time_remaining == CAPPED, CAPPED, positive_part(time_remaining))
+    return Path(x, choose(at_wall, 0.0, path.x_low), v, new_motion, time_remaining, time_remaining_low, contact)
 
 
-def _turned(frame, path, late):
-    angle = frame.frequency * late
-    return flow.turn(path.cosine, path.sine, -0.5 * angle * angle, angle)
+def _rotate_drive(coeffs, path, delay):
+    angle = coeffs.frequency * delay
+    return flow.rotate(path.cosine, path.sine, -0.5 * angle * angle, angle)
 
 
-def surface(frame, side, cosine, sine):
+def wall_surface(coeffs, side, cosine, sine):
     """Position, speed, press and the press's change of the wall on a side."""
-    where, speed = course_on(frame, side, cosine, sine, 1)
-    presses = [flow_of(frame).press(frame, wall, cosine, sine, 1) for wall in frame.walls]
-    return where, 0.0 if speed is None else speed, *picked(side, frame.walls, presses)
+    wall_position, wall_velocity = wall_jet_on_side(coeffs, side, cosine, sine, 1)
+    force_lists = [flow_of(coeffs).contact_force(coeffs, wall, cosine, sine, 1) for wall in coeffs.walls]
+    return (
+        wall_position,
+        0.0 if wall_velocity is None else wall_velocity,
+        *select_lists_by_side(side, coeffs.walls, force_lists),
+    )
 
 
-def settle(frame, leaving, push, change):
+def next_contact(coeffs, rebound_speed, contact_force, force_rate):
     """LANDED, STUCK or RELEASED: what follows on a wall from the speed of leaving it, the press and its change.
 
     A hop lower than rounding, leaving^2 / (2 push), is no hop: the mass rests. Without speed the press decides, then
     its change.
     """
-    none = leaving == 0
-    pressed = (push > 0) & (leaving * (leaving / frame.size) <= 4.0 * event.rounding(push.dtype) * push)
-    held = pressed | (none & (push == 0) & (change >= 0))
-    free = choose(none & (push == 0), Contact.RELEASED, lax.full_like(push, Contact.LANDED))
-    return choose(held, Contact.STUCK, free)
+    has_no_speed = rebound_speed == 0
+    hop_is_negligible = (contact_force > 0) & (
+        rebound_speed * (rebound_speed / coeffs.length_scale)
+        <= 4.0 * event.unit_roundoff(contact_force.dtype) * contact_force
+    )
+    sticks = hop_is_negligible | (has_no_speed & (contact_force == 0) & (force_rate >= 0))
+    other_contact = choose(
+        has_no_speed & (contact_force == 0), Contact.RELEASED, lax.full_like(contact_force, Contact.LANDED)
+    )
+    return choose(sticks, Contact.STUCK, other_contact)
 
 
-def chatters(frame, leaving, push, bounce, rush, time, rise=None):
+def is_complete_chatter(coeffs, rebound_speed, contact_force, restitution, force_rate_bound, time, force_growth=None):
     """Whether all hops that follow, infinitely many, certainly end in so much time: complete chatter.
 
     While the press stays within push (1 +- e), a hop that leaves with speed u rises for at most u / (push (1 - e)), to
@@ -145,15 +179,19 @@ def chatters(frame, leaving, push, bounce, rush, time, rise=None):
     and hits with at most k u, k^2 = (push (1 + e) + h) / (push (1 - e)). The speeds fall at least like ((1 + R) / 2)^n
     if R k <= (1 + R) / 2, which gives e, and the time of all hops is a geometric series.
 
-    rise: how much the acceleration away from the wall grows per length from it, 1 or more; None for 1.
+    force_growth: how much the acceleration away from the wall grows per length from it, 1 or more; None for 1.
     """
-    fall = 0.25 * (1.0 + bounce) * (1.0 + bounce)
-    square = bounce * bounce
-    share = least((fall - square) / (fall + 2.0 * square), 0.5)
-    weak = push * (1.0 - share)
-    span, high = HOPS * leaving, leaving * leaving
-    bent = high if rise is None else high * rise
-    time = time * weak * (1.0 - bounce)
-    small = (rush * span <= share * push * weak * (1.0 - bounce)) & (bent <= 2.0 * share * push * weak)
-    clear = (high < weak * frame.gap) & (8.0 * frame.damping * leaving <= weak)
-    return (push > 0) & (leaving > 0) & (span <= time) & small & clear
+    decay_squared = 0.25 * (1.0 + restitution) * (1.0 + restitution)
+    restitution_squared = restitution * restitution
+    max_variation = minimum((decay_squared - restitution_squared) / (decay_squared + 2.0 * restitution_squared), 0.5)
+    min_force = contact_force * (1.0 - max_variation)
+    chatter_time, speed_squared = BOUNCE_TIME_FACTOR * rebound_speed, rebound_speed * rebound_speed
+    scaled_height = speed_squared if force_growth is None else speed_squared * force_growth
+    time = time * min_force * (1.0 - restitution)
+    variation_small = (
+        force_rate_bound * chatter_time <= max_variation * contact_force * min_force * (1.0 - restitution)
+    ) & (scaled_height <= 2.0 * max_variation * contact_force * min_force)
+    clears_other_wall = (speed_squared < min_force * coeffs.min_wall_gap) & (
+        8.0 * coeffs.damping * rebound_speed <= min_force
+    )
+    return (contact_force > 0) & (rebound_speed > 0) & (chatter_time <= time) & variation_small & clears_other_wall

@@ -7,114 +7,139 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, least, mask, merge, stage
+from ..compiled.compiler_hints import bit_mask, choose, merge_bits, minimum, stage
 
-RECENT = 4  # impacts kept at hand; the slots are touched only where a lane has more, and at the end
+MAX_RECENT = 4  # impacts kept at hand; the slots are touched only where a lane has more, and at the end
 
 
-class Log(NamedTuple):
-    """times, speeds: of the recent impacts, the speed with its wall's sign; held: how many of them; count: of all
-    (floats like the rest, as mixed types are slow); end: when the time to go is used up. Where a replay is to come,
-    else () and None: freed, when the mass was last released from a wall before each recent impact, -1: never; since:
-    the count of impacts up to the last release."""
+class ImpactLog(NamedTuple):
+    """times, speeds: of the recent impacts, the speed with its wall's sign; n_recent: how many of them; count: of all
+    (floats like the rest, as mixed types are slow); end_time: when the time to go is used up. Where a replay is to
+    come, else () and None: freed, when the mass was last released from a wall before each recent impact, -1: never;
+    since: the count of impacts up to the last release."""
 
     times: tuple[Float[jax.Array, "*lanes"], ...]
     speeds: tuple[Float[jax.Array, "*lanes"], ...]
-    held: Float[jax.Array, "*lanes"]
+    n_recent: Float[jax.Array, "*lanes"]
     count: Float[jax.Array, "*lanes"]  # type: ignore[assignment]  # a tuple has a method of this name
     least_speed: Float[jax.Array, "*lanes"]
-    end: Float[jax.Array, "..."]
-    freed: tuple[Float[jax.Array, "*lanes"], ...] = ()
-    since: Float[jax.Array, "*lanes"] | None = None
+    end_time: Float[jax.Array, "..."]
+    release_times: tuple[Float[jax.Array, "*lanes"], ...] = ()
+    count_at_release: Float[jax.Array, "*lanes"] | None = None
 
 
-class Slots(NamedTuple):
+class ImpactSlots(NamedTuple):
     """Times and signed speeds of the first impacts, slots first, lanes last. Where a replay is to come, else None:
-    freed, of each as in the `Log`; late: times and speeds of the first impacts since the last release, with others
-    beyond as many as there are."""
+    freed, of each as in the `ImpactLog`; since_release: times and speeds of the first impacts since the last release,
+    with others beyond as many as there are."""
 
     times: Float[jax.Array, "slots ..."]
     speeds: Float[jax.Array, "slots ..."]
-    freed: Float[jax.Array, "slots ..."] | None = None
-    late: tuple[Float[jax.Array, "late ..."], Float[jax.Array, "late ..."]] | None = None
+    release_times: Float[jax.Array, "slots ..."] | None = None
+    since_release: tuple[Float[jax.Array, "recent ..."], Float[jax.Array, "recent ..."]] | None = None
 
 
-def empty(lanes, slots, end, late=0):
-    """(log, slots) of no impacts for lanes like these; late: slots for those since the last release, 0: no replay."""
-    none, never = jnp.zeros_like(lanes), jnp.full_like(lanes, jnp.inf)
-    recent = min(RECENT, max(slots, late))
-    log = Log((never,) * recent, (none,) * recent, none, none, never, end)
+def empty_log(template, n_slots, end_time, n_since_release=0):
+    """(log, slots) of no impacts for lanes like these; n_since_release: slots for those since the last release, 0: no
+    replay."""
+    zero, infinity = jnp.zeros_like(template), jnp.full_like(template, jnp.inf)
+    n_recent = min(MAX_RECENT, max(n_slots, n_since_release))
+    log = ImpactLog((infinity,) * n_recent, (zero,) * n_recent, zero, zero, infinity, end_time)
 
-    def rows(count, value):
-        return jnp.full((count, *lanes.shape), value, lanes.dtype)
+    def filled_rows(n_rows, value):
+        return jnp.full((n_rows, *template.shape), value, template.dtype)
 
-    first = Slots(rows(slots, jnp.inf), rows(slots, 0.0))
-    if not late:
-        return log, first
-    log = log._replace(freed=(none - 1.0,) * recent, since=none)
-    return log, first._replace(freed=rows(slots, -1.0), late=(rows(late, jnp.inf), rows(late, 0.0)))
-
-
-def write(log, side, speed, slowest, rest, freed=None):
-    """The log with one step more: an impact of each lane with a side, at a speed, with so much time to go.
-
-    slowest: the least speed that comes of it; freed: when the mass was last released.
-    """
-    time, signed, slower, *places = stage(_due, log, side, speed, slowest, rest)
-    return log._replace(
-        times=tuple(merge(*each) for each in zip(places, [time] * RECENT, log.times, strict=False)),
-        speeds=tuple(merge(*each) for each in zip(places, [signed] * RECENT, log.speeds, strict=False)),
-        freed=tuple(merge(*each) for each in zip(places, [freed] * RECENT, log.freed, strict=False)),
-        held=log.held + lax.abs(side),
-        count=log.count + lax.abs(side),
-        least_speed=slower,
+    impact_slots = ImpactSlots(filled_rows(n_slots, jnp.inf), filled_rows(n_slots, 0.0))
+    if not n_since_release:
+        return log, impact_slots
+    log = log._replace(release_times=(zero - 1.0,) * n_recent, count_at_release=zero)
+    return log, impact_slots._replace(
+        release_times=filled_rows(n_slots, -1.0),
+        since_release=(filled_rows(n_since_release, jnp.inf), filled_rows(n_since_release, 0.0)),
     )
 
 
-def _due(log, side, speed, slowest, rest):
-    hit = side != 0
-    places = [mask(hit & (log.held == k), rest) for k in range(len(log.times))]
-    least_speed = choose(hit, least(slowest, log.least_speed), log.least_speed)
-    return log.end - rest, side * speed, least_speed, *places
+def record_impact(log, side, speed, resulting_speed, time_remaining, release_time=None):
+    """The log with one step more: an impact of each lane with a side, at a speed, with so much time to go.
+
+    resulting_speed: the least speed that comes of it; release_time: when the mass was last released.
+    """
+    impact_time, signed_speed, least_speed, *slot_masks = stage(
+        _new_entry, log, side, speed, resulting_speed, time_remaining
+    )
+    return log._replace(
+        times=tuple(
+            merge_bits(*merge_operands)
+            for merge_operands in zip(slot_masks, [impact_time] * MAX_RECENT, log.times, strict=False)
+        ),
+        speeds=tuple(
+            merge_bits(*merge_operands)
+            for merge_operands in zip(slot_masks, [signed_speed] * MAX_RECENT, log.speeds, strict=False)
+        ),
+        release_times=tuple(
+            merge_bits(*merge_operands)
+            for merge_operands in zip(slot_masks, [release_time] * MAX_RECENT, log.release_times, strict=False)
+        ),
+        n_recent=log.n_recent + lax.abs(side),
+        count=log.count + lax.abs(side),
+        least_speed=least_speed,
+    )
+
+
+def _new_entry(log, side, speed, resulting_speed, time_remaining):
+    is_impact = side != 0
+    slot_masks = [bit_mask(is_impact & (log.n_recent == k), time_remaining) for k in range(len(log.times))]
+    least_speed = choose(is_impact, minimum(resulting_speed, log.least_speed), log.least_speed)
+    return log.end_time - time_remaining, side * speed, least_speed, *slot_masks
 
 
 def is_full(log):
-    """The lanes that hold as many impacts as they can: then `pour` is due."""
-    return log.held >= RECENT
+    """The lanes that hold as many impacts as they can: then `flush` is due."""
+    return log.n_recent >= MAX_RECENT
 
 
-def pour(log, slots):
+def flush(log, impact_slots):
     """(log, slots) with the impacts at hand put into their slots, and nothing into those that follow."""
-    first = log.count - log.held
+    first_index = log.count - log.n_recent
 
-    def put(recent, empty, old, first):
-        if not len(old):
-            return old
-        place = lax.broadcasted_iota(first.dtype, old.shape, 0) - lax.expand_dims(first, [0])
-        for k, each in enumerate(recent):
-            old = choose(place == k, lax.expand_dims(choose(log.held > k, each, empty), [0]), old)
-        return old
+    def insert_recent(recent_values, fill_value, slot_rows, first_index):
+        if not len(slot_rows):
+            return slot_rows
+        slot_index = lax.broadcasted_iota(first_index.dtype, slot_rows.shape, 0) - lax.expand_dims(first_index, [0])
+        for k, value in enumerate(recent_values):
+            slot_rows = choose(
+                slot_index == k, lax.expand_dims(choose(log.n_recent > k, value, fill_value), [0]), slot_rows
+            )
+        return slot_rows
 
-    def pair(rows, first):
-        return put(log.times, jnp.inf, rows[0], first), put(log.speeds, 0.0, rows[1], first)
+    def insert_pair(slot_rows, first_index):
+        return insert_recent(log.times, jnp.inf, slot_rows[0], first_index), insert_recent(
+            log.speeds, 0.0, slot_rows[1], first_index
+        )
 
-    poured = Slots(*pair(slots[:2], first))
-    if slots.late is not None:
-        late = pair(slots.late, first - log.since)
-        poured = poured._replace(freed=put(log.freed, -1.0, slots.freed, first), late=late)
-    return log._replace(held=jnp.zeros_like(log.held)), poured
+    new_slots = ImpactSlots(*insert_pair(impact_slots[:2], first_index))
+    if impact_slots.since_release is not None:
+        since_release = insert_pair(impact_slots.since_release, first_index - log.count_at_release)
+        new_slots = new_slots._replace(
+            release_times=insert_recent(log.release_times, -1.0, impact_slots.release_times, first_index),
+            since_release=since_release,
+        )
+    return log._replace(n_recent=jnp.zeros_like(log.n_recent)), new_slots
 
 
-def late(log, slots):
+def impacts_since_release(log, impact_slots):
     """(times, signed speeds, count) of the impacts since the last release, slots first."""
-    count = log.count - log.since
-    (times, speeds), place = slots.late, lax.broadcasted_iota(log.count.dtype, slots.late[0].shape, 0)
-    there = place < lax.expand_dims(count, [0])
-    return choose(there, times, jnp.inf), choose(there, speeds, 0.0), count
+    count = log.count - log.count_at_release
+    (times, speeds), slot_index = (
+        impact_slots.since_release,
+        lax.broadcasted_iota(log.count.dtype, impact_slots.since_release[0].shape, 0),
+    )
+    is_recorded = slot_index < lax.expand_dims(count, [0])
+    return choose(is_recorded, times, jnp.inf), choose(is_recorded, speeds, 0.0), count
 
 
-def rows(slots):
+def impact_rows(impact_slots):
     """(times, sides, speeds) of the impacts, lanes first, as `Impacts` has them."""
-    order = (*range(1, slots.times.ndim), 0)
-    sides = (slots.speeds > 0).astype(jnp.int8) - (slots.speeds < 0).astype(jnp.int8)
-    return [lax.transpose(each, order) for each in (slots.times, sides, lax.abs(slots.speeds))]
+    axes = (*range(1, impact_slots.times.ndim), 0)
+    sides = (impact_slots.speeds > 0).astype(jnp.int8) - (impact_slots.speeds < 0).astype(jnp.int8)
+    return [lax.transpose(array, axes) for array in (impact_slots.times, sides, lax.abs(impact_slots.speeds))]

@@ -11,136 +11,182 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, mask, merge, stage
+from ..compiled.compiler_hints import bit_mask, choose, merge_bits, stage
 from ..scene.codes import Contact
 from . import impact_log, soft_long_step, turning_points
+from .contact_laws import contact_law_of
 from .flight_state import CAPPED, Path
 from .soft_contact import is_inside
-from .stays import stays_of
-from .step import micro
+from .step import certified_step
 
-IMPACTS = 1000  # of one lane in one period, the cap
-STEPS = 8  # times the steps that a flight alone would take, the cap on the rest
-MOST_STEPS = 1e6  # of one lane in one period: more would be a hang
+MAX_PERIOD_IMPACTS = 1000  # of one lane in one period, the cap
+STEP_FACTOR = 8  # times the steps that a flight alone would take, the cap on the rest
+MAX_STEPS = 1e6  # of one lane in one period: more would be a hang
 # what a lane may need: another step, its impacts in their slots, a measurement, a long step
-GOING, FULL, CROWDED, WAITING = 1, 2, 4, 8
+NEEDS_STEP, NEEDS_FLUSH, NEEDS_MEASUREMENT, NEEDS_LONG_STEP = 1, 2, 4, 8
 
 
-class Journey(NamedTuple):
+class LoopState(NamedTuple):
     """Where the lanes are, their impacts, their closest calls (None where not asked for, or without a wall).
 
-    freed: when the mass was last released from a wall, -1 if never; steps: taken so far, one number for all lanes;
-    wait: steps taken within a soft wall since it was entered, or a long one tried; None where there is no soft wall.
-    """
+    release_time: when the mass was last released from a wall, -1 if never; n_steps: taken so far, one number for all
+    lanes; wait_count: steps taken within a soft wall since it was entered, or a long one tried; None where there is no
+    soft wall."""
 
     path: Path
-    log: impact_log.Log
-    slots: impact_log.Slots
-    calls: turning_points.Calls | None
-    freed: Float[jax.Array, "..."]
-    steps: Float[jax.Array, ""]
-    wait: Float[jax.Array, "..."] | None = None
+    log: impact_log.ImpactLog
+    impact_slots: impact_log.ImpactSlots
+    closest_approaches: turning_points.ClosestApproaches | None
+    release_time: Float[jax.Array, "..."]
+    n_steps: Float[jax.Array, ""]
+    wait_count: Float[jax.Array, "..."] | None = None
 
 
-class Cap(NamedTuple):
+class LoopLimits(NamedTuple):
     """How many impacts a lane may have, and how many steps it may take."""
 
-    impacts: Float[jax.Array, "..."]
-    steps: Float[jax.Array, "..."]
+    max_impacts: Float[jax.Array, "..."]
+    max_steps: Float[jax.Array, "..."]
 
 
-def begin(frame, path, slots, end, clearance=False, late=0):
-    """A `Journey` that has not begun; end: when the time to go is used up; clearance: with closest calls; late: see
-    `impact_log.empty`."""
-    calls = turning_points.nothing(path.x) if frame.walls and clearance else None
-    none = jnp.zeros_like(path.x)
-    steps = jnp.zeros((), path.x.dtype)
-    wait = stays_of(frame).unbegun(none)
-    return Journey(path, *impact_log.empty(path.x, slots, end, late), calls, none - 1.0, steps, wait)
+def initial_loop_state(coeffs, path, n_slots, end_time, with_clearance=False, n_since_release=0):
+    """A `LoopState` that has not begun; end_time: when the time to go is used up; with_clearance: with closest calls;
+    n_since_release: see `impact_log.empty`."""
+    closest_approaches = turning_points.no_turning_points(path.x) if coeffs.walls and with_clearance else None
+    zero = jnp.zeros_like(path.x)
+    n_steps = jnp.zeros((), path.x.dtype)
+    wait_count = contact_law_of(coeffs).initial_wait(zero)
+    return LoopState(
+        path,
+        *impact_log.empty_log(path.x, n_slots, end_time, n_since_release),
+        closest_approaches,
+        zero - 1.0,
+        n_steps,
+        wait_count,
+    )
 
 
-def cap(frame, periods):
-    """The `Cap` for some drive periods."""
-    reach = stays_of(frame).reach(frame)
-    steps = 4.0 * IMPACTS + lax.min(STEPS * frame.period / reach, lax.full_like(frame.period, MOST_STEPS))
-    return Cap(lax.full_like(frame.period, IMPACTS * periods), steps * periods)
+def loop_limits(coeffs, periods):
+    """The `LoopLimits` for some drive periods."""
+    max_step = contact_law_of(coeffs).max_step(coeffs)
+    max_steps = 4.0 * MAX_PERIOD_IMPACTS + lax.min(
+        STEP_FACTOR * coeffs.period / max_step, lax.full_like(coeffs.period, MAX_STEPS)
+    )
+    return LoopLimits(lax.full_like(coeffs.period, MAX_PERIOD_IMPACTS * periods), max_steps * periods)
 
 
-def run(frame, journey, cap, again=None):
-    """The journey when no lane has time to go; again: gives the lanes that have ended a period their next."""
-    walls, watched, stays = bool(frame.walls), journey.calls is not None, stays_of(frame)
+def run_loop(coeffs, loop, limits, restart=None):
+    """The journey when no lane has time to go; restart: gives the lanes that have ended a period their next."""
+    has_walls, tracks_clearance, contact_law = (
+        bool(coeffs.walls),
+        loop.closest_approaches is not None,
+        contact_law_of(coeffs),
+    )
 
-    def turn(journey):
-        step = micro(frame, journey.path)
-        rest, contact = step.path.to_go, journey.path.contact
-        book, released = journey.log, stage(_freed, step.side, contact)
-        freed = merge(released, stage(_ended, book, rest), journey.freed)
-        if book.since is not None:
-            book = book._replace(since=merge(released, book.count, book.since))
-        side = stage(_struck, step.side, contact)
-        book = impact_log.write(book, side, step.strike.speed, step.strike.least, rest, freed)
-        calls = turning_points.note(frame, journey.path, step, journey.calls) if watched else None
-        wait = None if journey.wait is None else stage(_waited, journey.wait, step.path.contact)
-        journey = journey._replace(path=step.path, log=book, calls=calls, freed=freed, wait=wait)
-        journey = journey._replace(steps=journey.steps + 1.0)
-        journey = again(journey) if again else journey
-        path = journey.path
-        over = ((journey.log.count >= cap.impacts) | (journey.steps > cap.steps)) & (path.to_go > 0)
+    def step_lanes(loop):
+        step = certified_step(coeffs, loop.path)
+        remaining_after, contact = step.path.time_remaining, loop.path.contact
+        log, release_mask = loop.log, stage(_release_mask, step.side, contact)
+        release_time = merge_bits(release_mask, stage(_event_time, log, remaining_after), loop.release_time)
+        if log.count_at_release is not None:
+            log = log._replace(count_at_release=merge_bits(release_mask, log.count, log.count_at_release))
+        impact_side = stage(_impact_side, step.side, contact)
+        log = impact_log.record_impact(
+            log, impact_side, step.outcome.approach_speed, step.outcome.least_speed, remaining_after, release_time
+        )
+        closest_approaches = (
+            turning_points.record_turning_point(coeffs, loop.path, step, loop.closest_approaches)
+            if tracks_clearance
+            else None
+        )
+        wait_count = None if loop.wait_count is None else stage(_count_wait, loop.wait_count, step.path.contact)
+        loop = loop._replace(
+            path=step.path,
+            log=log,
+            closest_approaches=closest_approaches,
+            release_time=release_time,
+            wait_count=wait_count,
+        )
+        loop = loop._replace(n_steps=loop.n_steps + 1.0)
+        loop = restart(loop) if restart else loop
+        path = loop.path
+        exceeds_limits = ((loop.log.count >= limits.max_impacts) | (loop.n_steps > limits.max_steps)) & (
+            path.time_remaining > 0
+        )
         # with a low part left, the next step would round CAPPED to a time that has been used up
-        to_go, low = choose(over, CAPPED, path.to_go), choose(over, 0.0, path.to_go_low)
-        return journey._replace(path=path._replace(to_go=to_go, to_go_low=low))
+        time_remaining, time_remaining_low = (
+            choose(exceeds_limits, CAPPED, path.time_remaining),
+            choose(exceeds_limits, 0.0, path.time_remaining_low),
+        )
+        return loop._replace(path=path._replace(time_remaining=time_remaining, time_remaining_low=time_remaining_low))
 
-    def leg(journey):
-        slots, journey = journey.slots, journey._replace(slots=None)
-        journey = lax.while_loop(lambda journey: _need(stays, journey) == GOING, turn, journey)
-        if journey.wait is not None:
-            need = _need(stays, journey)
-            waits = (need & WAITING) != 0, (need & GOING) == 0
-            path, wait = stays.paused(frame, journey.path, journey.wait, *waits)
-            journey = journey._replace(path=path, wait=wait)
-            journey = again(journey) if again else journey
-        need = _need(stays, journey)
-        over = (need & GOING) == 0
-        pours, measures = over | ((need & FULL) != 0), over | ((need & CROWDED) != 0)
-        book, slots = lax.cond(pours, impact_log.pour, lambda *same: same, journey.log, slots)
-        calls = journey.calls
-        if watched:
-            calls = lax.cond(measures, lambda calls: turning_points.measure(frame, calls), lambda same: same, calls)
-        return journey._replace(log=book, slots=slots, calls=calls)
+    def run_until_pause(loop):
+        impact_slots, loop = loop.impact_slots, loop._replace(impact_slots=None)
+        loop = lax.while_loop(lambda loop: _need_code(contact_law, loop) == NEEDS_STEP, step_lanes, loop)
+        if loop.wait_count is not None:
+            need_code = _need_code(contact_law, loop)
+            wait_flags = (need_code & NEEDS_LONG_STEP) != 0, (need_code & NEEDS_STEP) == 0
+            path, wait_count = contact_law.advance_waiting(coeffs, loop.path, loop.wait_count, *wait_flags)
+            loop = loop._replace(path=path, wait_count=wait_count)
+            loop = restart(loop) if restart else loop
+        need_code = _need_code(contact_law, loop)
+        is_finished = (need_code & NEEDS_STEP) == 0
+        flush_due, measure_due = (
+            is_finished | ((need_code & NEEDS_FLUSH) != 0),
+            is_finished | ((need_code & NEEDS_MEASUREMENT) != 0),
+        )
+        log, impact_slots = lax.cond(flush_due, impact_log.flush, lambda *operands: operands, loop.log, impact_slots)
+        closest_approaches = loop.closest_approaches
+        if tracks_clearance:
+            closest_approaches = lax.cond(
+                measure_due,
+                lambda approaches: turning_points.measure_pending(coeffs, approaches),
+                lambda approaches: approaches,
+                closest_approaches,
+            )
+        return loop._replace(log=log, impact_slots=impact_slots, closest_approaches=closest_approaches)
 
-    def pending(journey):
-        return jnp.any((journey.path.to_go > 0) | (journey.calls.noted.mark != 0))
+    def is_pending(loop):
+        return jnp.any((loop.path.time_remaining > 0) | (loop.closest_approaches.pending.guess_code != 0))
 
-    def going(journey):
-        return jnp.any(journey.path.to_go > 0)
+    def is_going(loop):
+        return jnp.any(loop.path.time_remaining > 0)
 
-    return lax.while_loop(pending if watched else going, leg if walls else turn, journey)
-
-
-def _freed(side, contact):
-    return mask((lax.abs(contact) == Contact.STUCK) & (side != 0), side)
+    return lax.while_loop(
+        is_pending if tracks_clearance else is_going, run_until_pause if has_walls else step_lanes, loop
+    )
 
 
-def _struck(side, contact):
+def _release_mask(side, contact):
+    return bit_mask((lax.abs(contact) == Contact.STUCK) & (side != 0), side)
+
+
+def _impact_side(side, contact):
     """The sides of impacts: those of a mass that rested on a wall, or was within one, set it free."""
     return choose((lax.abs(contact) == Contact.STUCK) | is_inside(contact), 0.0, side)
 
 
-def _ended(log, rest):
+def _event_time(log, time_remaining):
     """The time of an event, with so much to go."""
-    return log.end - rest
+    return log.end_time - time_remaining
 
 
-def _waited(wait, contact):
-    return choose(is_inside(contact), wait + 1.0, 0.0)
+def _count_wait(wait_count, contact):
+    return choose(is_inside(contact), wait_count + 1.0, 0.0)
 
 
-def _need(stays, journey):
+def _need_code(contact_law, loop):
     """What some lane needs: a sum of GOING, FULL, CROWDED and WAITING."""
-    need = choose(stays.going(journey.path).to_go > 0, jnp.int8(GOING), jnp.int8(0))
-    need |= choose(impact_log.is_full(journey.log), jnp.int8(FULL), jnp.int8(0))
-    if journey.calls is not None:
-        need |= choose(turning_points.is_crowded(journey.calls), jnp.int8(CROWDED), jnp.int8(0))
-    if journey.wait is not None:
-        need |= choose(soft_long_step.is_due(journey.path, journey.wait), jnp.int8(WAITING), jnp.int8(0))
-    return lax.reduce(need, jnp.int8(0), lax.bitwise_or, tuple(range(need.ndim))) if need.ndim else need
+    need_code = choose(contact_law.active_path(loop.path).time_remaining > 0, jnp.int8(NEEDS_STEP), jnp.int8(0))
+    need_code |= choose(impact_log.is_full(loop.log), jnp.int8(NEEDS_FLUSH), jnp.int8(0))
+    if loop.closest_approaches is not None:
+        need_code |= choose(
+            turning_points.needs_measurement(loop.closest_approaches), jnp.int8(NEEDS_MEASUREMENT), jnp.int8(0)
+        )
+    if loop.wait_count is not None:
+        need_code |= choose(soft_long_step.is_due(loop.path, loop.wait_count), jnp.int8(NEEDS_LONG_STEP), jnp.int8(0))
+    return (
+        lax.reduce(need_code, jnp.int8(0), lax.bitwise_or, tuple(range(need_code.ndim)))
+        if need_code.ndim
+        else need_code
+    )

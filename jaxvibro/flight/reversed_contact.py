@@ -3,30 +3,32 @@
 import jax.numpy as jnp
 
 from . import drive, flow
-from .soft_half_swing import plunge
+from .soft_entry_step import entry_step
 
 
-def reversed_in_time(frame, wall, soft):
-    """The `soft_contact.SoftFlow` within a wall with time reversed. wall, frame: its `Lane` and the flow's, reversed;
-    soft: as it was.
+def reverse_time(coeffs, wall, soft_flow):
+    """The `soft_contact.SoftFlow` within a wall with time reversed. wall, coeffs: its `Lane` and the flow's, reversed;
+    soft_flow: as it was.
 
     The energy of y^(6) grows as that of x^(6) does, see `spring_flow.reversed_in_time`.
     """
-    frequency, damping, stiffness = frame.frequency, wall.damping, soft.stiffness
-    slope = soft.slope * jnp.exp(-2.0 * damping * soft.reach)
-    forcing = soft.curb / (1.0 + soft.slope * soft.reach)
-    series, waves = flow.series(frequency, damping, stiffness), None
-    if soft.waves is not None:
-        waves = flow.series(frequency * float(wall.harmonic), damping, stiffness)
-    more = tuple(flow.series(drive.rate_of(term, frequency), damping, stiffness) for term in frame.terms)
-    terms = list(zip(frame.terms, more, strict=True))
-    first = plunge(wall, frame.force, frequency, series, waves, stiffness, terms)
-    return soft._replace(
+    frequency, damping, stiffness = coeffs.frequency, wall.damping, soft_flow.stiffness
+    jet_bound_slope = soft_flow.jet_bound_slope * jnp.exp(-2.0 * damping * soft_flow.max_step)
+    force_bound = soft_flow.jet_bound / (1.0 + soft_flow.jet_bound_slope * soft_flow.max_step)
+    series, wall_series = flow.flow_series(frequency, damping, stiffness), None
+    if soft_flow.wall_series is not None:
+        wall_series = flow.flow_series(frequency * float(wall.harmonic), damping, stiffness)
+    term_series = tuple(
+        flow.flow_series(drive.angular_rate(term, frequency), damping, stiffness) for term in coeffs.drive_terms
+    )
+    term_pairs = list(zip(coeffs.drive_terms, term_series, strict=True))
+    entry = entry_step(wall, coeffs.amplitude, frequency, series, wall_series, stiffness, term_pairs)
+    return soft_flow._replace(
         damping=damping,
         series=series,
-        waves=waves,
-        plunge=first._replace(change=soft.plunge.change),
-        curb=forcing * (1.0 + slope * soft.reach),
-        slope=slope,
-        terms=more,
+        wall_series=wall_series,
+        entry_step=entry._replace(push_change=soft_flow.entry_step.push_change),
+        jet_bound=force_bound * (1.0 + jet_bound_slope * soft_flow.max_step),
+        jet_bound_slope=jet_bound_slope,
+        term_series=term_series,
     )

@@ -21,285 +21,311 @@ Coefficient = Any  # lanes, a number, or None: zero
 class Series:
     """The coefficients of t^0, t^1, ..., each found when it is first asked for.
 
-    rule: (this series, k) -> the k-th, from those before it; None where all but the first are zero.
+    recurrence: (this series, k) -> the k-th, from those before it; None where all but the first are zero.
     """
 
-    def __init__(self, rule: Callable[["Series", int], Coefficient] | None, *first: Coefficient) -> None:
-        self.rule, self.found = rule, list(first)
+    def __init__(self, recurrence: Callable[["Series", int], Coefficient] | None, *initial: Coefficient) -> None:
+        self.recurrence, self.coefficients = recurrence, list(initial)
 
     @property
-    def constant(self) -> bool:
-        return self.rule is None
+    def is_constant(self) -> bool:
+        return self.recurrence is None
 
     def __getitem__(self, k: int) -> Coefficient:
-        if self.rule is None:
-            return self.found[0] if k == 0 else None
-        while len(self.found) <= k:
-            self.found.append(self.rule(self, len(self.found)))
-        return self.found[k]
+        if self.recurrence is None:
+            return self.coefficients[0] if k == 0 else None
+        while len(self.coefficients) <= k:
+            self.coefficients.append(self.recurrence(self, len(self.coefficients)))
+        return self.coefficients[k]
 
 
-def products(pairs, weights=None, more=None, over=None):
-    """(more + the sum of weight a b) / over: of the pairs those of which neither is zero."""
+def sum_of_products(pairs, weights=None, addend=None, divisor=None):
+    """(more + the sum of weight a b) / divisor: of the pairs those of which neither is zero."""
     weights = [1.0] * len(pairs) if weights is None else weights
-    kept = [
+    nonzero = [
         (*pair, weight) for pair, weight in zip(pairs, weights, strict=True) if not (pair[0] is None or pair[1] is None)
     ]
-    if not kept and more is None:
+    if not nonzero and addend is None:
         return None
-    first, second, weights = zip(*kept, strict=True) if kept else ((), (), ())
-    return stage(_products, first, second, more, over, weights=tuple(map(float, weights)))
+    left_factors, right_factors, weights = zip(*nonzero, strict=True) if nonzero else ((), (), ())
+    return stage(_sum_of_products, left_factors, right_factors, addend, divisor, weights=tuple(map(float, weights)))
 
 
-def _products(first, second, more, over, weights):
-    total = more
-    for a, b, weight in zip(first, second, weights, strict=True):
+def _sum_of_products(left_factors, right_factors, addend, divisor, weights):
+    total = addend
+    for a, b, weight in zip(left_factors, right_factors, weights, strict=True):
         term = a * b if weight == 1.0 else weight * (a * b)
         total = term if total is None else total + term
-    return total if over is None else total / over
+    return total if divisor is None else total / divisor
 
 
-def at_first(name, *given):
+def evaluate_constant(name, *operands):
     """The first coefficient of an operation of lax."""
-    return stage(_at_first, *(each[0] for each in given), name=name)
+    return stage(_evaluate_constant, *(operand[0] for operand in operands), name=name)
 
 
-def _at_first(*given, name):
-    shape = jnp.broadcast_shapes(*map(jnp.shape, given))
-    return getattr(lax, name)(*(jnp.broadcast_to(each, shape) for each in given))
+def _evaluate_constant(*operands, name):
+    shape = jnp.broadcast_shapes(*map(jnp.shape, operands))
+    return getattr(lax, name)(*(jnp.broadcast_to(operand, shape) for operand in operands))
 
 
-def times(number, a):
+def scale_coefficient(number, a):
     return None if a is None else number * a
 
 
-def added(a, b):
+def add_coefficients(a, b):
     return b if a is None else a if b is None else a + b
 
 
-def plus(a, b):
-    return Series(lambda own, k: added(a[k], b[k]))
+def add_series(a, b):
+    return Series(lambda series, k: add_coefficients(a[k], b[k]))
 
 
-def minus(a, b):
-    return Series(lambda own, k: added(a[k], times(-1.0, b[k])))
+def subtract_series(a, b):
+    return Series(lambda series, k: add_coefficients(a[k], scale_coefficient(-1.0, b[k])))
 
 
-def shifted(number, a):
+def add_constant(number, a):
     """number + a."""
-    return Series(lambda own, k: a[k] if k else added(number, a[0]))
+    return Series(lambda series, k: a[k] if k else add_coefficients(number, a[0]))
 
 
-def scaled(number, a):
-    return Series(lambda own, k: times(number, a[k]))
+def scale_series(number, a):
+    return Series(lambda series, k: scale_coefficient(number, a[k]))
 
 
-def product(a, b):
+def multiply_series(a, b):
     if a is b:
-        return Series(lambda own, k: products(*_halves(a, k)))
-    if a.constant or b.constant:
-        still, other = (a, b) if a.constant else (b, a)
-        return scaled(still[0], other)
-    return Series(lambda own, k: products([(a[j], b[k - j]) for j in range(k + 1)]))
+        return Series(lambda series, k: sum_of_products(*_square_pairs(a, k)))
+    if a.is_constant or b.is_constant:
+        constant, factor = (a, b) if a.is_constant else (b, a)
+        return scale_series(constant[0], factor)
+    return Series(lambda series, k: sum_of_products([(a[j], b[k - j]) for j in range(k + 1)]))
 
 
 class Square(Series):
     """The square of a series, of which powers by halves are those of the series itself, also where it passes zero."""
 
     def __init__(self, root: Series) -> None:
-        super().__init__(lambda own, k: products(*_halves(root, k)))
+        super().__init__(lambda series, k: sum_of_products(*_square_pairs(root, k)))
         self.root = root
 
 
-def _halves(a, k):
+def _square_pairs(a, k):
     """(pairs, weights) of the k-th coefficient of a square."""
     pairs = [(a[j], a[k - j]) for j in range(k // 2 + 1)]
     return pairs, [1.0 if 2 * j == k else 2.0 for j in range(k // 2 + 1)]
 
 
-def quotient(a, b):
-    if b.constant:
-        return Series(lambda own, k: None if a[k] is None else a[k] / b[0])
+def divide_series(a, b):
+    if b.is_constant:
+        return Series(lambda series, k: None if a[k] is None else a[k] / b[0])
 
-    def rule(own, k):
-        return products([(b[j], own[k - j]) for j in range(1, k + 1)], [-1.0] * k, a[k], b[0])
+    def recurrence(series, k):
+        return sum_of_products([(b[j], series[k - j]) for j in range(1, k + 1)], [-1.0] * k, a[k], b[0])
 
-    return Series(rule)
+    return Series(recurrence)
 
 
-def driven(u, first, rate):
+def integrate_rate(u, constant, rate):
     """y, y_0 being given, with y' = rate(y) u'."""
 
-    def rule(own, k):
-        by = rates(own)
-        return products([(u[j], by[k - j]) for j in range(1, k + 1)], [j / k for j in range(1, k + 1)])
+    def recurrence(series, k):
+        rate_series = rate_of(series)
+        return sum_of_products([(u[j], rate_series[k - j]) for j in range(1, k + 1)], [j / k for j in range(1, k + 1)])
 
-    rates = _kept(rate)
-    return Series(rule, first)
+    rate_of = _call_once(rate)
+    return Series(recurrence, constant)
 
 
-def held(u, first, weight):
+def integrate_weighted(u, constant, weight):
     """y, y_0 being given, with weight(y) y' = u'."""
 
-    def rule(own, k):
-        by = weights(own)
-        return products([(own[j], by[k - j]) for j in range(1, k)], [-j / k for j in range(1, k)], u[k], by[0])
+    def recurrence(series, k):
+        weight_series = weight_of(series)
+        return sum_of_products(
+            [(series[j], weight_series[k - j]) for j in range(1, k)],
+            [-j / k for j in range(1, k)],
+            u[k],
+            weight_series[0],
+        )
 
-    weights = _kept(weight)
-    return Series(rule, first)
+    weight_of = _call_once(weight)
+    return Series(recurrence, constant)
 
 
-def _kept(function):
+def _call_once(function):
     """A function of one series, which is asked of no other, called once."""
-    found: list[Series] = []
+    results: list[Series] = []
 
-    def called(own):
-        if not found:
-            found.append(function(own))
-        return found[0]
+    def cached_call(series):
+        if not results:
+            results.append(function(series))
+        return results[0]
 
-    return called
+    return cached_call
 
 
-def power(u, exponent, first):
+def power(u, exponent, constant):
     """u^exponent, a number or lanes: u y' = exponent u' y."""
 
-    def rule(own, k):
-        pairs = [(u[j], own[k - j]) for j in range(1, k + 1)]
-        rise = products(pairs, [j / k for j in range(1, k + 1)])
-        return products(pairs[:-1], [(j - k) / k for j in range(1, k)], times(exponent, rise), u[0])
+    def recurrence(series, k):
+        pairs = [(u[j], series[k - j]) for j in range(1, k + 1)]
+        rate_sum = sum_of_products(pairs, [j / k for j in range(1, k + 1)])
+        return sum_of_products(
+            pairs[:-1], [(j - k) / k for j in range(1, k)], scale_coefficient(exponent, rate_sum), u[0]
+        )
 
-    return Series(rule, first)
+    return Series(recurrence, constant)
 
 
-def whole_power(u, exponent):
+def integer_power(u, exponent):
     """u^exponent, a whole number, by products: right where u passes zero too."""
     if exponent < 0:
-        return quotient(Series(None, 1.0), whole_power(u, -exponent))
+        return divide_series(Series(None, 1.0), integer_power(u, -exponent))
     if exponent < 2:
         return u if exponent else Series(None, jnp.ones_like(u[0]))
-    half = whole_power(u, exponent // 2)
-    square = product(half, half)
-    return product(square, u) if exponent % 2 else square
+    half_power = integer_power(u, exponent // 2)
+    square = multiply_series(half_power, half_power)
+    return multiply_series(square, u) if exponent % 2 else square
 
 
-def turning(u, names, sign):
+def coupled_pair(u, names, sign):
     """(y, z), of these names in lax: y' = z u', z' = sign y u'."""
-    first = [at_first(name, u) for name in names]
+    constants = [evaluate_constant(name, u) for name in names]
     pair: list[Series] = []
-    pair.append(driven(u, first[0], lambda own: pair[1]))
-    pair.append(driven(u, first[1], lambda own: scaled(sign, pair[0])))
+    pair.append(integrate_rate(u, constants[0], lambda series: pair[1]))
+    pair.append(integrate_rate(u, constants[1], lambda series: scale_series(sign, pair[0])))
     return pair
 
 
-def square_and(number, sign, u):
+def constant_plus_square(number, sign, u):
     """number + sign u^2."""
-    return shifted(number, scaled(sign, product(u, u)))
+    return add_constant(number, scale_series(sign, multiply_series(u, u)))
 
 
-def root(a):
+def square_root(a):
     if isinstance(a, Square):
         return a.root
-    return power(a, 0.5, at_first("sqrt", a))
+    return power(a, 0.5, evaluate_constant("sqrt", a))
 
 
 def exponential(u):
-    return driven(u, at_first("exp", u), lambda own: own)
+    return integrate_rate(u, evaluate_constant("exp", u), lambda series: series)
 
 
 def logarithm(u):
-    return held(u, at_first("log", u), lambda own: u)
+    return integrate_weighted(u, evaluate_constant("log", u), lambda series: u)
 
 
-def _by(name, rate):
+def _rule_from_rate(name, rate):
     """The rule of an operation of lax whose result y has y' = rate(u, y) u'."""
-    return lambda given, **_: driven(given[0], at_first(name, given[0]), lambda own: rate(given[0], own))
+    return lambda operands, **_: integrate_rate(
+        operands[0], evaluate_constant(name, operands[0]), lambda series: rate(operands[0], series)
+    )
 
 
-def _over(name, weight):
+def _rule_from_weight(name, weight):
     """The rule of an operation of lax whose result y has weight(u, y) y' = u'."""
-    return lambda given, **_: held(given[0], at_first(name, given[0]), lambda own: weight(given[0], own))
+    return lambda operands, **_: integrate_weighted(
+        operands[0], evaluate_constant(name, operands[0]), lambda series: weight(operands[0], series)
+    )
 
 
-def _general_power(given, **_):
-    base, exponent = given
-    halves = _halves_of(exponent) if isinstance(base, Square) else None
-    if halves is not None:
-        return whole_power(base.root, halves)
-    if exponent.constant:
-        return power(base, exponent[0], at_first("pow", base, exponent))
-    return exponential(product(exponent, logarithm(base)))
+def _power_rule(operands, **_):
+    base, exponent = operands
+    n_halves = _count_halves(exponent) if isinstance(base, Square) else None
+    if n_halves is not None:
+        return integer_power(base.root, n_halves)
+    if exponent.is_constant:
+        return power(base, exponent[0], evaluate_constant("pow", base, exponent))
+    return exponential(multiply_series(exponent, logarithm(base)))
 
 
-def _halves_of(exponent):
+def _count_halves(exponent):
     """How many halves an exponent is, None where that is not a whole number that stands in the force itself."""
-    known = exponent.constant and isinstance(exponent[0], float | np.floating | np.ndarray)
-    twice = 2.0 * float(exponent[0]) if known else 0.5
-    return int(twice) if twice.is_integer() else None
+    is_known = exponent.is_constant and isinstance(exponent[0], float | np.floating | np.ndarray)
+    twice_exponent = 2.0 * float(exponent[0]) if is_known else 0.5
+    return int(twice_exponent) if twice_exponent.is_integer() else None
 
 
-def _angle(given, **_):
+def _atan2_rule(operands, **_):
     """atan2(a, b): (a^2 + b^2) y' = b a' - a b'."""
-    a, b = given
-    size = plus(product(a, a), product(b, b))
+    a, b = operands
+    radius_squared = add_series(multiply_series(a, a), multiply_series(b, b))
 
-    def rule(own, k):
-        first, second = [(b[k - j], a[j]) for j in range(1, k + 1)], [(a[k - j], b[j]) for j in range(1, k + 1)]
+    def recurrence(series, k):
+        plus_pairs, minus_pairs = (
+            [(b[k - j], a[j]) for j in range(1, k + 1)],
+            [(a[k - j], b[j]) for j in range(1, k + 1)],
+        )
         weights = [j / k for j in range(1, k + 1)]
-        turn = products(first + second, weights + [-weight for weight in weights])
-        return products([(own[j], size[k - j]) for j in range(1, k)], [-j / k for j in range(1, k)], turn, size[0])
+        numerator = sum_of_products(plus_pairs + minus_pairs, weights + [-weight for weight in weights])
+        return sum_of_products(
+            [(series[j], radius_squared[k - j]) for j in range(1, k)],
+            [-j / k for j in range(1, k)],
+            numerator,
+            radius_squared[0],
+        )
 
-    return Series(rule, at_first("atan2", a, b))
+    return Series(recurrence, evaluate_constant("atan2", a, b))
 
 
-def _of(name, place, sign):
+def _pair_rule(names, index, sign):
     """The rule of one of a pair of functions that turn into each other."""
-    return lambda given, **_: turning(given[0], name, sign)[place]
+    return lambda operands, **_: coupled_pair(operands[0], names, sign)[index]
 
 
 CIRCULAR, HYPERBOLIC = ("sin", "cos"), ("sinh", "cosh")
-HALF_NORMAL = 2.0 / math.sqrt(math.pi)
+TWO_OVER_ROOT_PI = 2.0 / math.sqrt(math.pi)
 RULES: dict[str, Callable[..., Series]] = {  # of an operation's inputs, and its parameters by name
-    "add": lambda given, **_: plus(*given),
-    "add_any": lambda given, **_: plus(*given),
-    "sub": lambda given, **_: minus(*given),
-    "mul": lambda given, **_: product(*given),
-    "div": lambda given, **_: quotient(*given),
-    "neg": lambda given, **_: scaled(-1.0, given[0]),
-    "square": lambda given, **_: product(given[0], given[0]),
-    "integer_pow": lambda given, y, **_: whole_power(given[0], y),
-    "pow": _general_power,
-    "sqrt": lambda given, **_: root(given[0]),
-    "rsqrt": lambda given, **_: power(given[0], -0.5, at_first("rsqrt", given[0])),
-    "cbrt": lambda given, **_: power(given[0], 1.0 / 3.0, at_first("cbrt", given[0])),
-    "exp": lambda given, **_: exponential(given[0]),
-    "exp2": lambda given, **_: exponential(scaled(math.log(2.0), given[0])),
-    "expm1": _by("expm1", lambda u, own: shifted(1.0, own)),
-    "log": lambda given, **_: logarithm(given[0]),
-    "log1p": _over("log1p", lambda u, own: shifted(1.0, u)),
-    "sin": _of(CIRCULAR, 0, -1.0),
-    "cos": _of(CIRCULAR, 1, -1.0),
-    "sinh": _of(HYPERBOLIC, 0, 1.0),
-    "cosh": _of(HYPERBOLIC, 1, 1.0),
-    "tan": _by("tan", lambda u, own: square_and(1.0, 1.0, own)),
-    "tanh": _by("tanh", lambda u, own: square_and(1.0, -1.0, own)),
-    "logistic": _by("logistic", lambda u, own: minus(own, product(own, own))),
-    "erf": _by("erf", lambda u, own: scaled(HALF_NORMAL, exponential(scaled(-1.0, product(u, u))))),
-    "erfc": _by("erfc", lambda u, own: scaled(-HALF_NORMAL, exponential(scaled(-1.0, product(u, u))))),
-    "asin": _over("asin", lambda u, own: root(square_and(1.0, -1.0, u))),
-    "acos": _over("acos", lambda u, own: scaled(-1.0, root(square_and(1.0, -1.0, u)))),
-    "atan": _over("atan", lambda u, own: square_and(1.0, 1.0, u)),
-    "asinh": _over("asinh", lambda u, own: root(square_and(1.0, 1.0, u))),
-    "acosh": _over("acosh", lambda u, own: root(square_and(-1.0, 1.0, u))),
-    "atanh": _over("atanh", lambda u, own: square_and(1.0, -1.0, u)),
-    "atan2": _angle,
-    "copy": lambda given, **_: given[0],
+    "add": lambda operands, **_: add_series(*operands),
+    "add_any": lambda operands, **_: add_series(*operands),
+    "sub": lambda operands, **_: subtract_series(*operands),
+    "mul": lambda operands, **_: multiply_series(*operands),
+    "div": lambda operands, **_: divide_series(*operands),
+    "neg": lambda operands, **_: scale_series(-1.0, operands[0]),
+    "square": lambda operands, **_: multiply_series(operands[0], operands[0]),
+    "integer_pow": lambda operands, y, **_: integer_power(operands[0], y),
+    "pow": _power_rule,
+    "sqrt": lambda operands, **_: square_root(operands[0]),
+    "rsqrt": lambda operands, **_: power(operands[0], -0.5, evaluate_constant("rsqrt", operands[0])),
+    "cbrt": lambda operands, **_: power(operands[0], 1.0 / 3.0, evaluate_constant("cbrt", operands[0])),
+    "exp": lambda operands, **_: exponential(operands[0]),
+    "exp2": lambda operands, **_: exponential(scale_series(math.log(2.0), operands[0])),
+    "expm1": _rule_from_rate("expm1", lambda u, series: add_constant(1.0, series)),
+    "log": lambda operands, **_: logarithm(operands[0]),
+    "log1p": _rule_from_weight("log1p", lambda u, series: add_constant(1.0, u)),
+    "sin": _pair_rule(CIRCULAR, 0, -1.0),
+    "cos": _pair_rule(CIRCULAR, 1, -1.0),
+    "sinh": _pair_rule(HYPERBOLIC, 0, 1.0),
+    "cosh": _pair_rule(HYPERBOLIC, 1, 1.0),
+    "tan": _rule_from_rate("tan", lambda u, series: constant_plus_square(1.0, 1.0, series)),
+    "tanh": _rule_from_rate("tanh", lambda u, series: constant_plus_square(1.0, -1.0, series)),
+    "logistic": _rule_from_rate("logistic", lambda u, series: subtract_series(series, multiply_series(series, series))),
+    "erf": _rule_from_rate(
+        "erf", lambda u, series: scale_series(TWO_OVER_ROOT_PI, exponential(scale_series(-1.0, multiply_series(u, u))))
+    ),
+    "erfc": _rule_from_rate(
+        "erfc",
+        lambda u, series: scale_series(-TWO_OVER_ROOT_PI, exponential(scale_series(-1.0, multiply_series(u, u)))),
+    ),
+    "asin": _rule_from_weight("asin", lambda u, series: square_root(constant_plus_square(1.0, -1.0, u))),
+    "acos": _rule_from_weight(
+        "acos", lambda u, series: scale_series(-1.0, square_root(constant_plus_square(1.0, -1.0, u)))
+    ),
+    "atan": _rule_from_weight("atan", lambda u, series: constant_plus_square(1.0, 1.0, u)),
+    "asinh": _rule_from_weight("asinh", lambda u, series: square_root(constant_plus_square(1.0, 1.0, u))),
+    "acosh": _rule_from_weight("acosh", lambda u, series: square_root(constant_plus_square(-1.0, 1.0, u))),
+    "atanh": _rule_from_weight("atanh", lambda u, series: constant_plus_square(1.0, -1.0, u)),
+    "atan2": _atan2_rule,
+    "copy": lambda operands, **_: operands[0],
 }
 
 
-def evaluated(series: Sequence[Coefficient], time: jax.Array) -> jax.Array:
+def evaluate_polynomial(coefficients: Sequence[Coefficient], time: jax.Array) -> jax.Array:
     """The polynomial with these coefficients, from the constant on, at a time."""
-    total = series[-1]
-    for term in series[-2::-1]:
-        total = added(None if total is None else total * time, term)
+    total = coefficients[-1]
+    for term in coefficients[-2::-1]:
+        total = add_coefficients(None if total is None else total * time, term)
     return jnp.zeros_like(time) if total is None else total

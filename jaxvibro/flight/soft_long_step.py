@@ -11,19 +11,19 @@ import jax
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, least, mask, merge, positive, stage
+from ..compiled.compiler_hints import bit_mask, choose, merge_bits, minimum, positive_part, stage
 from ..scene.codes import Contact
 from . import drive, event, flow, soft_contact
-from .flight_state import SlowMotion, remaining
-from .soft_half_swing import is_sure
+from .flight_state import SlowMotion, subtract_time
+from .soft_entry_step import is_certified
 
-PATIENCE = 8.0  # short steps before a long one is tried
-WORTH = 4.0  # short steps that a long one must be
-STIFF = 4.0  # times the square of the drive's rate: below that stiffness all motion is slow
-OVERDAMPED = 2.0  # times the stiffness: damping^2 from which two rates are told apart
+MIN_SHORT_STEPS = 8.0  # short steps before a long one is tried
+MIN_STEP_RATIO = 4.0  # short steps that a long one must be
+MIN_STIFFNESS_RATIO = 4.0  # times the square of the drive's rate: below that stiffness all motion is slow
+OVERDAMPED_RATIO = 2.0  # times the stiffness: damping^2 from which two rates are told apart
 
 
-class Wave(NamedTuple):
+class HarmonicPart(NamedTuple):
     """A part of a slow motion: the real part of (real + i imaginary) exp(i rate t)."""
 
     real: Float[jax.Array, "..."]
@@ -34,16 +34,16 @@ class Wave(NamedTuple):
     def size(self) -> Float[jax.Array, "..."]:
         return lax.abs(self.real) + lax.abs(self.imaginary)
 
-    def values(self, count: int) -> list[Float[jax.Array, "..."]]:
+    def values(self, n_derivatives: int) -> list[Float[jax.Array, "..."]]:
         """So many derivatives at t = 0, from the value on."""
-        found, (real, imaginary) = [], (self.real, self.imaginary)
-        for _ in range(count):
-            found.append(real)
+        derivatives, (real, imaginary) = [], (self.real, self.imaginary)
+        for _ in range(n_derivatives):
+            derivatives.append(real)
             real, imaginary = -self.rate * imaginary, self.rate * real
-        return found
+        return derivatives
 
 
-class Creep(NamedTuple):
+class DecayPart(NamedTuple):
     """A part of a slow motion: real exp(-rate t)."""
 
     real: Float[jax.Array, "..."]
@@ -53,142 +53,161 @@ class Creep(NamedTuple):
     def size(self) -> Float[jax.Array, "..."]:
         return lax.abs(self.real)
 
-    def values(self, count: int) -> list[Float[jax.Array, "..."]]:
+    def values(self, n_derivatives: int) -> list[Float[jax.Array, "..."]]:
         """So many derivatives at t = 0, from the value on."""
-        found = [self.real]
-        while len(found) < count:
-            found.append(-self.rate * found[-1])
-        return found
+        derivatives = [self.real]
+        while len(derivatives) < n_derivatives:
+            derivatives.append(-self.rate * derivatives[-1])
+        return derivatives
 
 
-def plunged(frame, path):
+def take_entry_step(coeffs, path):
     """The path with the lanes that have just entered a stiff wall, fast enough, carried most of the way back.
 
-    frame: as the lanes feel it (`soft_contact.felt`).
+    coeffs: as the lanes feel it (`soft_contact.felt`).
     """
-    going = stage(_plunges, frame, path)
-    angle = stage(_turned, frame, path)
-    x, v = stage(_plunged, frame, path)
-    left = stage(_left, frame, path)
-    new = x, v, x, v, *angle, *left, lax.sign(path.contact) * Contact.WITHIN
-    old = path.x, path.v, path.motion.slow_x, path.motion.slow_v, path.cosine, path.sine
-    old = *old, path.to_go, path.to_go_low, path.contact
-    x, v, slow_x, slow_v, cosine, sine, to_go, low, touch = (merge(going, *each) for each in zip(new, old, strict=True))
+    mask = stage(_entry_step_mask, coeffs, path)
+    next_phasor = stage(_phasor_after_entry, coeffs, path)
+    x, v = stage(_state_after_entry, coeffs, path)
+    next_remaining = stage(_remaining_after_entry, coeffs, path)
+    next_values = x, v, x, v, *next_phasor, *next_remaining, lax.sign(path.contact) * Contact.WITHIN
+    values = path.x, path.v, path.motion.slow_x, path.motion.slow_v, path.cosine, path.sine
+    values = *values, path.time_remaining, path.time_remaining_low, path.contact
+    x, v, slow_x, slow_v, cosine, sine, time_remaining, time_remaining_low, contact = (
+        merge_bits(mask, *pair) for pair in zip(next_values, values, strict=True)
+    )
     motion = path.motion._replace(slow_x=slow_x, slow_v=slow_v, cosine=cosine, sine=sine)
-    return path._replace(x=x, v=v, motion=motion, to_go=to_go, to_go_low=low, contact=touch)
+    return path._replace(
+        x=x, v=v, motion=motion, time_remaining=time_remaining, time_remaining_low=time_remaining_low, contact=contact
+    )
 
 
-def _plunges(frame, path):
-    first, side = soft_contact.plunges(frame, path.contact), lax.sign(path.contact)
-    push = frame.force * path.cosine
-    bias = soft_contact.biases(frame, path.contact, path.cosine, path.sine, 0)
-    (bias,) = drive.pushed(frame.terms, frame.frequency, path.cosine, path.sine, bias)
-    sure = is_sure(first, side * path.v, side * (push if bias is None else push + bias))
-    return mask((lax.abs(path.contact) == Contact.ENTERED) & sure & (path.to_go > first.time), path.x)
+def _entry_step_mask(coeffs, path):
+    entry, side = soft_contact.entry_steps(coeffs, path.contact), lax.sign(path.contact)
+    push = coeffs.amplitude * path.cosine
+    extra_force = soft_contact.extra_force_derivs(coeffs, path.contact, path.cosine, path.sine, 0)
+    (extra_force,) = drive.add_term_derivatives(
+        coeffs.drive_terms, coeffs.frequency, path.cosine, path.sine, extra_force
+    )
+    certified = is_certified(entry, side * path.v, side * (push if extra_force is None else push + extra_force))
+    return bit_mask((lax.abs(path.contact) == Contact.ENTERED) & certified & (path.time_remaining > entry.time), path.x)
 
 
-def _turned(frame, path):
-    return flow.turn(path.cosine, path.sine, *soft_contact.plunges(frame, path.contact).angle)
+def _phasor_after_entry(coeffs, path):
+    return flow.rotate(path.cosine, path.sine, *soft_contact.entry_steps(coeffs, path.contact).drive_rotation)
 
 
-def _plunged(frame, path):
-    first = soft_contact.plunges(frame, path.contact)
-    waves = first.terms if first.waves is None else (*first.terms, first.waves)
-    response = soft_contact.StayResponse(first.free, first.forced, waves)
-    return soft_contact.flown(frame, path.contact, response, (path.x, path.v), path.cosine, path.sine)
+def _state_after_entry(coeffs, path):
+    entry = soft_contact.entry_steps(coeffs, path.contact)
+    harmonic_flows = entry.term_flows if entry.wall_flow is None else (*entry.term_flows, entry.wall_flow)
+    response = soft_contact.ContactResponse(entry.free_flow, entry.forced_flow, harmonic_flows)
+    return soft_contact.apply_response(coeffs, path.contact, response, (path.x, path.v), path.cosine, path.sine)
 
 
-def _left(frame, path):
-    return remaining(path, soft_contact.plunges(frame, path.contact).time)
+def _remaining_after_entry(coeffs, path):
+    return subtract_time(path, soft_contact.entry_steps(coeffs, path.contact).time)
 
 
-def is_due(path, wait):
+def is_due(path, wait_count):
     """The lanes that have waited long enough for a long step to be tried."""
-    return (wait >= PATIENCE) & (path.to_go > 0)
+    return (wait_count >= MIN_SHORT_STEPS) & (path.time_remaining > 0)
 
 
-def by_series(frame, path, time):
+def advance_by_series(coeffs, path, time):
     """(y, y') a time later, from the flow's `Series` of each lane."""
-    return stage(_flown, frame, path, time)
+    return stage(_advance_by_series, coeffs, path, time)
 
 
-def leap(frame, path, wait, flown=by_series):
+def take_long_step(coeffs, path, wait_count, advance_lanes=advance_by_series):
     """(path, wait): lanes that wait for a long step have taken it where there is one, and begin to wait anew.
 
-    flown: (frame as the lanes feel it, path, time) -> (y, y') a time later.
+    advance_lanes: (frame as the lanes feel it, path, time) -> (y, y') a time later.
     """
-    here = soft_contact.feeling(frame, path.contact)
-    due = is_due(path, wait)
-    time = choose(due, least(stage(_safe, here, path), path.to_go), 0.0)
-    taken = time > WORTH * here.reach
-    time = choose(taken, time, 0.0)
-    angle = frame.frequency * time
-    turned = stage(flow.turn, path.cosine, path.sine, flow.versine(angle), flow.sinus(angle))
-    x, v = flown(here, path, time)
-    none = lax.full_like(x, 0.0)
-    moved = SlowMotion(x, none, v, none, *turned)
-    moved = SlowMotion(*(choose(taken, new, old) for new, old in zip(moved, path.motion, strict=True)))
-    to_go, low = remaining(path, time)
-    sign = lax.sign(path.contact)
-    after = path._replace(
-        x=choose(taken, x, path.x),
-        x_low=choose(taken, 0.0, path.x_low),
-        v=choose(taken, v, path.v),
-        motion=moved,
-        to_go=choose(taken, positive(to_go), path.to_go),
-        to_go_low=choose(taken, low, path.to_go_low),
-        contact=choose(taken, sign * Contact.WITHIN, path.contact),
+    lane_coeffs = soft_contact.coeffs_by_lane(coeffs, path.contact)
+    due = is_due(path, wait_count)
+    time = choose(due, minimum(stage(_certified_time, lane_coeffs, path), path.time_remaining), 0.0)
+    is_worthwhile = time > MIN_STEP_RATIO * lane_coeffs.max_step
+    time = choose(is_worthwhile, time, 0.0)
+    angle = coeffs.frequency * time
+    phasor = stage(flow.rotate, path.cosine, path.sine, flow.cos_less_1(angle), flow.sin_by_series(angle))
+    x, v = advance_lanes(lane_coeffs, path, time)
+    zero = lax.full_like(x, 0.0)
+    next_motion = SlowMotion(x, zero, v, zero, *phasor)
+    next_motion = SlowMotion(
+        *(choose(is_worthwhile, next_value, value) for next_value, value in zip(next_motion, path.motion, strict=True))
     )
-    return after, choose(due, 0.0, wait)
+    time_remaining, time_remaining_low = subtract_time(path, time)
+    side = lax.sign(path.contact)
+    next_path = path._replace(
+        x=choose(is_worthwhile, x, path.x),
+        x_low=choose(is_worthwhile, 0.0, path.x_low),
+        v=choose(is_worthwhile, v, path.v),
+        motion=next_motion,
+        time_remaining=choose(is_worthwhile, positive_part(time_remaining), path.time_remaining),
+        time_remaining_low=choose(is_worthwhile, time_remaining_low, path.time_remaining_low),
+        contact=choose(is_worthwhile, side * Contact.WITHIN, path.contact),
+    )
+    return next_path, choose(due, 0.0, wait_count)
 
 
-def _safe(frame, path):
+def _certified_time(coeffs, path):
     """A time for which the mass certainly stays within its wall; 0 where that cannot be said, as where swings grow
     (with time reversed)."""
-    parts = _forced(frame, path.contact, path.cosine, path.sine)
-    stiffness, damping, side = frame.stiffness, frame.damping, lax.sign(path.contact)
-    place, pace = (sum(each) for each in zip(*(part.values(2) for part in parts), strict=True))
-    w, u = path.x - place, path.v - pace
-    inner = damping * damping - stiffness
-    creeps = damping * damping > OVERDAMPED * stiffness
-    swift = damping + lax.sqrt(choose(creeps, inner, 0.0))
-    creep = choose(creeps, stiffness / swift, 0.0)
-    gone = (u + creep * w) / choose(creeps, creep - swift, -1.0)
-    kept = choose(creeps, w - gone, 0.0)
-    bound = choose(creeps, lax.abs(gone), lax.sqrt(w * w + u * u / stiffness))
-    parts = [*parts, Creep(kept, creep)]
-    pace = creep
+    parts = _forced_parts(coeffs, path.contact, path.cosine, path.sine)
+    stiffness, damping, side = coeffs.stiffness, coeffs.damping, lax.sign(path.contact)
+    slow_y, max_rate = (sum(values) for values in zip(*(part.values(2) for part in parts), strict=True))
+    fast_y, fast_v = path.x - slow_y, path.v - max_rate
+    discriminant = damping * damping - stiffness
+    overdamped = damping * damping > OVERDAMPED_RATIO * stiffness
+    fast_decay_rate = damping + lax.sqrt(choose(overdamped, discriminant, 0.0))
+    slow_decay_rate = choose(overdamped, stiffness / fast_decay_rate, 0.0)
+    fast_decay = (fast_v + slow_decay_rate * fast_y) / choose(overdamped, slow_decay_rate - fast_decay_rate, -1.0)
+    slow_decay = choose(overdamped, fast_y - fast_decay, 0.0)
+    fast_bound = choose(overdamped, lax.abs(fast_decay), lax.sqrt(fast_y * fast_y + fast_v * fast_v / stiffness))
+    parts = [*parts, DecayPart(slow_decay, slow_decay_rate)]
+    max_rate = slow_decay_rate
     for part in parts[:-1]:
-        pace = choose(part.rate > pace, part.rate, pace)
-    reach = flow.STEP / pace
-    weights = event.weights(reach)
-    slow = [sum(each) for each in zip(*(part.values(event.TERMS) for part in parts), strict=True)]
-    terms = [-(side * each) * weight for each, weight in zip(slow, weights, strict=False)]
-    terms[0] = terms[0] + bound
-    remainder = sum(part.size * part.rate**event.TERMS for part in parts) * weights[event.TERMS]
-    ahead = event.Progress(tuple(terms), remainder)
-    limit = event.bound(ahead, event.cubic(ahead))
-    near = event.free_step(limit)
-    step = event.sure_step(limit, event.horizon(limit, event.quadratic(*limit[:3])), near)
-    stiff = stiffness > STIFF * pace * pace
-    return choose((terms[0] < 0) & stiff & (damping >= 0), step * reach, 0.0)
+        max_rate = choose(part.rate > max_rate, part.rate, max_rate)
+    max_step = flow.MAX_SCALED_STEP / max_rate
+    weights = event.taylor_weights(max_step)
+    slow_derivs = [sum(values) for values in zip(*(part.values(event.N_TERMS) for part in parts), strict=True)]
+    terms = [-(side * values) * weight for values, weight in zip(slow_derivs, weights, strict=False)]
+    terms[0] = terms[0] + fast_bound
+    remainder = sum(part.size * part.rate**event.N_TERMS for part in parts) * weights[event.N_TERMS]
+    progress = event.Progress(tuple(terms), remainder)
+    progress_bound = event.bound_progress(progress, event.cubic_bound(progress))
+    safe_step = event.safe_step(progress_bound)
+    certified_step = event.safe_horizon_step(
+        progress_bound,
+        event.bounding_horizon(progress_bound, event.first_quadratic_root(*progress_bound[:3])),
+        safe_step,
+    )
+    is_stiff = stiffness > MIN_STIFFNESS_RATIO * max_rate * max_rate
+    return choose((terms[0] < 0) & is_stiff & (damping >= 0), certified_step * max_step, 0.0)
 
 
-def _flown(frame, path, time):
+def _advance_by_series(coeffs, path, time):
     """(y, y') a time later, the flow's short step doubled."""
-    response = soft_contact.response(frame, path.contact, time)
-    return soft_contact.flown(frame, path.contact, response, (path.x, path.v), path.cosine, path.sine)
+    response = soft_contact.contact_response(coeffs, path.contact, time)
+    return soft_contact.apply_response(coeffs, path.contact, response, (path.x, path.v), path.cosine, path.sine)
 
 
-def _forced(frame, touch, cosine, sine):
-    """The `Wave`s that drive and wall force on y; frame: as the lanes feel it. Of no use where they resonate."""
-    none = 0.0 * cosine
-    waves = [(frame.force * cosine, frame.force * sine, frame.frequency + none)]
-    waves += soft_contact.forces(frame, touch, cosine, sine)
-    found = []
-    for along, across, rate in waves:
-        lag, away = 2.0 * frame.damping * rate, frame.stiffness - rate * rate
-        size = away * away + lag * lag
-        found.append(Wave((along * away + across * lag) / size, (across * away - along * lag) / size, rate))
-    place, _ = soft_contact.rested(frame, touch, cosine, -1.0, none)
-    return [Wave(place, none, none), *found]
+def _forced_parts(coeffs, contact, cosine, sine):
+    """The `HarmonicPart`s that drive and wall force on y; coeffs: as the lanes feel it. Of no use where they
+    resonate."""
+    zero = 0.0 * cosine
+    forces = [(coeffs.amplitude * cosine, coeffs.amplitude * sine, coeffs.frequency + zero)]
+    forces += soft_contact.harmonic_forces(coeffs, contact, cosine, sine)
+    parts = []
+    for force_cos, force_sin, angular_rate in forces:
+        drag, detuning = 2.0 * coeffs.damping * angular_rate, coeffs.stiffness - angular_rate * angular_rate
+        denominator = detuning * detuning + drag * drag
+        parts.append(
+            HarmonicPart(
+                (force_cos * detuning + force_sin * drag) / denominator,
+                (force_sin * detuning - force_cos * drag) / denominator,
+                angular_rate,
+            )
+        )
+    mean_position, _ = soft_contact.mean_position_increments(coeffs, contact, cosine, -1.0, zero)
+    return [HarmonicPart(mean_position, zero, zero), *parts]

@@ -11,95 +11,113 @@ from jax import lax
 from ..compiled.compiler_hints import choose
 from . import flow, soft_contact
 
-DEGREE = flow.ORDER
+DEGREE = flow.SERIES_ORDER
 POWERS = tuple(range(DEGREE + 1))
 
 
-def table(frame, touch):
+def polynomial_basis(coeffs, contact):
     """What each part of the motion adds to the polynomial of each lane, (DEGREE + 1, *lanes) each: y, the flow's
-    `Series`, and those of the `soft_contact.forces`; frame: as the lanes feel it."""
-    soft = [each for each in frame.contacts if each is not None]
-    moving = soft_contact.moves(frame)
-    tables = [_rows(each, moving, touch.ndim) for each in soft]
-    found = tables[0] if len(tables) == 1 else [jnp.where(touch < 0, *each) for each in zip(*tables, strict=True)]
-    scales = powers(lax.stop_gradient(frame.reach))
-    return [each * scales for each in found]
+    `Series`, and those of the `soft_contact.forces`; coeffs: as the lanes feel it."""
+    soft_flows = [part for part in coeffs.soft_flows if part is not None]
+    has_moving_wall = soft_contact.has_moving_soft_wall(coeffs)
+    bases = [_wall_basis(part, has_moving_wall, contact.ndim) for part in soft_flows]
+    basis = bases[0] if len(bases) == 1 else [jnp.where(contact < 0, *part) for part in zip(*bases, strict=True)]
+    step_powers = powers(lax.stop_gradient(coeffs.max_step))
+    return [part * step_powers for part in basis]
 
 
-def _rows(soft, moving, lanes):
+def _wall_basis(soft_flow, has_moving_wall, n_lane_axes):
     """The same of one wall in powers of the time itself, for lanes of so many axes."""
-    still = [soft.series.stay, soft.series.move, soft.series.lift, soft.series.lag]
-    more = [jnp.zeros_like(each) for each in still[2:]] if soft.waves is None else [soft.waves.lift, soft.waves.lag]
-    terms = [rows for term in soft.terms for rows in (term.lift, term.lag)]
-    parts = [jnp.ones_like(still[0][:1]), *still, *terms, *(more if moving else [])]
-    firsts = (0, 2, 1, *(2, 3) * (len(parts) // 2 - 1))
+    flow_rows = [
+        soft_flow.series.p00_minus_1,
+        soft_flow.series.p01,
+        soft_flow.series.cos_response,
+        soft_flow.series.sin_response,
+    ]
+    wall_rows = (
+        [jnp.zeros_like(array) for array in flow_rows[2:]]
+        if soft_flow.wall_series is None
+        else [soft_flow.wall_series.cos_response, soft_flow.wall_series.sin_response]
+    )
+    term_rows = [rows for series in soft_flow.term_series for rows in (series.cos_response, series.sin_response)]
+    parts = [jnp.ones_like(flow_rows[0][:1]), *flow_rows, *term_rows, *(wall_rows if has_moving_wall else [])]
+    first_powers = (0, 2, 1, *(2, 3) * (len(parts) // 2 - 1))
     rows = []
-    for part, first in zip(parts, firsts, strict=True):
-        around = [(first, DEGREE + 1 - first - len(part))] + [(0, 0)] * (part.ndim - 1)
-        rows.append(jnp.pad(part, around))
-    return [each.reshape(*each.shape, *[1] * (lanes + 1 - each.ndim)) for each in rows]
+    for part, first_power in zip(parts, first_powers, strict=True):
+        padding = [(first_power, DEGREE + 1 - first_power - len(part))] + [(0, 0)] * (part.ndim - 1)
+        rows.append(jnp.pad(part, padding))
+    return [array.reshape(*array.shape, *[1] * (n_lane_axes + 1 - array.ndim)) for array in rows]
 
 
-def coefficients(frame, touch, table, y, v, cosine, sine):
+def coefficients(coeffs, contact, basis, y, v, cosine, sine):
     """The polynomial's, (DEGREE + 1, *lanes), from y and y' on."""
-    place, _ = soft_contact.rested(frame, touch, cosine, 1.0, 0.0 * cosine)
-    parts = [y, y + place, v, frame.force * cosine, -(frame.force * sine)]
-    for along, across, _ in soft_contact.forces(frame, touch, cosine, sine):
-        parts += [along, -across]
-    return sum(part * row for part, row in zip(parts, table, strict=True))
+    wall_position, _ = soft_contact.mean_position_increments(coeffs, contact, cosine, 1.0, 0.0 * cosine)
+    parts = [y, y + wall_position, v, coeffs.amplitude * cosine, -(coeffs.amplitude * sine)]
+    for force_cos, force_sin, _ in soft_contact.harmonic_forces(coeffs, contact, cosine, sine):
+        parts += [force_cos, -force_sin]
+    return sum(part * row for part, row in zip(parts, basis, strict=True))
 
 
-def powers(share):
+def powers(step_fraction):
     """1, s, s^2, ..., s^DEGREE, first axis."""
-    found, factor = jnp.stack([jnp.ones_like(share), share]), share * share
-    while len(found) <= DEGREE:
-        found, factor = jnp.concatenate([found, found * factor]), factor * factor
-    return found[: DEGREE + 1]
+    rows, factor = jnp.stack([jnp.ones_like(step_fraction), step_fraction]), step_fraction * step_fraction
+    while len(rows) <= DEGREE:
+        rows, factor = jnp.concatenate([rows, rows * factor]), factor * factor
+    return rows[: DEGREE + 1]
 
 
-def total(terms, axis=0):
+def sum_along_axis(terms, axis=0):
     """The sum along an axis, as the last of running sums: of many lanes the emitter of a whole loop as one kernel
     has no other over an axis that is not theirs."""
     return lax.index_in_dim(lax.cumsum(terms, axis), -1, axis, keepdims=False)
 
 
-def value(coefficients, powers):
+def evaluate(coefficients, powers):
     """Of a polynomial where s has these powers."""
-    return total(coefficients * powers[: len(coefficients)])
+    return sum_along_axis(coefficients * powers[: len(coefficients)])
 
 
-def slope(coefficients):
+def differentiate(coefficients):
     """The coefficients of its derivative by s."""
-    order = jnp.asarray(POWERS[1 : len(coefficients)], coefficients.dtype)
-    return coefficients[1:] * order.reshape(-1, *[1] * (coefficients.ndim - 1))
+    exponents = jnp.asarray(POWERS[1 : len(coefficients)], coefficients.dtype)
+    return coefficients[1:] * exponents.reshape(-1, *[1] * (coefficients.ndim - 1))
 
 
-def response(frame, touch, table, time):
+def contact_response(coeffs, contact, basis, time):
     """The `soft_contact.StayResponse` of each lane over any time, a constant, by steps that are doubled."""
-    reach = lax.stop_gradient(frame.reach)
-    count = jnp.maximum(jnp.ceil(jnp.log2(lax.stop_gradient(time) / reach)), 0.0)
-    step = time * jnp.exp2(-count)
-    places = powers(step / reach)
-    _, stay, move, lift, lag, *more = (value(row, places) for row in table)
-    free = 1.0 + stay, move, 1.0 + stay - 2.0 * frame.damping * move
-    rates = [rate for *_, rate in soft_contact.forces(frame, touch, 0.0 * time, 0.0 * time)]
-    waves = [(lift, lag, frame.frequency + 0.0 * time)]
-    waves += zip(more[::2], more[1::2], rates, strict=True)
-    forced = [(((u, move - rate * w), (w, rate * u)), _turn(rate * step)) for u, w, rate in waves]
+    max_step = lax.stop_gradient(coeffs.max_step)
+    n_doublings = jnp.maximum(jnp.ceil(jnp.log2(lax.stop_gradient(time) / max_step)), 0.0)
+    step = time * jnp.exp2(-n_doublings)
+    step_powers = powers(step / max_step)
+    _, p00_minus_1, p01, cos_response, sin_response, *harmonic_responses = (evaluate(row, step_powers) for row in basis)
+    free_flow = 1.0 + p00_minus_1, p01, 1.0 + p00_minus_1 - 2.0 * coeffs.damping * p01
+    angular_rates = [
+        angular_rate for *_, angular_rate in soft_contact.harmonic_forces(coeffs, contact, 0.0 * time, 0.0 * time)
+    ]
+    responses = [(cos_response, sin_response, coeffs.frequency + 0.0 * time)]
+    responses += zip(harmonic_responses[::2], harmonic_responses[1::2], angular_rates, strict=True)
+    forced_flows = [
+        (((x_cos, p01 - angular_rate * x_sin), (x_sin, angular_rate * x_cos)), _rotation(angular_rate * step))
+        for x_cos, x_sin, angular_rate in responses
+    ]
 
     def double(carry):
-        left, *now = carry
-        free, *forced = now
-        new = [flow.twice(frame.stiffness, free, *each) for each in forced]
-        new = [new[0][0], *(each[1:] for each in new)]
-        return left - 1.0, *jax.tree.map(lambda new, old: choose(left > 0, new, old), new, now)
+        n_remaining, *flows = carry
+        free_flow, *forced_flows = flows
+        next_flows = [flow.double_responses(coeffs.stiffness, free_flow, *flow_pair) for flow_pair in forced_flows]
+        next_flows = [next_flows[0][0], *(flow_pair[1:] for flow_pair in next_flows)]
+        return n_remaining - 1.0, *jax.tree.map(
+            lambda next_value, value: choose(n_remaining > 0, next_value, value), next_flows, flows
+        )
 
-    start = (count, free, *forced)
-    _, free, *forced = lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double, start)
-    return soft_contact.StayResponse(free, forced[0][0], tuple(each for each, _ in forced[1:]))
+    start = (n_doublings, free_flow, *forced_flows)
+    _, free_flow, *forced_flows = lax.while_loop(lambda carry: jnp.any(carry[0] > 0), double, start)
+    return soft_contact.ContactResponse(
+        free_flow, forced_flows[0][0], tuple(forced_flow for forced_flow, _ in forced_flows[1:])
+    )
 
 
-def _turn(angle):
+def _rotation(angle):
     """(cos - 1, sin) of an angle."""
-    half = jnp.sin(0.5 * angle)
-    return -2.0 * half * half, jnp.sin(angle)
+    half_sine = jnp.sin(0.5 * angle)
+    return -2.0 * half_sine * half_sine, jnp.sin(angle)

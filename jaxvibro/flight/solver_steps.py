@@ -20,29 +20,43 @@ import optimistix
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, least, most
+from ..compiled.compiler_hints import choose, maximum, minimum
 from ..scene.force import Force
 from . import drive, event, flow
-from .taylor_steps import STEADY, Ahead, Press, as_derivatives, local_size, remainder, scale
-from .wall import course
+from .taylor_steps import (
+    MAX_REMAINDER_SHARE,
+    ContactForceJet,
+    FlightSeries,
+    as_derivatives,
+    error_bound,
+    error_scale,
+    step_displacement,
+)
+from .wall_motion import wall_jet
 
-TRIES = 60  # of a step: each that fails is shorter than the last
-SHORTEST, LONGEST = 0.05, 0.8  # of the last try
-SAFETY = 0.9
-CONVERGENCE = 1.5  # least order at which error / motion decreases with the step; rounding errors have order 0 or 1
-ROUNDINGS = 64.0  # of x; smaller errors are always accepted
-SHORTER = 0.3  # of the last step at which the press on a wall was looked at
-SMOOTH = 24.0  # of the polynomial's error, see above
-EXACT = 4  # the last derivative of x that is taken from the force, by its own derivatives
-PLACES = 0.5 * (1.0 - np.cos(np.pi * np.arange(1, event.TERMS + 1) / event.TERMS))  # of a step, Chebyshev's
-SHARES = np.linalg.inv(np.vander(PLACES, increasing=True))  # of the values there in a polynomial's coefficients
-FROM_ERROR = diffrax.with_stepsize_controller_tols(diffrax.VeryChord)().rtol  # stands for a tolerance
+MAX_TRIALS = 60  # of a step: each that fails is shorter than the last
+MIN_SHRINK, MAX_SHRINK = 0.05, 0.8  # of the last try
+SAFETY_FACTOR = 0.9
+MIN_CONVERGENCE_ORDER = (
+    1.5  # least order at which error / motion decreases with the step; rounding errors have order 0 or 1
+)
+ROUNDING_UNITS = 64.0  # of x; smaller errors are always accepted
+PRESS_SHRINK = 0.3  # of the last step at which the press on a wall was looked at
+POLYNOMIAL_ERROR_RATIO = 24.0  # of the polynomial's error, see above
+MAX_EXACT_ORDER = 4  # the last derivative of x that is taken from the force, by its own derivatives
+CHEBYSHEV_NODES = 0.5 * (
+    1.0 - np.cos(np.pi * np.arange(1, event.N_TERMS + 1) / event.N_TERMS)
+)  # of a step, Chebyshev's
+INVERSE_VANDERMONDE = np.linalg.inv(
+    np.vander(CHEBYSHEV_NODES, increasing=True)
+)  # of the values there in a polynomial's coefficients
+TOLERANCE_SENTINEL = diffrax.with_stepsize_controller_tols(diffrax.VeryChord)().rtol  # stands for a tolerance
 
 
 Matrix = Float[jax.Array, "2 2"]
 
 
-class Cramer(lx.AbstractLinearSolver):
+class CramerSolver(lx.AbstractLinearSolver):
     """Solves the two linear equations of a step by Cramer's rule: what LAPACK does has no place within a kernel."""
 
     def init(self, operator: lx.AbstractLinearOperator, options: dict[str, Any]) -> Matrix:
@@ -67,223 +81,276 @@ class Cramer(lx.AbstractLinearSolver):
 
 
 @lru_cache(64)
-def _ready(solver, tolerance):
+def _configure_solver(solver, tolerance):
     """A solver that can be differentiated forward, its equations solved to a tolerance."""
     if getattr(solver, "scan_kind", "") is None:
-        solver = eqx.tree_at(lambda one: one.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None)
+        solver = eqx.tree_at(lambda tree: tree.scan_kind, solver, "lax", is_leaf=lambda leaf: leaf is None)
     if isinstance(solver, diffrax.AbstractImplicitSolver):
         for name, value in (("rtol", tolerance), ("atol", tolerance), ("norm", optimistix.max_norm)):
-            if getattr(solver.root_finder, name) is FROM_ERROR:
-                solver = eqx.tree_at(lambda one, name=name: getattr(one.root_finder, name), solver, value)
+            if getattr(solver.root_finder, name) is TOLERANCE_SENTINEL:
+                solver = eqx.tree_at(lambda tree, name=name: getattr(tree.root_finder, name), solver, value)
         if isinstance(getattr(solver.root_finder, "linear_solver", None), lx.AutoLinearSolver):
-            solver = eqx.tree_at(lambda one: one.root_finder.linear_solver, solver, Cramer())
+            solver = eqx.tree_at(lambda tree: tree.root_finder.linear_solver, solver, CramerSolver())
     return solver
 
 
-class Lane(NamedTuple):
+class LaneForce(NamedTuple):
     """Force and drive of one lane or of several; the drive is as in `coefficients.Frame`."""
 
-    law: Force
+    force_law: Force
     frequency: Float[jax.Array, "..."]
-    force: Float[jax.Array, "..."]
-    terms: tuple[drive.Term, ...]
+    amplitude: Float[jax.Array, "..."]
+    drive_terms: tuple[drive.DriveTerm, ...]
 
 
-def _lanes(function, frame, *given):
+def _map_lanes(function, coeffs, *arguments):
     """function(lane, *given), of one state, for each lane."""
-    own, tree = jax.tree.flatten(Lane(frame.law, frame.frequency, frame.force, frame.terms))
-    count, form = len(own), []
+    force_leaves, treedef = jax.tree.flatten(
+        LaneForce(coeffs.force_law, coeffs.frequency, coeffs.amplitude, coeffs.drive_terms)
+    )
+    n_leaves, result_treedef = len(force_leaves), []
 
-    def single(*every):
-        leaves, found = jax.tree.flatten(function(tree.unflatten(every[:count]), *every[count:]))
-        form[:] = [found]
+    def call_for_lane(*operands):
+        leaves, treedef_of_result = jax.tree.flatten(
+            function(treedef.unflatten(operands[:n_leaves]), *operands[n_leaves:])
+        )
+        result_treedef[:] = [treedef_of_result]
         return tuple(leaves)  # all that vectorize takes of lanes with axes of one
 
-    leaves = jnp.vectorize(single)(*own, *given)
-    return form[0].unflatten(leaves)
+    leaves = jnp.vectorize(call_for_lane)(*force_leaves, *arguments)
+    return result_treedef[0].unflatten(leaves)
 
 
-def _acceleration(lane, cosine, sine, late, x, v):
+def _acceleration(lane_force, cosine, sine, delay, x, v):
     """The acceleration a time after the drive was at this cosine and sine."""
-    law, frequency, force, terms = lane
-    c, s = flow.rotated(cosine, sine, frequency * late)
-    pull = law.function(lax.atan2(sine, cosine) / frequency + late, x, v, law.numbers) + force * c
-    return pull + sum(along for along, _, _ in drive.waves(terms, frequency, c, s))
+    force_law, frequency, amplitude, drive_terms = lane_force
+    c, s = flow.rotate_by_angle(cosine, sine, frequency * delay)
+    acceleration = (
+        force_law.function(lax.atan2(sine, cosine) / frequency + delay, x, v, force_law.numbers) + amplitude * c
+    )
+    return acceleration + sum(force_cos for force_cos, _, _ in drive.term_forces(drive_terms, frequency, c, s))
 
 
-def _step(lane, x, v, cosine, sine, size, time):
+def _solver_step(lane_force, x, v, cosine, sine, length_scale, step):
     """(x, v after a step, the acceleration there, the estimated error over the size)."""
-    solver = _ready(lane.law.solver, lane.law.tolerance)
+    solver = _configure_solver(lane_force.force_law.solver, lane_force.force_law.tolerance)
 
-    def field(late, y, _):
-        x, v = size * y[0], size * y[1]
-        return jnp.stack([v, _acceleration(lane, cosine, sine, late, x, v)]) / size
+    def vector_field(delay, y, _):
+        x, v = length_scale * y[0], length_scale * y[1]
+        return jnp.stack([v, _acceleration(lane_force, cosine, sine, delay, x, v)]) / length_scale
 
-    term, start = diffrax.ODETerm(field), jnp.stack([x, v]) / size
-    none = jnp.zeros_like(time)
-    state = solver.init(term, none, time, start, None)
-    end, error, _, _, result = solver.step(term, none, time, start, None, state, made_jump=False)
-    right = result == diffrax.RESULTS.successful
-    error = jnp.where(right, jnp.max(jnp.abs(error)), jnp.inf)
-    x, v = size * end[0], size * end[1]
-    return x, v, _acceleration(lane, cosine, sine, time, x, v), error
+    term, start = diffrax.ODETerm(vector_field), jnp.stack([x, v]) / length_scale
+    zero = jnp.zeros_like(step)
+    state = solver.init(term, zero, step, start, None)
+    end, error, _, _, result = solver.step(term, zero, step, start, None, state, made_jump=False)
+    success = result == diffrax.RESULTS.successful
+    error = jnp.where(success, jnp.max(jnp.abs(error)), jnp.inf)
+    x, v = length_scale * end[0], length_scale * end[1]
+    return x, v, _acceleration(lane_force, cosine, sine, step, x, v), error
 
 
-def ahead(frame, x, v, cosine, sine):
+def flight_series(coeffs, x, v, cosine, sine):
     """The `taylor_steps.Ahead` of lanes, a constant for derivatives."""
-    frame, x, v, cosine, sine = lax.stop_gradient((frame, x, v, cosine, sine))
-    pull = _pull(frame, x, v, cosine, sine)
-    size = scale(frame, x, v, pull)
-    return Ahead(*_lanes(_searched, frame, x, v, cosine, sine, pull, size, frame.reach + 0.0 * x))
+    coeffs, x, v, cosine, sine = lax.stop_gradient((coeffs, x, v, cosine, sine))
+    acceleration = _lane_acceleration(coeffs, x, v, cosine, sine)
+    length_scale = error_scale(coeffs, x, v, acceleration)
+    return FlightSeries(
+        *_map_lanes(_select_step, coeffs, x, v, cosine, sine, acceleration, length_scale, coeffs.max_step + 0.0 * x)
+    )
 
 
-def _pull(frame, x, v, cosine, sine):
+def _lane_acceleration(coeffs, x, v, cosine, sine):
     """The acceleration of lanes."""
-    return _lanes(_acceleration, frame, cosine, sine, jnp.zeros_like(x), x, v)
+    return _map_lanes(_acceleration, coeffs, cosine, sine, jnp.zeros_like(x), x, v)
 
 
-def stiffening(frame, x, v, cosine, sine):
+def force_gradient(coeffs, x, v, cosine, sine):
     """How fast the force grows with x."""
 
-    def single(lane, x, v, cosine, sine):
-        pull = partial(_acceleration, lane, cosine, sine, jnp.zeros_like(x))
-        return jax.jvp(lambda x: pull(x, v), (x,), (jnp.ones_like(x),))[1]
+    def lane_gradient(lane_force, x, v, cosine, sine):
+        acceleration = partial(_acceleration, lane_force, cosine, sine, jnp.zeros_like(x))
+        return jax.jvp(lambda x: acceleration(x, v), (x,), (jnp.ones_like(x),))[1]
 
-    return _lanes(single, frame, x, v, cosine, sine)
+    return _map_lanes(lane_gradient, coeffs, x, v, cosine, sine)
 
 
-def _searched(lane, x, v, cosine, sine, pull, size, longest):
+def _select_step(lane_force, x, v, cosine, sine, acceleration, length_scale, max_step):
     """Select the step length of one lane; return (terms, length, remainder), see `taylor_steps.Ahead`.
 
     The error of an accepted step is at most `tolerance * size`. Steps are shortened further until the error is also at
     most `sqrt(tolerance)` times the motion, so that small motions keep half of the digits. This ends where a shorter
     step does not reduce the error: then rounding dominates, or the residual of an implicit solver's equations.
     """
-    law, pull_at = lane.law, partial(_acceleration, lane, cosine, sine)
-    power = -1.0 / min(_ready(law.solver, law.tolerance).order(None), 5)
-    largest, share = law.tolerance * size, math.sqrt(law.tolerance)
-    rounding = ROUNDINGS * float(jnp.finfo(x.dtype).eps) * jnp.abs(x) + event.smallest(x.dtype)
+    force_law, acceleration_at = lane_force.force_law, partial(_acceleration, lane_force, cosine, sine)
+    exponent = -1.0 / min(_configure_solver(force_law.solver, force_law.tolerance).order(None), 5)
+    max_error, relative_tolerance = force_law.tolerance * length_scale, math.sqrt(force_law.tolerance)
+    rounding_error = ROUNDING_UNITS * float(jnp.finfo(x.dtype).eps) * jnp.abs(x) + event.smallest_length(x.dtype)
 
-    def attempt(time):
+    def try_step(step):
         """Return (terms, error, error / allowed error) of a step."""
-        end, speed, last, error = _step(lane, x, v, cosine, sine, size, time)
-        terms = quintic(x, v, pull, end, speed, last, time)
-        half = 0.5 * time
-        there, pace = event.horner(terms, half)
-        bend = event.horner([k * term for k, term in enumerate(terms)][1:], half)[1]
-        pulled, drag = jax.jvp(partial(pull_at, half, there), (pace,), (jnp.ones_like(pace),))
-        between = time * time * jnp.abs(bend - pulled) / (SMOOTH + time * jnp.abs(drag))
-        error = jnp.maximum(size * error, between)
+        end_x, end_v, end_acceleration, error = _solver_step(lane_force, x, v, cosine, sine, length_scale, step)
+        terms = quintic_coefficients(x, v, acceleration, end_x, end_v, end_acceleration, step)
+        half_step = 0.5 * step
+        mid_x, mid_v = event.horner_with_slope(terms, half_step)
+        mid_acceleration = event.horner_with_slope([k * term for k, term in enumerate(terms)][1:], half_step)[1]
+        exact_acceleration, damping_rate = jax.jvp(
+            partial(acceleration_at, half_step, mid_x), (mid_v,), (jnp.ones_like(mid_v),)
+        )
+        interpolation_error = (
+            step
+            * step
+            * jnp.abs(mid_acceleration - exact_acceleration)
+            / (POLYNOMIAL_ERROR_RATIO + step * jnp.abs(damping_rate))
+        )
+        error = jnp.maximum(length_scale * error, interpolation_error)
         error = jnp.where(jnp.isnan(error), jnp.inf, error)
-        own = most(local_size(v, pull, time), most(jnp.abs(end - x), time * jnp.abs(speed)))
-        allowed = least(largest, most(share * own, rounding))
-        return tuple(terms), error, error / allowed
+        displacement = maximum(
+            step_displacement(v, acceleration, step), maximum(jnp.abs(end_x - x), step * jnp.abs(end_v))
+        )
+        allowed_error = minimum(max_error, maximum(relative_tolerance * displacement, rounding_error))
+        return tuple(terms), error, error / allowed_error
 
-    def shorter(carry):
-        time, terms, error, ratio, count, _ = carry
-        next_time = time * jnp.clip(SAFETY * ratio**power, SHORTEST, LONGEST)
-        next_terms, next_error, next_ratio = attempt(next_time)
-        stalled = (error <= largest) & ~(next_ratio < ratio * (next_time / time) ** CONVERGENCE)
-        current, following = (time, terms, error, ratio), (next_time, next_terms, next_error, next_ratio)
-        return *jax.tree.map(partial(choose, stalled), current, following), count + 1, stalled
+    def shorten(carry):
+        step, terms, error, error_ratio, n_trials, _ = carry
+        next_step = step * jnp.clip(SAFETY_FACTOR * error_ratio**exponent, MIN_SHRINK, MAX_SHRINK)
+        next_terms, next_error, next_error_ratio = try_step(next_step)
+        no_progress = (error <= max_error) & ~(
+            next_error_ratio < error_ratio * (next_step / step) ** MIN_CONVERGENCE_ORDER
+        )
+        values, next_values = (step, terms, error, error_ratio), (next_step, next_terms, next_error, next_error_ratio)
+        return *jax.tree.map(partial(choose, no_progress), values, next_values), n_trials + 1, no_progress
 
-    def goes_on(carry):
-        *_, ratio, count, stalled = carry
-        return (ratio > 1.0) & (count < TRIES) & ~stalled
+    def is_unfinished(carry):
+        *_, error_ratio, n_trials, no_progress = carry
+        return (error_ratio > 1.0) & (n_trials < MAX_TRIALS) & ~no_progress
 
-    start = (longest, *attempt(longest), jnp.int32(0), jnp.zeros(x.shape, bool))
-    time, terms, error, *_ = lax.while_loop(goes_on, shorter, start)
-    none, rest = jnp.zeros_like(time), remainder(local_size(v, pull, time), error, size, law.tolerance)
-    return [*terms, *[none] * (event.TERMS + 3 - len(terms))], time, rest
+    initial_carry = (max_step, *try_step(max_step), jnp.int32(0), jnp.zeros(x.shape, bool))
+    step, terms, error, *_ = lax.while_loop(is_unfinished, shorten, initial_carry)
+    zero, remainder_bound = (
+        jnp.zeros_like(step),
+        error_bound(step_displacement(v, acceleration, step), error, length_scale, force_law.tolerance),
+    )
+    return [*terms, *[zero] * (event.N_TERMS + 3 - len(terms))], step, remainder_bound
 
 
-def quintic(x, v, pull, end, speed, last, time):
+def quintic_coefficients(x, v, acceleration, end_x, end_v, end_acceleration, step):
     """The coefficients, from the constant on, of the polynomial with this x, v and acceleration at 0 and at a time."""
-    gap = (end - x) - time * (v + 0.5 * time * pull)
-    rise = time * ((speed - v) - time * pull)
-    bend = time * time * (last - pull)
-    cubic, quartic = 10.0 * gap - 4.0 * rise + 0.5 * bend, 7.0 * rise - 15.0 * gap - bend
-    return x, v, 0.5 * pull, cubic / time**3, quartic / time**4, (6.0 * gap - 3.0 * rise + 0.5 * bend) / time**5
+    x_defect = (end_x - x) - step * (v + 0.5 * step * acceleration)
+    v_defect = step * ((end_v - v) - step * acceleration)
+    acceleration_defect = step * step * (end_acceleration - acceleration)
+    cubic, quartic = (
+        10.0 * x_defect - 4.0 * v_defect + 0.5 * acceleration_defect,
+        7.0 * v_defect - 15.0 * x_defect - acceleration_defect,
+    )
+    return (
+        x,
+        v,
+        0.5 * acceleration,
+        cubic / step**3,
+        quartic / step**4,
+        (6.0 * x_defect - 3.0 * v_defect + 0.5 * acceleration_defect) / step**5,
+    )
 
 
-def gained(frame, x, v, cosine, sine, time, terms=None):
+def step_increments(coeffs, x, v, cosine, sine, step, terms=None):
     """(what x gains, what v gains) by a step of the solver."""
-    size = lax.stop_gradient(scale(frame, x, v, _pull(frame, x, v, cosine, sine)))
+    length_scale = lax.stop_gradient(error_scale(coeffs, x, v, _lane_acceleration(coeffs, x, v, cosine, sine)))
 
-    def single(lane, x, v, cosine, sine, size, time):
-        end, speed, _, _ = _step(lane, x, v, cosine, sine, size, time)
-        return end - x, speed - v
+    def lane_increments(lane_force, x, v, cosine, sine, length_scale, step):
+        end_x, end_v, _, _ = _solver_step(lane_force, x, v, cosine, sine, length_scale, step)
+        return end_x - x, end_v - v
 
-    return _lanes(single, frame, x, v, cosine, sine, size, time)
+    return _map_lanes(lane_increments, coeffs, x, v, cosine, sine, length_scale, step)
 
 
-def derivatives(frame, x, v, cosine, sine, order):
+def derivatives(coeffs, x, v, cosine, sine, order):
     """x and its derivatives up to an order: beyond some those of a step's polynomial."""
-    count = min(order, EXACT) - 1
-    found = [x, v, *_lanes(partial(_rates, count=count), frame, x, v, cosine, sine)]
-    if order > EXACT:
-        found += as_derivatives(ahead(frame, x, v, cosine, sine).terms)[EXACT + 1 : order + 1]
-    return found
+    n_exact = min(order, MAX_EXACT_ORDER) - 1
+    jet = [x, v, *_map_lanes(partial(_acceleration_jet, n_derivatives=n_exact), coeffs, x, v, cosine, sine)]
+    if order > MAX_EXACT_ORDER:
+        jet += as_derivatives(flight_series(coeffs, x, v, cosine, sine).terms)[MAX_EXACT_ORDER + 1 : order + 1]
+    return jet
 
 
-def _rates(lane, x, v, cosine, sine, count):
+def _acceleration_jet(lane_force, x, v, cosine, sine, n_derivatives):
     """The acceleration and its first derivatives along the motion, so many in all."""
-    pull = partial(_acceleration, lane, cosine, sine)
+    acceleration = partial(_acceleration, lane_force, cosine, sine)
 
-    def along(function):
-        return lambda late, x, v: jax.jvp(function, (late, x, v), (jnp.ones_like(late), v, pull(late, x, v)))[1]
+    def total_derivative(function):
+        return lambda delay, x, v: jax.jvp(
+            function, (delay, x, v), (jnp.ones_like(delay), v, acceleration(delay, x, v))
+        )[1]
 
-    found, function = [], pull
-    for _ in range(count):
-        found.append(function(jnp.zeros_like(x), x, v))
-        function = along(function)
-    return found
+    jet, derivative = [], acceleration
+    for _ in range(n_derivatives):
+        jet.append(derivative(jnp.zeros_like(x), x, v))
+        derivative = total_derivative(derivative)
+    return jet
 
 
-def _press(frame, wall, cosine, sine, late):
+def _contact_force(coeffs, wall, cosine, sine, delay):
     """The press on a wall a time after the drive was at this cosine and sine."""
-    where, pace, bend = course(wall, frame.frequency, *flow.rotated(cosine, sine, frame.frequency * late), 2)
-    still = jnp.zeros_like(late)
-    pace, bend = (still if each is None else each for each in (pace, bend))
-    return _lanes(_acceleration, frame, cosine, sine, late, where, pace) - bend
+    wall_position, wall_velocity, wall_acceleration = wall_jet(
+        wall, coeffs.frequency, *flow.rotate_by_angle(cosine, sine, coeffs.frequency * delay), 2
+    )
+    zero = jnp.zeros_like(delay)
+    wall_velocity, wall_acceleration = (
+        zero if derivative is None else derivative for derivative in (wall_velocity, wall_acceleration)
+    )
+    return _map_lanes(_acceleration, coeffs, cosine, sine, delay, wall_position, wall_velocity) - wall_acceleration
 
 
-def press_terms(frame, wall, cosine, sine, order):
+def contact_force_terms(coeffs, wall, cosine, sine, order):
     """The Taylor coefficients of the press on a wall, see `press`, up to an order."""
 
-    def along(function):
-        return lambda late: jax.jvp(function, (late,), (jnp.ones_like(late),))[1]
+    def total_derivative(function):
+        return lambda delay: jax.jvp(function, (delay,), (jnp.ones_like(delay),))[1]
 
-    found, function = [], partial(_press, frame, wall, cosine, sine)
+    terms, derivative = [], partial(_contact_force, coeffs, wall, cosine, sine)
     for k in range(order + 1):
-        found.append(function(jnp.zeros_like(cosine)) * (1.0 / math.factorial(k)))
-        function = along(function)
-    return found
+        terms.append(derivative(jnp.zeros_like(cosine)) * (1.0 / math.factorial(k)))
+        derivative = total_derivative(derivative)
+    return terms
 
 
-def pressed(frame, wall, cosine, sine):
+def contact_force_jet(coeffs, wall, cosine, sine):
     """The `taylor_steps.Press` on a wall, from the press at some times of a step, which is shortened to them."""
-    start = _press(frame, wall, cosine, sine, jnp.zeros_like(cosine))
+    initial_force = _contact_force(coeffs, wall, cosine, sine, jnp.zeros_like(cosine))
 
-    def terms(reach):
-        rows = [(_press(frame, wall, cosine, sine, place * reach) - start) / place for place in PLACES.tolist()]
-        found = [start, *(sum(share * row for share, row in zip(shares, rows, strict=True)) for shares in SHARES)]
-        found = [lax.convert_element_type(each, reach.dtype) for each in found]
-        sizes = [lax.abs(each) for each in found]
-        return found, choose(sizes[-1] > STEADY * reduce(most, sizes[:-1]), lax.full_like(start, 1.0), 0.0)
+    def fit_terms(step):
+        divided_differences = [
+            (_contact_force(coeffs, wall, cosine, sine, node * step) - initial_force) / node
+            for node in CHEBYSHEV_NODES.tolist()
+        ]
+        terms = [
+            initial_force,
+            *(
+                sum(weight * difference for weight, difference in zip(weights, divided_differences, strict=True))
+                for weights in INVERSE_VANDERMONDE
+            ),
+        ]
+        terms = [lax.convert_element_type(term, step.dtype) for term in terms]
+        magnitudes = [lax.abs(term) for term in terms]
+        return terms, choose(
+            magnitudes[-1] > MAX_REMAINDER_SHARE * reduce(maximum, magnitudes[:-1]),
+            lax.full_like(initial_force, 1.0),
+            0.0,
+        )
 
-    def shorter(carry):
-        reach, _, wrong, count = carry
-        reach = choose(wrong > 0, SHORTER * reach, reach)
-        return reach, *terms(reach), count + 1
+    def shorten(carry):
+        step, _, is_unresolved, n_trials = carry
+        step = choose(is_unresolved > 0, PRESS_SHRINK * step, step)
+        return step, *fit_terms(step), n_trials + 1
 
-    longest = frame.reach + 0.0 * cosine
-    begun = (longest, *terms(longest), jnp.int32(0))
-    reach, found, _, _ = lax.while_loop(lambda carry: jnp.any(carry[2] > 0) & (carry[3] < TRIES), shorter, begun)
-    own = as_derivatives([term / reach**k for k, term in enumerate(found[: event.TERMS])])
-    return Press(own, 2.0 * lax.abs(found[event.TERMS]), reach)
+    max_step = coeffs.max_step + 0.0 * cosine
+    initial_carry = (max_step, *fit_terms(max_step), jnp.int32(0))
+    step, terms, _, _ = lax.while_loop(
+        lambda carry: jnp.any(carry[2] > 0) & (carry[3] < MAX_TRIALS), shorten, initial_carry
+    )
+    force_derivs = as_derivatives([term / step**k for k, term in enumerate(terms[: event.N_TERMS])])
+    return ContactForceJet(force_derivs, 2.0 * lax.abs(terms[event.N_TERMS]), step)
 
 
-def spaced(frame, reach):
+def sampling_step(coeffs, step):
     """How far the polynomials of steps so long are right to 1e-4 of their size."""
-    return reach * (1e-4 / frame.law.tolerance) ** (1.0 / 6.0)
+    return step * (1e-4 / coeffs.force_law.tolerance) ** (1.0 / 6.0)

@@ -9,146 +9,175 @@ import jax
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, least, most, positive, stage
+from ..compiled.compiler_hints import choose, maximum, minimum, positive_part, stage
 from ..scene.codes import Contact
 from . import event, impact
-from .flight_state import Path, place, remaining
+from .contact_laws import contact_law_of
+from .flight_state import Path, motion_state, subtract_time
 from .flows import flow_of
-from .stays import stays_of
-from .wall import chosen, course, course_on, less, picked
-from .within_wall import within
+from .soft_wall_lanes import in_soft_wall
+from .wall_motion import select_by_side, select_lists_by_side, subtract, wall_jet, wall_jet_on_side
 
-SLOW = 0.25  # of the speed that the acceleration makes over the longest step
+SLOW_FRACTION = 0.25  # of the speed that the acceleration makes over the longest step
 
 
-class Step(NamedTuple):
+class StepResult(NamedTuple):
     """What a step did: its time, the path before any impact and after, the side of the impact (0: none), the strike."""
 
     time: Float[jax.Array, "*lanes"]
-    flown: Path
+    pre_impact_path: Path
     path: Path
     side: Float[jax.Array, "*lanes"]
-    strike: impact.Strike
+    outcome: impact.EventOutcome
 
 
-def micro(frame, path):
+def certified_step(coeffs, path):
     """One certified step of every lane that has time to go; a lane that has none stays as it is."""
-    flow, stays, whole = flow_of(frame), stays_of(frame), frame
-    frame, look = flow.look(frame, path)
-    if not frame.walls:
-        time = positive(least(frame.reach, path.to_go))
-        flown = _advance(frame, path, time, None, look)
-        none = lax.full_like(path.x, 0.0)
-        return Step(time, flown, flown, none, impact.Strike(none, none, none))
-    frame, path, touch, bias = stays.begin(frame, path)
-    waiting, path = path, stays.going(path)
-    derivatives = flow.to_event(frame, path, look, bias)
-    side = stage(_side, frame, path, *derivatives[2:4])
-    beyond = flow.beyond(look)
-    nearing = stage(_progress, frame, path, derivatives, side, beyond)
-    bound = event.bound(nearing, stage(event.cubic, nearing))
-    near = stage(event.free_step, bound)
-    other = lax.full_like(near, 1.0)
-    if len(frame.walls) == 2:
-        behind = stage(_behind, frame, path, derivatives, side, beyond)
-        other = stage(_other, path, within(frame, path.contact), behind)
-    guess = stage(event.quadratic, *bound[:3])
-    step = stage(event.sure_step, bound, stage(event.horizon, bound, guess), near)
-    root = stage(event.newton, nearing, stage(event.halley, nearing, guess))
-    slack = stage(event.slack, nearing, guess, root)
-    hit = stage(_lands, frame, path, nearing, root, slack, other, side)
-    time = stage(_time, frame, path, hit, root, slack, step, other)
-    flown = _advance(frame, waiting, time, touch, look)
-    late = stage(impact.late, frame, flown, hit)
-    strike = stage(impact.strike, frame, flown, hit, late)
-    after = stage(impact.part, whole, flown, hit, late, strike, time)
-    return Step(time, flown, after, hit, strike)
+    flow, contact_law, free_coeffs = flow_of(coeffs), contact_law_of(coeffs), coeffs
+    coeffs, lookahead = flow.look_ahead(coeffs, path)
+    if not coeffs.walls:
+        step_time = positive_part(minimum(coeffs.max_step, path.time_remaining))
+        pre_impact_path = _advance_path(coeffs, path, step_time, None, lookahead)
+        zero = lax.full_like(path.x, 0.0)
+        return StepResult(step_time, pre_impact_path, pre_impact_path, zero, impact.EventOutcome(zero, zero, zero))
+    coeffs, path, contact, extra_force = contact_law.prepare_step(coeffs, path)
+    whole_path, path = path, contact_law.active_path(path)
+    derivatives = flow.event_derivatives(coeffs, path, lookahead, extra_force)
+    side = stage(_target_side, coeffs, path, *derivatives[2:4])
+    bounds = flow.lookahead_bounds(lookahead)
+    progress = stage(_wall_progress, coeffs, path, derivatives, side, bounds)
+    progress_bound = event.bound_progress(progress, stage(event.cubic_bound, progress))
+    safe_step = stage(event.safe_step, progress_bound)
+    other_wall_step = lax.full_like(safe_step, 1.0)
+    if len(coeffs.walls) == 2:
+        other_bound = stage(_other_progress_bound, coeffs, path, derivatives, side, bounds)
+        other_wall_step = stage(_other_wall_step, path, in_soft_wall(coeffs, path.contact), other_bound)
+    root_guess = stage(event.first_quadratic_root, *progress_bound[:3])
+    horizon_step = stage(
+        event.safe_horizon_step, progress_bound, stage(event.bounding_horizon, progress_bound, root_guess), safe_step
+    )
+    root = stage(event.newton_step, progress, stage(event.halley_step, progress, root_guess))
+    root_error = stage(event.root_error_bound, progress, root_guess, root)
+    hit_side = stage(_hit_side, coeffs, path, progress, root, root_error, other_wall_step, side)
+    step_time = stage(_step_time, coeffs, path, hit_side, root, root_error, horizon_step, other_wall_step)
+    pre_impact_path = _advance_path(coeffs, whole_path, step_time, contact, lookahead)
+    delay = stage(impact.event_delay, coeffs, pre_impact_path, hit_side)
+    outcome = stage(impact.resolve_event, coeffs, pre_impact_path, hit_side, delay)
+    new_path = stage(impact.apply_event, free_coeffs, pre_impact_path, hit_side, delay, outcome, step_time)
+    return StepResult(step_time, pre_impact_path, new_path, hit_side, outcome)
 
 
-def _side(frame, path, pull, jerk):
-    """The wall to aim at: the nearer if it holds the mass (`_holds`), else that reached first at the present speed;
-    without one the nearer, and of two as near that to which the mass is pulled: a mirror image aims at the other."""
-    found = []
-    for wall in frame.walls:
-        where, speed, bend, change = course(wall, frame.frequency, path.cosine, path.sine, 3)
-        clear, closing = wall.sign * ((where - path.x) + path.x_low), wall.sign * less(path.v, speed)
-        bend, change = wall.sign * less(pull, bend), less(jerk, change)
-        held = _holds(frame, path.contact * wall.sign, clear, closing, bend, change)
-        found.append((clear, closing, bend, held))
-    if len(found) == 1:
-        return lax.full_like(path.x, float(frame.walls[0].sign))
-    (clear, closing, bend, held), (other_clear, other_closing, other_bend, other_held) = found
-    quick, other_quick = closing * other_clear, other_closing * clear
-    drawn = (other_quick > quick) | ((other_quick == quick) & (other_bend > bend))
-    nearer = (other_clear < clear) | ((other_clear == clear) & drawn)
-    sooner = (other_quick > quick) | ((other_quick == quick) & nearer)
-    right = choose(nearer, other_held | sooner, sooner & ~held)
-    inside = within(frame, path.contact)
-    if inside is not None:
-        right = (inside & (path.contact > 0)) | (~inside & right)
-    return choose(right, lax.full_like(path.x, 1.0), -1.0)
+def _target_side(coeffs, path, acceleration, jerk):
+    """The wall to aim at: the nearer if it holds the mass (`_holds_mass`), else that reached first at the present
+    speed; without one the nearer, and of two as near that to which the mass is pulled: a mirror image aims at the
+    other."""
+    wall_states = []
+    for wall in coeffs.walls:
+        wall_position, wall_velocity, approach_accel, approach_jerk = wall_jet(
+            wall, coeffs.frequency, path.cosine, path.sine, 3
+        )
+        clearance, approach_speed = (
+            wall.sign * ((wall_position - path.x) + path.x_low),
+            wall.sign * subtract(path.v, wall_velocity),
+        )
+        approach_accel, approach_jerk = (
+            wall.sign * subtract(acceleration, approach_accel),
+            subtract(jerk, approach_jerk),
+        )
+        holds = _holds_mass(coeffs, path.contact * wall.sign, clearance, approach_speed, approach_accel, approach_jerk)
+        wall_states.append((clearance, approach_speed, approach_accel, holds))
+    if len(wall_states) == 1:
+        return lax.full_like(path.x, float(coeffs.walls[0].sign))
+    (clearance, approach_speed, approach_accel, holds), (other_clearance, other_speed, other_accel, other_holds) = (
+        wall_states
+    )
+    urgency, other_urgency = approach_speed * other_clearance, other_speed * clearance
+    drawn_to_other = (other_urgency > urgency) | ((other_urgency == urgency) & (other_accel > approach_accel))
+    other_is_nearer = (other_clearance < clearance) | ((other_clearance == clearance) & drawn_to_other)
+    other_is_sooner = (other_urgency > urgency) | ((other_urgency == urgency) & other_is_nearer)
+    aims_right = choose(other_is_nearer, other_holds | other_is_sooner, other_is_sooner & ~holds)
+    is_inside_wall = in_soft_wall(coeffs, path.contact)
+    if is_inside_wall is not None:
+        aims_right = (is_inside_wall & (path.contact > 0)) | (~is_inside_wall & aims_right)
+    return choose(aims_right, lax.full_like(path.x, 1.0), -1.0)
 
 
-def _holds(frame, contact, clear, closing, bend, change):
+def _holds_mass(coeffs, contact, clearance, approach_speed, approach_accel, approach_jerk):
     """Whether the mass rests on a wall, hops back to it, or is so near and slow that only a short horizon helps."""
-    quick = SLOW * frame.reach * (lax.abs(bend) + frame.reach * lax.abs(change))
-    slow = (lax.abs(closing) < quick) & (clear < frame.reach * quick)
-    hops = (contact == Contact.LANDED) & (2.0 * lax.abs(closing) < frame.reach * bend)
-    return slow | hops | (contact == Contact.STUCK)
+    speed_limit = SLOW_FRACTION * coeffs.max_step * (lax.abs(approach_accel) + coeffs.max_step * lax.abs(approach_jerk))
+    is_slow = (lax.abs(approach_speed) < speed_limit) & (clearance < coeffs.max_step * speed_limit)
+    hops_back = (contact == Contact.LANDED) & (2.0 * lax.abs(approach_speed) < coeffs.max_step * approach_accel)
+    return is_slow | hops_back | (contact == Contact.STUCK)
 
 
-def _progress(frame, path, derivatives, side, beyond):
-    """The `event.Progress` towards the wall on a side; beyond: what the flow says is beyond the derivatives."""
-    flow, walls, contact = flow_of(frame), frame.walls, path.contact * side
-    presses, tails = zip(*flow.presses(frame, path, beyond), strict=True)
-    push = picked(side, walls, presses)
-    way = course_on(frame, side, path.cosine, path.sine, event.TERMS)
-    stuck, released = contact == Contact.STUCK, contact == Contact.RELEASED
-    tail, swing = chosen(side, walls, tails), chosen(side, walls, frame.swings)
-    on = (contact == Contact.LANDED) | released
-    way, on, swing, side, weights = stays_of(frame).facing(frame, contact, side, way, on, swing)
-    clear = [less(place, where) for place, where in zip(derivatives, way, strict=True)]
-    clear[0] = clear[0] + path.x_low
-    terms = [
-        choose(stuck, -pushed, free) * (side * weight)
-        for pushed, free, weight in zip(push, clear, weights, strict=False)
+def _wall_progress(coeffs, path, derivatives, side, bounds):
+    """The `event.Progress` towards the wall on a side; bounds: what the flow says is beyond the derivatives."""
+    flow, walls, contact = flow_of(coeffs), coeffs.walls, path.contact * side
+    force_lists, force_remainders = zip(*flow.contact_forces_ahead(coeffs, path, bounds), strict=True)
+    contact_force = select_lists_by_side(side, walls, force_lists)
+    wall_derivs = wall_jet_on_side(coeffs, side, path.cosine, path.sine, event.N_TERMS)
+    is_sticking, is_released = contact == Contact.STUCK, contact == Contact.RELEASED
+    force_remainder, wall_remainder = (
+        select_by_side(side, walls, force_remainders),
+        select_by_side(side, walls, coeffs.wall_remainders),
+    )
+    is_leaving = (contact == Contact.LANDED) | is_released
+    wall_derivs, is_leaving, wall_remainder, side, taylor_weights = contact_law_of(coeffs).target_wall(
+        coeffs, contact, side, wall_derivs, is_leaving, wall_remainder
+    )
+    clearance_derivs = [
+        subtract(position_deriv, wall_deriv)
+        for position_deriv, wall_deriv in zip(derivatives, wall_derivs, strict=True)
     ]
-    terms[1:3] = (choose(released, 0.0, term) for term in terms[1:3])
-    return event.progress(terms, flow.remainder(frame, derivatives, beyond, stuck, tail, swing, weights), on)
+    clearance_derivs[0] = clearance_derivs[0] + path.x_low
+    terms = [
+        choose(is_sticking, -force_deriv, clearance_deriv) * (side * taylor_weight)
+        for force_deriv, clearance_deriv, taylor_weight in zip(
+            contact_force, clearance_derivs, taylor_weights, strict=False
+        )
+    ]
+    terms[1:3] = (choose(is_released, 0.0, term) for term in terms[1:3])
+    return event.make_progress(
+        terms,
+        flow.remainder_bound(coeffs, derivatives, bounds, is_sticking, force_remainder, wall_remainder, taylor_weights),
+        is_leaving,
+    )
 
 
-def _behind(frame, path, derivatives, side, beyond):
+def _other_progress_bound(coeffs, path, derivatives, side, bounds):
     """The `event.Bound` towards the wall that is not aimed at."""
-    progress = _progress(frame, path, derivatives, -side, beyond)
-    return event.bound(progress, event.cubic(progress))
+    progress = _wall_progress(coeffs, path, derivatives, -side, bounds)
+    return event.bound_progress(progress, event.cubic_bound(progress))
 
 
-def _other(path, inside, bound):
+def _other_wall_step(path, is_inside_wall, bound):
     """A step that is certain not to meet the wall that is not aimed at."""
-    held = lax.abs(path.contact) == Contact.STUCK
-    if inside is not None:
-        held |= inside
-    return choose(held, 1.0, event.long_step(bound))
+    is_held = lax.abs(path.contact) == Contact.STUCK
+    if is_inside_wall is not None:
+        is_held |= is_inside_wall
+    return choose(is_held, 1.0, event.safe_root_step(bound))
 
 
-def _lands(frame, path, progress, root, slack, other, side):
+def _hit_side(coeffs, path, progress, root, root_error, other_wall_step, side):
     """The side of the wall that is met at the root, 0 where the root is not near enough or not the next event."""
-    g = progress.terms
-    to_go = path.to_go * frame.pace
-    tiny = 4.0 * event.rounding(to_go.dtype) * frame.period * frame.pace
-    close = slack * (lax.abs(g[2]) + g[1]) < event.landing(to_go.dtype) * g[1]
-    inside = (root + slack <= to_go) | ((slack <= tiny) & (root <= to_go + tiny))
-    hits = (slack >= 0) & close & inside & (root <= other) & (to_go > 0)
-    return choose(hits, side, 0.0)
+    terms = progress.terms
+    time_remaining = path.time_remaining * coeffs.inverse_max_step
+    time_rounding = 4.0 * event.unit_roundoff(time_remaining.dtype) * coeffs.period * coeffs.inverse_max_step
+    is_accurate = root_error * (lax.abs(terms[2]) + terms[1]) < event.landing_tolerance(time_remaining.dtype) * terms[1]
+    before_end = (root + root_error <= time_remaining) | (
+        (root_error <= time_rounding) & (root <= time_remaining + time_rounding)
+    )
+    is_hit = (root_error >= 0) & is_accurate & before_end & (root <= other_wall_step) & (time_remaining > 0)
+    return choose(is_hit, side, 0.0)
 
 
-def _time(frame, path, hit, root, slack, step, other):
+def _step_time(coeffs, path, hit_side, root, root_error, horizon_step, other_wall_step):
     """How long the step is."""
-    short = least(most(step, choose(slack >= 0, root - slack, 0.0)), other)
-    return positive(least(choose(hit != 0, root, short) * frame.reach, path.to_go))
+    safe_time = minimum(maximum(horizon_step, choose(root_error >= 0, root - root_error, 0.0)), other_wall_step)
+    return positive_part(minimum(choose(hit_side != 0, root, safe_time) * coeffs.max_step, path.time_remaining))
 
 
-def _advance(frame, path, time, touch, look):
+def _advance_path(coeffs, path, step_time, contact, lookahead):
     """The path a free flight later."""
-    motion = flow_of(frame).advance(frame, path.motion, time, touch, look)
-    return Path(*stage(place, frame, motion), motion, *stage(remaining, path, time), path.contact)
+    motion = flow_of(coeffs).advance_motion(coeffs, path.motion, step_time, contact, lookahead)
+    return Path(*stage(motion_state, coeffs, motion), motion, *stage(subtract_time, path, step_time), path.contact)

@@ -8,10 +8,10 @@ import jax.numpy as jnp
 from jaxtyping import Float
 
 from . import event
-from .wall import course_on, less
+from .wall_motion import subtract, wall_jet_on_side
 
 
-class Now(NamedTuple):
+class ExpansionPoint(NamedTuple):
     """x, v and the drive's phasor at a time since the start; the time is a constant."""
 
     x: Float[jax.Array, "*lanes"]
@@ -21,37 +21,43 @@ class Now(NamedTuple):
     time: Float[jax.Array, "*lanes"]
 
 
-def way(frame, now, side, order):
+def wall_derivatives(coeffs, point, side, order):
     """Position of the wall on a side and its derivatives, one more than the order."""
-    return course_on(frame, side, now.cosine, now.sine, order + 1)
+    return wall_jet_on_side(coeffs, side, point.cosine, point.sine, order + 1)
 
 
-def placed(way, late, order):
-    """Position and velocity of a wall a time later, from its `way`."""
-    where, pace = shifted(way, late, order), shifted(way[1:], late, order)
-    return where, jnp.zeros_like(late) if pace is None else pace
+def wall_state(wall_derivs, delay, order):
+    """Position and velocity of a wall a time later, from its `wall_derivs`."""
+    wall_position, wall_velocity = (
+        evaluate_taylor(wall_derivs, delay, order),
+        evaluate_taylor(wall_derivs[1:], delay, order),
+    )
+    return wall_position, jnp.zeros_like(delay) if wall_velocity is None else wall_velocity
 
 
-def terms(derivatives):
+def taylor_coefficients(derivatives):
     """Taylor coefficients from derivatives, None being zero."""
-    return [None if each is None else each * (1.0 / math.factorial(k)) for k, each in enumerate(derivatives)]
+    return [
+        None if derivative is None else derivative * (1.0 / math.factorial(k))
+        for k, derivative in enumerate(derivatives)
+    ]
 
 
-def shifted(derivatives, late, order):
+def evaluate_taylor(derivatives, delay, order):
     """The Taylor polynomial of an order with these derivatives, a time later."""
-    found = terms(derivatives[: order + 1])
-    total = found[-1]
-    for term in found[-2::-1]:
-        total = term if total is None else less(total * late, None if term is None else -term)
-    return total
+    coefficients = taylor_coefficients(derivatives[: order + 1])
+    value = coefficients[-1]
+    for term in coefficients[-2::-1]:
+        value = term if value is None else subtract(value * delay, None if term is None else -term)
+    return value
 
 
-def root(derivatives, order):
+def locate_root(derivatives, order):
     """The root near 0 of the polynomial with these derivatives, right to an order in its value at 0."""
-    found = terms(derivatives)
-    late = -found[0] / found[1]
-    found = [jnp.zeros_like(late) if term is None else term for term in found]
+    coefficients = taylor_coefficients(derivatives)
+    delay = -coefficients[0] / coefficients[1]
+    coefficients = [jnp.zeros_like(delay) if term is None else term for term in coefficients]
     for _ in range(math.ceil(math.log2(order + 1)) - 1):
-        value, slope = event.horner(found, late)
-        late = late - value / slope
-    return late
+        value, slope = event.horner_with_slope(coefficients, delay)
+        delay = delay - value / slope
+    return delay

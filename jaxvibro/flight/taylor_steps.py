@@ -10,71 +10,75 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, least, most, stage
+from ..compiled.compiler_hints import choose, maximum, minimum, stage
 from . import event, traced_force
-from .drive import rate_of, wave
-from .series import Series, evaluated
-from .wall import course
+from .drive import angular_rate, harmonic_phasor
+from .series import Series, evaluate_polynomial
+from .wall_motion import wall_jet
 
-FEWEST = event.TERMS + 2  # terms of a step, beyond those of an event
-PRESSED = event.TERMS + 4  # the same of the press on a wall
-GAINED = 2.0**-20  # of the speed gained in the longest step, see `scale`
-STEADY = 1e-3  # of the press, as much may be beyond an event's terms over a step
+MIN_ORDER = event.N_TERMS + 2  # terms of a step, beyond those of an event
+CONTACT_FORCE_ORDER = event.N_TERMS + 4  # the same of the press on a wall
+SPEED_SHARE = 2.0**-20  # of the speed gained in the longest step, see `error_scale`
+MAX_REMAINDER_SHARE = 1e-3  # of the press, as much may be beyond an event's terms over a step
 
 
-class Ahead(NamedTuple):
+class FlightSeries(NamedTuple):
     """The flight ahead: the coefficients of x, from the constant on; how far they are good, in t; a bound on what is
     beyond the terms of an event, in lengths."""
 
     terms: list[Float[jax.Array, "*lanes"]]
-    reach: Float[jax.Array, "*lanes"]
-    rest: Float[jax.Array, "*lanes"]
+    max_step: Float[jax.Array, "*lanes"]
+    remainder_bound: Float[jax.Array, "*lanes"]
 
 
-class Press(NamedTuple):
+class ContactForceJet(NamedTuple):
     """The press on a wall, and its derivatives, as many as an event has terms; a bound on what is beyond them over a
     step, and on its slope over as many; the longest step at which that is small."""
 
     derivatives: list[Float[jax.Array, "*lanes"]]
-    rest: Float[jax.Array, "*lanes"]
-    reach: Float[jax.Array, "*lanes"]
+    remainder_bound: Float[jax.Array, "*lanes"]
+    max_step: Float[jax.Array, "*lanes"]
 
 
-def order(frame):
+def step_order(coeffs):
     """The last power of a step's polynomial: the cheapest for its tolerance."""
-    return max(FEWEST, math.ceil(1.0 - 0.5 * math.log(frame.law.tolerance)))
+    return max(MIN_ORDER, math.ceil(1.0 - 0.5 * math.log(coeffs.force_law.tolerance)))
 
 
-def coefficients(frame, x, v, cosine, sine, order):
+def motion_coefficients(coeffs, x, v, cosine, sine, order):
     """The Taylor coefficients of x, from the constant up to an order, where the drive is at this cosine and sine."""
-    time = stage(_time, frame.frequency, cosine, sine)
-    drive = _driven(frame, cosine, sine, order - 1)
-    return traced_force.motion(frame.law, time, x, v, drive, order)
+    time = stage(_drive_time, coeffs.frequency, cosine, sine)
+    drive_terms = _drive_coefficients(coeffs, cosine, sine, order - 1)
+    return traced_force.motion_coefficients(coeffs.force_law, time, x, v, drive_terms, order)
 
 
-def _driven(frame, cosine, sine, count):
+def _drive_coefficients(coeffs, cosine, sine, n_terms):
     """The first coefficients of the drive's force."""
-    found = traced_force.forced(frame.force, frame.frequency, cosine, sine, count)
-    for term in frame.terms:
-        own = traced_force.forced(term.force, rate_of(term, frame.frequency), *wave(term, cosine, sine), count)
-        found = [a + b for a, b in zip(found, own, strict=True)]
-    return found
+    total_force = traced_force.drive_coefficients(coeffs.amplitude, coeffs.frequency, cosine, sine, n_terms)
+    for term in coeffs.drive_terms:
+        term_force = traced_force.drive_coefficients(
+            term.amplitude, angular_rate(term, coeffs.frequency), *harmonic_phasor(term, cosine, sine), n_terms
+        )
+        total_force = [a + b for a, b in zip(total_force, term_force, strict=True)]
+    return total_force
 
 
-def _time(frequency, cosine, sine):
+def _drive_time(frequency, cosine, sine):
     return lax.atan2(sine, cosine) / frequency
 
 
-def derivatives(frame, x, v, cosine, sine, order):
+def derivatives(coeffs, x, v, cosine, sine, order):
     """x and its derivatives up to an order."""
-    return as_derivatives(coefficients(frame, x, v, cosine, sine, order))
+    return as_derivatives(motion_coefficients(coeffs, x, v, cosine, sine, order))
 
 
-def stiffening(frame, x, v, cosine, sine):
+def force_gradient(coeffs, x, v, cosine, sine):
     """How fast the force grows with x."""
-    time = Series(None, stage(_time, frame.frequency, cosine, sine))
-    found = traced_force.along(frame.law, time, Series(lambda own, k: None, x, 1.0), Series(None, v))[1]
-    return jnp.zeros_like(x) if found is None else found + jnp.zeros_like(x)
+    time = Series(None, stage(_drive_time, coeffs.frequency, cosine, sine))
+    gradient = traced_force.force_series(
+        coeffs.force_law, time, Series(lambda series, k: None, x, 1.0), Series(None, v)
+    )[1]
+    return jnp.zeros_like(x) if gradient is None else gradient + jnp.zeros_like(x)
 
 
 def as_derivatives(terms):
@@ -82,103 +86,126 @@ def as_derivatives(terms):
     return [term * float(math.factorial(k)) for k, term in enumerate(terms)]
 
 
-def pressed(frame, wall, cosine, sine):
-    """The `Press` on a wall."""
-    return stage(_pressed, frame.reach, press_terms(frame, wall, cosine, sine, PRESSED))
+def contact_force_jet(coeffs, wall, cosine, sine):
+    """The `ContactForceJet` on a wall."""
+    return stage(
+        _contact_force_jet, coeffs.max_step, contact_force_terms(coeffs, wall, cosine, sine, CONTACT_FORCE_ORDER)
+    )
 
 
-def _pressed(longest, terms):
-    own, last = [lax.abs(term) for term in terms[: event.TERMS]], terms[event.TERMS :]
-    size, reach, rest = reduce(most, own) + float(jnp.finfo(own[0].dtype).tiny), longest + 0.0 * own[0], 0.0
-    for k, term in enumerate(last, event.TERMS):
-        reach = least(reach, lax.exp(lax.log(STEADY * size / lax.abs(term)) / float(k)))
-    for k, term in enumerate(last, event.TERMS):
-        rest = rest + (2.0 * k / event.TERMS) * (lax.abs(term) * reach**k)
-    return Press(as_derivatives(terms[: event.TERMS]), rest, reach)
+def _contact_force_jet(max_step, terms):
+    magnitudes, last_terms = [lax.abs(term) for term in terms[: event.N_TERMS]], terms[event.N_TERMS :]
+    magnitude, step, remainder_bound = (
+        reduce(maximum, magnitudes) + float(jnp.finfo(magnitudes[0].dtype).tiny),
+        max_step + 0.0 * magnitudes[0],
+        0.0,
+    )
+    for k, term in enumerate(last_terms, event.N_TERMS):
+        step = minimum(step, lax.exp(lax.log(MAX_REMAINDER_SHARE * magnitude / lax.abs(term)) / float(k)))
+    for k, term in enumerate(last_terms, event.N_TERMS):
+        remainder_bound = remainder_bound + (2.0 * k / event.N_TERMS) * (lax.abs(term) * step**k)
+    return ContactForceJet(as_derivatives(terms[: event.N_TERMS]), remainder_bound, step)
 
 
-def press_terms(frame, wall, cosine, sine, order):
+def contact_force_terms(coeffs, wall, cosine, sine, order):
     """The Taylor coefficients of the press on a wall, see `press`, up to an order."""
-    way = course(wall, frame.frequency, cosine, sine, order + 2)
+    wall_derivs = wall_jet(wall, coeffs.frequency, cosine, sine, order + 2)
     zero = jnp.zeros_like(cosine)
-    where = [zero if each is None else each * (1.0 / math.factorial(k)) + zero for k, each in enumerate(way)]
-    x = Series(lambda own, k: where[k], where[0])
-    v = Series(lambda own, k: (k + 1.0) * where[k + 1], where[1])
-    time = Series(lambda own, k: None, stage(_time, frame.frequency, cosine, sine), 1.0)
-    push = traced_force.along(frame.law, time, x, v)
-    drive = _driven(frame, cosine, sine, max(order + 1, 2))
-    found = []
+    wall_terms = [
+        zero if derivative is None else derivative * (1.0 / math.factorial(k)) + zero
+        for k, derivative in enumerate(wall_derivs)
+    ]
+    x = Series(lambda series, k: wall_terms[k], wall_terms[0])
+    v = Series(lambda series, k: (k + 1.0) * wall_terms[k + 1], wall_terms[1])
+    time = Series(lambda series, k: None, stage(_drive_time, coeffs.frequency, cosine, sine), 1.0)
+    force_series = traced_force.force_series(coeffs.force_law, time, x, v)
+    drive_terms = _drive_coefficients(coeffs, cosine, sine, max(order + 1, 2))
+    terms = []
     for k in range(order + 1):
-        own = drive[k] - (k + 2.0) * (k + 1.0) * where[k + 2]
-        found.append(own if push[k] is None else own + push[k])
-    return found
+        term = drive_terms[k] - (k + 2.0) * (k + 1.0) * wall_terms[k + 2]
+        terms.append(term if force_series[k] is None else term + force_series[k])
+    return terms
 
 
-def ahead(frame, x, v, cosine, sine):
-    """The `Ahead` of lanes."""
-    count = order(frame)
-    terms = coefficients(frame, x, v, cosine, sine, count)
-    size = scale(frame, x, v, 2.0 * terms[2])
-    reach = stage(_reach, terms[-2], terms[-1], frame.reach + 0.0 * x, size, order=count, tolerance=frame.law.tolerance)
-    return Ahead(terms, reach, stage(_rest, terms, reach, size, tolerance=frame.law.tolerance))
+def flight_series(coeffs, x, v, cosine, sine):
+    """The `FlightSeries` of lanes."""
+    degree = step_order(coeffs)
+    terms = motion_coefficients(coeffs, x, v, cosine, sine, degree)
+    length_scale = error_scale(coeffs, x, v, 2.0 * terms[2])
+    max_step = stage(
+        _max_step,
+        terms[-2],
+        terms[-1],
+        coeffs.max_step + 0.0 * x,
+        length_scale,
+        order=degree,
+        tolerance=coeffs.force_law.tolerance,
+    )
+    return FlightSeries(
+        terms, max_step, stage(_remainder_bound, terms, max_step, length_scale, tolerance=coeffs.force_law.tolerance)
+    )
 
 
-def scale(frame, x, v, pull):
-    """The length that a step's error is relative to; pull: the acceleration.
+def error_scale(coeffs, x, v, acceleration):
+    """The length that a step's error is relative to; acceleration: the acceleration.
 
     A mass at rest at 0, with no length in its scene, is measured by a small part of the speed that it gains in the
     longest step.
     """
-    return most(most(lax.abs(x), lax.abs(v)), most(frame.size, GAINED * frame.reach * lax.abs(pull)))
+    return maximum(
+        maximum(lax.abs(x), lax.abs(v)),
+        maximum(coeffs.length_scale, SPEED_SHARE * coeffs.max_step * lax.abs(acceleration)),
+    )
 
 
-def local_size(v, pull, reach):
+def step_displacement(v, acceleration, step):
     """How far a motion goes in a step, to its order. A mass that comes to an equilibrium on a wall is soon nearer to it
     than the tolerance of the scene's size; its steps would become ever shorter if its own size did not count then."""
-    return reach * most(lax.abs(v), reach * lax.abs(pull))
+    return step * maximum(lax.abs(v), step * lax.abs(acceleration))
 
 
-def _reach(before, last, longest, size, order, tolerance):
+def _max_step(penultimate_term, last_term, max_step, length_scale, order, tolerance):
     """A step at which the error of x, estimated by the last terms, and that of v over so many steps are tolerated."""
-    for k, term in ((order - 1, before), (order, last)):
-        share = tolerance * size / lax.abs(term)
-        of_x, of_v = lax.log(share) / float(k), lax.log(share / k) / (k - 1.0)
-        longest = least(longest, lax.exp(least(of_x, of_v)))
-    return longest
+    for k, term in ((order - 1, penultimate_term), (order, last_term)):
+        error_ratio = tolerance * length_scale / lax.abs(term)
+        log_step_x, log_step_v = lax.log(error_ratio) / float(k), lax.log(error_ratio / k) / (k - 1.0)
+        max_step = minimum(max_step, lax.exp(minimum(log_step_x, log_step_v)))
+    return max_step
 
 
-def remainder(own, error, size, tolerance):
+def error_bound(displacement, error, length_scale, tolerance):
     """Bound the error of a step's polynomial.
 
-    The bound is twice the tolerance times the scene's size. A motion smaller than this, `own` (see `local_size`), is
-    bounded by the larger of its estimated error and the tolerance times the motion.
-    """
-    return 2.0 * choose(own < tolerance * size, most(tolerance * own, error), tolerance * size)
+    The bound is twice the tolerance times the scene's size. A motion smaller than this, `displacement` (see
+    `step_displacement`), is bounded by the larger of its estimated error and the tolerance times the motion."""
+    return 2.0 * choose(
+        displacement < tolerance * length_scale, maximum(tolerance * displacement, error), tolerance * length_scale
+    )
 
 
-def _rest(terms, reach, size, tolerance):
+def _remainder_bound(terms, step, length_scale, tolerance):
     """A bound on the terms beyond an event's over a step, and on their slope over as many; what is left out as well."""
-    own, last = local_size(terms[1], 2.0 * terms[2], reach), len(terms) - 1
-    error = most(lax.abs(terms[-2]) * reach ** (last - 1), lax.abs(terms[-1]) * reach**last)
-    total, power = remainder(own, error, size, tolerance), reach**event.TERMS
-    for k in range(event.TERMS, len(terms)):
-        total = total + (k / event.TERMS) * (lax.abs(terms[k]) * power)
-        power = power * reach
-    return total
+    displacement, degree = step_displacement(terms[1], 2.0 * terms[2], step), len(terms) - 1
+    error = maximum(lax.abs(terms[-2]) * step ** (degree - 1), lax.abs(terms[-1]) * step**degree)
+    bound, step_power = error_bound(displacement, error, length_scale, tolerance), step**event.N_TERMS
+    for k in range(event.N_TERMS, len(terms)):
+        bound = bound + (k / event.N_TERMS) * (lax.abs(terms[k]) * step_power)
+        step_power = step_power * step
+    return bound
 
 
-def spaced(frame, reach):
+def sampling_step(coeffs, step):
     """How far the polynomials of steps so long are right to 1e-4 of their size: no farther than they are taken."""
-    return reach
+    return step
 
 
-def gained(frame, x, v, cosine, sine, time, terms=None):
+def step_increments(coeffs, x, v, cosine, sine, step, terms=None):
     """(what x gains, what v gains) after a time no longer than a step; terms: the coefficients of x, where known."""
     if terms is None:
-        terms = coefficients(frame, x, v, cosine, sine, order(frame))
-    return stage(_summed, terms, time)
+        terms = motion_coefficients(coeffs, x, v, cosine, sine, step_order(coeffs))
+    return stage(_evaluate_increments, terms, step)
 
 
-def _summed(terms, time):
-    x = evaluated(terms[1:], time) * time
-    return x, evaluated([k * term for k, term in enumerate(terms)][2:], time) * time
+def _evaluate_increments(terms, step):
+    x = evaluate_polynomial(terms[1:], step) * step
+    return x, evaluate_polynomial([k * term for k, term in enumerate(terms)][2:], step) * step

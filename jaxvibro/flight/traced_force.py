@@ -7,91 +7,95 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..compiled.compiler_hints import stage
-from ..scene.force_trace import inner_of, is_literal, traced
-from .series import RULES, Series, Square, added, times
+from ..scene.force_trace import cached_jaxpr, find_inner_jaxpr, is_literal
+from .series import RULES, Series, Square, add_coefficients, scale_coefficient
 
 
 @lru_cache(256)
 def is_series_of_root(function, names, dtype):
     """Whether the push of a wall is a power series in the root of the depth, also at the depth 0."""
-    closed, one = traced(function, names, dtype, 2), np.ones((), dtype)
+    closed_jaxpr, ones = cached_jaxpr(function, names, dtype, 2), np.ones((), dtype)
     with jax.ensure_compile_time_eval():
-        depth = Square(Series(lambda own, k: None, 0.0 * one, one))
-        rate = Series(lambda own, k: None, 0.3 * one, one)
-        (found,) = _run(closed, [depth, rate, *(Series(None, 0.7 * one) for _ in names)])
-        return all(found[k] is None or bool(jnp.isfinite(found[k])) for k in range(4))
+        depth = Square(Series(lambda series, k: None, 0.0 * ones, ones))
+        rate = Series(lambda series, k: None, 0.3 * ones, ones)
+        (push,) = _evaluate_jaxpr(closed_jaxpr, [depth, rate, *(Series(None, 0.7 * ones) for _ in names)])
+        return all(push[k] is None or bool(jnp.isfinite(push[k])) for k in range(4))
 
 
-def along(force, time, x, v):
+def force_series(force, time, x, v):
     """The `Series` of a force where t, x and v are these `Series`."""
-    return _series(force, np.dtype(jnp.result_type(*jax.tree.leaves((x[0], v[0])))), [time, x, v])
+    return _function_series(force, np.dtype(jnp.result_type(*jax.tree.leaves((x[0], v[0])))), [time, x, v])
 
 
-def pushed(law, depth, rate):
+def wall_push_series(law, depth, depth_rate):
     """The `Series` of a wall's push, of a depth that is the `Square` of its root."""
-    return _series(law, np.dtype(jnp.result_type(*jax.tree.leaves((depth[0], rate[0])))), [depth, rate])
+    return _function_series(
+        law, np.dtype(jnp.result_type(*jax.tree.leaves((depth[0], depth_rate[0])))), [depth, depth_rate]
+    )
 
 
-def _series(force, dtype, given):
+def _function_series(force, dtype, variables):
     """The `Series` of a function of these, and of its numbers."""
-    closed = traced(force.function, tuple(force.numbers), dtype, len(given))
-    (found,) = _run(closed, [*given, *(Series(None, number) for number in force.numbers.values())])
-    return found
+    closed_jaxpr = cached_jaxpr(force.function, tuple(force.numbers), dtype, len(variables))
+    (result,) = _evaluate_jaxpr(closed_jaxpr, [*variables, *(Series(None, param) for param in force.numbers.values())])
+    return result
 
 
-def _run(closed, given):
-    known = dict(zip(closed.jaxpr.invars, given, strict=True))
-    known |= {name: Series(None, value) for name, value in zip(closed.jaxpr.constvars, closed.consts, strict=True)}
+def _evaluate_jaxpr(closed_jaxpr, arguments):
+    env = dict(zip(closed_jaxpr.jaxpr.invars, arguments, strict=True))
+    env |= {
+        name: Series(None, value) for name, value in zip(closed_jaxpr.jaxpr.constvars, closed_jaxpr.consts, strict=True)
+    }
 
     def read(variable):
-        return Series(None, variable.val) if is_literal(variable) else known[variable]
+        return Series(None, variable.val) if is_literal(variable) else env[variable]
 
-    for eqn in closed.jaxpr.eqns:
-        ins = [read(each) for each in eqn.invars]
-        inner = inner_of(eqn)
-        if inner is not None:
-            outs = _run(inner, ins)
-        elif all(each.constant for each in ins):
-            outs = [Series(None, _plainly(eqn, [each[0] for each in ins]))]
+    for eqn in closed_jaxpr.jaxpr.eqns:
+        inputs = [read(item) for item in eqn.invars]
+        inner_jaxpr = find_inner_jaxpr(eqn)
+        if inner_jaxpr is not None:
+            outputs = _evaluate_jaxpr(inner_jaxpr, inputs)
+        elif all(item.is_constant for item in inputs):
+            outputs = [Series(None, _bind_constants(eqn, [item[0] for item in inputs]))]
         elif eqn.primitive.name == "convert_element_type":
-            outs = ins
+            outputs = inputs
         else:
-            outs = [RULES[eqn.primitive.name](ins, **eqn.params)]
-        known.update(zip(eqn.outvars, outs, strict=True))
-    return [read(each) for each in closed.jaxpr.outvars]
+            outputs = [RULES[eqn.primitive.name](inputs, **eqn.params)]
+        env.update(zip(eqn.outvars, outputs, strict=True))
+    return [read(item) for item in closed_jaxpr.jaxpr.outvars]
 
 
-def _plainly(eqn, given):
+def _bind_constants(eqn, operands):
     """The result of an operation on numbers that are the same at all times, lanes or not."""
-    shape = jnp.broadcast_shapes(*map(jnp.shape, given))
-    return eqn.primitive.bind(*(jnp.broadcast_to(jnp.asarray(each), shape) for each in given), **eqn.params)
+    shape = jnp.broadcast_shapes(*map(jnp.shape, operands))
+    return eqn.primitive.bind(*(jnp.broadcast_to(jnp.asarray(operand), shape) for operand in operands), **eqn.params)
 
 
-def motion(force, time, x, v, drive, order):
-    """The coefficients of x, from the constant up to an order, of the motion that is at x, v at a time t; drive: those
-    of another force, order - 1 of them."""
-    start = Series(lambda own, k: _next(acceleration[k - 2], drive[k - 2], k), x, v)
-    speed = Series(lambda own, k: times(k + 1.0, start[k + 1]), v)
-    acceleration = along(force, Series(lambda own, k: None, time, 1.0), start, speed)
-    return [start[k] for k in range(order + 1)]
+def motion_coefficients(force, time, x, v, drive_terms, order):
+    """The coefficients of x, from the constant up to an order, of the motion that is at x, v at a time t; drive_terms:
+    those of another force, order - 1 of them."""
+    x_series = Series(lambda series, k: _next_coefficient(acceleration[k - 2], drive_terms[k - 2], k), x, v)
+    v_series = Series(lambda series, k: scale_coefficient(k + 1.0, x_series[k + 1]), v)
+    acceleration = force_series(force, Series(lambda series, k: None, time, 1.0), x_series, v_series)
+    return [x_series[k] for k in range(order + 1)]
 
 
-def _next(own, drive, k):
-    return stage(_over, own, drive, share=1.0 / (k * (k - 1)))
+def _next_coefficient(force_term, drive_term, k):
+    return stage(_scaled_sum, force_term, drive_term, factor=1.0 / (k * (k - 1)))
 
 
-def _over(own, drive, share):
-    return share * added(own, drive)
+def _scaled_sum(force_term, drive_term, factor):
+    return factor * add_coefficients(force_term, drive_term)
 
 
-def forced(force, frequency, cosine, sine, count):
+def drive_coefficients(force, frequency, cosine, sine, n_terms):
     """The first coefficients of force cos(omega t), where its phasor is this."""
-    return stage(_forced, force, frequency, cosine, sine, count=count)
+    return stage(_drive_coefficients, force, frequency, cosine, sine, n_terms=n_terms)
 
 
-def _forced(force, frequency, cosine, sine, count):
-    found = [force * cosine, -(force * sine) * frequency]
-    square = frequency * frequency
-    for k in range(2, count):
-        found.append(found[k - 2] * (square * (-1.0 / (k * (k - 1)))))
-    return found[:count]
+def _drive_coefficients(force, frequency, cosine, sine, n_terms):
+    terms = [force * cosine, -(force * sine) * frequency]
+    frequency_squared = frequency * frequency
+    for k in range(2, n_terms):
+        terms.append(terms[k - 2] * (frequency_squared * (-1.0 / (k * (k - 1)))))
+    return terms[:n_terms]

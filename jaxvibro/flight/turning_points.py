@@ -12,193 +12,239 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, least, mask, merge, most, stage
+from ..compiled.compiler_hints import bit_mask, choose, maximum, merge_bits, minimum, stage
 from ..scene.codes import Contact
 from . import event
-from .flight_state import SlowMotion, place
+from .flight_state import SlowMotion, motion_state
 from .flows import flow_of
-from .wall import course, course_on, less
-from .within_wall import within
+from .soft_wall_lanes import in_soft_wall
+from .wall_motion import subtract, wall_jet, wall_jet_on_side
 
-BOTH = 4.0  # added to the mark of two turns, in longest steps
-TERMS = 9  # of the Taylor polynomial of x, an odd number
-ROUNDS = 8  # of Newton's steps on it
-NEAR = 1e-3  # of the longest step: how good its root must be
-AHEAD = 1.8  # of Newton's first step from an end, no more: between two turns it would lead to the other
-BESIDE = 2.2  # times a turn's distance from where the speed turns, a little over 2, is outside of the other turn
-DOUBT = 0.05  # how far a cubic through the speeds of a step's ends may be off between, over the accelerations' change
+DOUBLE_TURN_CODE = 4.0  # added to the mark of two turns, in longest steps
+N_TERMS = 9  # of the Taylor polynomial of x, an odd number
+NEWTON_STEPS = 8  # of Newton's steps on it
+ROOT_TOLERANCE = 1e-3  # of the longest step: how good its root must be
+MAX_FIRST_STEP = 1.8  # of Newton's first step from an end, no more: between two turns it would lead to the other
+OTHER_TURN_FACTOR = (
+    2.2  # times a turn's distance from where the speed turns, a little over 2, is outside of the other turn
+)
+CUBIC_ERROR = (
+    0.05  # how far a cubic through the speeds of a step's ends may be off between, over the accelerations' change
+)
 
 
-class Turn(NamedTuple):
+class TurningPoint(NamedTuple):
     """A turning point: the motion at its step's start, the step's time, and a mark.
 
-    mark: the wall's sign times (a guess of the time from there + the longest step), 0 where there is none; BOTH longest
-    steps more where the motion turns back from the other wall too within the step.
-    """
+    guess_code: the wall's sign times (a guess of the time from there + the longest step), 0 where there is none; BOTH
+    longest steps more where the motion turns back from the other wall too within the step."""
 
     motion: SlowMotion
-    span: Float[jax.Array, "*lanes"]
-    mark: Float[jax.Array, "*lanes"]
+    step_time: Float[jax.Array, "*lanes"]
+    guess_code: Float[jax.Array, "*lanes"]
 
 
-class Calls(NamedTuple):
+class ClosestApproaches(NamedTuple):
     """The least clearance so far, the turning points not yet measured, and those of the last step."""
 
-    least: Float[jax.Array, "*lanes"]
-    noted: Turn
-    fresh: Turn
+    least_clearance: Float[jax.Array, "*lanes"]
+    pending: TurningPoint
+    latest: TurningPoint
 
 
-def nothing(lanes):
+def no_turning_points(template):
     """No turning point, for lanes like these."""
-    none = jnp.zeros_like(lanes)
-    turn = Turn(SlowMotion(*[none] * 6), none, none)
-    return Calls(jnp.full_like(lanes, jnp.inf), turn, turn)
+    zero = jnp.zeros_like(template)
+    turning_point = TurningPoint(SlowMotion(*[zero] * 6), zero, zero)
+    return ClosestApproaches(jnp.full_like(template, jnp.inf), turning_point, turning_point)
 
 
-def note(frame, path, step, calls):
+def record_turning_point(coeffs, path, step, approaches):
     """The calls with the turning points of one step more, noted where a lane has no other noted."""
-    new = stage(_mark, frame, path, step.flown, step.time)
-    take, second = stage(_shared, calls.noted.mark, new)
-    first = jax.tree.map(lambda new, old: merge(take, new, old), Turn(path.motion, step.time, new), calls.noted)
-    return Calls(calls.least, first, Turn(path.motion, step.time, second))
+    new_code = stage(_turning_code, coeffs, path, step.pre_impact_path, step.time)
+    record_mask, latest_code = stage(_split_new, approaches.pending.guess_code, new_code)
+    pending = jax.tree.map(
+        lambda updated, current: merge_bits(record_mask, updated, current),
+        TurningPoint(path.motion, step.time, new_code),
+        approaches.pending,
+    )
+    return ClosestApproaches(approaches.least_clearance, pending, TurningPoint(path.motion, step.time, latest_code))
 
 
-def _shared(noted, new):
+def _split_new(pending_code, new_code):
     """The lanes that have no other noted, and the marks of those that have."""
-    return mask((noted == 0) & (new != 0), new), choose(noted == 0, 0.0, new)
+    return bit_mask((pending_code == 0) & (new_code != 0), new_code), choose(pending_code == 0, 0.0, new_code)
 
 
-def is_crowded(calls):
-    """The lanes that have passed a turning point while another is noted: then `measure` is due."""
-    return calls.fresh.mark != 0
+def needs_measurement(approaches):
+    """The lanes that have passed a turning point while another is noted: then `measure_pending` is due."""
+    return approaches.latest.guess_code != 0
 
 
-def measure(frame, calls):
+def measure_pending(coeffs, approaches):
     """The calls with what is noted measured; noted is then its turn from the other wall, if it has one, else what is
     fresh.
 
     The time is found on the speed's Taylor polynomial, then by one of Halley's steps along the flow: the polynomial
     leaves an error below 1e-3 of the longest step, and that of the clearance is its fourth power.
     """
-    motion, span, mark = calls.noted
-    side, flow = choose(mark < 0, lax.full_like(mark, -1.0), 1.0), flow_of(frame)
-    x, _, v = stage(place, frame, motion)
-    speeds = stage(_speeds, frame, side, motion, flow.jet(frame, x, v, motion.cosine, motion.sine, TERMS))
-    both, time = stage(_told, frame, mark)
-    for _ in range(ROUNDS):
-        time = stage(_newton, speeds, time)
-    other = stage(_other, frame, side, speeds, time, span)
-    near = stage(_relative, frame, side, flow.moved(frame, motion, time))
-    step = stage(_halley, *near[1:])
-    found = -side * (near[0] + step * (near[1] + step * (0.5 * near[2] + step * (near[3] / 6.0))))
-    time, edge = time + step, frame.reach * event.rounding(time.dtype) ** 0.5
-    close = lax.abs(step) <= frame.reach * NEAR  # short beside a pull of zero too, where the speed is not
-    real = (mark != 0) & close & (lax.abs(near[1]) <= 2.0 * frame.reach * NEAR * lax.abs(near[2]))
-    real &= side * near[2] < 0
-    real &= (time >= -edge) & (time <= span + edge)
-    twin, fresh = Turn(motion, span, other), calls.fresh
-    noted = jax.tree.map(lambda new, old: choose(both, new, old), twin, fresh)
-    fresh = fresh._replace(mark=choose(both, fresh.mark, 0.0))
-    return Calls(choose(real, least(found, calls.least), calls.least), noted, fresh)
+    motion, step_time, guess_code = approaches.pending
+    side, flow = choose(guess_code < 0, lax.full_like(guess_code, -1.0), 1.0), flow_of(coeffs)
+    x, _, v = stage(motion_state, coeffs, motion)
+    speed_terms = stage(_speed_terms, coeffs, side, motion, flow.jet(coeffs, x, v, motion.cosine, motion.sine, N_TERMS))
+    is_double, time = stage(_decode_guess, coeffs, guess_code)
+    for _ in range(NEWTON_STEPS):
+        time = stage(_newton_step, speed_terms, time)
+    other_code = stage(_other_turn_code, coeffs, side, speed_terms, time, step_time)
+    relative_jet = stage(_relative_jet, coeffs, side, flow.propagate(coeffs, motion, time))
+    correction = stage(_halley_correction, *relative_jet[1:])
+    clearance = -side * (
+        relative_jet[0]
+        + correction * (relative_jet[1] + correction * (0.5 * relative_jet[2] + correction * (relative_jet[3] / 6.0)))
+    )
+    time, edge_tolerance = time + correction, coeffs.max_step * event.unit_roundoff(time.dtype) ** 0.5
+    is_converged = (
+        lax.abs(correction) <= coeffs.max_step * ROOT_TOLERANCE
+    )  # short beside a pull of zero too, where the speed is not
+    is_real = (
+        (guess_code != 0)
+        & is_converged
+        & (lax.abs(relative_jet[1]) <= 2.0 * coeffs.max_step * ROOT_TOLERANCE * lax.abs(relative_jet[2]))
+    )
+    is_real &= side * relative_jet[2] < 0
+    is_real &= (time >= -edge_tolerance) & (time <= step_time + edge_tolerance)
+    other_turn, latest = TurningPoint(motion, step_time, other_code), approaches.latest
+    pending = jax.tree.map(lambda updated, current: choose(is_double, updated, current), other_turn, latest)
+    latest = latest._replace(guess_code=choose(is_double, latest.guess_code, 0.0))
+    return ClosestApproaches(
+        choose(is_real, minimum(clearance, approaches.least_clearance), approaches.least_clearance), pending, latest
+    )
 
 
-def _told(frame, mark):
+def _decode_guess(coeffs, guess_code):
     """Whether a mark is of two turns, and its guess of the time."""
-    size = lax.abs(mark)
-    both = size > (BOTH - 1.0) * frame.reach
-    return both, size - choose(both, lax.full_like(size, 1.0 + BOTH), 1.0) * frame.reach
+    magnitude = lax.abs(guess_code)
+    is_double = magnitude > (DOUBLE_TURN_CODE - 1.0) * coeffs.max_step
+    return is_double, magnitude - choose(
+        is_double, lax.full_like(magnitude, 1.0 + DOUBLE_TURN_CODE), 1.0
+    ) * coeffs.max_step
 
 
-def _other(frame, side, speeds, time, span):
+def _other_turn_code(coeffs, side, speed_terms, time, step_time):
     """The mark of the turn from the other wall: as far on the other side of where the speed turns."""
-    _, pull = event.horner(speeds, time)
-    bend = event.horner([k * term for k, term in enumerate(speeds)][1:], time)[1]
-    guess = lax.clamp(lax.full_like(time, 0.0), time - BESIDE * pull / bend, span)
-    return -side * (guess + frame.reach)
+    _, acceleration = event.horner_with_slope(speed_terms, time)
+    curvature = event.horner_with_slope([k * term for k, term in enumerate(speed_terms)][1:], time)[1]
+    time_guess = lax.clamp(lax.full_like(time, 0.0), time - OTHER_TURN_FACTOR * acceleration / curvature, step_time)
+    return -side * (time_guess + coeffs.max_step)
 
 
-def _speeds(frame, side, motion, derivatives):
+def _speed_terms(coeffs, side, motion, derivatives):
     """Taylor coefficients of the speed of x - x_b."""
-    way = course_on(frame, side, motion.cosine, motion.sine, TERMS)
-    return [less(derivatives[k], way[k]) * (1.0 / math.factorial(k - 1)) for k in range(1, TERMS + 1)]
+    wall_derivs = wall_jet_on_side(coeffs, side, motion.cosine, motion.sine, N_TERMS)
+    return [subtract(derivatives[k], wall_derivs[k]) * (1.0 / math.factorial(k - 1)) for k in range(1, N_TERMS + 1)]
 
 
-def _newton(speeds, time):
-    speed, pull = event.horner(speeds, time)
-    return time - speed / pull
+def _newton_step(speed_terms, time):
+    speed, acceleration = event.horner_with_slope(speed_terms, time)
+    return time - speed / acceleration
 
 
-def _mark(frame, path, flown, time):
+def _turning_code(coeffs, path, end_path, step_time):
     """The mark of a step's turning point; of more than one, that nearest to its wall at first.
 
     The guess is an end from which Newton's steps come down one slope; the secant's where the speed falls throughout;
     or, where x - x_b turns twice within the step, a parabola's.
     """
-    free = lax.abs(path.contact) != Contact.STUCK
-    inside = within(frame, path.contact)
-    if inside is not None:
-        free &= ~inside
-    mark, nearest = (lax.full_like(time, value) for value in (0.0, jnp.inf))
-    turns = lax.full_like(time, 0.0)
-    still = all(wall.swing is None for wall in frame.walls)
-    for walls in [frame.walls] if still else [(wall,) for wall in frame.walls]:  # still walls see the same speed
-        start, end = _closing(frame, walls[0], path), _closing(frame, walls[0], flown)
-        way = choose(start[1] > 0, lax.full_like(time, 1.0), -1.0)
-        (u, a), (w, b) = ((way * speed, way * pull) for _, speed, pull in (start, end))
-        past = 0.5 * (start[0] + end[0])
-        near, clear = _nearer(walls, past)
-        once = (u > 0) & (w <= 0) & ((a < 0) | (b < 0))
-        share = a / (a - b)
-        crest = _crest(u, a * time, w, b * time, share)
-        twice = (u > 0) & (w > 0) & (a < 0) & (b > 0) & (crest < DOUBT * (b - a) * time)
-        single = choose(a < 0, choose(b < 0, u / (u - w), 0.0), 1.0)
-        first = near == way
-        root = lax.sqrt(lax.abs(crest / (crest - choose(first, u, w))))
-        early, late = least(share - share * root, AHEAD * u / (-a * time)), share + (1.0 - share) * root
-        late = most(late, 1.0 - AHEAD * w / (b * time))
-        sign = choose(once, way, near)
-        here = free & (once | twice)
-        if len(walls) == 1:
-            here &= sign == float(walls[0].sign)
-            turns = turns + choose(here, 1.0, 0.0)
+    is_free = lax.abs(path.contact) != Contact.STUCK
+    is_inside_wall = in_soft_wall(coeffs, path.contact)
+    if is_inside_wall is not None:
+        is_free &= ~is_inside_wall
+    guess_code, least_distance = (lax.full_like(step_time, value) for value in (0.0, jnp.inf))
+    n_turns = lax.full_like(step_time, 0.0)
+    walls_fixed = all(wall.amplitude is None for wall in coeffs.walls)
+    for wall_group in (
+        [coeffs.walls] if walls_fixed else [(wall,) for wall in coeffs.walls]
+    ):  # still walls see the same speed
+        start_motion, end_motion = (
+            _relative_motion(coeffs, wall_group[0], path),
+            _relative_motion(coeffs, wall_group[0], end_path),
+        )
+        initial_sign = choose(start_motion[1] > 0, lax.full_like(step_time, 1.0), -1.0)
+        (v0, a0), (v1, a1) = (
+            (initial_sign * speed, initial_sign * acceleration) for _, speed, acceleration in (start_motion, end_motion)
+        )
+        mean_offset = 0.5 * (start_motion[0] + end_motion[0])
+        nearer_sign, distance = _nearer_wall(wall_group, mean_offset)
+        turns_once = (v0 > 0) & (v1 <= 0) & ((a0 < 0) | (a1 < 0))
+        crest_time = a0 / (a0 - a1)
+        crest_speed = _cubic_extremum(v0, a0 * step_time, v1, a1 * step_time, crest_time)
+        turns_twice = (v0 > 0) & (v1 > 0) & (a0 < 0) & (a1 > 0) & (crest_speed < CUBIC_ERROR * (a1 - a0) * step_time)
+        single_guess = choose(a0 < 0, choose(a1 < 0, v0 / (v0 - v1), 0.0), 1.0)
+        is_first_turn = nearer_sign == initial_sign
+        crest_width = lax.sqrt(lax.abs(crest_speed / (crest_speed - choose(is_first_turn, v0, v1))))
+        early_guess, late_guess = (
+            minimum(crest_time - crest_time * crest_width, MAX_FIRST_STEP * v0 / (-a0 * step_time)),
+            crest_time + (1.0 - crest_time) * crest_width,
+        )
+        late_guess = maximum(late_guess, 1.0 - MAX_FIRST_STEP * v1 / (a1 * step_time))
+        wall_sign = choose(turns_once, initial_sign, nearer_sign)
+        has_turn = is_free & (turns_once | turns_twice)
+        if len(wall_group) == 1:
+            has_turn &= wall_sign == float(wall_group[0].sign)
+            n_turns = n_turns + choose(has_turn, 1.0, 0.0)
         else:
-            turns = choose(here & twice, 2.0, turns)
-        here &= clear < nearest
-        mark = choose(here, sign * (time * choose(once, single, choose(first, early, late)) + frame.reach), mark)
-        nearest = choose(here, clear, nearest)
-    return choose(turns > 1.5, mark + lax.sign(mark) * (BOTH * frame.reach), mark)
+            n_turns = choose(has_turn & turns_twice, 2.0, n_turns)
+        has_turn &= distance < least_distance
+        guess_code = choose(
+            has_turn,
+            wall_sign
+            * (
+                step_time * choose(turns_once, single_guess, choose(is_first_turn, early_guess, late_guess))
+                + coeffs.max_step
+            ),
+            guess_code,
+        )
+        least_distance = choose(has_turn, distance, least_distance)
+    return choose(n_turns > 1.5, guess_code + lax.sign(guess_code) * (DOUBLE_TURN_CODE * coeffs.max_step), guess_code)
 
 
-def _nearer(walls, past):
+def _nearer_wall(walls, offset):
     """(sign of the wall that is nearer, the clearance to it): past, how far x is to the right of the first wall."""
-    sign = lax.full_like(past, float(walls[0].sign))
+    wall_sign = lax.full_like(offset, float(walls[0].sign))
     if len(walls) == 1:
-        return sign, -walls[0].sign * past
-    clear = walls[1].position - walls[0].position - past
-    return choose(clear < past, 1.0, sign), least(clear, past)
+        return wall_sign, -walls[0].sign * offset
+    distance = walls[1].position - walls[0].position - offset
+    return choose(distance < offset, 1.0, wall_sign), minimum(distance, offset)
 
 
-def _crest(u, a, w, b, share):
+def _cubic_extremum(v0, a0, v1, a1, crest_time):
     """The cubic with these values and slopes at 0 and 1 where its slope, were it straight, would pass zero."""
-    return u + share * (a + share * (3.0 * (w - u) - 2.0 * a - b + share * (2.0 * (u - w) + a + b)))
+    return v0 + crest_time * (
+        a0 + crest_time * (3.0 * (v1 - v0) - 2.0 * a0 - a1 + crest_time * (2.0 * (v0 - v1) + a0 + a1))
+    )
 
 
-def _closing(frame, wall, path):
+def _relative_motion(coeffs, wall, path):
     """x - x_b, its speed and its acceleration."""
-    pull, _ = flow_of(frame).accelerations(frame, path.x, path.v, path.cosine, path.sine)
-    where, speed, bend = course(wall, frame.frequency, path.cosine, path.sine, 2)
-    return (path.x - where) + path.x_low, less(path.v, speed), less(pull, bend)
+    acceleration, _ = flow_of(coeffs).acceleration_and_jerk(coeffs, path.x, path.v, path.cosine, path.sine)
+    wall_position, wall_velocity, wall_acceleration = wall_jet(wall, coeffs.frequency, path.cosine, path.sine, 2)
+    return (
+        (path.x - wall_position) + path.x_low,
+        subtract(path.v, wall_velocity),
+        subtract(acceleration, wall_acceleration),
+    )
 
 
-def _halley(speed, pull, jerk):
-    return -2.0 * speed * pull / (2.0 * pull * pull - speed * jerk)
+def _halley_correction(speed, acceleration, jerk):
+    return -2.0 * speed * acceleration / (2.0 * acceleration * acceleration - speed * jerk)
 
 
-def _relative(frame, side, motion):
+def _relative_jet(coeffs, side, motion):
     """x - x_b of the wall on a side, and its first three derivatives."""
-    x, x_low, v = place(frame, motion)
-    way = course_on(frame, side, motion.cosine, motion.sine, 3)
-    free = x, v, *flow_of(frame).accelerations(frame, x, v, motion.cosine, motion.sine)
-    found = [less(one, other) for one, other in zip(free, way, strict=True)]
-    return [found[0] + x_low, *found[1:]]
+    x, x_low, v = motion_state(coeffs, motion)
+    wall_derivs = wall_jet_on_side(coeffs, side, motion.cosine, motion.sine, 3)
+    mass_derivs = x, v, *flow_of(coeffs).acceleration_and_jerk(coeffs, x, v, motion.cosine, motion.sine)
+    relative_derivs = [
+        subtract(mass_deriv, wall_deriv) for mass_deriv, wall_deriv in zip(mass_derivs, wall_derivs, strict=True)
+    ]
+    return [relative_derivs[0] + x_low, *relative_derivs[1:]]

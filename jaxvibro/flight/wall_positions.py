@@ -8,29 +8,33 @@ from ..scene.codes import Contact
 from ..scene.scene import SIDES
 from ..scene.state import State
 
-SIGNS = (-1.0, 1.0)
+WALL_SIGNS = (-1.0, 1.0)
 
 
 @persistent_jit(numpy_first=True)
-def places(scene, phase):
+def wall_states(scene, phase):
     """Position and velocity of the left and of the right wall at a phase: ((x, v), (x, v)).
 
     A wall that is not there is infinitely far away, at rest. phase: rad, of the drive; it broadcasts with the scene.
     """
-    return tuple(_place(getattr(scene, side), sign, scene, phase) for side, sign in zip(SIDES, SIGNS, strict=True))
+    return tuple(
+        _wall_state(getattr(scene, side), sign, scene, phase) for side, sign in zip(SIDES, WALL_SIGNS, strict=True)
+    )
 
 
-def _place(wall, sign, scene, phase):
+def _wall_state(wall, sign, scene, phase):
     if wall is None:
         return jnp.full_like(scene.amplitude, sign * jnp.inf), jnp.zeros_like(scene.amplitude)
     if wall.motion is None:
         return wall.position, jnp.zeros_like(wall.position)
-    rate, angle = float(wall.motion.harmonic), wall.motion.harmonic * phase + wall.motion.phase
-    swing = wall.motion.amplitude
-    return wall.position + swing * jnp.cos(angle), -swing * rate * scene.frequency * jnp.sin(angle)
+    harmonic, angle = float(wall.motion.harmonic), wall.motion.harmonic * phase + wall.motion.phase
+    wall_amplitude = wall.motion.amplitude
+    return wall.position + wall_amplitude * jnp.cos(angle), -wall_amplitude * harmonic * scene.frequency * jnp.sin(
+        angle
+    )
 
 
-def fit(scene, state):
+def clamp_to_walls(scene, state):
     """The state where it keeps between the scene's walls, else the nearest that does.
 
     A mass beyond a rigid wall is put on it with the velocity that it has. One that is in contact goes along with its
@@ -39,18 +43,20 @@ def fit(scene, state):
     walls are as they were, this changes nothing.
     """
     x, v, contact = state.x, state.v, state.contact
-    rests = abs(contact) == Contact.STUCK
+    is_sticking = abs(contact) == Contact.STUCK
     walls = (getattr(scene, side) for side in SIDES)
-    for sign, wall, (place, pace) in zip(SIGNS, walls, places(scene, state.phase), strict=True):
+    for sign, wall, (wall_position, wall_velocity) in zip(
+        WALL_SIGNS, walls, wall_states(scene, state.phase), strict=True
+    ):
         if wall is not None and wall.soft:
-            within = contact * sign == Contact.WITHIN
-            contact = jnp.where(within & (sign * (x - place) < 0), 0.0, contact)
-            landed = contact * sign == Contact.LANDED
-            x = jnp.where(landed, place, x)
-            contact = jnp.where(landed & (sign * (v - pace) > 0), 0.0, contact)
+            is_within = contact * sign == Contact.WITHIN
+            contact = jnp.where(is_within & (sign * (x - wall_position) < 0), 0.0, contact)
+            is_landed = contact * sign == Contact.LANDED
+            x = jnp.where(is_landed, wall_position, x)
+            contact = jnp.where(is_landed & (sign * (v - wall_velocity) > 0), 0.0, contact)
             continue
-        held = contact * sign > 0
-        x = jnp.where(held | (sign * (x - place) > 0), place, x)
-        v = jnp.where(held & rests, pace, v)
-        contact = jnp.where(held & ~rests & (sign * (v - pace) > 0), 0.0, contact)
+        is_touching = contact * sign > 0
+        x = jnp.where(is_touching | (sign * (x - wall_position) > 0), wall_position, x)
+        v = jnp.where(is_touching & is_sticking, wall_velocity, v)
+        contact = jnp.where(is_touching & ~is_sticking & (sign * (v - wall_velocity) > 0), 0.0, contact)
     return State(x, v, state.phase, contact)

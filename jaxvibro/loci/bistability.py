@@ -2,9 +2,9 @@
 
 from itertools import pairwise
 
-from .loci import leads_through
+from .loci import passes_through
 
-BESIDE = 2  # points of a branch from a special one to where its stability is looked at
+STABILITY_OFFSET = 2  # points of a branch from a special one to where its stability is looked at
 
 
 def coexistences(branches, loci):
@@ -13,28 +13,44 @@ def coexistences(branches, loci):
     The two stable motions exist together between the special points at both ends of the unstable stretch between them,
     and so between the loci of these. Left out is what has no locus.
     """
-    found = []
+    locus_pairs = []
     for branch in branches:
-        for first, last in pairwise(one for one in branch.special if one.kind != "EP"):
-            told = _labels(branch, first.place - BESIDE, last.place + BESIDE)
-            if told is None or not _is_fold(branch, first.place, last.place):
+        for first_special, last_special in pairwise(
+            candidate for candidate in branch.special if candidate.kind != "EP"
+        ):
+            label_text = _coexistence_label(
+                branch, first_special.place - STABILITY_OFFSET, last_special.place + STABILITY_OFFSET
+            )
+            if label_text is None or not _is_fold(branch, first_special.place, last_special.place):
                 continue
-            pair = tuple(next((one for one in loci if leads_through(one, point)), None) for point in (first, last))
-            if None not in pair and not any(one[:2] == pair for one in found):
-                found.append((*pair, told))
-    return found
+            locus_pair = tuple(
+                next((candidate for candidate in loci if passes_through(candidate, special)), None)
+                for special in (first_special, last_special)
+            )
+            if None not in locus_pair and not any(candidate[:2] == locus_pair for candidate in locus_pairs):
+                locus_pairs.append((*locus_pair, label_text))
+    return locus_pairs
 
 
-def _labels(branch, before, after):
+def _coexistence_label(branch, index_before, index_after):
     """What the motions at two stable points are called, None where one is not stable, or no point of the branch."""
-    if before < 0 or after >= len(branch) or not (branch.stable[before] and branch.stable[after]):
+    if (
+        index_before < 0
+        or index_after >= len(branch)
+        or not (branch.stable[index_before] and branch.stable[index_after])
+    ):
         return None
-    called = [next(part.label for part in branch.segments if part.first <= k <= part.last) for k in (before, after)]
-    return " and ".join(dict.fromkeys(called))
+    labels = [
+        next(segment.label for segment in branch.segments if segment.first <= k <= segment.last)
+        for k in (index_before, index_after)
+    ]
+    return " and ".join(dict.fromkeys(labels))
 
 
-def _is_fold(branch, first, last):
+def _is_fold(branch, first_index, last_index):
     """Whether a branch is unstable from one point to another, and comes to both from the same side of the parameter."""
     values = branch.values
-    ways = (values[first] - values[first - BESIDE]) * (values[last] - values[last + BESIDE]) < 0
-    return bool(ways and last - first > 1 and not branch.stable[first + 1 : last].any())
+    turns_back = (values[first_index] - values[first_index - STABILITY_OFFSET]) * (
+        values[last_index] - values[last_index + STABILITY_OFFSET]
+    ) < 0
+    return bool(turns_back and last_index - first_index > 1 and not branch.stable[first_index + 1 : last_index].any())

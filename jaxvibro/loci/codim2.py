@@ -16,230 +16,292 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from continuation import locate
-from continuation.arrays import Array
+from continuation import augmented_systems
+from continuation.array_type import Array
 from continuation.event_search import Event
-from continuation.linear import solve
+from continuation.intermediate_points import point_at_length
+from continuation.linear_solver import solve
 from continuation.persistent_jit import persistent_jit
-from continuation.points import between
 
-from ..compiled.kernels import one_kernel
+from ..compiled.kernels import call_as_kernel
 from ..flight import drive, flow
-from ..flight.coefficients import framed
+from ..flight.coefficients import flow_coefficients
 from ..orbits import cyclic_system, impact_equations, saltation
 from ..problem import grazing
 from ..problem.diagnostics import diagnose
-from ..problem.equations import cycle_at, problem, there
-from .extended_system import Grazing
+from ..problem.equations import continuation_problem, scene_at, sequence_at
+from .extended_system import GrazingEquations
 
-APART = 0.03  # between the nearest of the points of a difference, times the fastest rate
-PLACES = np.array([-8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8])
+NODE_SPACING = 0.03  # between the nearest of the points of a difference, times the fastest rate
+STENCIL_NODES = np.array([-8, -6, -4, -3, -2, -1, 0, 1, 2, 3, 4, 6, 8])
 
 
-def _weights(nine, order, power):
+def _richardson_weights(nine_point_weights, order, error_order):
     """Of a derivative at PLACES: of nine points, and of nine twice as far apart, so that the first error falls out."""
-    near, far = (
-        np.array([nine[k // n + 4] if k % n == 0 and abs(k) <= 4 * n else 0.0 for k in PLACES]) for n in (1, 2)
+    near_weights, far_weights = (
+        np.array([nine_point_weights[k // n + 4] if k % n == 0 and abs(k) <= 4 * n else 0.0 for k in STENCIL_NODES])
+        for n in (1, 2)
     )
-    return (2.0**power * near - far / 2.0**order) / (2.0**power - 1.0)
+    return (2.0**error_order * near_weights - far_weights / 2.0**order) / (2.0**error_order - 1.0)
 
 
 # places and weights of the second and the third derivative: to rounding, and for a sign alone
-THIRTEEN = (
-    PLACES,
-    _weights([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560], 2, 8),
-    _weights([-7 / 240, 3 / 10, -169 / 120, 61 / 30, 0, -61 / 30, 169 / 120, -3 / 10, 7 / 240], 3, 6),
+FINE_STENCIL = (
+    STENCIL_NODES,
+    _richardson_weights([-1 / 560, 8 / 315, -1 / 5, 8 / 5, -205 / 72, 8 / 5, -1 / 5, 8 / 315, -1 / 560], 2, 8),
+    _richardson_weights([-7 / 240, 3 / 10, -169 / 120, 61 / 30, 0, -61 / 30, 169 / 120, -3 / 10, 7 / 240], 3, 6),
 )
-SEVEN = (
+COARSE_STENCIL = (
     np.arange(-3, 4),
     np.array([1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90]),
     np.array([1 / 8, -1, 13 / 8, 0, -13 / 8, 1, -1 / 8]),
 )
-ORDERS = {"CP": 2, "GPD": 3, "DSB": 3}  # of the derivative that is zero there
-STEP = 1e-5  # of 1 + abs z: the points of a difference, for Newton's method
-NONE = 1e-10  # `_Bend.across`: as small, an impact has no speed, and the third derivative no value
-SAME = 1e-7  # of z: two points as near are one
+DERIVATIVE_ORDERS = {"CP": 2, "GPD": 3, "DSB": 3}  # of the derivative that is zero there
+DIFFERENCE_STEP = 1e-5  # of 1 + abs z: the points of a difference, for Newton's method
+MIN_MULTIPLIER_SLOPE = 1e-10  # `_Bend.across`: as small, an impact has no speed, and the third derivative no value
+SAME_POINT_TOLERANCE = 1e-7  # of z: two points as near are one
 LANES = 132  # points of a compiled call
 
 
-def events(task, points, look):
+def locate_events(task, points, diagnostics):
     """The `Event`s between points in a row, of which the `Diagnostics` is known; task: the `driver.Task` of the
     locus."""
-    curve, found = task.args, []
-    if curve.cycle.releases is not None:  # what forgets has no fold, and does not double
-        return found
-    for kind, values in _watched(curve, points, look).items():
-        for after in np.flatnonzero(values[:-1] * values[1:] < 0):
-            one = _located(task, kind, points, int(after), values)
-            if one is not None and np.linalg.norm(task.control.scale * (one.z - points.z[0])) > SAME:
-                found.append(one)
-    return sorted(found, key=lambda one: (one.after, one.length))
+    problem, events = task.args, []
+    if problem.sequence.releases is not None:  # what forgets has no fold, and does not double
+        return events
+    for kind, values in _test_functions(problem, points, diagnostics).items():
+        for index in np.flatnonzero(values[:-1] * values[1:] < 0):
+            event = _locate_event(task, kind, points, int(index), values)
+            if (
+                event is not None
+                and np.linalg.norm(task.control.scale * (event.z - points.z[0])) > SAME_POINT_TOLERANCE
+            ):
+                events.append(event)
+    return sorted(events, key=lambda event: (event.row_before, event.length))
 
 
-def _watched(curve, points, look):
+def _test_functions(problem, points, diagnostics):
     """{kind: values at points that change their sign there}."""
-    if not isinstance(curve, Grazing):
-        if float(curve.closing) > 0:
-            turned = np.sum(points.tangent[1:, -2:] * points.tangent[:-1, -2:], axis=1)
-            return {"CP": np.cumprod(np.append(1.0, np.sign(turned)))}
-        bend = _bent(curve, points.z, 3, False)
-        return {_doubling(curve, "GPD", "DSB"): np.where(bend.across > NONE, bend.value, np.nan)}
-    found = {"RG": look.fold} if curve.cycle.still is None else {}
-    without = _without(curve, points.z, look)
-    if without is None:
-        return found
-    return found | dict(zip(("SN", _doubling(curve, "PD", "SB")), without, strict=True))
+    if not isinstance(problem, GrazingEquations):
+        if float(problem.multiplier) > 0:
+            tangent_products = np.sum(points.tangent[1:, -2:] * points.tangent[:-1, -2:], axis=1)
+            return {"CP": np.cumprod(np.append(1.0, np.sign(tangent_products)))}
+        normal_forms = _normal_forms(problem, points.z, 3, False)
+        return {
+            _doubling_kind(problem, "GPD", "DSB"): np.where(
+                normal_forms.multiplier_derivative > MIN_MULTIPLIER_SLOPE, normal_forms.value, np.nan
+            )
+        }
+    test_values = {"RG": diagnostics.fold_test} if problem.sequence.grazing is None else {}
+    reduced_tests = _tests_without_grazing(problem, points.z, diagnostics)
+    if reduced_tests is None:
+        return test_values
+    return test_values | dict(zip(("SN", _doubling_kind(problem, "PD", "SB")), reduced_tests, strict=True))
 
 
-def _without(curve, zs, look):
+def _tests_without_grazing(problem, zs, diagnostics):
     """What is zero on a GR where the orbit without the touch is an SN, and where a PD or SB; None where that has no
     impacts and the touch does something. With a smooth touch the equations of the impacts are always singular: there it
     is the monodromy matrix less or plus 1, its determinant."""
-    if curve.cycle.still is not None:
-        turn = -1.0 if float(curve.cycle.turn) < 0 else 1.0
-        return tuple(1.0 + look.determinant - sign * turn * look.trace for sign in (1.0, -1.0))
-    if not len(curve.hits):
+    if problem.sequence.grazing is not None:
+        closure_sign = -1.0 if float(problem.sequence.closure_sign) < 0 else 1.0
+        return tuple(1.0 + diagnostics.determinant - sign * closure_sign * diagnostics.trace for sign in (1.0, -1.0))
+    if not len(problem.impact_rows):
         return None
-    rows, kept = len(curve.cycle.sides), curve.hits
-    cycle = grazing.padded(curve, [(0.0, 0.0, curve.cycle.sides[k]) for k in kept])
-    wide, count = len(cycle.sides), len(kept)
-    bare = np.zeros((len(zs), 2 * wide + 2))
-    bare[:, :count], bare[:, wide : wide + count], bare[:, -2:] = zs[:, kept], zs[:, rows + kept], zs[:, -2:]
-    found = diagnose(grazing.recut(curve, cycle, kept), bare)
-    return found.fold, found.flip
+    n_rows, impact_rows = len(problem.sequence.sides), problem.impact_rows
+    sequence = grazing.padded_sequence(problem, [(0.0, 0.0, problem.sequence.sides[k]) for k in impact_rows])
+    n_padded_rows, n_impacts = len(sequence.sides), len(impact_rows)
+    reduced_zs = np.zeros((len(zs), 2 * n_padded_rows + 2))
+    reduced_zs[:, :n_impacts], reduced_zs[:, n_padded_rows : n_padded_rows + n_impacts], reduced_zs[:, -2:] = (
+        zs[:, impact_rows],
+        zs[:, n_rows + impact_rows],
+        zs[:, -2:],
+    )
+    reduced_diagnostics = diagnose(grazing.replace_sequence(problem, sequence, impact_rows), reduced_zs)
+    return reduced_diagnostics.fold_test, reduced_diagnostics.flip_test
 
 
-def _doubling(curve, whole, half):
-    return half if float(curve.cycle.turn) < 0 else whole
+def _doubling_kind(problem, whole_orbit_kind, half_orbit_kind):
+    return half_orbit_kind if float(problem.sequence.closure_sign) < 0 else whole_orbit_kind
 
 
-def _located(task, kind, points, after, values):
-    here, length = points.z[after], float(points.step[after + 1])
-    share = values[after] / (values[after] - values[after + 1])
-    for guess in (share, 0.5):
-        near = between(task, points, after, guess * length)
-        z = here + guess * length * points.tangent[after] if near is None else near.z
-        found = _polished(task.args, kind, z)
-        if found.z is None:
+def _locate_event(task, kind, points, index, values):
+    z_before, length = points.z[index], float(points.step[index + 1])
+    fraction = values[index] / (values[index] - values[index + 1])
+    for guess in (fraction, 0.5):
+        trial_point = point_at_length(task, points, index, guess * length)
+        z = z_before + guess * length * points.tangent[index] if trial_point is None else trial_point.z
+        solution = _solve_event(task.args, kind, z)
+        if solution.z is None:
             continue
-        along = float(np.sum(task.control.scale**2 * points.tangent[after] * (found.z - here)))
-        if -0.05 * length <= along <= 1.05 * length:
-            return Event(kind, after, min(max(along, 0.0), length), found.z, found.residual)
+        arclength = float(np.sum(task.control.scale**2 * points.tangent[index] * (solution.z - z_before)))
+        if -0.05 * length <= arclength <= 1.05 * length:
+            return Event(kind, index, min(max(arclength, 0.0), length), solution.z, solution.residual)
     return None
 
 
-def _polished(curve, kind, z):
+def _solve_event(problem, kind, z):
     """Newton's method on the locus and the event's equation: `locate.Located`."""
-    found, vectors = _measured(curve, kind, z[None])
-    size = abs(found[0]) or 1.0
+    start_values, null_vectors = _event_values(problem, kind, z[None])
+    normalisation = abs(start_values[0]) or 1.0
 
     def system(z):
-        value, slopes = (np.asarray(each) for each in locate.evaluated(problem(curve), z, curve))
-        steps = STEP * (1.0 + abs(z))
-        both = np.concatenate([z + np.diag(steps), z - np.diag(steps), z[None]])
-        found = _measured(curve, kind, both, vectors)[0] / size
-        count = len(z)
-        more = (found[:count] - found[count : 2 * count]) / (2.0 * steps)
-        return np.append(value, found[-1]), np.vstack([slopes, more])
+        residual, jacobian = (
+            np.asarray(array) for array in augmented_systems.evaluate(continuation_problem(problem), z, problem)
+        )
+        increments = DIFFERENCE_STEP * (1.0 + abs(z))
+        stencil_points = np.concatenate([z + np.diag(increments), z - np.diag(increments), z[None]])
+        event_values = _event_values(problem, kind, stencil_points, null_vectors)[0] / normalisation
+        n_unknowns = len(z)
+        event_gradient = (event_values[:n_unknowns] - event_values[n_unknowns : 2 * n_unknowns]) / (2.0 * increments)
+        return np.append(residual, event_values[-1]), np.vstack([jacobian, event_gradient])
 
-    return locate.newton(system, z)
+    return augmented_systems.solve_newton(system, z)
 
 
-def _measured(curve, kind, zs, reference=None):
-    """(what is zero at an event, at some points; the null vectors that give it its sign, as `_Bend`)."""
-    if kind in ORDERS:
-        bend = _bent(curve, zs, ORDERS[kind], True, reference)
-        return bend.value, (bend.v[0], bend.w[0])
-    look = diagnose(curve, zs)
+def _event_values(problem, kind, zs, reference_vectors=None):
+    """(what is zero at an event, at some points; the null vectors that give it its sign, as `_NormalFormTerm`)."""
+    if kind in DERIVATIVE_ORDERS:
+        normal_forms = _normal_forms(problem, zs, DERIVATIVE_ORDERS[kind], True, reference_vectors)
+        return normal_forms.value, (normal_forms.right_null[0], normal_forms.left_null[0])
+    diagnostics = diagnose(problem, zs)
     if kind == "RG":
-        return look.fold, None
-    fold, flip = _without(curve, zs, look)
-    return fold if kind == "SN" else flip, None
+        return diagnostics.fold_test, None
+    fold_test, flip_test = _tests_without_grazing(problem, zs, diagnostics)
+    return fold_test if kind == "SN" else flip_test, None
 
 
-class _Bend(NamedTuple):
-    """value: the derivative of second or third order along the null vectors v and w; across: how w F_u v changes with
-    the closing; where that is positive the sign of the third derivative is a normal form's. Near an impact without
-    speed h and the third derivative grow like 1 / speed: so h is a direction of its own, taken with length 1."""
+class _NormalFormTerm(NamedTuple):
+    """value: the derivative of second or third order along the null vectors v and w; multiplier_derivative: how w F_u v
+    changes with the closing; where that is positive the sign of the third derivative is a normal form's. Near an impact
+    without speed h and the third derivative grow like 1 / speed: so h is a direction of its own, taken with length
+    1."""
 
     value: Float[Array, "*points"]
-    v: Float[Array, "*points unknowns"]
-    w: Float[Array, "*points unknowns"]
-    across: Float[Array, "*points"]
+    right_null: Float[Array, "*points unknowns"]
+    left_null: Float[Array, "*points unknowns"]
+    multiplier_derivative: Float[Array, "*points"]
 
 
-def _bent(curve, zs, order, fine, reference=None):
-    """The `_Bend` at each point. fine: to rounding, else to seven digits or so; reference: the (v, w) that give these
-    their signs."""
-    reference = tuple(np.zeros((2, 2 * len(curve.cycle.sides)))) if reference is None else reference
-    parts = []
-    for first in range(0, len(zs), LANES):
-        some = zs[first : first + LANES]
-        padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
-        found = jax.tree.map(np.asarray, _bending(curve, padded, reference, np.int32(len(some)), order, fine))
-        parts.append([each[: len(some)] for each in found])
-    return _Bend(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+def _normal_forms(problem, zs, order, high_accuracy, reference_vectors=None):
+    """The `_NormalFormTerm` at each point. high_accuracy: to rounding, else to seven digits or so; reference_vectors:
+    the (v, w) that give these their signs."""
+    reference_vectors = (
+        tuple(np.zeros((2, 2 * len(problem.sequence.sides)))) if reference_vectors is None else reference_vectors
+    )
+    blocks = []
+    for block_start in range(0, len(zs), LANES):
+        block = zs[block_start : block_start + LANES]
+        padded_block = np.concatenate([block, np.repeat(block[-1:], LANES - len(block), axis=0)])
+        block_result = jax.tree.map(
+            np.asarray,
+            _evaluate_normal_forms(
+                problem, padded_block, reference_vectors, np.int32(len(block)), order, high_accuracy
+            ),
+        )
+        blocks.append([component[: len(block)] for component in block_result])
+    return _NormalFormTerm(*(np.concatenate(component) for component in zip(*blocks, strict=True)))
 
 
 @persistent_jit(static_argnums=(4, 5))
-def _bending(curve, zs, reference, count, order, fine):
-    return one_kernel(_each, curve, zs, reference, count, order=order, fine=fine)
+def _evaluate_normal_forms(problem, zs, reference_vectors, n_points, order, high_accuracy):
+    return call_as_kernel(
+        _normal_form_kernel, problem, zs, reference_vectors, n_points, order=order, high_accuracy=high_accuracy
+    )
 
 
-def _each(curve, zs, reference, count, order, fine):
-    def bend(k, found):
-        new = _bend(curve, lax.dynamic_index_in_dim(zs, k, keepdims=False), reference, order, fine)
-        return jax.tree.map(lambda whole, part: lax.dynamic_update_index_in_dim(whole, part, k, 0), found, new)
+def _normal_form_kernel(problem, zs, reference_vectors, n_points, order, high_accuracy):
+    def evaluate_point(k, results):
+        result = _normal_form_at(
+            problem, lax.dynamic_index_in_dim(zs, k, keepdims=False), reference_vectors, order, high_accuracy
+        )
+        return jax.tree.map(lambda array, entry: lax.dynamic_update_index_in_dim(array, entry, k, 0), results, result)
 
-    line, plane = (jnp.zeros((len(zs), *shape), zs.dtype) for shape in ((), reference[0].shape))
-    return lax.fori_loop(0, count, bend, _Bend(line, plane, plane, line))
+    zero_scalars, zero_vectors = (jnp.zeros((len(zs), *shape), zs.dtype) for shape in ((), reference_vectors[0].shape))
+    return lax.fori_loop(
+        0, n_points, evaluate_point, _NormalFormTerm(zero_scalars, zero_vectors, zero_vectors, zero_scalars)
+    )
 
 
-def _bend(curve, z, reference, order, fine):
-    built, cycle = framed(there(curve, z)), cycle_at(curve, z)
-    flown = impact_equations.flights(built, cycle)
-    found = cyclic_system.of(impact_equations.equations(built, cycle, flown)[1])
-    w, v = (each / jnp.sqrt(jnp.sum(each * each)) for each in cyclic_system.nulls(found, curve.closing))
-    v, w = (jnp.where(jnp.sum(one * given) < 0, -one, one) for one, given in zip((v, w), reference, strict=True))
-    across = cyclic_system.by_turn(w, found, v)
-    step = APART / _rate(built, flown.met, cycle.sides)
-    places, *weights = THIRTEEN if fine else SEVEN
+def _normal_form_at(problem, z, reference_vectors, order, high_accuracy):
+    coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
+    flights = impact_equations.compute_flights(coeffs, sequence)
+    jacobian = cyclic_system.assemble_matrix(impact_equations.residual_and_jacobian(coeffs, sequence, flights)[1])
+    left_null, right_null = (
+        vector / jnp.sqrt(jnp.sum(vector * vector))
+        for vector in cyclic_system.null_vectors(jacobian, problem.multiplier)
+    )
+    right_null, left_null = (
+        jnp.where(jnp.sum(vector * reference_vector) < 0, -vector, vector)
+        for vector, reference_vector in zip((right_null, left_null), reference_vectors, strict=True)
+    )
+    multiplier_derivative = cyclic_system.multiplier_derivative(left_null, jacobian, right_null)
+    node_spacing = NODE_SPACING / _fastest_rate(coeffs, flights.contact_map, sequence.sides)
+    nodes, *weights = FINE_STENCIL if high_accuracy else COARSE_STENCIL
 
-    def along(h):
+    def differentiate(correction):
         """The second and the third derivative along v + h."""
-        beside = jax.vmap(lambda place: _ahead(curve, built, z, v, h, place * step))(jnp.array(places, z.dtype))
-        return [jnp.array(each, z.dtype) @ beside / step**power for power, each in zip((2, 3), weights, strict=True)]
+        residuals = jax.vmap(
+            lambda node: _shifted_residual(problem, coeffs, z, right_null, correction, node * node_spacing)
+        )(jnp.array(nodes, z.dtype))
+        return [
+            jnp.array(order_weights, z.dtype) @ residuals / node_spacing**derivative_order
+            for derivative_order, order_weights in zip((2, 3), weights, strict=True)
+        ]
 
-    def look(k, given):  # along v, then v + h and v - h, h of length 1
-        second, third, mixed, _ = given
-        h = jnp.where(k > 0, -solve(cyclic_system.dense(found), second).x, 0.0)
-        length = jnp.sqrt(jnp.sum(h * h))
-        length = jnp.where(length > 0, length, 1.0)
-        two, three = along(jnp.where(k > 1, -h, h) / length)
-        first = k == 0
-        mixed = jnp.where(first, mixed, mixed + jnp.where(k > 1, -0.25, 0.25) * two)
-        return jnp.where(first, two, second), jnp.where(first, three, third), mixed, length
+    def accumulate(k, carry):  # along v, then v + h and v - h, h of length 1
+        second_derivative, third_derivative, mixed_derivative, _ = carry
+        correction = jnp.where(k > 0, -solve(cyclic_system.dense_matrix(jacobian), second_derivative).x, 0.0)
+        correction_norm = jnp.sqrt(jnp.sum(correction * correction))
+        correction_norm = jnp.where(correction_norm > 0, correction_norm, 1.0)
+        new_second, new_third = differentiate(jnp.where(k > 1, -correction, correction) / correction_norm)
+        is_first = k == 0
+        mixed_derivative = jnp.where(
+            is_first, mixed_derivative, mixed_derivative + jnp.where(k > 1, -0.25, 0.25) * new_second
+        )
+        return (
+            jnp.where(is_first, new_second, second_derivative),
+            jnp.where(is_first, new_third, third_derivative),
+            mixed_derivative,
+            correction_norm,
+        )
 
-    zero = jnp.zeros_like(v)
+    zero_vector = jnp.zeros_like(right_null)
     if order == 2:
-        last = along(zero)[0]
+        derivative = differentiate(zero_vector)[0]
     else:
-        _, third, mixed, size = lax.fori_loop(0, 3, look, (zero, zero, zero, jnp.ones(())))
-        last = third + 3.0 * size * mixed
-    return _Bend(jnp.sum(w * last), v, w, across)
+        _, third_derivative, mixed_derivative, correction_norm = lax.fori_loop(
+            0, 3, accumulate, (zero_vector, zero_vector, zero_vector, jnp.ones(()))
+        )
+        derivative = third_derivative + 3.0 * correction_norm * mixed_derivative
+    return _NormalFormTerm(jnp.sum(left_null * derivative), right_null, left_null, multiplier_derivative)
 
 
-def _rate(built, met, sides):
+def _fastest_rate(coeffs, contact_map, sides):
     """The fastest of the flights', and of what is felt within soft walls."""
-    found = flow.rate(built.frequency, built.damping)
-    if built.terms:
-        found = jnp.maximum(found, built.frequency * float(drive.fastest(built.terms)))
-    return found if met.stay is None else jnp.maximum(found, saltation.rate(built, met, sides))
+    max_rate = flow.max_rate(coeffs.frequency, coeffs.damping)
+    if coeffs.drive_terms:
+        max_rate = jnp.maximum(max_rate, coeffs.frequency * float(drive.highest_harmonic(coeffs.drive_terms)))
+    return (
+        max_rate
+        if contact_map.contact_time is None
+        else jnp.maximum(max_rate, saltation.max_oscillation_rate(coeffs, contact_map, sides))
+    )
 
 
-def _ahead(curve, built, z, v, h, s):
+def _shifted_residual(problem, coeffs, z, right_null, correction, distance):
     """F of the impacts moved by s (v + h), the first impact of the next time round by v as its closing says."""
-    rows, moves = len(curve.cycle.sides), ((s * v, curve.closing), (s * h, 1.0))
-    value = impact_equations.equations(built, impact_equations.unwound(cycle_at(curve, z), built.period, moves))[0]
-    own = jnp.arange(rows) < jnp.sum(curve.cycle.sides != 0)
-    return jnp.concatenate([jnp.where(own, value[:rows], 0.0), jnp.where(own, value[rows + 1 : 2 * rows + 1], 0.0)])
+    n_rows, shifts = (
+        len(problem.sequence.sides),
+        ((distance * right_null, problem.multiplier), (distance * correction, 1.0)),
+    )
+    residual = impact_equations.residual_and_jacobian(
+        coeffs, impact_equations.unroll_sequence(sequence_at(problem, z), coeffs.period, shifts)
+    )[0]
+    is_used_row = jnp.arange(n_rows) < jnp.sum(problem.sequence.sides != 0)
+    return jnp.concatenate(
+        [
+            jnp.where(is_used_row, residual[:n_rows], 0.0),
+            jnp.where(is_used_row, residual[n_rows + 1 : 2 * n_rows + 1], 0.0),
+        ]
+    )

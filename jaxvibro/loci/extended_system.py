@@ -5,10 +5,10 @@ the equations, or those of a change that is the opposite each time round, are si
 symmetric orbit is followed by half of it, whose change then closes as itself at SN, as its opposite at SB: both are
 regular there, while for the whole orbit a pitchfork is not.
 
-Between soft walls the derivatives by the parameters, and of the slopes, are differences (`beside`): the equations are
-compiled once in place of many times. They only point the way: where a locus lies is decided by the equations and their
-first derivatives by times and speeds, which are exact. A touch of a soft wall that is smooth (`soft_grazing.is_smooth`)
-is an impact that does nothing, as at speed zero the equations with a stay are singular.
+Between soft walls the derivatives by the parameters, and of the slopes, are differences (`evaluate_by_differences`):
+the equations are compiled once in place of many times. They only point the way: where a locus lies is decided by the
+equations and their first derivatives by times and speeds, which are exact. A touch of a soft wall that is smooth
+(`soft_grazing.is_smooth`) is an impact that does nothing, as at speed zero the equations with a stay are singular.
 
 An orbit that rests has no ring: before a release nothing hangs on what was before, and beside a grazing a row alone has
 no pivot. Its equations are solved as one matrix.
@@ -23,192 +23,240 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float, Int
 
-from continuation.arclength import bordered
-from continuation.arrays import Array
+from continuation.arclength import solve_bordered
+from continuation.array_type import Array
 from continuation.problem import Problem
 
-from ..compiled.kernels import one_kernel
-from ..flight.coefficients import framed
+from ..compiled.kernels import call_as_kernel
+from ..flight.coefficients import flow_coefficients
 from ..orbits import cyclic_system, impact_equations
-from ..orbits.impact_equations import Cycle
-from ..problem import grazing, touches
-from ..problem.equations import OrbitEquations, are_impacts, cycle_at, impacts, problem, there, varied
+from ..orbits.impact_equations import ImpactSequence
+from ..problem import grazing, grazing_contact
+from ..problem.equations import (
+    OrbitEquations,
+    are_impacts,
+    continuation_problem,
+    evaluate_impact_system,
+    evaluate_with_variations,
+    scene_at,
+    sequence_at,
+)
 from ..scene.scene import Scene
 
-APART = 1e-5  # of 1 + abs z: the points of a difference
+DIFFERENCE_STEP = 1e-5  # of 1 + abs z: the points of a difference
 
 
-class Grazing(NamedTuple):
-    """What a locus of GR is of. scene, which, cycle: as of `OrbitEquations`, the touch being an impact; pick: (rows,),
-    1 at the impact without speed; slack: how deep behind a wall a flight may be, as the touch has a rounding."""
+class GrazingEquations(NamedTuple):
+    """What a locus of GR is of. scene, parameter_marks, sequence: as of `OrbitEquations`, the touch being an impact;
+    row_mask: (rows,), 1 at the impact without speed; slack: how deep behind a wall a flight may be, as the touch has a
+    rounding."""
 
     scene: Scene
-    which: Scene
-    cycle: Cycle
-    pick: Float[Array, " rows"]
+    parameter_marks: Scene
+    sequence: ImpactSequence
+    row_mask: Float[Array, " rows"]
     slack: Float[Array, ""]
 
     @property
-    def hits(self) -> Int[np.ndarray, " impacts"]:
+    def impact_rows(self) -> Int[np.ndarray, " impacts"]:
         """The rows of impacts whose speeds are to be positive."""
-        return np.flatnonzero(are_impacts(self.cycle) & (self.pick == 0))
+        return np.flatnonzero(are_impacts(self.sequence) & (self.row_mask == 0))
 
 
-@touches.rests.register
-def _(curve: Grazing, look):
-    return look.rest, np.where(curve.pick > 0, np.inf, look.hold)  # at the touch the wall may begin to press: a DG
+@grazing_contact.sticking_margins.register
+def _(problem: GrazingEquations, diagnostics):
+    return diagnostics.sticking_time, np.where(
+        problem.row_mask > 0, np.inf, diagnostics.min_contact_force
+    )  # at the touch the wall may begin to press: a DG
 
 
-class Singular(NamedTuple):
-    """What a locus of SN, PD or SB is of. scene, which, cycle: as of `OrbitEquations`; closing: 1 where a change of the
-    orbit comes back as itself, -1 where as its opposite."""
+class SingularEquations(NamedTuple):
+    """What a locus of SN, PD or SB is of. scene, parameter_marks, sequence: as of `OrbitEquations`; multiplier: 1 where
+    a change of the orbit comes back as itself, -1 where as its opposite."""
 
     scene: Scene
-    which: Scene
-    cycle: Cycle
-    closing: Float[Array, ""]
+    parameter_marks: Scene
+    sequence: ImpactSequence
+    multiplier: Float[Array, ""]
 
-    hits = OrbitEquations.hits  # type: ignore[misc]  # properties that both have
+    impact_rows = OrbitEquations.impact_rows  # type: ignore[misc]  # properties that both have
     slack = OrbitEquations.slack  # type: ignore[misc]  # so too
 
 
-def _grazing(z, curve):
-    value, slopes = impacts(z, curve)
-    more = _picked(z, curve)
-    return _with(value, jnp.sum(more * z)), (slopes, more)
+def _grazing_system(z, problem):
+    residual, jacobian = evaluate_impact_system(z, problem)
+    speed_selector = _speed_selector(z, problem)
+    return _append_value(residual, jnp.sum(speed_selector * z)), (jacobian, speed_selector)
 
 
-def _picked(z, curve):
-    rows = len(curve.pick)
-    return jnp.concatenate([jnp.zeros(rows), curve.pick, jnp.zeros(len(z) - 2 * rows)])
+def _speed_selector(z, problem):
+    n_rows = len(problem.row_mask)
+    return jnp.concatenate([jnp.zeros(n_rows), problem.row_mask, jnp.zeros(len(z) - 2 * n_rows)])
 
 
-def _singular(z, curve):
+def _singular_system(z, problem):
     """w J v, w and v being J's null vectors where it is singular, over the length of its gradient w J' v: it is then
     about the distance from its zero. As second derivatives commute, that by times and speeds is w times the derivative
     of the equations' slopes along v (Govaerts, Numerical Methods for Bifurcations of Dynamical Equilibria, 4.1.2)."""
-    value, slopes, changes = varied(z, curve)
-    left, right = cyclic_system.nulls(slopes, curve.closing)
-    built, free = framed(there(curve, z)), len(left)
+    residual, jacobian, jacobian_derivatives = evaluate_with_variations(z, problem)
+    left_null, right_null = cyclic_system.null_vectors(jacobian, problem.multiplier)
+    coeffs, n_unknowns = flow_coefficients(scene_at(problem, z)), len(left_null)
 
-    def along(unknowns):
-        there = cycle_at(curve, unknowns)._replace(closing=curve.closing)
-        return cyclic_system.of(impact_equations.equations(built, there)[1])
+    def jacobian_at(unknowns):
+        sequence = sequence_at(problem, unknowns)._replace(multiplier=problem.multiplier)
+        return cyclic_system.assemble_matrix(impact_equations.residual_and_jacobian(coeffs, sequence)[1])
 
-    own, bent = jax.jvp(along, (z[:free],), (right,))
-    bent = own._replace(own=bent.own, following=bent.following)
-    return _closed(curve, value, slopes, changes, bent, left, right)
+    primal, curvature = jax.jvp(jacobian_at, (z[:n_unknowns],), (right_null,))
+    curvature = primal._replace(diagonal=curvature.diagonal, coupling=curvature.coupling)
+    return _append_singularity(problem, residual, jacobian, jacobian_derivatives, curvature, left_null, right_null)
 
 
-def _closed(curve, value, slopes, changes, bent, left, right):
+def _append_singularity(problem, residual, jacobian, jacobian_derivatives, curvature, left_null, right_null):
     """(F with w J v, over the length of its gradient, at its end; their slopes)."""
-    by = jnp.stack([cyclic_system.product(left, each, right, curve.closing) for each in changes])
-    more = jnp.concatenate([cyclic_system.across(left, bent), by])
-    size = jnp.sqrt(jnp.sum(more * more))
-    return _with(value, cyclic_system.product(left, slopes, right, curve.closing) / size), (slopes, more / size)
+    parameter_gradient = jnp.stack(
+        [
+            cyclic_system.bilinear_form(left_null, derivative, right_null, problem.multiplier)
+            for derivative in jacobian_derivatives
+        ]
+    )
+    gradient = jnp.concatenate([cyclic_system.left_product(left_null, curvature), parameter_gradient])
+    gradient_norm = jnp.sqrt(jnp.sum(gradient * gradient))
+    return _append_value(
+        residual, cyclic_system.bilinear_form(left_null, jacobian, right_null, problem.multiplier) / gradient_norm
+    ), (jacobian, gradient / gradient_norm)
 
 
-def _soft_grazing(z, curve):
-    value, slopes, _ = beside(z, curve)
-    return _with(value, jnp.sum(_picked(z, curve) * z)), (slopes, _picked(z, curve))
+def _soft_grazing_system(z, problem):
+    residual, jacobian, _ = evaluate_by_differences(z, problem)
+    return _append_value(residual, jnp.sum(_speed_selector(z, problem) * z)), (jacobian, _speed_selector(z, problem))
 
 
-def _soft_singular(z, curve):
-    value, slopes, (*changes, bent) = beside(z, curve, curve.closing)
-    return _closed(curve, value, slopes, changes, bent, *cyclic_system.nulls(slopes, curve.closing))
+def _soft_singular_system(z, problem):
+    residual, jacobian, (*jacobian_derivatives, curvature) = evaluate_by_differences(z, problem, problem.multiplier)
+    return _append_singularity(
+        problem,
+        residual,
+        jacobian,
+        jacobian_derivatives,
+        curvature,
+        *cyclic_system.null_vectors(jacobian, problem.multiplier),
+    )
 
 
-def beside(z, curve, closing=None):
+def evaluate_by_differences(z, problem, multiplier=None):
     """(F, its `cyclic_system.Ring`, how the ring's own and following change with each parameter and, where a closing is
     given, along its right null vector), by central differences."""
-    rows, free = len(curve.cycle.sides), 2 * len(curve.cycle.sides)
-    more, last = int(closing is not None), jnp.sum(curve.cycle.sides != 0) - 1
-    apart = APART * (1.0 + jnp.append(abs(z[free:]), jnp.full(more, jnp.max(abs(z[:free])))))
-    ways = np.concatenate([[[0.0] * len(apart)], np.eye(len(apart)), -np.eye(len(apart))])
+    n_rows, n_orbit_unknowns = len(problem.sequence.sides), 2 * len(problem.sequence.sides)
+    n_null_directions, last_row = int(multiplier is not None), jnp.sum(problem.sequence.sides != 0) - 1
+    spacing = DIFFERENCE_STEP * (
+        1.0 + jnp.append(abs(z[n_orbit_unknowns:]), jnp.full(n_null_directions, jnp.max(abs(z[:n_orbit_unknowns]))))
+    )
+    directions = np.concatenate([[[0.0] * len(spacing)], np.eye(len(spacing)), -np.eye(len(spacing))])
 
-    def look(k, found):
-        step = lax.dynamic_index_in_dim(jnp.asarray(ways, z.dtype), k, keepdims=False) * apart
-        moved = jnp.concatenate([z[:free], z[free:] + step[: len(z) - free]])
-        built, given = framed(there(curve, moved)), cycle_at(curve, z)
-        if more:  # none at the first turn, at z itself, before the null vector is known
-            right = _unit(cyclic_system.nulls(_ring(found, 0, last), closing)[1])
-            change = jnp.where(step[-1] == 0, 0.0, step[-1] * right)
-            given = impact_equations.unwound(given, built.period, ((change, closing),))
-        value, slopes = impact_equations.equations(built, given)
-        one, count = cyclic_system.of(slopes), len(given.sides)
-        new = one._replace(by=cyclic_system.pairs(value[:, None], count))[:3]
-        return [lax.dynamic_update_index_in_dim(all_, new[:rows], k, 0) for all_, new in zip(found, new, strict=True)]
+    def evaluate_shifted(k, results):
+        step = lax.dynamic_index_in_dim(jnp.asarray(directions, z.dtype), k, keepdims=False) * spacing
+        shifted_z = jnp.concatenate([z[:n_orbit_unknowns], z[n_orbit_unknowns:] + step[: len(z) - n_orbit_unknowns]])
+        coeffs, sequence = flow_coefficients(scene_at(problem, shifted_z)), sequence_at(problem, z)
+        if n_null_directions:  # none at the first turn, at z itself, before the null vector is known
+            right_null = _normalise(cyclic_system.null_vectors(_cyclic_matrix(results, 0, last_row), multiplier)[1])
+            null_shift = jnp.where(step[-1] == 0, 0.0, step[-1] * right_null)
+            sequence = impact_equations.unroll_sequence(sequence, coeffs.period, ((null_shift, multiplier),))
+        residual, derivatives = impact_equations.residual_and_jacobian(coeffs, sequence)
+        matrix, n_extended_rows = cyclic_system.assemble_matrix(derivatives), len(sequence.sides)
+        block = matrix._replace(param_blocks=cyclic_system.pair_rows(residual[:, None], n_extended_rows))[:3]
+        return [
+            lax.dynamic_update_index_in_dim(storage, block[:n_rows], k, 0)
+            for storage, block in zip(results, block, strict=True)
+        ]
 
-    blank = [jnp.zeros((len(ways), rows, 2, wide), z.dtype) for wide in (2, 2, 1)]
-    found = lax.fori_loop(0, len(ways), look, blank)
-    here = _ring(found, 0, last)
-    value = jnp.where(jnp.arange(rows) <= last, here.by[:, :, 0].T, 0.0).reshape(-1)
-    changes = [_change(found, k, apart, last) for k in range(len(apart))]
-    by = jnp.concatenate([one.by for one in changes[: len(z) - free]], 2)
-    if more:
-        length = jnp.max(abs(cyclic_system.nulls(here, closing)[1]))
-        changes[-1] = jax.tree.map(lambda each: each * length, changes[-1]._replace(last=1.0))._replace(last=last)
-    return value, here._replace(by=by), [one._replace(by=by) for one in changes]
+    empty_results = [jnp.zeros((len(directions), n_rows, 2, width), z.dtype) for width in (2, 2, 1)]
+    results = lax.fori_loop(0, len(directions), evaluate_shifted, empty_results)
+    matrix = _cyclic_matrix(results, 0, last_row)
+    residual = jnp.where(jnp.arange(n_rows) <= last_row, matrix.param_blocks[:, :, 0].T, 0.0).reshape(-1)
+    matrix_derivatives = [_matrix_derivative(results, k, spacing, last_row) for k in range(len(spacing))]
+    parameter_columns = jnp.concatenate(
+        [derivative.param_blocks for derivative in matrix_derivatives[: len(z) - n_orbit_unknowns]], 2
+    )
+    if n_null_directions:
+        null_scale = jnp.max(abs(cyclic_system.null_vectors(matrix, multiplier)[1]))
+        matrix_derivatives[-1] = jax.tree.map(
+            lambda leaf: leaf * null_scale, matrix_derivatives[-1]._replace(last_row=1.0)
+        )._replace(last_row=last_row)
+    return (
+        residual,
+        matrix._replace(param_blocks=parameter_columns),
+        [derivative._replace(param_blocks=parameter_columns) for derivative in matrix_derivatives],
+    )
 
 
-def _unit(vector):
+def _normalise(vector):
     return vector / jnp.max(abs(vector))
 
 
-def _ring(found, k, last):
-    """The `Ring` of a turn of `beside`, by: F."""
-    return cyclic_system.Ring(*(each[k] for each in found), last)
+def _cyclic_matrix(results, k, last_row):
+    """The `Ring` of a turn of `evaluate_by_differences`, by: F."""
+    return cyclic_system.CyclicBlockMatrix(*(blocks[k] for blocks in results), last_row)
 
 
-def _change(found, k, apart, last):
+def _matrix_derivative(results, k, spacing, last_row):
     """How the same change along a way."""
-    count = len(apart)
-    return cyclic_system.Ring(*((each[1 + k] - each[1 + count + k]) / (2.0 * apart[k]) for each in found), last)
+    n_directions = len(spacing)
+    return cyclic_system.CyclicBlockMatrix(
+        *((blocks[1 + k] - blocks[1 + n_directions + k]) / (2.0 * spacing[k]) for blocks in results), last_row
+    )
 
 
-def _with(value, last):
-    return jnp.concatenate([value, last[None]])
+def _append_value(residual, extra_value):
+    return jnp.concatenate([residual, extra_value[None]])
 
 
-def _bordered(slopes, row, right):
-    closed, more = slopes
-    return cyclic_system.bordered(closed, jnp.stack([more, row]), right)
+def _solve_bordered(jacobian, border_row, right_sides):
+    cyclic_matrix, extra_row = jacobian
+    return cyclic_system.solve_bordered(cyclic_matrix, jnp.stack([extra_row, border_row]), right_sides)
 
 
-def _plain(function, z, curve):
+def _dense_system(system, z, problem):
     """(F, dF/dz) of one of these systems; an empty row's unknowns are to be zero."""
-    value, (slopes, more) = function(z, curve)
-    empty = jnp.tile(curve.cycle.sides == 0, 2)
-    orbit = jnp.where(empty, z[: len(empty)], value[:-1])
-    return _with(orbit, value[-1]), jnp.concatenate([cyclic_system.dense(slopes), more[None]])
+    residual, (cyclic_matrix, extra_row) = system(z, problem)
+    is_empty = jnp.tile(problem.sequence.sides == 0, 2)
+    orbit_residual = jnp.where(is_empty, z[: len(is_empty)], residual[:-1])
+    return _append_value(orbit_residual, residual[-1]), jnp.concatenate(
+        [cyclic_system.dense_matrix(cyclic_matrix), extra_row[None]]
+    )
 
 
-def _problem(function):
-    return Problem(function, _bordered, partial(_plain, function), (), one_kernel)
+def _make_problem(system):
+    return Problem(system, _solve_bordered, partial(_dense_system, system), (), call_as_kernel)
 
 
-GRAZING, SINGULAR = _problem(_grazing), _problem(_singular)
-SOFT_GRAZING, SOFT_SINGULAR = _problem(_soft_grazing), _problem(_soft_singular)
-RESTING = {
-    soft: Problem(partial(_plain, one), bordered, partial(_plain, one), (), one_kernel)
-    for soft, one in ((False, _grazing), (True, _soft_grazing))
+GRAZING, SINGULAR = _make_problem(_grazing_system), _make_problem(_singular_system)
+SOFT_GRAZING, SOFT_SINGULAR = _make_problem(_soft_grazing_system), _make_problem(_soft_singular_system)
+STICKING_PROBLEMS = {
+    has_soft_walls: Problem(
+        partial(_dense_system, system), solve_bordered, partial(_dense_system, system), (), call_as_kernel
+    )
+    for has_soft_walls, system in ((False, _grazing_system), (True, _soft_grazing_system))
 }
 
 
-@grazing.recut.register
-def _(curve: Grazing, cycle, rows):
-    pick = np.zeros(len(cycle.sides))
-    pick[: len(rows)] = curve.pick[list(rows)]
-    still = curve.cycle.still is not None
-    return curve._replace(cycle=cycle._replace(still=pick if still else None), pick=pick)
+@grazing.replace_sequence.register
+def _(problem: GrazingEquations, sequence, rows):
+    row_mask = np.zeros(len(sequence.sides))
+    row_mask[: len(rows)] = problem.row_mask[list(rows)]
+    has_smooth_grazing = problem.sequence.grazing is not None
+    return problem._replace(
+        sequence=sequence._replace(grazing=row_mask if has_smooth_grazing else None), row_mask=row_mask
+    )
 
 
-@problem.register
-def _(curve: Grazing):
-    soft = bool(curve.scene.soft_sides)
-    if curve.cycle.releases is not None:
-        return RESTING[soft]
-    return SOFT_GRAZING if soft else GRAZING
+@continuation_problem.register
+def _(problem: GrazingEquations):
+    has_soft_walls = bool(problem.scene.soft_sides)
+    if problem.sequence.releases is not None:
+        return STICKING_PROBLEMS[has_soft_walls]
+    return SOFT_GRAZING if has_soft_walls else GRAZING
 
 
-problem.register(Singular, lambda curve: SOFT_SINGULAR if curve.scene.soft_sides else SINGULAR)
+continuation_problem.register(
+    SingularEquations, lambda problem: SOFT_SINGULAR if problem.scene.soft_sides else SINGULAR
+)

@@ -6,22 +6,22 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import ArrayLike, Real
 
-from continuation.limits import EXPIRED, Results, limits_of, partial_reason
-from continuation.points import to_value
+from continuation.intermediate_points import truncate_at_value
+from continuation.limits import EXPIRED_REASON, Results, limits_of, partial_reason
 
 from ..branches.branch import Special
 from ..problem.end import End
-from ..problem.orbit_on_branch import OrbitPoint
+from ..problem.orbit_point import OrbitPoint
 from ..scene import check
-from ..scene.parameters import values_of
+from ..scene.parameters import check_values
 from ..scene.symmetry import stays_symmetric
-from .corner import outsets, track_on
-from .first_point import KINDS, RESTS, LocusStart, impacts_of, named, start_of
-from .locus import Locus, locus_of
-from .track import together
+from .grazing_switchover import both_directions, track_across_walls
+from .locus import Locus, build_locus
+from .locus_start import KINDS, STICKING_KINDS, LocusStart, check_parameter_pair, make_locus_start, whole_orbit_impacts
+from .track import track_together
 
 
-@check.host("use strobe or monodromy")
+@check.host_only("use strobe or monodromy")
 def family(
     special: Special,
     names: Sequence[str],
@@ -53,76 +53,102 @@ def family(
     Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
     limits = limits_of(max_points, max_seconds, None, check.ArgumentError)
-    start, steps = start_of(special, (*KINDS, *RESTS)), (first_step, largest_step, tolerance, limits)
-    names, values = named(start.scene, names), values_of(start.scene, third, values)
+    start, step_settings = (
+        make_locus_start(special, (*KINDS, *STICKING_KINDS)),
+        (first_step, largest_step, tolerance, limits),
+    )
+    names, values = check_parameter_pair(start.scene, names), check_values(start.scene, third, values)
     if third in names:
         raise check.ArgumentError("third", "must be none of names", third)
     if start.kind == "SB" and not stays_symmetric(start.scene, third):
         raise check.ArgumentError("third", "must keep the scene symmetric: an SB is no point of another", third)
-    outsets(start, names, bounds, *steps)  # refuses what cannot be
-    found = carried(start, names, bounds, third, values, *steps[:-1], replace(limits, points=None))
-    late = limits.expired
-    starts = [one for one in found if one is not None]
-    ways = [_limited(outsets(one, names, bounds, *steps), limits) for one in starts]
-    first = together([each for pair in ways for each in pair])
-    both = zip(starts, ways, zip(first[::2], first[1::2], strict=True), strict=True)
-    loci = iter([_locus(one, on, back, ahead, behind, steps) for one, (on, back), (ahead, behind) in both])
-    curves = [None if one is None else next(loci) for one in found]
-    count = sum(not late if one is None else not any(EXPIRED in each for each in one.reasons) for one in curves)
-    return Results(curves, "" if count == len(curves) else partial_reason(count, len(curves), "values"))
+    both_directions(start, names, bounds, *step_settings)  # refuses what cannot be
+    value_starts = transport_start(
+        start, names, bounds, third, values, *step_settings[:-1], replace(limits, points=None)
+    )
+    is_expired = limits.expired
+    starts = [entry for entry in value_starts if entry is not None]
+    direction_pairs = [_limit_points(both_directions(entry, names, bounds, *step_settings), limits) for entry in starts]
+    segments = track_together([element for pair in direction_pairs for element in pair])
+    locus_inputs = zip(starts, direction_pairs, zip(segments[::2], segments[1::2], strict=True), strict=True)
+    locus_iterator = iter(
+        [
+            _build_locus(entry, forward_direction, backward_direction, forward_segment, backward_segment, step_settings)
+            for entry, (forward_direction, backward_direction), (forward_segment, backward_segment) in locus_inputs
+        ]
+    )
+    results = [None if entry is None else next(locus_iterator) for entry in value_starts]
+    n_complete = sum(
+        not is_expired if entry is None else not any(EXPIRED_REASON in element for element in entry.reasons)
+        for entry in results
+    )
+    return Results(results, "" if n_complete == len(results) else partial_reason(n_complete, len(results), "values"))
 
 
-def _limited(ways, limits):
+def _limit_points(directions, limits):
     """The ways on and back, each with half of the points at most."""
-    on, back = ways
-    half = limits.halved()
-    rest = None if limits.points is None else max(limits.points - half.points + 1, 1)
-    return on.limited(half), back.limited(replace(limits, points=rest))
+    forward_direction, backward_direction = directions
+    half_limits = limits.halved()
+    remaining_points = None if limits.points is None else max(limits.points - half_limits.points + 1, 1)
+    return forward_direction.with_limits(half_limits), backward_direction.with_limits(
+        replace(limits, points=remaining_points)
+    )
 
 
-def _locus(start, on, back, ahead, behind, steps):
+def _build_locus(start, forward_direction, backward_direction, forward_segment, backward_segment, step_settings):
     """The `Locus` of ways on and back and what was tracked along each first."""
-    closes = ahead.end is End.CLOSED
-    return locus_of(start, track_on(start, on, steps, ahead), () if closes else track_on(start, back, steps, behind))
+    is_closed = forward_segment.end is End.CLOSED
+    return build_locus(
+        start,
+        track_across_walls(start, forward_direction, step_settings, forward_segment),
+        () if is_closed else track_across_walls(start, backward_direction, step_settings, backward_segment),
+    )
 
 
-def carried(start, names, bounds, third, values, *steps):
+def transport_start(start, names, bounds, third_name, values, *step_settings):
     """The `first_point.LocusStart` at each value of a third parameter, None where a point's locus does not come to
     it."""
-    free = start.name if start.name in names else names[0]
-    own = float(start.scene.parameter(third))
-    start = start._replace(scene=start.scene.replace(**{third: own}))  # a wall's restitution then is its own
-    low, high = min(own, *values), max(own, *values)
-    if low == high:
+    free_name = start.name if start.name in names else names[0]
+    own_value = float(start.scene.parameter(third_name))
+    start = start._replace(scene=start.scene.replace(**{third_name: own_value}))  # a wall's restitution then is its own
+    lower, upper = min(own_value, *values), max(own_value, *values)
+    if lower == upper:
         return [start] * len(values)
-    pair = outsets(start, (free, third), {free: bounds[free], third: (low, high)}, *steps)
-    sides = [track_on(start, way, steps) for way in pair]
-    return [start if value == own else _crossed(start, sides, (free, third), value) for value in values]
+    directions = both_directions(
+        start, (free_name, third_name), {free_name: bounds[free_name], third_name: (lower, upper)}, *step_settings
+    )
+    tracks = [track_across_walls(start, direction, step_settings) for direction in directions]
+    return [
+        start if value == own_value else _start_at_value(start, tracks, (free_name, third_name), value)
+        for value in values
+    ]
 
 
-def _crossed(start, sides, pair, value):
+def _start_at_value(start, tracks, names, value):
     """The `first_point.LocusStart` where a locus both ways first has a value of its second parameter, None where it has
     not."""
-    ahead = []
-    for side in sides:
-        past = 0.0
-        for way, one in side:
-            points = one.points
-            late, level = past + np.cumsum(points.step), points.z[:, -1] - value
-            for after in np.flatnonzero(level[:-1] * level[1:] <= 0):
-                share = level[after] / ((level[after] - level[after + 1]) or 1.0)
-                ahead.append((late[after] + share * points.step[after + 1], int(after), points, way))
-            past = late[-1]
-    for _, after, points, way in sorted(ahead, key=lambda one: one[0]):
-        cut, there = to_value(way.task, points, after + 1, -1, value)
-        if there:
-            return _begun(start, way.curve, pair, cut.z[-1], float(cut.residual[-1]))
+    crossings = []
+    for track in tracks:
+        length_before = 0.0
+        for direction, segment in track:
+            points = segment.points
+            arclengths, value_offsets = length_before + np.cumsum(points.step), points.z[:, -1] - value
+            for index in np.flatnonzero(value_offsets[:-1] * value_offsets[1:] <= 0):
+                fraction = value_offsets[index] / ((value_offsets[index] - value_offsets[index + 1]) or 1.0)
+                crossings.append((arclengths[index] + fraction * points.step[index + 1], int(index), points, direction))
+            length_before = arclengths[-1]
+    for _, index, points, direction in sorted(crossings, key=lambda crossing: crossing[0]):
+        truncated_points, is_reached = truncate_at_value(direction.task, points, index + 1, -1, value)
+        if is_reached:
+            return _locus_start_at(
+                start, direction.problem, names, truncated_points.z[-1], float(truncated_points.residual[-1])
+            )
     return None
 
 
-def _begun(start, curve, pair, z, residual):
+def _locus_start_at(start, problem, names, z, residual):
     """The `first_point.LocusStart` at a point of a locus."""
-    times, speeds, sides, periods = impacts_of(curve, z[None])
-    scene = start.scene.replace(**dict(zip(pair, z[-2:].tolist(), strict=True)))
-    spot = OrbitPoint(float(z[-2]), times[0], speeds[0], sides, periods, np.nan, np.nan, residual)
-    return LocusStart(start.kind, pair[0], scene, spot)
+    times, speeds, sides, periods = whole_orbit_impacts(problem, z[None])
+    scene = start.scene.replace(**dict(zip(names, z[-2:].tolist(), strict=True)))
+    orbit_row = OrbitPoint(float(z[-2]), times[0], speeds[0], sides, periods, np.nan, np.nan, residual)
+    return LocusStart(start.kind, names[0], scene, orbit_row)

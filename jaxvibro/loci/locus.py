@@ -11,27 +11,27 @@ import pandas as pd
 import xarray as xr
 from jaxtyping import Complex, Float
 
+from continuation.branch_segment import join_segments, reverse_segment
 from continuation.limits import limits_of
-from continuation.stretch import backwards, glued
 
 from .. import __version__
 from ..branches.branch import Special
-from ..orbits.orbit import roots
-from ..output.checksums import netcdf
-from ..output.frames import frame, kinds_at, of_least, of_multipliers
-from ..output.labels import name_in
-from ..output.table_text import columns, headed
-from ..output.units import LENGTH, SPEED, TIME, scales_in, unit_in, unit_of
-from ..problem import end_in_plane
+from ..orbits.orbit import eigenvalue_pairs
+from ..output.checksums import netcdf_bytes
+from ..output.dataframes import make_dataframe, minimum_columns, multiplier_columns, special_kinds
+from ..output.labels import translate_label
+from ..output.table_text import align_columns, column_header
+from ..output.units import LENGTH, SPEED, TIME, scales_attributes, unit_in_system, unit_of
+from ..problem import plane_curve_end
 from ..problem.end import End
-from ..problem.orbit_on_branch import OrbitPoint, itinerary
-from ..problem.orbit_rows import OrbitRows, SpecialOrbit, row_of
+from ..problem.orbit_point import OrbitPoint, itinerary
+from ..problem.orbit_rows import OrbitRows, SpecialOrbit, dataset_row
 from ..scene import check
-from ..scene.scene import Scene, changed
-from ..scene.scene_table import table_of
-from .corner import outsets, track_on
-from .first_point import KINDS, RESTS, impacts_of, start_of
-from .track import reason
+from ..scene.scene import Scene, replace_unchecked
+from ..scene.scene_table import make_scene_table
+from .grazing_switchover import both_directions, track_across_walls
+from .locus_start import KINDS, STICKING_KINDS, make_locus_start, whole_orbit_impacts
+from .track import termination_reason
 
 MEANINGS = {
     "CP": "cusp",
@@ -90,8 +90,8 @@ class Locus(OrbitRows[Codim2]):
     NOUN = "locus"
 
     def __repr__(self):
-        ends = " ".join(one.kind for one in self.special)
-        return f"Locus({self.kind} of {self.label} in {self.names[0]} and {self.names[1]}, {len(self)} points, {ends})"
+        kinds = " ".join(special_point.kind for special_point in self.special)
+        return f"Locus({self.kind} of {self.label} in {self.names[0]} and {self.names[1]}, {len(self)} points, {kinds})"
 
     @property
     def values(self) -> Float[np.ndarray, "points 2"]:
@@ -105,8 +105,8 @@ class Locus(OrbitRows[Codim2]):
 
     def located(self, place: int) -> tuple[Scene, OrbitPoint]:
         """(the scene at a point, its `OrbitPoint`)."""
-        spot, values = _spot_of(self.data, place, self.names)
-        return self.scene.replace(**values), spot
+        orbit_row, values = _orbit_row_at(self.data, place, self.names)
+        return self.scene.replace(**values), orbit_row
 
     @property
     def content(self) -> bytes:
@@ -116,27 +116,35 @@ class Locus(OrbitRows[Codim2]):
             "source": f"jaxvibro {__version__}",
             "kind": self.kind,
             "bounds": json.dumps({name: self.bounds[name] for name in self.names}),
-            "scene": msgspec.toml.encode(table_of(self.scene)).decode(),
-            "special": json.dumps([[one.kind, one.place, one.residual] for one in self.special]),
+            "scene": msgspec.toml.encode(make_scene_table(self.scene)).decode(),
+            "special": json.dumps(
+                [[special_point.kind, special_point.place, special_point.residual] for special_point in self.special]
+            ),
             "reasons": json.dumps(self.reasons),
         }
-        return netcdf(self.data.assign_attrs(attrs))
+        return netcdf_bytes(self.data.assign_attrs(attrs))
 
     def table(self, units: str = "scene", labels: str = "jaxvibro") -> str:
         """The special points as a text, a line each, and why the locus ends. units, labels: as in `Branch.table`.
 
         Raises ArgumentError for other units and labels, and where the scene has no scales.
         """
-        known = [unit_in(self.scene, unit_of(name), units) for name in self.names]
-        heads = [headed(name, unit, units) for name, (unit, _) in zip(self.names, known, strict=True)]
-        rows: list[tuple[str, ...]] = [("kind", *heads, "orbit", "itinerary")]
-        for one in self.special:
-            walls = " ".join(word or "." for word in one.itinerary)
-            values = [f"{value * size:.12g}" for value, (_, size) in zip(one.values.values(), known, strict=True)]
-            rows.append((name_in(one.kind, labels), *values, one.label, walls))
-        sizes = {name: size for name, (_, size) in zip(self.names, known, strict=True)}
-        ends = [f"{end} point: {end_in_plane.scaled(why, sizes)}" for end, why in self.reason.items()]
-        return "\n".join([columns(rows), *ends])
+        column_units = [unit_in_system(self.scene, unit_of(name), units) for name in self.names]
+        headers = [column_header(name, unit, units) for name, (unit, _) in zip(self.names, column_units, strict=True)]
+        rows: list[tuple[str, ...]] = [("kind", *headers, "orbit", "itinerary")]
+        for special_point in self.special:
+            itinerary_text = " ".join(word or "." for word in special_point.itinerary)
+            values = [
+                f"{value * unit_size:.12g}"
+                for value, (_, unit_size) in zip(special_point.values.values(), column_units, strict=True)
+            ]
+            rows.append((translate_label(special_point.kind, labels), *values, special_point.label, itinerary_text))
+        unit_sizes = {name: unit_size for name, (_, unit_size) in zip(self.names, column_units, strict=True)}
+        end_lines = [
+            f"{end_name} point: {plane_curve_end.rescale_end_text(reason_text, unit_sizes)}"
+            for end_name, reason_text in self.reason.items()
+        ]
+        return "\n".join([align_columns(rows), *end_lines])
 
     def to_frame(self, units: str = "scene") -> pd.DataFrame:
         """A row a point, a pandas.DataFrame: kind of the point of codimension two there, if it is one, the two
@@ -144,20 +152,20 @@ class Locus(OrbitRows[Codim2]):
 
         units: as in `Branch.to_frame`. Raises ArgumentError for other units, and where the scene has no scales.
         """
-        return frame(
+        return make_dataframe(
             self.scene,
             {
-                "kind": ("", kinds_at(self.special, len(self))),
+                "kind": ("", special_kinds(self.special, len(self))),
                 **{name: (unit_of(name), self.data[name].values) for name in self.names},
                 "label": ("", np.repeat(self.label, len(self))),
-                **of_least(self.data),
-                **of_multipliers(self.multipliers),
+                **minimum_columns(self.data),
+                **multiplier_columns(self.multipliers),
             },
             units,
         )
 
 
-@check.host("use strobe or monodromy")
+@check.host_only("use strobe or monodromy")
 def locus(
     special: Special,
     names: Sequence[str],
@@ -190,88 +198,122 @@ def locus(
     Raises ArgumentError for points of other kinds and arguments that cannot be.
     """
     limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
-    start, steps = start_of(special, (*KINDS, *RESTS)), (first_step, largest_step, tolerance, limits)
-    on, back = outsets(start, names, bounds, *steps)
-    ahead = track_on(start, on.limited(limits.halved()), steps)
-    back = back.limited(limits.after(sum(len(one.points.z) - 1 for _, one in ahead)))
-    return locus_of(special, ahead, () if ahead[0][1].end is End.CLOSED else track_on(start, back, steps))
-
-
-def locus_of(special, on, back, left="the start"):
-    """The `Locus` of what was `corner.track_on` from its start on and back, the latter empty where the first closes, or
-    it begins at a point, of which `left` tells."""
-    asked, parts = (
-        on[0][0].asked,
-        [backwards(one) for _, one in reversed(back)] + [one for _, one in on],
+    start, step_settings = (
+        make_locus_start(special, (*KINDS, *STICKING_KINDS)),
+        (first_step, largest_step, tolerance, limits),
     )
-    if back and back[0][0].curve is on[0][0].curve:
-        parts[len(back) - 1 : len(back) + 1] = [glued(parts[len(back) - 1 : len(back) + 1])]
-    data, found, first = [], {}, 0
-    wide = max(impacts_of(part.args, part.points.z[:1])[0].shape[1] for part in parts)
+    forward_direction, backward_direction = both_directions(start, names, bounds, *step_settings)
+    forward_parts = track_across_walls(start, forward_direction.with_limits(limits.halved()), step_settings)
+    backward_direction = backward_direction.with_limits(
+        limits.after(sum(len(segment.points.z) - 1 for _, segment in forward_parts))
+    )
+    return build_locus(
+        special,
+        forward_parts,
+        () if forward_parts[0][1].end is End.CLOSED else track_across_walls(start, backward_direction, step_settings),
+    )
+
+
+def build_locus(special, forward_parts, backward_parts, start_reason="the start"):
+    """The `Locus` of what was `corner.track_on` from its start on and back, the latter empty where the first closes, or
+    it begins at a point, of which `start_reason` tells."""
+    settings, parts = (
+        forward_parts[0][0].settings,
+        [reverse_segment(segment) for _, segment in reversed(backward_parts)]
+        + [segment for _, segment in forward_parts],
+    )
+    if backward_parts and backward_parts[0][0].problem is forward_parts[0][0].problem:
+        parts[len(backward_parts) - 1 : len(backward_parts) + 1] = [
+            join_segments(parts[len(backward_parts) - 1 : len(backward_parts) + 1])
+        ]
+    data, special_rows, row_offset = [], {}, 0
+    n_impact_columns = max(whole_orbit_impacts(part.args, part.points.z[:1])[0].shape[1] for part in parts)
     for part in parts:
-        data.append(_data(asked.names, part, wide).isel(point=slice(1 if data else 0, None)))
-        found |= {first + mark.place: (mark.kind, mark.residual) for mark in part.marks}
-        last = first + len(part.points.z) - 1
-        if part is not parts[-1] and part.args.cycle.releases is None:  # a corner
-            found.setdefault(last, ("GG", float(part.points.residual[-1])))
-        first = last
-    data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_in(special.scene))
-    for place in (0, first):
-        found.setdefault(place, ("EP", float(data["residual"].values[place])))
-    given = special.scene, special.kind, asked.bounds, data
-    points = tuple(codim2_of(*given, place, *found[place]) for place in sorted(found))
-    reasons = (reason(*back[-1]) if back else left, reason(*on[-1]))
-    return Locus(special.kind, asked.names, asked.bounds, special.scene, data, points, reasons)
+        data.append(_dataset(settings.names, part, n_impact_columns).isel(point=slice(1 if data else 0, None)))
+        special_rows |= {
+            row_offset + special_index.row: (special_index.kind, special_index.residual)
+            for special_index in part.specials
+        }
+        last_row = row_offset + len(part.points.z) - 1
+        if part is not parts[-1] and part.args.sequence.releases is None:  # a corner
+            special_rows.setdefault(last_row, ("GG", float(part.points.residual[-1])))
+        row_offset = last_row
+    data = xr.concat(data, "point", combine_attrs="override").assign_attrs(scales_attributes(special.scene))
+    for row_index in (0, row_offset):
+        special_rows.setdefault(row_index, ("EP", float(data["residual"].values[row_index])))
+    common_fields = special.scene, special.kind, settings.bounds, data
+    points = tuple(
+        build_codim2(*common_fields, row_index, *special_rows[row_index]) for row_index in sorted(special_rows)
+    )
+    reasons = (
+        termination_reason(*backward_parts[-1]) if backward_parts else start_reason,
+        termination_reason(*forward_parts[-1]),
+    )
+    return Locus(special.kind, settings.names, settings.bounds, special.scene, data, points, reasons)
 
 
-def _data(names, one, wide):
+def _dataset(names, segment, n_impact_columns):
     """The rows of a stretch, with as many columns of impacts as are wanted."""
-    curve, z, look = one.args, one.points.z, one.view
-    rows = len(curve.cycle.sides)
-    times, speeds, sides, periods = impacts_of(curve, z)
-    found = roots(look.trace, look.determinant)
-    if float(curve.cycle.turn) < 0:  # of half the orbit
+    problem, z, diagnostics = segment.args, segment.points.z, segment.diagnostics
+    n_rows = len(problem.sequence.sides)
+    times, speeds, sides, periods = whole_orbit_impacts(problem, z)
+    result = eigenvalue_pairs(diagnostics.trace, diagnostics.determinant)
+    if float(problem.sequence.closure_sign) < 0:  # of half the orbit
         with np.errstate(invalid="ignore"):
-            found = found * found
-    own = np.arange(times.shape[1]) % int(np.sum(curve.cycle.sides != 0))
-    speed = np.where(np.isin(own, curve.hits), speeds, np.inf).min(axis=1)
-    per_impact = {"time": (times, "since phase 0", TIME), "speed": (speeds, "abs(y- - v_b)", SPEED)}
-    plain = {
-        "least_speed": (speed, "of the impacts but for that which grazes", SPEED),
-        "least_clearance": (look.clear.min(axis=(1, 2), initial=np.inf), "at turning points, inf: none", LENGTH),
-        "residual": (one.points.residual, "largest error left in the equations", LENGTH),
+            result = result * result
+    impact_indices = np.arange(times.shape[1]) % int(np.sum(problem.sequence.sides != 0))
+    min_speeds = np.where(np.isin(impact_indices, problem.impact_rows), speeds, np.inf).min(axis=1)
+    impact_variables = {"time": (times, "since phase 0", TIME), "speed": (speeds, "abs(y- - v_b)", SPEED)}
+    point_variables = {
+        "least_speed": (min_speeds, "of the impacts but for that which grazes", SPEED),
+        "least_clearance": (
+            diagnostics.clearance.min(axis=(1, 2), initial=np.inf),
+            "at turning points, inf: none",
+            LENGTH,
+        ),
+        "residual": (segment.points.residual, "largest error left in the equations", LENGTH),
     }
-    columns = {
-        name: ("point", z[:, 2 * rows + k], _attrs("a parameter", unit_of(name))) for k, name in enumerate(names)
+    variables = {
+        name: ("point", z[:, 2 * n_rows + k], _attributes("a parameter", unit_of(name))) for k, name in enumerate(names)
     }
-    columns |= {key: (("point", "impact"), each[0], _attrs(*each[1:])) for key, each in per_impact.items()}
+    variables |= {
+        key: (("point", "impact"), variable[0], _attributes(*variable[1:]))
+        for key, variable in impact_variables.items()
+    }
     sides = np.broadcast_to(sides.astype(np.int8), times.shape)
-    columns["side"] = (("point", "impact"), sides, _attrs("-1 left, 1 right", "1"))
-    for key, part in (("real", found.real), ("imag", found.imag)):
-        columns[f"multiplier_{key}"] = (("point", "multiplier"), part, _attrs("Floquet's, the larger first", "1"))
-    columns |= {key: ("point", each[0], _attrs(*each[1:])) for key, each in plain.items()}
-    found = xr.Dataset(columns, attrs={"periods": periods})
-    more = wide - times.shape[1]
-    return found.pad(impact=(0, more), constant_values={"side": 0}) if more else found
+    variables["side"] = (("point", "impact"), sides, _attributes("-1 left, 1 right", "1"))
+    for key, component in (("real", result.real), ("imag", result.imag)):
+        variables[f"multiplier_{key}"] = (
+            ("point", "multiplier"),
+            component,
+            _attributes("Floquet's, the larger first", "1"),
+        )
+    variables |= {key: ("point", variable[0], _attributes(*variable[1:])) for key, variable in point_variables.items()}
+    result = xr.Dataset(variables, attrs={"periods": periods})
+    n_missing_columns = n_impact_columns - times.shape[1]
+    return result.pad(impact=(0, n_missing_columns), constant_values={"side": 0}) if n_missing_columns else result
 
 
-def _attrs(meaning, units):
+def _attributes(meaning, units):
     return {"long_name": meaning, "units": units}
 
 
-def _spot_of(data, place, names):
+def _orbit_row_at(data, row_index, names):
     """(the `OrbitPoint` at a point of a locus, {name: value})."""
-    row, values = row_of(data, place), {name: float(data[name].values[place]) for name in names}
-    hit = row["side"] != 0
-    rows = (row[key][hit].astype(float) for key in ("time", "speed", "side"))
-    return OrbitPoint(values[names[0]], *rows, data.attrs["periods"], np.nan, np.nan, float(row["residual"])), values
+    row, values = dataset_row(data, row_index), {name: float(data[name].values[row_index]) for name in names}
+    is_impact = row["side"] != 0
+    impact_columns = (row[key][is_impact].astype(float) for key in ("time", "speed", "side"))
+    return OrbitPoint(
+        values[names[0]], *impact_columns, data.attrs["periods"], np.nan, np.nan, float(row["residual"])
+    ), values
 
 
-def codim2_of(scene, on, bounds, data, place, kind, residual):
-    """The `Codim2` of a kind at a place among the points of a locus of the kind `on`, which starts at the scene."""
-    row, (spot, values) = row_of(data, place), _spot_of(data, place, tuple(bounds))
-    there = {name: jnp.asarray(value, scene.dtype) for name, value in values.items()}
-    scene = changed(scene, there)  # in its domain: not checked again
-    found = row["multiplier_real"] + 1j * row["multiplier_imag"]
-    walls = itinerary(spot, float(scene.frequency))
-    return Codim2(kind, on, values, bounds, found, place, residual, walls, scene, spot)
+def build_codim2(scene, locus_kind, bounds, data, row_index, kind, residual):
+    """The `Codim2` of a kind at a place among the points of a locus of the kind `locus_kind`, which starts at the
+    scene."""
+    row, (orbit_row, values) = dataset_row(data, row_index), _orbit_row_at(data, row_index, tuple(bounds))
+    parameter_values = {name: jnp.asarray(value, scene.dtype) for name, value in values.items()}
+    scene = replace_unchecked(scene, parameter_values)  # in its domain: not checked again
+    multipliers = row["multiplier_real"] + 1j * row["multiplier_imag"]
+    itinerary_words = itinerary(orbit_row, float(scene.frequency))
+    return Codim2(kind, locus_kind, values, bounds, multipliers, row_index, residual, itinerary_words, scene, orbit_row)

@@ -8,12 +8,12 @@ from continuation.limits import limits_of
 from ..branches import switch as of_branches
 from ..branches.branch import Branch, Special
 from ..branches.follow import Monitors
-from ..branches.switch import FIRST
+from ..branches.switch import FIRST_STEP
 from ..scene import check
-from .leaving import outsets_of, tracked
-from .locus import Codim2, Locus, locus_of
+from .locus import Codim2, Locus, build_locus
+from .locus_switching import locus_seeds, track_seed
 
-LEFT = {  # by kinds of points, on which loci others leave them
+DEPARTURE_LOCI = {  # by kinds of points, on which loci others leave them
     "RG": ("GR",),
     "GPD": ("PD",),
     "DSB": ("SB",),
@@ -28,7 +28,7 @@ LEFT = {  # by kinds of points, on which loci others leave them
 def switch(
     special: Special,
     bounds: tuple[float, float] | None = None,
-    first_step: float = FIRST,
+    first_step: float = FIRST_STEP,
     largest_step: float = 0.1,
     tolerance: float = 1e-10,
     monitors: Monitors = (),
@@ -44,7 +44,7 @@ def switch(
 def switch(
     special: Codim2,
     bounds: Mapping[str, tuple[float, float]] | None = None,
-    first_step: float = FIRST,
+    first_step: float = FIRST_STEP,
     largest_step: float = 0.1,
     tolerance: float = 1e-10,
     *,
@@ -54,11 +54,11 @@ def switch(
 ) -> tuple[Locus, ...]: ...
 
 
-@check.host("use strobe or monodromy")
+@check.host_only("use strobe or monodromy")
 def switch(
     special: Special | Codim2,
     bounds: tuple[float, float] | Mapping[str, tuple[float, float]] | None = None,
-    first_step: float = FIRST,
+    first_step: float = FIRST_STEP,
     largest_step: float = 0.1,
     tolerance: float = 1e-10,
     monitors: Monitors = (),
@@ -87,30 +87,35 @@ def switch(
     Raises ArgumentError for a point of another kind, and arguments that cannot be.
     """
     limits = limits_of(max_points, max_seconds, progress, check.ArgumentError)
-    leave = _loci if isinstance(special, Codim2) else _branches
-    return leave(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits)
+    switch_function = _switch_loci if isinstance(special, Codim2) else _switch_branches
+    return switch_function(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits)
 
 
-def _branches(special, *given):
+def _switch_branches(special, *arguments):
     """Those that leave a `Special`."""
-    return of_branches.switch(special, *given)
+    return of_branches.switch(special, *arguments)
 
 
-def _loci(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits):
+def _switch_loci(special, bounds, first_step, largest_step, tolerance, monitors, stop, limits):
     """Those that leave a `Codim2`."""
-    _require(special, monitors, stop)
-    bounds, steps = special.bounds if bounds is None else bounds, (first_step, largest_step, tolerance, limits)
-    told = ", ".join(f"{name} {value:.12g}" for name, value in special.values.items())
-    left = f"it left {special.kind} at {told}"
-    return tuple(locus_of(*tracked(one, steps), left) for one in outsets_of(special, bounds, *steps))
+    _check_codim2(special, monitors, stop)
+    bounds, step_settings = special.bounds if bounds is None else bounds, (first_step, largest_step, tolerance, limits)
+    values_text = ", ".join(f"{name} {value:.12g}" for name, value in special.values.items())
+    start_reason = f"it left {special.kind} at {values_text}"
+    return tuple(
+        build_locus(*track_seed(seed, step_settings), start_reason)
+        for seed in locus_seeds(special, bounds, *step_settings)
+    )
 
 
-def _require(special, monitors, stop):
+def _check_codim2(special, monitors, stop):
     """Refuse a point that no loci leave, and what only branches know."""
-    if special.on not in LEFT.get(special.kind, ()):
-        kinds = ", ".join(f"{kind} of a locus of {' or '.join(on)}" for kind, on in LEFT.items())
-        given = f"{special.kind} of a locus of {special.on}"
-        raise check.ArgumentError("special", f"must be one that other loci leave: {kinds}", given)
-    for key, given in (("monitors", monitors), ("stop", stop)):
-        if given:
-            raise check.ArgumentError(key, "must be left out: loci have none", given)
+    if special.on not in DEPARTURE_LOCI.get(special.kind, ()):
+        kinds = ", ".join(
+            f"{kind} of a locus of {' or '.join(locus_kinds)}" for kind, locus_kinds in DEPARTURE_LOCI.items()
+        )
+        actual_value = f"{special.kind} of a locus of {special.on}"
+        raise check.ArgumentError("special", f"must be one that other loci leave: {kinds}", actual_value)
+    for key, actual_value in (("monitors", monitors), ("stop", stop)):
+        if actual_value:
+            raise check.ArgumentError(key, "must be left out: loci have none", actual_value)

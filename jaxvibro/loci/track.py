@@ -4,110 +4,143 @@ from typing import NamedTuple
 
 import numpy as np
 
-from continuation import driver, locate
-from continuation.arclength import Control, Point
-from continuation.driver import Met, Task
+from continuation import augmented_systems, driver
+from continuation.arclength import Point, StepControl
+from continuation.branch_segment import SpecialIndex
+from continuation.driver import ContinuationTask, Termination
 from continuation.limits import UNLIMITED, Limits
-from continuation.stretch import Mark
 
-from ..problem import resting
-from ..problem.end import End, ended
-from ..problem.end_in_plane import told
-from ..problem.equations import problem
-from ..problem.first_touch import OrbitWatch, to_touch
-from ..problem.grazing import FLAT, opening
-from ..problem.touches import stays, touches, wall_sides
+from ..problem import sticking_limits
+from ..problem.end import End, convert_end
+from ..problem.equations import continuation_problem
+from ..problem.first_grazing import OrbitEventDetector, truncate_at_grazing
+from ..problem.grazing import ZERO_RATE, opening_rate
+from ..problem.grazing_contact import contact_durations_at, find_grazing_contacts, wall_sides
+from ..problem.plane_curve_end import describe_end
 from . import codim2
-from .completing import Completing
-from .extended_system import Grazing, Singular
+from .chatter_completion import ChatterEquations
+from .extended_system import GrazingEquations, SingularEquations
 
 
 class LocusSettings(NamedTuple):
-    """What a locus is asked for. control: of steps, with the second parameter's bounds; first: the first step; names;
-    bounds: (low, high) of each parameter by name; box: the same within their domains; domain: the ends of these that
-    no bound is; length: the scene's; limits: of its points and of the time."""
+    """What a locus is asked for. control: of steps, with the second parameter's bounds; initial_step: the first step;
+    names; bounds: (low, high) of each parameter by name; box: the same within their domains; domain_ends: the ends of
+    these that no bound is; scene_length: the scene's; limits: of its points and of the time."""
 
-    control: Control
-    first: float
+    control: StepControl
+    initial_step: float
     names: tuple[str, str]
     bounds: dict[str, tuple[float, float]]
     box: tuple[tuple[float, float], ...]
-    domain: tuple[tuple[float, ...], ...]
-    length: float
+    domain_ends: tuple[tuple[float, ...], ...]
+    scene_length: float
     limits: Limits = UNLIMITED
 
 
-class LocusWay(NamedTuple):
-    """A locus in one direction, to be tracked. curve: its equations; start: a `Point` whose tangent leads away."""
+class LocusDirection(NamedTuple):
+    """A locus in one direction, to be tracked. problem: its equations; start: a `Point` whose tangent leads away."""
 
-    curve: Grazing | Singular | Completing
+    problem: GrazingEquations | SingularEquations | ChatterEquations
     start: Point
-    asked: LocusSettings
+    settings: LocusSettings
 
     @property
-    def task(self) -> Task:
+    def task(self) -> ContinuationTask:
         """The `driver.Task`."""
-        curve, asked = self.curve, self.asked
-        watch = LocusWatch(curve, asked.length)
-        starts, own = (np.asarray(self.start.z),), (asked.box, asked.domain, watch)
-        return Task(problem(curve), curve, asked.control, asked.first, *own, starts=starts, limits=asked.limits)
+        problem, settings = self.problem, self.settings
+        detector = LocusEventDetector(problem, settings.scene_length)
+        starts, driver_arguments = (np.asarray(self.start.z),), (settings.box, settings.domain_ends, detector)
+        return ContinuationTask(
+            continuation_problem(problem),
+            problem,
+            settings.control,
+            settings.initial_step,
+            *driver_arguments,
+            starts=starts,
+            limits=settings.limits,
+        )
 
-    def limited(self, limits: Limits) -> "LocusWay":
+    def with_limits(self, limits: Limits) -> "LocusDirection":
         """The same with these limits."""
-        return self._replace(asked=self.asked._replace(limits=limits))
+        return self._replace(settings=self.settings._replace(limits=limits))
 
     @property
-    def is_free(self) -> bool:
+    def is_admissible(self) -> bool:
         """Whether no other touch than its own becomes an impact along it, or loses speed where it is one."""
-        curve, z, tangent = self.curve, self.start.z, self.start.tangent
-        walls, held, rows = wall_sides(curve.scene), stays(curve, z), len(curve.cycle.sides)
-        met = touches(curve, z, self.asked.length)
-        places = [(one.row, walls.index(one.side), one.late - float(held[one.row])) for one in met if not one.own]
-        slow = [tangent[rows + one.row] for one in met if one.own and one.row in curve.hits]
-        return all(rate > -FLAT for rate in (*slow, *(opening(curve, z, tangent, *place) for place in places)))
+        problem, z, tangent = self.problem, self.start.z, self.start.tangent
+        walls, contact_durations, n_rows = (
+            wall_sides(problem.scene),
+            contact_durations_at(problem, z),
+            len(problem.sequence.sides),
+        )
+        contacts = find_grazing_contacts(problem, z, self.settings.scene_length)
+        contact_positions = [
+            (contact.row, walls.index(contact.side), contact.delay - float(contact_durations[contact.row]))
+            for contact in contacts
+            if not contact.is_impact
+        ]
+        speed_rates = [
+            tangent[n_rows + contact.row]
+            for contact in contacts
+            if contact.is_impact and contact.row in problem.impact_rows
+        ]
+        return all(
+            opening_rate > -ZERO_RATE
+            for opening_rate in (
+                *speed_rates,
+                *(opening_rate(problem, z, tangent, *position) for position in contact_positions),
+            )
+        )
 
 
-class LocusWatch(OrbitWatch):
+class LocusEventDetector(OrbitEventDetector):
     """Orbits along two parameters: the points of codimension two among them, and the touch that ends them."""
 
-    def look(self, task, points, view):
-        return super().look(task, points._replace(residual=_left(task, points)), view)
+    def refine_points(self, task, points, diagnostics):
+        return super().refine_points(task, points._replace(residual=_point_residuals(task, points)), diagnostics)
 
-    def touch(self, task, points, view, bad):
-        points, residual = to_touch(task, points, view, bad, self.length)
+    def find_boundary_end(self, task, points, diagnostics, first_bad):
+        points, residual = truncate_at_grazing(task, points, diagnostics, first_bad, self.length_scale)
         if residual is None:
             return None
-        return Met(points, Mark(0, self.meets(points.z[-1]), residual), End.GRAZE)
+        return Termination(points, SpecialIndex(0, self.contact_kind(points.z[-1]), residual), End.GRAZE)
 
-    def meets(self, z):
+    def contact_kind(self, z):
         """The kind of a point at which a flight touches a wall, an impact has lost its speed, or a rest is none."""
-        curve = self.equations
-        if isinstance(curve, Completing):
-            return "GR" if touches(curve, z, self.length) else "CH"
-        return resting.kind_at(curve, z, self.length) or ("GG" if isinstance(curve, Grazing) else "GR")
+        problem = self.equations
+        if isinstance(problem, ChatterEquations):
+            return "GR" if find_grazing_contacts(problem, z, self.length_scale) else "CH"
+        return sticking_limits.sticking_limit_kind(problem, z, self.length_scale) or (
+            "GG" if isinstance(problem, GrazingEquations) else "GR"
+        )
 
-    def events(self, task, points, view, known, end):
-        return codim2.events(task, points, view)
-
-
-def track(way):
-    """The `Stretch` along a `LocusWay`."""
-    return ended(driver.run(way.task, way.start))
+    def find_events(self, task, points, diagnostics, known_branch_points, termination):
+        return codim2.locate_events(task, points, diagnostics)
 
 
-def together(ways):
-    """The `Stretch` of each of some `LocusWay`s, those of one kind and size as the lanes of one compiled call."""
-    return [ended(one) for one in driver.run_together([way.task for way in ways], [way.start for way in ways])]
+def track_locus(direction):
+    """The `Stretch` along a `LocusDirection`."""
+    return convert_end(driver.follow_branch(direction.task, direction.start))
 
 
-def reason(way, one):
-    """Why a `LocusWay` ended, of which the `Stretch` is known."""
-    return told(one.end, way.asked.names[one.which], one.value)
+def track_together(directions):
+    """The `Stretch` of each of some `LocusDirection`s, those of one kind and size as the lanes of one compiled call."""
+    return [
+        convert_end(segment)
+        for segment in driver.follow_branches(
+            [direction.task for direction in directions], [direction.start for direction in directions]
+        )
+    ]
 
 
-def _left(task, points):
+def termination_reason(direction, segment):
+    """Why a `LocusDirection` ended, of which the `Stretch` is known."""
+    return describe_end(segment.end, direction.settings.names[segment.end_param_index], segment.end_value)
+
+
+def _point_residuals(task, points):
     """The residual of each point: the error before Newton's last step, but where that is large the one after it."""
-    left = points.residual.copy()
-    for k in np.flatnonzero(left > task.control.tolerance * (1.0 + abs(points.z[:, -2:]).max(axis=1))):
-        left[k] = abs(np.asarray(locate.evaluated(task.problem, points.z[k], task.args)[0])).max()
-    return left
+    point_residuals = points.residual.copy()
+    for k in np.flatnonzero(point_residuals > task.control.tolerance * (1.0 + abs(points.z[:, -2:]).max(axis=1))):
+        point_residuals[k] = abs(np.asarray(augmented_systems.evaluate(task.problem, points.z[k], task.args)[0])).max()
+    return point_residuals

@@ -15,20 +15,20 @@ import jax.numpy as jnp
 import numpy as np
 from jax.custom_derivatives import SymbolicZero
 
-from ..compiled.blocks import batched, in_blocks
-from ..compiled.kernels import WIDTH, one_kernel
+from ..compiled.blocks import run_in_blocks, vmap_as_lanes
+from ..compiled.kernels import BLOCK_WIDTH, call_as_kernel
 from ..scene import check
 from ..scene.state import State
 from . import two_tiers
-from .one_period import SLOTS
-from .replay import KnownImpacts
-from .replayed_slopes import cut, known_impacts, replayed_slopes, slots_first
-from .tensors import contracted, moving_places, some
+from .derivative_tensors import active_argnums, contract_tangents, select_argnums
+from .one_period import REPLAY_SLOTS
+from .replay import RecordedImpacts
+from .replay_derivatives import collect_replay_data, move_slots_first, replay_derivatives, truncate_slots
 
 
-class Request(NamedTuple):
+class StrobeRequest(NamedTuple):
     """What is asked for, static. tree: of (scene, state); periods, slots, clearance: as of `strobe`; of_state:
-    derivatives of x and v at the end, else of the impacts' times and speeds; order; chosen: the places of the numbers
+    derivatives of x and v at the end, else of the impacts' times and speeds; order; argnums: the places of the numbers
     that they are by."""
 
     tree: jax.tree_util.PyTreeDef
@@ -37,162 +37,194 @@ class Request(NamedTuple):
     clearance: bool = False
     of_state: bool = True
     order: int = 1
-    chosen: tuple[int, ...] = ()
+    argnums: tuple[int, ...] = ()
 
 
 def strobe(scene, state, periods, slots, clearance):
     """The strobe of numbers that are traced: (State, Impacts)."""
     leaves, tree = jax.tree.flatten((scene, state))
-    end, impacts = _strobe(Request(tree, periods, slots, clearance))(*leaves)
-    whole = {name: getattr(impacts, name).astype(jnp.int32) for name in ("count", "status")}
-    return end, replaced(impacts, side=impacts.side.astype(jnp.int8), **whole)
+    end, impacts = _differentiable_strobe(StrobeRequest(tree, periods, slots, clearance))(*leaves)
+    integer_fields = {name: getattr(impacts, name).astype(jnp.int32) for name in ("count", "status")}
+    return end, replaced(impacts, side=impacts.side.astype(jnp.int8), **integer_fields)
 
 
 @cache
-def _strobe(task):
+def _differentiable_strobe(request):
     """(State, Impacts), all real, of the numbers of scene and state."""
-    asked = {"periods": task.periods, "slots": task.slots, "clearance": task.clearance}
-    inner = jax.jit(partial(two_tiers.strobe, **asked, least=1))
-    run = jax.custom_jvp(batched(lambda *leaves: _real(inner(*task.tree.unflatten(leaves)))))
+    settings = {"periods": request.periods, "slots": request.slots, "clearance": request.clearance}
+    inner = jax.jit(partial(two_tiers.strobe, **settings, min_lanes=1))
+    run = jax.custom_jvp(vmap_as_lanes(lambda *leaves: _cast_to_real(inner(*request.tree.unflatten(leaves)))))
 
-    def rule(primals, tangents):
-        moving = moving_places(tangents)
-        if moving and _carries(task, primals):
-            out, slopes = _sloped(task._replace(chosen=moving))(*primals)
-            return out, _pushed(task, out, _recorded(task)(*primals)[1], primals, tangents, slopes)
-        out, known = _recorded(task)(*primals)
-        return out, _pushed(task, out, known, primals, tangents)
+    def jvp_rule(primals, tangents):
+        active_indices = active_argnums(tangents)
+        if active_indices and _carries_tangents(request, primals):
+            outputs, state_jacobian = _strobe_with_jacobian(request._replace(argnums=active_indices))(*primals)
+            return outputs, _pushforward(
+                request, outputs, _strobe_with_record(request)(*primals)[1], primals, tangents, state_jacobian
+            )
+        outputs, replay_data = _strobe_with_record(request)(*primals)
+        return outputs, _pushforward(request, outputs, replay_data, primals, tangents)
 
-    run.defjvp(rule, symbolic_zeros=True)
+    run.defjvp(jvp_rule, symbolic_zeros=True)
     return run
 
 
-def _carries(task, leaves):
+def _carries_tangents(request, leaves):
     """Whether derivatives of these numbers are carried along: not those of a few known lanes, as the replay, which the
     impacts' derivatives need, is compiled sooner than both."""
-    few = not check.is_traced(*leaves) and max(map(np.size, leaves)) <= WIDTH
-    return not (few or task.clearance) and two_tiers.takes(task.tree.unflatten(leaves)[0])
+    is_small_batch = not check.is_traced(*leaves) and max(map(np.size, leaves)) <= BLOCK_WIDTH
+    return not (is_small_batch or request.clearance) and two_tiers.has_fast_path(request.tree.unflatten(leaves)[0])
 
 
 @cache
-def _sloped(task):
+def _strobe_with_jacobian(request):
     """((State, Impacts), derivatives of x and v at the end by the chosen numbers, an axis for these, last).
 
     By lean steps, which carry them along; its own derivatives are those of the replay.
     """
-    asked = {"periods": task.periods, "slots": task.slots, "chosen": task.chosen}
-    inner = jax.jit(partial(two_tiers.sloped, task.tree, **asked, least=1))
-    run = jax.custom_jvp(batched(lambda *leaves: _real(inner(*leaves))))
+    settings = {"periods": request.periods, "slots": request.slots, "argnums": request.argnums}
+    inner = jax.jit(partial(two_tiers.strobe_with_jacobian, request.tree, **settings, min_lanes=1))
+    run = jax.custom_jvp(vmap_as_lanes(lambda *leaves: _cast_to_real(inner(*leaves))))
 
-    def rule(primals, tangents):
-        moving = moving_places(tangents)
+    def jvp_rule(primals, tangents):
+        active_indices = active_argnums(tangents)
 
-        def again(*numbers):
+        def replay_values(*active_values):
             leaves = list(primals)
-            for place, number in zip(moving, numbers, strict=True):
-                leaves[place] = number
-            out, known = _recorded(task._replace(chosen=()))(*leaves)
-            return out, _replayed(task, known, leaves, of_state=True)
+            for argnum, value in zip(active_indices, active_values, strict=True):
+                leaves[argnum] = value
+            outputs, replay_data = _strobe_with_record(request._replace(argnums=()))(*leaves)
+            return outputs, _replay_jacobian(request, replay_data, leaves, of_state=True)
 
-        return jax.jvp(again, *([each[place] for place in moving] for each in (primals, tangents)))
+        return jax.jvp(
+            replay_values, *([arguments[argnum] for argnum in active_indices] for arguments in (primals, tangents))
+        )
 
-    run.defjvp(rule, symbolic_zeros=True)
+    run.defjvp(jvp_rule, symbolic_zeros=True)
     return run
 
 
 @cache
-def _recorded(task):
+def _strobe_with_record(request):
     """The same, and what a replay has to know, whose derivatives are not asked for."""
-    late = SLOTS * task.periods
-    asked = {"periods": task.periods, "slots": max(task.slots, late), "clearance": task.clearance, "late": late}
-    inner = jax.jit(partial(two_tiers.recorded, **asked, least=1))
+    history_slots = REPLAY_SLOTS * request.periods
+    settings = {
+        "periods": request.periods,
+        "slots": max(request.slots, history_slots),
+        "clearance": request.clearance,
+        "history_slots": history_slots,
+    }
+    inner = jax.jit(partial(two_tiers.strobe_with_record, **settings, min_lanes=1))
 
-    def found(*leaves):
-        (end, impacts), past = _real(inner(*task.tree.unflatten(leaves)))
-        return (end, cut(impacts, task.slots)), known_impacts(end, impacts, past)
+    def record(*leaves):
+        (end, impacts), history = _cast_to_real(inner(*request.tree.unflatten(leaves)))
+        return (end, truncate_slots(impacts, request.slots)), collect_replay_data(end, impacts, history)
 
-    run = jax.custom_jvp(batched(found))
+    run = jax.custom_jvp(vmap_as_lanes(record))
 
-    def rule(primals, tangents):
-        out, known = run(*primals)
-        return (out, known), (_pushed(task, out, known, primals, tangents), jax.tree.map(jnp.zeros_like, known))
+    def jvp_rule(primals, tangents):
+        outputs, replay_data = run(*primals)
+        return (outputs, replay_data), (
+            _pushforward(request, outputs, replay_data, primals, tangents),
+            jax.tree.map(jnp.zeros_like, replay_data),
+        )
 
-    run.defjvp(rule, symbolic_zeros=True)
+    run.defjvp(jvp_rule, symbolic_zeros=True)
     return run
 
 
 @cache
-def _tensors(task):
-    """Derivatives of all orders up to the task's, by the chosen numbers: of the numbers and what is `KnownImpacts`.
+def _derivative_tensors(request):
+    """Derivatives of all orders up to the task's, by the chosen numbers: of the numbers and what is `RecordedImpacts`.
 
     An order's are two arrays with an axis for each time a number was chosen, last.
     """
-    inner = jax.jit(partial(_blocks, task))
-    run = jax.custom_jvp(batched(lambda *given: inner(*given), rows=2 if task.of_state else 3))
+    inner = jax.jit(partial(_tensors_in_blocks, request))
+    run = jax.custom_jvp(vmap_as_lanes(lambda *arguments: inner(*arguments), n_rows=2 if request.of_state else 3))
 
-    def rule(primals, tangents):
-        given = tangents[: task.tree.num_leaves]
-        moving = moving_places(given)
-        if not moving:
+    def jvp_rule(primals, tangents):
+        leaf_tangents = tangents[: request.tree.num_leaves]
+        active_indices = active_argnums(leaf_tangents)
+        if not active_indices:
             values = run(*primals)
             return values, jax.tree.map(jnp.zeros_like, values)
-        above = task._replace(order=task.order + 1, chosen=tuple(sorted({*task.chosen, *moving})))
-        found = list(enumerate(_tensors(above)(*primals)))
-        values = tuple(some(each, above, [*repeat(task.chosen, m + 1)]) for m, each in found[:-1])
-        slopes = (some(each, above, [*repeat(task.chosen, m), moving]) for m, each in found[1:])
-        return values, tuple(contracted(each, primals, given) for each in slopes)
+        higher_request = request._replace(
+            order=request.order + 1, argnums=tuple(sorted({*request.argnums, *active_indices}))
+        )
+        tensors = list(enumerate(_derivative_tensors(higher_request)(*primals)))
+        values = tuple(
+            select_argnums(tensor, higher_request, [*repeat(request.argnums, order + 1)])
+            for order, tensor in tensors[:-1]
+        )
+        jacobians = (
+            select_argnums(tensor, higher_request, [*repeat(request.argnums, order), active_indices])
+            for order, tensor in tensors[1:]
+        )
+        return values, tuple(contract_tangents(tensor, primals, leaf_tangents) for tensor in jacobians)
 
-    run.defjvp(rule, symbolic_zeros=True)
+    run.defjvp(jvp_rule, symbolic_zeros=True)
     return run
 
 
-def _pushed(task, out, known, primals, tangents, slopes=None):
-    """The tangents of (State, Impacts); slopes: those of x and v by what moves, where they are known."""
-    (end, impacts), moving = out, moving_places(tangents)
-    if not moving:
-        return jax.tree.map(jnp.zeros_like, out)
-    task = task._replace(chosen=moving)
-    x, v = contracted(slopes or _replayed(task, known, primals, of_state=True), primals, tangents)
-    time, speed = contracted(_replayed(task, known, primals, of_state=False), primals, tangents)
-    place = jnp.maximum(known.slowest, 0.0).astype(int)[..., None]
-    slowest = jnp.take_along_axis(speed, place, -1)[..., 0]
-    turned = 0.0 if isinstance(tangents[-2], SymbolicZero) else tangents[-2]
-    end = State(x, v, jnp.zeros_like(end.phase) + turned, jnp.zeros_like(end.contact))
+def _pushforward(request, outputs, replay_data, primals, tangents, state_jacobian=None):
+    """The tangents of (State, Impacts); state_jacobian: those of x and v by what moves, where they are known."""
+    (end, impacts), active_indices = outputs, active_argnums(tangents)
+    if not active_indices:
+        return jax.tree.map(jnp.zeros_like, outputs)
+    request = request._replace(argnums=active_indices)
+    x, v = contract_tangents(
+        state_jacobian or _replay_jacobian(request, replay_data, primals, of_state=True), primals, tangents
+    )
+    time, speed = contract_tangents(_replay_jacobian(request, replay_data, primals, of_state=False), primals, tangents)
+    slowest_index = jnp.maximum(replay_data.slowest_index, 0.0).astype(int)[..., None]
+    least_speed = jnp.take_along_axis(speed, slowest_index, -1)[..., 0]
+    phase_tangent = 0.0 if isinstance(tangents[-2], SymbolicZero) else tangents[-2]
+    end = State(x, v, jnp.zeros_like(end.phase) + phase_tangent, jnp.zeros_like(end.contact))
     return end, replaced(
         jax.tree.map(jnp.zeros_like, impacts),
-        time=time[..., : task.slots],
-        speed=speed[..., : task.slots],
-        least_speed=jnp.where(known.slowest < 0, 0.0, slowest),
+        time=time[..., : request.slots],
+        speed=speed[..., : request.slots],
+        least_speed=jnp.where(replay_data.slowest_index < 0, 0.0, least_speed),
     )
 
 
-def _replayed(task, known, leaves, of_state):
+def _replay_jacobian(request, replay_data, leaves, of_state):
     """The first derivatives by the chosen numbers: of x and v at the end, or of the impacts' times and speeds."""
-    known = known.of_state if of_state else known.of_impacts
-    told = known.count, known.freed, known.rests, known.times, known.sides
-    rows = () if of_state else (known.before,)
-    return _tensors(task._replace(of_state=of_state))(*leaves, *told, *rows)[0]
+    replay_data = replay_data.state_impacts if of_state else replay_data.all_impacts
+    scalar_fields = (
+        replay_data.count,
+        replay_data.release_time,
+        replay_data.end_contact,
+        replay_data.times,
+        replay_data.sides,
+    )
+    release_rows = () if of_state else (replay_data.last_releases,)
+    return _derivative_tensors(request._replace(of_state=of_state))(*leaves, *scalar_fields, *release_rows)[0]
 
 
-def _real(out):
+def _cast_to_real(outputs):
     """The same with every array of the state's type."""
-    return jax.tree.map(lambda part: part.astype(jax.tree.leaves(out)[0].dtype), out)
+    return jax.tree.map(lambda array: array.astype(jax.tree.leaves(outputs)[0].dtype), outputs)
 
 
-def _blocks(task, *given):
-    """What `_tensors` gives, computed block by block; given: the leaves, then the fields of `KnownImpacts`."""
-    leaves, (count, freed, rests, *rest) = given[: task.tree.num_leaves], given[task.tree.num_leaves :]
-    times = rest[0]
-    choices, rows = len(task.chosen), [] if task.of_state else [times.shape[-1]]
+def _tensors_in_blocks(request, *arguments):
+    """What `_derivative_tensors` gives, computed block by block; arguments: the leaves, then the fields of
+    `RecordedImpacts`."""
+    leaves, (count, release_time, end_contact, *impact_rows) = (
+        arguments[: request.tree.num_leaves],
+        arguments[request.tree.num_leaves :],
+    )
+    times = impact_rows[0]
+    n_argnums, slot_axis = len(request.argnums), [] if request.of_state else [times.shape[-1]]
 
-    def blank(lanes):
-        shapes = [(lanes, *rows, *[choices] * order) for order in range(1, task.order + 1)]
+    def empty_tensors(n_lanes):
+        shapes = [(n_lanes, *slot_axis, *[n_argnums] * order) for order in range(1, request.order + 1)]
         return tuple((jnp.zeros(shape, times.dtype), jnp.zeros(shape, times.dtype)) for shape in shapes)
 
-    def run(tree, times, sides, *before):
-        leaves, told = tree
-        known = slots_first(KnownImpacts(times, sides, *told, *before))
-        asked = {name: getattr(task, name) for name in ("tree", "chosen", "periods", "order", "of_state")}
-        return one_kernel(replayed_slopes, leaves, known, **asked)
+    def run(tree, times, sides, *last_releases):
+        leaves, scalar_fields = tree
+        impacts = move_slots_first(RecordedImpacts(times, sides, *scalar_fields, *last_releases))
+        settings = {name: getattr(request, name) for name in ("tree", "argnums", "periods", "order", "of_state")}
+        return call_as_kernel(replay_derivatives, leaves, impacts, **settings)
 
-    return in_blocks(run, (leaves, (count, freed, rests)), blank, 1, rest)
+    return run_in_blocks(run, (leaves, (count, release_time, end_contact)), empty_tensors, 1, impact_rows)

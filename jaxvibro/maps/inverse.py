@@ -13,18 +13,18 @@ from functools import lru_cache
 import jax
 import jax.numpy as jnp
 
-from ..compiled.blocks import in_blocks
+from ..compiled.blocks import run_in_blocks
 from ..compiled.compiler_hints import choose, stage
-from ..compiled.kernels import one_kernel
+from ..compiled.kernels import call_as_kernel
 from ..flight import integrate, reversed_contact
-from ..flight.coefficients import Stays, frame, is_valid
-from ..flight.entry import enter
+from ..flight.coefficients import ContactLaw, check_validity, compute_coefficients
+from ..flight.entry import start_path
 from ..flight.flows import flow_of
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.soft_walls import effective_restitution
 from ..scene.state import State
-from .one_period import blank, finish
+from .one_period import empty_results, state_and_impacts
 
 
 def require_reversible(scene):
@@ -37,83 +37,90 @@ def require_reversible(scene):
             damping = scene.parameter(f"{side}.damping")
             if not effective_restitution(wall.stiffness, damping) > 0:
                 raise check.ArgumentError(f"{side}.damping", "must be less than critical on the way back", damping)
-        bounce = scene.bounce(side)
-        if bounce == 0:
+        restitution = scene.bounce(side)
+        if restitution == 0:
             raise check.ArgumentError(
-                f"{side}.restitution", "must be greater than 0, else the map has no inverse", bounce
+                f"{side}.restitution", "must be greater than 0, else the map has no inverse", restitution
             )
     if scene.force is None and not scene.damping < 1:
         raise check.ArgumentError("damping", "must be less than 1 on the way back", scene.damping)
 
 
-def backward(scene, state, least):
+def strobe_backward(scene, state, min_lanes):
     """(State, Impacts) a drive period before a state, in blocks of so many lanes at least; inside jit.
 
     scene: one that `require_reversible`; state: leaves that broadcast, at their phase, which comes back. `strobe` leads
     from the result to the state. Impacts: of the reversed motion, in its order, none recorded but counted.
     """
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
-    turned = State(jnp.broadcast_to(state.x, shape), -state.v, -state.phase, jnp.zeros_like(state.x))
-    end, impacts = in_blocks(
-        lambda given: one_kernel(_through, *given), (scene, turned), lambda count: blank(count, 0, scene.dtype), least
+    reversed_state = State(jnp.broadcast_to(state.x, shape), -state.v, -state.phase, jnp.zeros_like(state.x))
+    end, impacts = run_in_blocks(
+        lambda arguments: call_as_kernel(_reversed_period, *arguments),
+        (scene, reversed_state),
+        lambda n_lanes: empty_results(n_lanes, 0, scene.dtype),
+        min_lanes,
     )
     return State(end.x, -end.v, -end.phase, jnp.zeros_like(end.x)), impacts
 
 
-def _through(scene, state):
-    built = reversed_frame(scene)
-    path, fault = stage(enter, built, state, rules=_rules)
-    path = path._replace(to_go=choose(fault == Status.OK, built.period, 0.0))
-    told = integrate.begin(built, path, 0, built.period)
-    return finish(built, integrate.run(built, told, integrate.cap(built, 1)), state, fault)
+def _reversed_period(scene, state):
+    coeffs = reversed_coefficients(scene)
+    path, entry_status = stage(start_path, coeffs, state, check_rules=_is_valid_reversed)
+    path = path._replace(time_remaining=choose(entry_status == Status.OK, coeffs.period, 0.0))
+    loop = integrate.initial_loop_state(coeffs, path, 0, coeffs.period)
+    return state_and_impacts(
+        coeffs, integrate.run_loop(coeffs, loop, integrate.loop_limits(coeffs, 1)), state, entry_status
+    )
 
 
-def reversed_frame(scene):
+def reversed_coefficients(scene):
     """The `Frame` of a scene with time reversed."""
-    built = frame(scene)
-    walls = tuple(_reversed(wall) for wall in built.walls)
-    back = flow_of(built).reversed_in_time(built)._replace(walls=walls)
-    contacts = built.contacts
-    if built.stays is Stays.SPRING:
+    coeffs = compute_coefficients(scene)
+    walls = tuple(_reverse_wall(wall) for wall in coeffs.walls)
+    reversed_coeffs = flow_of(coeffs).reverse_time(coeffs)._replace(walls=walls)
+    contacts = coeffs.soft_flows
+    if coeffs.contact_law is ContactLaw.LINEAR:
         pairs = zip(walls, contacts, strict=True)
-        contacts = tuple(soft and reversed_contact.reversed_in_time(back, wall, soft) for wall, soft in pairs)
-    elif built.stays is Stays.PUSHED:
-        contacts = tuple(soft and wall for wall, soft in zip(walls, contacts, strict=True))
-    return back._replace(contacts=contacts)
+        contacts = tuple(
+            soft_flow and reversed_contact.reverse_time(reversed_coeffs, wall, soft_flow) for wall, soft_flow in pairs
+        )
+    elif coeffs.contact_law is ContactLaw.FORCE_LAW:
+        contacts = tuple(soft_flow and wall for wall, soft_flow in zip(walls, contacts, strict=True))
+    return reversed_coeffs._replace(soft_flows=contacts)
 
 
-def _reversed(wall):
+def _reverse_wall(wall):
     wall = replace(wall, sine=None if wall.sine is None else -wall.sine)
     if wall.restitution is not None:
         return replace(wall, restitution=1.0 / wall.restitution)
     if wall.law is not None:
-        return replace(wall, law=replace(wall.law, function=_backwards(wall.law.function)))
+        return replace(wall, law=replace(wall.law, function=_reverse_law(wall.law.function)))
     return replace(wall, damping=-wall.damping)
 
 
 @lru_cache(256)
-def _backwards(function):
+def _reverse_law(law_function):
     """The law of a wall as it is seen with time reversed."""
 
-    def law(depth, rate, numbers):
-        return function(depth, -rate, numbers)
+    def reversed_law(depth, rate, params):
+        return law_function(depth, -rate, params)
 
-    return law
+    return reversed_law
 
 
-def _rules(frame):
-    """`is_valid` of the reversed scene."""
-    walls = tuple(_plain(wall) for wall in frame.walls)
-    valid, finite = is_valid(frame._replace(damping=-frame.damping, walls=walls))
-    for wall in frame.walls:
+def _is_valid_reversed(coeffs):
+    """`check_validity` of the reversed scene."""
+    walls = tuple(_wall_to_validate(wall) for wall in coeffs.walls)
+    is_valid_scene, is_finite = check_validity(coeffs._replace(damping=-coeffs.damping, walls=walls))
+    for wall in coeffs.walls:
         if wall.restitution is not None:
-            valid &= wall.restitution >= 1
-            finite &= jnp.isfinite(wall.restitution)
-    return valid, finite
+            is_valid_scene &= wall.restitution >= 1
+            is_finite &= jnp.isfinite(wall.restitution)
+    return is_valid_scene, is_finite
 
 
-def _plain(wall):
-    """A reversed wall as `is_valid` may judge it, but for its restitution."""
+def _wall_to_validate(wall):
+    """A reversed wall as `check_validity` may judge it, but for its restitution."""
     if wall.restitution is not None:
         return replace(wall, restitution=0.0 * wall.position)
     return wall if wall.law is not None else replace(wall, damping=-wall.damping)

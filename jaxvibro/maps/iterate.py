@@ -6,19 +6,21 @@ import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from ..compiled.kernels import WIDTH
+from ..compiled.kernels import BLOCK_WIDTH
 from ..scene.codes import Status
 from ..scene.state import State
-from .long_run import KEEP, in_order, joined, padded, run_on
-from .strobe import from_host
+from .long_run import MAX_RECORDED_PERIODS, join_blocks, padded_block, run_periods, unroll_ring_buffers
+from .strobe import concrete_strobe
 
-SLOTS = 16  # impacts recorded in a period
-FEW = 8  # lanes that are run one by one, where no more are asked for at once
-SHORT = 1024  # periods of a few lanes, in all, up to which they are strobed from the host: no compiled run is made
-RECORDED = 4  # impacts that the host's strobe records, where no period has more: as many as `strobe` by itself
+PERIOD_SLOTS = 16  # impacts recorded in a period
+MAX_SINGLE_LANES = 8  # lanes that are run one by one, where no more are asked for at once
+MAX_HOST_PERIODS = (
+    1024  # periods of a few lanes, in all, up to which they are strobed from the host: no compiled run is made
+)
+HOST_SLOTS = 4  # impacts that the host's strobe records, where no period has more: as many as `strobe` by itself
 
 
-class Trail(NamedTuple):
+class Iterates(NamedTuple):
     """The ends of some lanes, and their last periods; NumPy arrays, periods first, then lanes, then slots.
 
     state: x, v, phase, contact (lanes); status: the worst met, FULL of the kept periods only; x, v, contact: at the end
@@ -39,60 +41,79 @@ class Trail(NamedTuple):
         """Positions and velocities at the ends of the kept periods, shape (periods, lanes, 2)."""
         return np.stack([self.x, self.v], -1)
 
-    def lanes(self, chosen: Bool[np.ndarray, " lanes"] | Int[np.ndarray, " some"] | list[int] | slice) -> "Trail":
+    def select_lanes(
+        self, selection: Bool[np.ndarray, " lanes"] | Int[np.ndarray, " some"] | list[int] | slice
+    ) -> "Iterates":
         """The trail of some of the lanes."""
-        ends = jax.tree.map(lambda leaf: leaf[chosen], self.state)
-        return Trail(ends, self.status[chosen], *(part[:, chosen] for part in self[2:]))
+        end_state = jax.tree.map(lambda leaf: leaf[selection], self.state)
+        return Iterates(end_state, self.status[selection], *(rows[:, selection] for rows in self[2:]))
 
 
-def iterate(scene, state, periods, slots=SLOTS, few=FEW):
-    """Runs a state's lanes on: a `Trail` of the last periods, at most KEEP.
+def iterate(scene, state, periods, slots=PERIOD_SLOTS, max_single_lanes=MAX_SINGLE_LANES):
+    """Runs a state's lanes on: a `Iterates` of the last periods, at most KEEP.
 
     scene: a single one, or a lane of a batch each; state: leaves of shape (lanes,); periods: whole number >= 1, no
-    compilation of its own. few: so many lanes are run one by one, and differ by a rounding from those of a block.
-    """
-    size, width = len(state.x), _width(state, slots, few)
-    if width == 1 and size * periods <= SHORT:
-        blocks = [padded((scene, state), lane, 1) for lane in range(size)]
-        runs = [_strobed(*block, periods, _needed(scene, slots)) for block in blocks]
-        end, worst, kept = joined(runs, size)
+    compilation of its own. max_single_lanes: so many lanes are run one by one, and differ by a rounding from those of a
+    block."""
+    n_lanes, width = len(state.x), _block_width(state, slots, max_single_lanes)
+    if width == 1 and n_lanes * periods <= MAX_HOST_PERIODS:
+        blocks = [padded_block((scene, state), lane, 1) for lane in range(n_lanes)]
+        runs = [_iterate_on_host(*block, periods, _required_slots(scene, slots)) for block in blocks]
+        end_state, worst_status, ring_buffers = join_blocks(runs, n_lanes)
     else:
-        end, worst, kept = run_on(scene, state, periods, _needed(scene, slots), width)
-    return Trail(end, worst, *in_order(kept, periods))
+        end_state, worst_status, ring_buffers = run_periods(scene, state, periods, _required_slots(scene, slots), width)
+    return Iterates(end_state, worst_status, *unroll_ring_buffers(ring_buffers, periods))
 
 
-def ends(scene, state, periods, few=FEW):
+def final_states(scene, state, periods, max_single_lanes=MAX_SINGLE_LANES):
     """(state, status) of a state's lanes so many periods later; the same compiled run as `iterate`'s."""
-    return run_on(scene, state, periods, _needed(scene, SLOTS), _width(state, SLOTS, few), kept=False)[:2]
+    return run_periods(
+        scene,
+        state,
+        periods,
+        _required_slots(scene, PERIOD_SLOTS),
+        _block_width(state, PERIOD_SLOTS, max_single_lanes),
+        record_periods=False,
+    )[:2]
 
 
-def _width(state, slots, few):
+def _block_width(state, slots, max_single_lanes):
     """Lanes of a block: a few are run one by one, which compiles and runs faster than a block of which most is idle."""
-    return 1 if len(state.x) <= few else max(1, WIDTH * SLOTS // slots)
+    return 1 if len(state.x) <= max_single_lanes else max(1, BLOCK_WIDTH * PERIOD_SLOTS // slots)
 
 
-def _needed(scene, slots):
+def _required_slots(scene, slots):
     return 0 if scene.left is None and scene.right is None else slots
 
 
-def _strobed(scene, state, periods, slots):
+def _iterate_on_host(scene, state, periods, slots):
     """As `_run`, of one lane, by strobes from the host."""
     scene, state = jax.device_put(jax.tree.map(lambda leaf: np.asarray(leaf).reshape(()), (scene, state)))
-    worst, few = int(Status.OK), min(RECORDED, slots)
-    ring = [np.zeros((KEEP, 1), state.x.dtype) for _ in range(3)]
-    empty = (np.inf, state.x.dtype), (0, np.int32), (0.0, state.x.dtype)  # time, side and speed of no impact
-    ring += [np.full((KEEP, 1, slots), *each) for each in empty]
-    for k in range(periods):
-        kept = k >= periods - KEEP
-        end, impacts = from_host(scene, state, 1, few, False)
-        if kept and few < slots and int(impacts.status) == Status.FULL:
-            end, impacts = from_host(scene, state, 1, slots, False)
-        told = int(impacts.status)
-        if worst < Status.CAP and (kept or told >= Status.CAP):
-            worst = max(worst, told)
-        state = end
-        if kept:
-            row = (end.x, end.v, end.contact, impacts.time, impacts.side, impacts.speed)
-            for old, part in zip(ring, row, strict=True):
-                old[(k % KEEP, 0, *(slice(size) for size in part.shape))] = part
-    return jax.tree.map(lambda leaf: np.asarray(leaf).reshape(1), state), np.array([worst], np.int32), tuple(ring)
+    worst_status, first_slots = int(Status.OK), min(HOST_SLOTS, slots)
+    ring_buffers = [np.zeros((MAX_RECORDED_PERIODS, 1), state.x.dtype) for _ in range(3)]
+    empty_slot_values = (
+        (np.inf, state.x.dtype),
+        (0, np.int32),
+        (0.0, state.x.dtype),
+    )  # time, side and speed of no impact
+    ring_buffers += [
+        np.full((MAX_RECORDED_PERIODS, 1, slots), *value_and_dtype) for value_and_dtype in empty_slot_values
+    ]
+    for period in range(periods):
+        is_recorded = period >= periods - MAX_RECORDED_PERIODS
+        end_state, impacts = concrete_strobe(scene, state, 1, first_slots, False)
+        if is_recorded and first_slots < slots and int(impacts.status) == Status.FULL:
+            end_state, impacts = concrete_strobe(scene, state, 1, slots, False)
+        status = int(impacts.status)
+        if worst_status < Status.CAP and (is_recorded or status >= Status.CAP):
+            worst_status = max(worst_status, status)
+        state = end_state
+        if is_recorded:
+            period_data = (end_state.x, end_state.v, end_state.contact, impacts.time, impacts.side, impacts.speed)
+            for ring_buffer, values in zip(ring_buffers, period_data, strict=True):
+                ring_buffer[(period % MAX_RECORDED_PERIODS, 0, *(slice(size) for size in values.shape))] = values
+    return (
+        jax.tree.map(lambda leaf: np.asarray(leaf).reshape(1), state),
+        np.array([worst_status], np.int32),
+        tuple(ring_buffers),
+    )

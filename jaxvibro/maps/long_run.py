@@ -13,144 +13,155 @@ from jax import lax
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.compiler_hints import OPTIONS
+from ..compiled.compiler_hints import COMPILER_OPTIONS
 from ..scene.codes import Status
 from . import one_period, two_tiers
 from .strobe import strobe
 
-KEEP = 64  # periods kept, of however many have been run
-IN_FULL = 32  # periods of a block, which a period of one lane that the host does in full is worth
-PATIENCE = 20_000  # periods of blocks, run again or worth as much: half a second, less than compiling
+MAX_RECORDED_PERIODS = 64  # periods kept, of however many have been run
+REFERENCE_COST = 32  # periods of a block, which a period of one lane that the host does in full is worth
+MAX_RETRY_COST = 20_000  # periods of blocks, run again or worth as much: half a second, less than compiling
 
 
-def run_on(scene, state, periods, slots, width, kept=True):
+def run_periods(scene, state, periods, slots, block_width, record_periods=True):
     """(state, the worst status, the kept periods as a ring) of lanes, in blocks of so many.
 
     scene: a single one, or a lane of a batch each; the ring: x, v, contact, times, sides, speeds; period i is row i
-    modulo KEEP; status: FULL of the kept periods only. kept: whether these are asked for.
+    modulo KEEP; status: FULL of the kept periods only. record_periods: whether these are asked for.
     """
-    size = len(state.x)
-    begun, lean = np.zeros(size, np.int32), two_tiers.takes(scene)
-    found = _blocks(scene, state, begun, periods, slots, width, lean, kept)
-    if not lean:
-        return found[0], found[1], found[3]
-    spent = 0
-    while (due := np.flatnonzero(found[2] < periods)).size:
-        blocks = -(-due.size // width)
-        spent += IN_FULL * due.size + blocks * int(periods - found[2][due].min())
-        lean = spent <= PATIENCE
-        if lean:
-            found = _in_full(scene, found, due, periods, slots)
-        given, now = (scene, found[0]), found[2][due]
-        some = jax.tree.map(lambda leaf, due=due: leaf[due] if np.ndim(leaf) else leaf, given)
-        later = _blocks(*some, now, periods, slots, width, lean, kept)
-        found = _put(found, due, later, now)
-    return found[0], found[1], found[3]
+    n_lanes = len(state.x)
+    n_done, fast = np.zeros(n_lanes, np.int32), two_tiers.has_fast_path(scene)
+    results = _run_in_blocks(scene, state, n_done, periods, slots, block_width, fast, record_periods)
+    if not fast:
+        return results[0], results[1], results[3]
+    cost = 0
+    while (unfinished := np.flatnonzero(results[2] < periods)).size:
+        n_blocks = -(-unfinished.size // block_width)
+        cost += REFERENCE_COST * unfinished.size + n_blocks * int(periods - results[2][unfinished].min())
+        fast = cost <= MAX_RETRY_COST
+        if fast:
+            results = _run_reference_period(scene, results, unfinished, periods, slots)
+        arguments, n_done_before = (scene, results[0]), results[2][unfinished]
+        unfinished_arguments = jax.tree.map(
+            lambda leaf, lanes=unfinished: leaf[lanes] if np.ndim(leaf) else leaf, arguments
+        )
+        new_results = _run_in_blocks(
+            *unfinished_arguments, n_done_before, periods, slots, block_width, fast, record_periods
+        )
+        results = _merge_results(results, unfinished, new_results, n_done_before)
+    return results[0], results[1], results[3]
 
 
-def _blocks(scene, state, begun, periods, slots, width, lean, kept):
+def _run_in_blocks(scene, state, n_done, periods, slots, block_width, fast, record_periods):
     """(state, status, periods done, ring) of any number of lanes, each run on from the period that it begins with."""
-    size = len(begun)
-    blocks = [padded((scene, state, begun), first, width) for first in range(0, size, width)]
-    runs = [_run(*block, periods, slots, lean) for block in blocks]
-    return joined(runs if kept else [(*run[:3], ()) for run in runs], size)
+    n_lanes = len(n_done)
+    blocks = [padded_block((scene, state, n_done), start, block_width) for start in range(0, n_lanes, block_width)]
+    runs = [_run_block(*block, periods, slots, fast) for block in blocks]
+    return join_blocks(runs if record_periods else [(*run[:3], ()) for run in runs], n_lanes)
 
 
-def padded(lanes, first, width):
+def padded_block(lanes, start, block_width):
     """So many of a tree's lanes, the last one again where there are fewer; numbers that all share stay."""
-    places = np.arange(first, first + width)
-    return jax.tree.map(lambda leaf: np.asarray(leaf).take(places, 0, mode="clip") if np.ndim(leaf) else leaf, lanes)
+    indices = np.arange(start, start + block_width)
+    return jax.tree.map(lambda leaf: np.asarray(leaf).take(indices, 0, mode="clip") if np.ndim(leaf) else leaf, lanes)
 
 
-def some(tree, lanes):
+def take_lanes(tree, lanes):
     """The tree of some lanes, NumPy's arrays; a number that all lanes share stays one."""
     return jax.tree.map(lambda leaf: np.asarray(leaf)[lanes] if np.ndim(leaf) else np.asarray(leaf), tree)
 
 
-def joined(runs, size):
+def join_blocks(runs, n_lanes):
     """The results of blocks as those of so many lanes; what they end with is a ring, whose first axis is periods."""
-    *ends, rings = zip(*runs, strict=True)
-    ends = (jax.tree.map(lambda *parts: np.concatenate(parts)[:size], *parts) for parts in ends)
-    return *ends, tuple(np.concatenate(parts, axis=1)[:, :size] for parts in zip(*rings, strict=True))
+    *end_arrays, ring_buffers = zip(*runs, strict=True)
+    end_arrays = (jax.tree.map(lambda *parts: np.concatenate(parts)[:n_lanes], *parts) for parts in end_arrays)
+    return *end_arrays, tuple(np.concatenate(parts, axis=1)[:, :n_lanes] for parts in zip(*ring_buffers, strict=True))
 
 
-def in_order(ring, periods):
+def unroll_ring_buffers(ring_buffers, periods):
     """A ring's kept periods, the first one first."""
-    turn = -(periods % KEEP) if periods > KEEP else 0
-    return [np.roll(part, turn, axis=0)[: min(periods, KEEP)] for part in ring]
+    shift = -(periods % MAX_RECORDED_PERIODS) if periods > MAX_RECORDED_PERIODS else 0
+    return [np.roll(ring_buffer, shift, axis=0)[: min(periods, MAX_RECORDED_PERIODS)] for ring_buffer in ring_buffers]
 
 
-def _in_full(scene, found, lanes, periods, slots):
+def _run_reference_period(scene, results, lanes, periods, slots):
     """The results with the next period of some lanes, by full steps."""
-    state, status, begun, ring = found
-    state, status, begun = jax.tree.map(np.array, state), np.array(status), np.array(begun)
+    state, status, n_done, ring_buffers = results
+    state, status, n_done = jax.tree.map(np.array, state), np.array(status), np.array(n_done)
     for lane in lanes:
-        one = jax.tree.map(lambda leaf, lane=lane: np.asarray(leaf[lane] if np.ndim(leaf) else leaf), (scene, state))
-        end, impacts = _full(*one, slots)
-        k = begun[lane]
-        status[lane] = max(status[lane], _told(impacts.status, k >= periods - KEEP))
-        begun[lane] += 1
+        lane_arguments = jax.tree.map(
+            lambda leaf, lane=lane: np.asarray(leaf[lane] if np.ndim(leaf) else leaf), (scene, state)
+        )
+        end, impacts = _reference_strobe(*lane_arguments, slots)
+        period = n_done[lane]
+        status[lane] = max(status[lane], _recorded_status(impacts.status, period >= periods - MAX_RECORDED_PERIODS))
+        n_done[lane] += 1
         for old, new in zip(jax.tree.leaves(state), jax.tree.leaves(end), strict=True):
             old[lane] = new
-        row = (end.x, end.v, end.contact, impacts.time, impacts.side, impacts.speed)
-        for old, part in zip(ring, row, strict=False):
-            old[k % KEEP, lane] = part
-    return state, status, begun, ring
+        period_data = (end.x, end.v, end.contact, impacts.time, impacts.side, impacts.speed)
+        for old, values in zip(ring_buffers, period_data, strict=False):
+            old[period % MAX_RECORDED_PERIODS, lane] = values
+    return state, status, n_done, ring_buffers
 
 
-def _told(status, kept):
-    return int(status) if status >= Status.CAP or (kept and status == Status.FULL) else int(Status.OK)
+def _recorded_status(status, is_recorded):
+    return int(status) if status >= Status.CAP or (is_recorded and status == Status.FULL) else int(Status.OK)
 
 
-def _put(found, lanes, later, begun):
+def _merge_results(results, lanes, new_results, n_done_before):
     """The results with those of a later run of some lanes, which began with these periods."""
-    (state, status, done, ring), (new_state, new_status, new_done, new_ring) = found, later
-    for old, new in zip(jax.tree.leaves((state, done)), jax.tree.leaves((new_state, new_done)), strict=True):
+    (state, status, n_done, ring_buffers), (new_state, new_status, new_n_done, new_buffers) = results, new_results
+    for old, new in zip(jax.tree.leaves((state, n_done)), jax.tree.leaves((new_state, new_n_done)), strict=True):
         old[lanes] = new
     status[lanes] = np.where(status[lanes] >= Status.CAP, status[lanes], np.maximum(status[lanes], new_status))
-    last = new_done - 1 - (new_done - 1 - np.arange(KEEP)[:, None]) % KEEP  # the period that a row has
-    flown = last >= begun
-    for old, new in zip(ring, new_ring, strict=True):
-        old[:, lanes] = np.where(flown[..., None] if new.ndim > 2 else flown, new, old[:, lanes])
-    return state, status, done, ring
+    row_period = (
+        new_n_done - 1 - (new_n_done - 1 - np.arange(MAX_RECORDED_PERIODS)[:, None]) % MAX_RECORDED_PERIODS
+    )  # the period that a row has
+    is_new_row = row_period >= n_done_before
+    for old, new in zip(ring_buffers, new_buffers, strict=True):
+        old[:, lanes] = np.where(is_new_row[..., None] if new.ndim > 2 else is_new_row, new, old[:, lanes])
+    return state, status, n_done, ring_buffers
 
 
-@persistent_jit(static_argnums=2, compiler_options=OPTIONS, numpy_first=True)
-def _full(scene, state, slots):
+@persistent_jit(static_argnums=2, compiler_options=COMPILER_OPTIONS, numpy_first=True)
+def _reference_strobe(scene, state, slots):
     """(State, Impacts) of a period of one lane by full steps."""
     return one_period.strobe(scene, state, 1, slots, 1)
 
 
-@persistent_jit(static_argnames=("slots", "lean"), compiler_options=OPTIONS)
-def _run(scene, state, begun, periods, slots, lean):
-    """(state, status, periods done, the kept periods as a ring); a lane begins with the period `begun`.
+@persistent_jit(static_argnames=("slots", "fast"), compiler_options=COMPILER_OPTIONS)
+def _run_block(scene, state, n_done, periods, slots, fast):
+    """(state, status, periods done, the kept periods as a ring); a lane begins with the period `n_done`.
 
-    lean: by lean steps alone: a lane that they give up stops at the end of the period before.
+    fast: by lean steps alone: a lane that they give up stops at the end of the period before.
     """
     lanes = state.x.shape
-    numbers = jnp.zeros((KEEP, *lanes), state.x.dtype)
-    record = jnp.zeros((KEEP, *lanes, slots), state.x.dtype)
-    ring = (numbers, numbers, numbers, record, record.astype(jnp.int32), record)
+    lane_rows = jnp.zeros((MAX_RECORDED_PERIODS, *lanes), state.x.dtype)
+    slot_rows = jnp.zeros((MAX_RECORDED_PERIODS, *lanes, slots), state.x.dtype)
+    ring_buffers = (lane_rows, lane_rows, lane_rows, slot_rows, slot_rows.astype(jnp.int32), slot_rows)
 
-    def going(carry):
-        k, _, _, done, _ = carry
-        return (k < periods) & jnp.any(done >= k)
+    def is_unfinished(carry):
+        period, _, _, n_done, _ = carry
+        return (period < periods) & jnp.any(n_done >= period)
 
-    def one(carry):
-        k, state, status, done, ring = carry
-        if lean:
-            (new, impacts), given_up = two_tiers.lean_alone(scene, state, slots, 1)
-            goes = (done == k) & ~given_up
+    def run_period(carry):
+        period, state, status, n_done, ring_buffers = carry
+        if fast:
+            (end_state, impacts), given_up = two_tiers.fast_strobe(scene, state, slots, 1)
+            advances = (n_done == period) & ~given_up
         else:
-            new, impacts = strobe(scene, state, slots=slots)
-            goes = done == k
-        full = (impacts.status == Status.FULL) & (k >= periods - KEEP)
-        told = jnp.where(impacts.status >= Status.CAP, impacts.status, jnp.where(full, Status.FULL, Status.OK))
-        told = jnp.where(status >= Status.CAP, status, jnp.maximum(status, told))
-        row = (new.x, new.v, new.contact, impacts.time, impacts.side, impacts.speed)
-        ring = tuple(old.at[k % KEEP].set(part) for old, part in zip(ring, row, strict=True))
-        state = jax.tree.map(lambda new, old: jnp.where(goes, new, old), new, state)
-        return k + 1, state, jnp.where(goes, told, status), done + goes, ring
+            end_state, impacts = strobe(scene, state, slots=slots)
+            advances = n_done == period
+        is_full = (impacts.status == Status.FULL) & (period >= periods - MAX_RECORDED_PERIODS)
+        new_status = jnp.where(impacts.status >= Status.CAP, impacts.status, jnp.where(is_full, Status.FULL, Status.OK))
+        new_status = jnp.where(status >= Status.CAP, status, jnp.maximum(status, new_status))
+        period_data = (end_state.x, end_state.v, end_state.contact, impacts.time, impacts.side, impacts.speed)
+        ring_buffers = tuple(
+            ring_buffer.at[period % MAX_RECORDED_PERIODS].set(values)
+            for ring_buffer, values in zip(ring_buffers, period_data, strict=True)
+        )
+        state = jax.tree.map(lambda new, old: jnp.where(advances, new, old), end_state, state)
+        return period + 1, state, jnp.where(advances, new_status, status), n_done + advances, ring_buffers
 
-    start = jnp.min(begun), state, jnp.zeros(lanes, jnp.int32), begun, ring
-    return lax.while_loop(going, one, start)[1:]
+    start = jnp.min(n_done), state, jnp.zeros(lanes, jnp.int32), n_done, ring_buffers
+    return lax.while_loop(is_unfinished, run_period, start)[1:]

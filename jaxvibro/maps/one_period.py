@@ -9,150 +9,175 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.blocks import in_blocks
-from ..compiled.compiler_hints import choose, positive, stage
-from ..compiled.kernels import one_kernel
+from ..compiled.blocks import run_in_blocks
+from ..compiled.compiler_hints import choose, positive_part, stage
+from ..compiled.kernels import call_as_kernel
 from ..flight import impact_log, integrate
-from ..flight.coefficients import frame
-from ..flight.entry import enter
-from ..flight.flight_state import CAPPED, absolute
+from ..flight.coefficients import compute_coefficients
+from ..flight.entry import start_path
+from ..flight.flight_state import CAPPED, absolute_state
 from ..flight.soft_contact import is_inside
 from ..scene.codes import Contact, Status
 from ..scene.state import Impacts, State
 
-SLOTS = 32  # impacts of a period whose derivatives can be told
+REPLAY_SLOTS = 32  # impacts of a period whose derivatives can be told
 
 
-class Past(NamedTuple):
-    """freed: when the mass was last released from a wall, -1: never. What a replay has to know besides, else None:
-    count, times, sides of the impacts since then, and before: freed at each of the impacts from the start on."""
+class ReplayHistory(NamedTuple):
+    """release_time: when the mass was last released from a wall, -1: never. What a replay has to know besides, else
+    None: count, times, sides of the impacts since then, and last_releases: freed at each of the impacts from the start
+    on."""
 
-    freed: Float[jax.Array, "*lanes"]
+    release_time: Float[jax.Array, "*lanes"]
     count: Float[jax.Array, "*lanes"] | None = None  # type: ignore[assignment]  # a tuple has a method of this name
     times: Float[jax.Array, "*lanes late"] | None = None
     sides: Float[jax.Array, "*lanes late"] | None = None
-    before: Float[jax.Array, "*lanes slots"] | None = None
+    last_releases: Float[jax.Array, "*lanes slots"] | None = None
 
 
-def strobe(scene, state, periods, slots, least, clearance=False, due=None):
-    """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least; due: see `in_blocks`."""
-    return _in_blocks(_seen, scene, state, periods, slots, least, clearance, due)
+def strobe(scene, state, periods, slots, min_lanes, clearance=False, n_due=None):
+    """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least; n_due: see `run_in_blocks`."""
+    return _strobe_in_blocks(_strobe_alone, scene, state, periods, slots, min_lanes, clearance, n_due)
 
 
-def recorded(scene, state, periods, slots, least, clearance=False, late=0):
-    """((State, Impacts), `Past`), as `strobe`."""
-    return _in_blocks(through, scene, state, periods, slots, least, clearance, late=late)
+def strobe_with_record(scene, state, periods, slots, min_lanes, clearance=False, history_slots=0):
+    """((State, Impacts), `ReplayHistory`), as `strobe`."""
+    return _strobe_in_blocks(
+        strobe_with_history, scene, state, periods, slots, min_lanes, clearance, history_slots=history_slots
+    )
 
 
-def _in_blocks(function, scene, state, periods, slots, least, clearance, due=None, **more):
+def _strobe_in_blocks(function, scene, state, periods, slots, min_lanes, clearance, n_due=None, **options):
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
 
-    def run(given):
-        return one_kernel(function, *given, periods=periods, slots=slots, clearance=clearance, **more)
+    def run(arguments):
+        return call_as_kernel(function, *arguments, periods=periods, slots=slots, clearance=clearance, **options)
 
-    def empty(count):
-        out = blank(count, slots, scene.dtype, clearance)
-        return out if function is _seen else (out, nothing(count, slots, scene.dtype, **more))
+    def make_empty(n_lanes):
+        results = empty_results(n_lanes, slots, scene.dtype, clearance)
+        return (
+            results if function is _strobe_alone else (results, empty_history(n_lanes, slots, scene.dtype, **options))
+        )
 
-    return in_blocks(run, (scene, replace(state, x=jnp.broadcast_to(state.x, shape))), empty, least, due=due)
-
-
-def _seen(scene, state, periods, slots, clearance):
-    return through(scene, state, periods, slots, clearance)[0]
-
-
-def through(scene, state, periods, slots, clearance=False, late=0):
-    """((State, Impacts), `Past`): numbers are scalars or of one shape.
-
-    state.x is of that shape. clearance: whether to measure the least one; None if not. late: slots of the `Past`.
-    """
-    built = frame(scene)
-    path, fault = stage(enter, built, state)
-    start = path.motion
-    path = path._replace(to_go=choose(fault == Status.OK, built.period, 0.0))
-    end = built.period if periods == 1 else built.period + lax.full_like(path.x, 0.0)
-    limit = integrate.cap(built, periods)
-    again = partial(_again, built, start, (periods - 0.5) * built.period) if periods > 1 else None
-    told = integrate.run(built, integrate.begin(built, path, slots, end, clearance, late), limit, again)
-    past = _past(told) if late else Past(told.freed)
-    return finish(built, told, state, fault, clearance), past
+    return run_in_blocks(
+        run, (scene, replace(state, x=jnp.broadcast_to(state.x, shape))), make_empty, min_lanes, n_due=n_due
+    )
 
 
-def _past(told):
-    times, speeds, count = impact_log.late(told.log, told.slots)
-    times, sides, before = (jnp.moveaxis(each, 0, -1) for each in (times, jnp.sign(speeds), told.slots.freed))
-    return Past(told.freed, count, times, sides, before)
+def _strobe_alone(scene, state, periods, slots, clearance):
+    return strobe_with_history(scene, state, periods, slots, clearance)[0]
 
 
-def _again(frame, start, last, told):
+def strobe_with_history(scene, state, periods, slots, clearance=False, history_slots=0):
+    """((State, Impacts), `ReplayHistory`): numbers are scalars or of one shape.
+
+    state.x is of that shape. clearance: whether to measure the least one; None if not. history_slots: slots of the
+    `ReplayHistory`."""
+    coeffs = compute_coefficients(scene)
+    path, entry_status = stage(start_path, coeffs, state)
+    start_motion = path.motion
+    path = path._replace(time_remaining=choose(entry_status == Status.OK, coeffs.period, 0.0))
+    end_time = coeffs.period if periods == 1 else coeffs.period + lax.full_like(path.x, 0.0)
+    step_limit = integrate.loop_limits(coeffs, periods)
+    begin_next = (
+        partial(_begin_next_period, coeffs, start_motion, (periods - 0.5) * coeffs.period) if periods > 1 else None
+    )
+    loop = integrate.run_loop(
+        coeffs,
+        integrate.initial_loop_state(coeffs, path, slots, end_time, clearance, history_slots),
+        step_limit,
+        begin_next,
+    )
+    history = _replay_history(loop) if history_slots else ReplayHistory(loop.release_time)
+    return state_and_impacts(coeffs, loop, state, entry_status, clearance), history
+
+
+def _replay_history(loop):
+    times, speeds, n_impacts = impact_log.impacts_since_release(loop.log, loop.impact_slots)
+    times, sides, last_releases = (
+        jnp.moveaxis(rows, 0, -1) for rows in (times, jnp.sign(speeds), loop.impact_slots.release_times)
+    )
+    return ReplayHistory(loop.release_time, n_impacts, times, sides, last_releases)
+
+
+def _begin_next_period(coeffs, start_motion, last_period_start, loop):
     """A path that has ended a period begins the next, its drive turned back by what rounding left of the last one."""
-    path, book = told.path, told.log
-    over = (path.to_go == 0) & (book.end < last)
-    low = path.to_go_low + frame.period_low
-    angle = -frame.frequency * low
-    cosine, sine = start.cosine - angle * start.sine, start.sine + angle * start.cosine
-    turned = path.motion._replace(cosine=choose(over, cosine, path.cosine), sine=choose(over, sine, path.sine))
-    to_go, low = choose(over, frame.period, path.to_go), choose(over, low, path.to_go_low)
-    path = path._replace(motion=turned, to_go=to_go, to_go_low=low)
-    end = choose(over, book.end + frame.period, book.end)
-    return told._replace(path=path, log=book._replace(end=end))
+    path, log = loop.path, loop.log
+    has_period_ended = (path.time_remaining == 0) & (log.end_time < last_period_start)
+    time_remaining_low = path.time_remaining_low + coeffs.period_low
+    angle = -coeffs.frequency * time_remaining_low
+    cosine, sine = start_motion.cosine - angle * start_motion.sine, start_motion.sine + angle * start_motion.cosine
+    motion = path.motion._replace(
+        cosine=choose(has_period_ended, cosine, path.cosine), sine=choose(has_period_ended, sine, path.sine)
+    )
+    time_remaining, time_remaining_low = (
+        choose(has_period_ended, coeffs.period, path.time_remaining),
+        choose(has_period_ended, time_remaining_low, path.time_remaining_low),
+    )
+    path = path._replace(motion=motion, time_remaining=time_remaining, time_remaining_low=time_remaining_low)
+    end_time = choose(has_period_ended, log.end_time + coeffs.period, log.end_time)
+    return loop._replace(path=path, log=log._replace(end_time=end_time))
 
 
-def finish(frame, told, state, fault, clearance=False):
+def state_and_impacts(coeffs, loop, state, entry_status, clearance=False):
     """(State, Impacts) of a journey at its end, with its least clearance where that was asked for."""
-    path, book, slots, calls = told[:4]
-    x, v = absolute(frame, path)
-    full = (book.count > len(slots.times)) | (book.least_speed < 0)
-    status = choose(full, lax.full_like(book.count, Status.FULL), Status.OK)
-    status = choose(path.to_go == CAPPED, Status.CAP, status)
-    finite = jnp.isfinite(x) & jnp.isfinite(v) & jnp.isfinite(path.cosine)
-    status = choose(finite, status, Status.NONFINITE)
-    status = choose(fault == Status.OK, status, fault)
-    good = status < Status.CAP
-    contact = contact_at_end(path)
+    path, log, slots, turning_points = loop[:4]
+    x, v = absolute_state(coeffs, path)
+    is_full = (log.count > len(slots.times)) | (log.least_speed < 0)
+    status = choose(is_full, lax.full_like(log.count, Status.FULL), Status.OK)
+    status = choose(path.time_remaining == CAPPED, Status.CAP, status)
+    is_finite = jnp.isfinite(x) & jnp.isfinite(v) & jnp.isfinite(path.cosine)
+    status = choose(is_finite, status, Status.NONFINITE)
+    status = choose(entry_status == Status.OK, status, entry_status)
+    is_valid = status < Status.CAP
+    contact = reported_contact(path)
     phase = jnp.broadcast_to(state.phase, status.shape)
-    end = State(choose(good, x, jnp.nan), choose(good, v, jnp.nan), phase, choose(good, contact, 0.0))
-    times, sides, speeds = impact_log.rows(slots)
-    closest = jnp.full_like(path.x, jnp.inf) if calls is None else calls.least
+    end = State(choose(is_valid, x, jnp.nan), choose(is_valid, v, jnp.nan), phase, choose(is_valid, contact, 0.0))
+    times, sides, speeds = impact_log.impact_rows(slots)
+    min_clearance = jnp.full_like(path.x, jnp.inf) if turning_points is None else turning_points.least_clearance
     return end, Impacts(
         time=times,
         side=sides,
         speed=speeds,
-        count=book.count.astype(jnp.int32),
-        least_speed=positive(book.least_speed),
-        least_clearance=closest if clearance else None,
+        count=log.count.astype(jnp.int32),
+        least_speed=positive_part(log.least_speed),
+        least_clearance=min_clearance if clearance else None,
         status=status.astype(jnp.int32),
     )
 
 
-def contact_at_end(path):
+def reported_contact(path):
     """The contact as a `State` has it: what has entered a wall is within it, what is released has landed."""
-    kind = choose(is_inside(path.contact), Contact.WITHIN, abs(jnp.sign(path.contact)))
-    return jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, kind)
+    contact_code = choose(is_inside(path.contact), Contact.WITHIN, abs(jnp.sign(path.contact)))
+    return jnp.sign(path.contact) * choose(abs(path.contact) == Contact.STUCK, Contact.STUCK, contact_code)
 
 
-def nothing(count, slots, dtype, late=0):
-    """The same of the `Past`."""
-    none = jnp.zeros(count, dtype)
-    if not late:
-        return Past(none)
-    times, sides = jnp.full((count, late), jnp.inf, dtype), jnp.zeros((count, late), dtype)
-    return Past(none, none, times, sides, jnp.full((count, slots), -1.0, dtype))
+def empty_history(n_lanes, slots, dtype, history_slots=0):
+    """The same of the `ReplayHistory`."""
+    zero = jnp.zeros(n_lanes, dtype)
+    if not history_slots:
+        return ReplayHistory(zero)
+    times, sides = jnp.full((n_lanes, history_slots), jnp.inf, dtype), jnp.zeros((n_lanes, history_slots), dtype)
+    return ReplayHistory(zero, zero, times, sides, jnp.full((n_lanes, slots), -1.0, dtype))
 
 
-def unreleased(impacts, late):
-    """The `Past` of lanes that never rest."""
-    times, none = impacts.time, jnp.zeros_like(impacts.least_speed)
-    if not late:
-        return Past(none - 1.0)
-    count, sides = impacts.count.astype(none.dtype), impacts.side.astype(none.dtype)
-    return Past(none - 1.0, count, times[..., :late], sides[..., :late], jnp.full_like(times, -1.0))
+def history_without_release(impacts, history_slots):
+    """The `ReplayHistory` of lanes that never rest."""
+    times, zero = impacts.time, jnp.zeros_like(impacts.least_speed)
+    if not history_slots:
+        return ReplayHistory(zero - 1.0)
+    n_impacts, sides = impacts.count.astype(zero.dtype), impacts.side.astype(zero.dtype)
+    return ReplayHistory(
+        zero - 1.0, n_impacts, times[..., :history_slots], sides[..., :history_slots], jnp.full_like(times, -1.0)
+    )
 
 
-def blank(count, slots, dtype, clearance=False):
+def empty_results(n_lanes, slots, dtype, clearance=False):
     """Results to fill in; arrays of one content would be filled once and copied, so times begin as they end, empty."""
-    none = jnp.zeros(count, dtype)
-    whole = jnp.zeros(count, jnp.int32)
-    times, speeds = jnp.full((count, slots), jnp.inf, dtype), jnp.zeros((count, slots), dtype)
-    sides = jnp.zeros((count, slots), jnp.int8)
-    return State(none, none, none, none), Impacts(times, sides, speeds, whole, none, none if clearance else None, whole)
+    zero = jnp.zeros(n_lanes, dtype)
+    zero_int = jnp.zeros(n_lanes, jnp.int32)
+    times, speeds = jnp.full((n_lanes, slots), jnp.inf, dtype), jnp.zeros((n_lanes, slots), dtype)
+    sides = jnp.zeros((n_lanes, slots), jnp.int8)
+    return State(zero, zero, zero, zero), Impacts(
+        times, sides, speeds, zero_int, zero, zero if clearance else None, zero_int
+    )

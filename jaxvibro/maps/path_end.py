@@ -7,11 +7,13 @@ import jax.numpy as jnp
 from jaxtyping import Bool, Float
 
 from ..compiled.compiler_hints import choose
-from ..flight.event import rounding
+from ..flight.event import unit_roundoff
 from ..flight.soft_contact import is_inside
 from ..scene.codes import Contact
 
-NEAR = 64.0  # roundings of the path's length or the drive's period: a contact phase that ends this close to the end
+END_TOLERANCE = (
+    64.0  # roundings of the path's length or the drive's period: a contact phase that ends this close to the end
+)
 
 
 class PathEnd(NamedTuple):
@@ -21,7 +23,7 @@ class PathEnd(NamedTuple):
     contact: Float[jax.Array, "*lanes"]
 
 
-def leaves(frame, end: PathEnd, now, touch, time) -> Bool[jax.Array, "*lanes"]:
+def exits_before_end(coeffs, path_end: PathEnd, current, contact, contact_time) -> Bool[jax.Array, "*lanes"]:
     """Decide whether lanes within a soft wall leave it before the path ends.
 
     A contact phase that ends together with the path, up to rounding, is decided by the contact that the simulation
@@ -40,6 +42,8 @@ def leaves(frame, end: PathEnd, now, touch, time) -> Bool[jax.Array, "*lanes"]:
     time : array
         Duration of the contact phase, at most the time to the path's end.
     """
-    near = now.time + time >= end.time - NEAR * rounding(time.dtype) * jnp.maximum(frame.period, end.time)
-    within = (abs(end.contact) == Contact.WITHIN) & (end.contact * touch > 0)
-    return is_inside(touch) & choose(near, ~within, time < end.time - now.time)
+    is_near_end = current.time + contact_time >= path_end.time - END_TOLERANCE * unit_roundoff(
+        contact_time.dtype
+    ) * jnp.maximum(coeffs.period, path_end.time)
+    ends_inside = (abs(path_end.contact) == Contact.WITHIN) & (path_end.contact * contact > 0)
+    return is_inside(contact) & choose(is_near_end, ~ends_inside, contact_time < path_end.time - current.time)

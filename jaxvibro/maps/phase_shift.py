@@ -6,11 +6,11 @@ import numpy as np
 
 from ..compiled.compiler_hints import choose
 from ..flight import integrate
-from ..flight.coefficients import frame
-from ..flight.entry import enter
+from ..flight.coefficients import compute_coefficients
+from ..flight.entry import start_path
 from ..scene.codes import Status
 from ..scene.state import State
-from .one_period import finish
+from .one_period import state_and_impacts
 
 
 def shift_phase(scene, state, phase):
@@ -22,15 +22,17 @@ def shift_phase(scene, state, phase):
     angle = np.mod(phase - float(state.phase[0]), 2.0 * np.pi)
     if angle == 0.0:
         return state, np.zeros(np.shape(state.x), np.int32)
-    end, status = jax.device_get(_carried(scene, state, angle))
+    end, status = jax.device_get(_fly_angle(scene, state, angle))
     return State(end.x, end.v, np.full_like(end.x, phase), end.contact), status
 
 
 @jax.jit
-def _carried(scene, state, angle):
-    built = frame(scene)
-    path, fault = enter(built, state)
-    span = choose(fault == Status.OK, angle / built.frequency, 0.0)
-    told = integrate.begin(built, path._replace(to_go=span), 0, span)
-    end, impacts = finish(built, integrate.run(built, told, integrate.cap(built, 1)), state, fault)
+def _fly_angle(scene, state, angle):
+    coeffs = compute_coefficients(scene)
+    path, entry_status = start_path(coeffs, state)
+    duration = choose(entry_status == Status.OK, angle / coeffs.frequency, 0.0)
+    loop = integrate.initial_loop_state(coeffs, path._replace(time_remaining=duration), 0, duration)
+    end, impacts = state_and_impacts(
+        coeffs, integrate.run_loop(coeffs, loop, integrate.loop_limits(coeffs, 1)), state, entry_status
+    )
     return end, jnp.asarray(impacts.status)

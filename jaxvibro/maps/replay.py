@@ -16,145 +16,188 @@ from jaxtyping import Float, Real
 from ..compiled.compiler_hints import choose, stage
 from ..flight import flow, taylor
 from ..flight.flows import flow_of
-from ..flight.soft_contact import bounce
-from ..flight.taylor import Now
-from ..flight.wall import course_on, less, picked
+from ..flight.soft_contact import restitution_of
+from ..flight.taylor import ExpansionPoint
+from ..flight.wall_motion import select_lists_by_side, subtract, wall_jet_on_side
 from ..scene.codes import Contact
+from .contact_replays import contact_replay_of
 from .path_end import PathEnd
-from .stay_replays import replay_of
 
 
-class KnownImpacts(NamedTuple):
+class RecordedImpacts(NamedTuple):
     """What happened: times and sides (-1, 0, +1) of the impacts, shape (slots, lanes), inf and 0 where there is none;
-    count: how many, below 0 where a replay is not possible; freed: when the mass was last released from a wall, -1 if
-    never; rests: the contact of a mass that rests on a wall at the end, or is within a soft one, else 0; before: of
-    each impact, when the mass had last been released, None: all are after `freed`."""
+    count: how many, below 0 where a replay is not possible; release_time: when the mass was last released from a wall,
+    -1 if never; end_contact: the contact of a mass that rests on a wall at the end, or is within a soft one, else 0;
+    last_releases: of each impact, when the mass had last been released, None: all are after `release_time`."""
 
     times: Float[jax.Array, "..."]
     sides: Float[jax.Array, "..."]
     count: Real[jax.Array, "*lanes"]  # type: ignore[assignment]  # a tuple has a method of this name
-    freed: Float[jax.Array, "*lanes"]
-    rests: Float[jax.Array, "*lanes"]
-    before: Float[jax.Array, "..."] | None = None
+    release_time: Float[jax.Array, "*lanes"]
+    end_contact: Float[jax.Array, "*lanes"]
+    last_releases: Float[jax.Array, "..."] | None = None
 
 
-def replay(frame, state, known, periods, order):
+def replay_periods(coeffs, state, impacts, periods, order):
     """((x, v) at the end, times, speeds of the impacts: shape (slots, lanes)), with derivatives right to an order."""
-    start, end, _, times, speeds = _replayed(frame, state, known, periods * frame.period, order)
-    last = _held(frame, start._replace(x=end.x, v=end.v), _resting(known.rests))
-    return (last.x, last.v), times, speeds
+    start, end, _, times, speeds = _replay_path(coeffs, state, impacts, periods * coeffs.period, order)
+    final = _hold_on_wall(coeffs, start._replace(x=end.x, v=end.v), _sticking_side(impacts.end_contact))
+    return (final.x, final.v), times, speeds
 
 
-def replay_for(frame, state, known, span, order):
+def replay_duration(coeffs, state, impacts, duration, order):
     """(x, v) after any time, likewise; a derivative by the time is that of the motion."""
-    _, end, late, _, _ = _replayed(frame, state, known, span, order)
-    cosine, sine = flow.rotated(end.cosine, end.sine, frame.frequency * late)
-    last = _held(frame, end._replace(cosine=cosine, sine=sine), _resting(known.rests))
-    return last.x, last.v
+    _, end, delay, _, _ = _replay_path(coeffs, state, impacts, duration, order)
+    cosine, sine = flow.rotate_by_angle(end.cosine, end.sine, coeffs.frequency * delay)
+    final = _hold_on_wall(coeffs, end._replace(cosine=cosine, sine=sine), _sticking_side(impacts.end_contact))
+    return final.x, final.v
 
 
-def _replayed(frame, state, known, span, order):
+def _replay_path(coeffs, state, impacts, duration, order):
     """(where it starts, where it is after the time, how much later than a constant that is, times, speeds)."""
-    zero = lax.full_like(known.freed, 0.0)
+    zero = lax.full_like(impacts.release_time, 0.0)
     cosine, sine = jnp.cos(state.phase) + zero, jnp.sin(state.phase) + zero
-    start = _held(frame, Now(state.x + zero, state.v + zero, cosine, sine, zero), _resting(state.contact) + zero)
-    whole = lax.stop_gradient(span) + zero
-    stays = replay_of(frame)
-    aim = PathEnd(whole, known.rests)
-    start, entry = stays.begun(frame, start, state.contact, aim, order)
-    if frame.walls:
-        end, times, speeds = _journey(frame, start, entry, known, aim, order)
+    start = _hold_on_wall(
+        coeffs, ExpansionPoint(state.x + zero, state.v + zero, cosine, sine, zero), _sticking_side(state.contact) + zero
+    )
+    total_time = lax.stop_gradient(duration) + zero
+    contact_replay = contact_replay_of(coeffs)
+    path_end = PathEnd(total_time, impacts.end_contact)
+    start, pending_contact = contact_replay.start_in_contact(coeffs, start, state.contact, path_end, order)
+    if coeffs.walls:
+        end, times, speeds = _replay_impacts(coeffs, start, pending_contact, impacts, path_end, order)
     else:
-        end, times, speeds = _fly(frame, start, whole), known.times, jnp.zeros_like(known.times)
-    late = span - whole
-    free = flow_of(frame).jet_at(frame, end, order)
-    free = taylor.shifted(free, late, order), taylor.shifted(free[1:], late, order)
-    x, v = stays.shifted(frame, end, known.rests, free, late, order)
-    return start, end._replace(x=x, v=v), late, times, speeds
+        end, times, speeds = _fly(coeffs, start, total_time), impacts.times, jnp.zeros_like(impacts.times)
+    delay = duration - total_time
+    free_state = flow_of(coeffs).jet_at_point(coeffs, end, order)
+    free_state = taylor.evaluate_taylor(free_state, delay, order), taylor.evaluate_taylor(free_state[1:], delay, order)
+    x, v = contact_replay.shift_state(coeffs, end, impacts.end_contact, free_state, delay, order)
+    return start, end._replace(x=x, v=v), delay, times, speeds
 
 
-def _journey(frame, start, entry, known, end, order):
-    """(where the lanes are at the `PathEnd`, times, speeds of the impacts); start, entry: as the stays have them."""
-    stays, whole = replay_of(frame), end.time
-    most = lax.min(jnp.max(known.count).astype(jnp.int32), jnp.int32(len(known.times)))
+def _replay_impacts(coeffs, start, pending_contact, impacts, path_end, order):
+    """(where the lanes are at the `PathEnd`, times, speeds of the impacts); start, pending_contact: as the stays have
+    them."""
+    contact_replay, total_time = contact_replay_of(coeffs), path_end.time
+    n_impacts = lax.min(jnp.max(impacts.count).astype(jnp.int32), jnp.int32(len(impacts.times)))
 
-    def turn(carry):
+    def replay_event(carry):
         """To the next impact, or to the release before it, or, after all impacts, to the end."""
-        k, passed, now, entry, *rows = carry
-        now = stays.gone(frame, now, entry, end, order)
-        time, side = (lax.dynamic_index_in_dim(each, k, keepdims=False) for each in (known.times, known.sides))
-        last = k == most
-        time, side = choose(last, whole, time), choose(last, 0.0, side)
-        freed = known.freed
-        if known.before is not None:
-            freed = choose(last, freed, lax.dynamic_index_in_dim(known.before, k, keepdims=False))
-        due = freed > passed
-        waits = jnp.any(due)
-        hit = (side != 0) & ~waits
-        aim = choose(~waits & (hit | last), time, now.time)
-        now = _fly(frame, now, aim - now.time)
-        now = lax.cond(waits, lambda now: _left(frame, now, due, freed, order), lambda now: now, now)
-        late, speed, x, v = stage(_kick, frame, now, side, order=order)
-        rows = [_put(*each, k, hit) for each in zip(rows, (time + late, speed), strict=True)]
-        now = now._replace(x=choose(hit, x, now.x), v=choose(hit, v, now.v))
-        now, entry = stays.entered(frame, now, choose(hit, side, 0.0), late, end, order)
-        return k + (~waits).astype(jnp.int32), choose(due, freed, passed), now, entry, *rows
+        k, last_release, current, pending_contact, *time_speed_rows = carry
+        current = contact_replay.complete_contact(coeffs, current, pending_contact, path_end, order)
+        time, side = (lax.dynamic_index_in_dim(row, k, keepdims=False) for row in (impacts.times, impacts.sides))
+        is_last = k == n_impacts
+        time, side = choose(is_last, total_time, time), choose(is_last, 0.0, side)
+        release_time = impacts.release_time
+        if impacts.last_releases is not None:
+            release_time = choose(
+                is_last, release_time, lax.dynamic_index_in_dim(impacts.last_releases, k, keepdims=False)
+            )
+        is_due = release_time > last_release
+        any_release = jnp.any(is_due)
+        is_impact = (side != 0) & ~any_release
+        target_time = choose(~any_release & (is_impact | is_last), time, current.time)
+        current = _fly(coeffs, current, target_time - current.time)
+        current = lax.cond(
+            any_release,
+            lambda current: _release_from_wall(coeffs, current, is_due, release_time, order),
+            lambda current: current,
+            current,
+        )
+        delay, speed, x, v = stage(_rebound, coeffs, current, side, order=order)
+        time_speed_rows = [
+            _update_row(*row, k, is_impact) for row in zip(time_speed_rows, (time + delay, speed), strict=True)
+        ]
+        current = current._replace(x=choose(is_impact, x, current.x), v=choose(is_impact, v, current.v))
+        current, pending_contact = contact_replay.enter_wall(
+            coeffs, current, choose(is_impact, side, 0.0), delay, path_end, order
+        )
+        return (
+            k + (~any_release).astype(jnp.int32),
+            choose(is_due, release_time, last_release),
+            current,
+            pending_contact,
+            *time_speed_rows,
+        )
 
-    never = lax.full_like(known.freed, -1.0)
-    carry = (jnp.int32(0), never, start, entry, known.times, jnp.zeros_like(known.times))
-    _, _, now, _, *rows = lax.while_loop(lambda carry: carry[0] <= most, turn, carry)
-    return now, *rows
+    no_release = lax.full_like(impacts.release_time, -1.0)
+    carry = (jnp.int32(0), no_release, start, pending_contact, impacts.times, jnp.zeros_like(impacts.times))
+    _, _, current, _, *time_speed_rows = lax.while_loop(lambda carry: carry[0] <= n_impacts, replay_event, carry)
+    return current, *time_speed_rows
 
 
-def _put(rows, new, k, where):
+def _update_row(rows, values, k, mask):
     """The rows with some lanes of one replaced."""
-    old = lax.dynamic_index_in_dim(rows, k, keepdims=False)
-    return lax.dynamic_update_index_in_dim(rows, choose(where, new, old), k, 0)
+    old_values = lax.dynamic_index_in_dim(rows, k, keepdims=False)
+    return lax.dynamic_update_index_in_dim(rows, choose(mask, values, old_values), k, 0)
 
 
-def _resting(contact):
+def _sticking_side(contact):
     return choose(lax.abs(contact) == Contact.STUCK, jnp.sign(contact), 0.0)
 
 
-def _fly(frame, now, time):
+def _fly(coeffs, current, time):
     """A free flight later."""
-    place = flow_of(frame).fly(frame, now.x, now.v, now.cosine, now.sine, time)
-    return Now(*place, now.time + time)
+    end_point = flow_of(coeffs).fly(coeffs, current.x, current.v, current.cosine, current.sine, time)
+    return ExpansionPoint(*end_point, current.time + time)
 
 
-def _held(frame, now, side):
+def _hold_on_wall(coeffs, current, side):
     """Where the wall on a side is, side 0: where it was."""
-    if not frame.walls:
-        return now
-    where, speed = course_on(frame, side, now.cosine, now.sine, 1)
-    held = side != 0
-    return now._replace(x=choose(held, where, now.x), v=choose(held, 0.0 if speed is None else speed, now.v))
+    if not coeffs.walls:
+        return current
+    wall_position, wall_velocity = wall_jet_on_side(coeffs, side, current.cosine, current.sine, 1)
+    is_sticking = side != 0
+    return current._replace(
+        x=choose(is_sticking, wall_position, current.x),
+        v=choose(is_sticking, 0.0 if wall_velocity is None else wall_velocity, current.v),
+    )
 
 
-def _left(frame, now, due, freed, order):
+def _release_from_wall(coeffs, current, is_due, release_time, order):
     """Lanes that are due brought to where they leave a wall, where the press on it passes zero: no earlier state
     matters, and none is flown on from.
 
     Of two walls it is the one with the lesser press.
     """
-    time = choose(due, freed, now.time)
-    phasor = flow.rotated(now.cosine, now.sine, frame.frequency * (time - now.time))
-    now = Now(now.x, now.v, *(choose(due, *each) for each in zip(phasor, now[2:4], strict=True)), time)
-    pushes = [flow_of(frame).press(frame, wall, now.cosine, now.sine, order) for wall in frame.walls]
-    side = lax.full_like(now.x, float(frame.walls[0].sign))
-    if len(pushes) == 2:
-        side = choose(lax.abs(pushes[1][0]) < lax.abs(pushes[0][0]), 1.0, side)
-    late = taylor.root(picked(side, frame.walls, pushes), order)
-    way = taylor.way(frame, now, side, order)
-    x, v = flow_of(frame).back(frame, now, *taylor.placed(way, late, order), late, order)
-    return now._replace(x=choose(due, x, now.x), v=choose(due, v, now.v))
+    time = choose(is_due, release_time, current.time)
+    phasor = flow.rotate_by_angle(current.cosine, current.sine, coeffs.frequency * (time - current.time))
+    current = ExpansionPoint(
+        current.x,
+        current.v,
+        *(choose(is_due, *new_and_old) for new_and_old in zip(phasor, current[2:4], strict=True)),
+        time,
+    )
+    contact_forces = [
+        flow_of(coeffs).contact_force(coeffs, wall, current.cosine, current.sine, order) for wall in coeffs.walls
+    ]
+    side = lax.full_like(current.x, float(coeffs.walls[0].sign))
+    if len(contact_forces) == 2:
+        side = choose(lax.abs(contact_forces[1][0]) < lax.abs(contact_forces[0][0]), 1.0, side)
+    delay = taylor.locate_root(select_lists_by_side(side, coeffs.walls, contact_forces), order)
+    wall_derivs = taylor.wall_derivatives(coeffs, current, side, order)
+    x, v = flow_of(coeffs).propagate_back(coeffs, current, *taylor.wall_state(wall_derivs, delay, order), delay, order)
+    return current._replace(x=choose(is_due, x, current.x), v=choose(is_due, v, current.v))
 
 
-def _kick(frame, now, side, order):
+def _rebound(coeffs, current, side, order):
     """(late, speed against the wall, x, v) of an impact about now, brought back to now."""
-    path, way = flow_of(frame).jet_at(frame, now, order), taylor.way(frame, now, side, order)
-    late = taylor.root([less(a, b) for a, b in zip(path[: order + 1], way, strict=False)], order)
-    (where, speed), v = taylor.placed(way, late, order), taylor.shifted(path[1:], late, order)
-    closing = v - speed
-    after = v - (1.0 + bounce(frame, side)) * closing
-    return late, side * closing, *flow_of(frame).back(frame, now, where, after, late, order)
+    jet, wall_derivs = (
+        flow_of(coeffs).jet_at_point(coeffs, current, order),
+        taylor.wall_derivatives(coeffs, current, side, order),
+    )
+    delay = taylor.locate_root(
+        [subtract(mass_term, wall_term) for mass_term, wall_term in zip(jet[: order + 1], wall_derivs, strict=False)],
+        order,
+    )
+    (wall_position, wall_velocity), v = (
+        taylor.wall_state(wall_derivs, delay, order),
+        taylor.evaluate_taylor(jet[1:], delay, order),
+    )
+    approach_velocity = v - wall_velocity
+    velocity_after = v - (1.0 + restitution_of(coeffs, side)) * approach_velocity
+    return (
+        delay,
+        side * approach_velocity,
+        *flow_of(coeffs).propagate_back(coeffs, current, wall_position, velocity_after, delay, order),
+    )

@@ -6,9 +6,9 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import ArrayLike, Bool, Float, Int, Real
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 
-from ..flight.wall_positions import SIGNS, places
+from ..flight.wall_positions import WALL_SIGNS, wall_states
 from ..scene import check
 from ..scene.codes import Contact
 from ..scene.scene import SIDES, Scene
@@ -31,7 +31,7 @@ class Return:
     status: Int[Array, "*lanes"] | int
 
 
-@check.typed
+@check.check_types
 def return_map(
     scene: Scene,
     side: str,
@@ -51,16 +51,25 @@ def return_map(
     """
     if side not in SIDES or getattr(scene, side) is None:
         raise check.ArgumentError("side", "must be a wall of the scene, left or right", side)
-    k = SIDES.index(side)
-    sign, phase = SIGNS[k], jnp.asarray(check.real("phase", phase, scene.dtype))
-    begun = Contact.WITHIN if getattr(scene, side).soft else Contact.LANDED
-    start = State(places(scene, phase)[k][0], velocity, phase, begun * sign)
+    wall_index = SIDES.index(side)
+    sign, phase = WALL_SIGNS[wall_index], jnp.asarray(check.real_array("phase", phase, scene.dtype))
+    start_contact = Contact.WITHIN if getattr(scene, side).soft else Contact.LANDED
+    start = State(wall_states(scene, phase)[wall_index][0], velocity, phase, start_contact * sign)
     _, impacts = strobe(scene, start, periods, slots)
-    mine = impacts.side == sign
-    found, first = jnp.any(mine, axis=-1), jnp.argmax(mine, axis=-1)
-    time, speed = (jnp.take_along_axis(each, first[..., None], -1)[..., 0] for each in (impacts.time, impacts.speed))
-    time = jnp.where(found, time, jnp.nan)
-    angle = phase + scene.frequency * time
-    after = places(scene, angle)[k][1] - scene.bounce(side) * sign * speed
-    between = jnp.sum((impacts.side != 0) & (jnp.arange(slots) < first[..., None]), axis=-1)
-    return Return(jnp.mod(angle, 2.0 * jnp.pi), after, time, jnp.where(found, between, 0), found, impacts.status)
+    is_on_wall = impacts.side == sign
+    has_return, first_index = jnp.any(is_on_wall, axis=-1), jnp.argmax(is_on_wall, axis=-1)
+    time, speed = (
+        jnp.take_along_axis(values, first_index[..., None], -1)[..., 0] for values in (impacts.time, impacts.speed)
+    )
+    time = jnp.where(has_return, time, jnp.nan)
+    end_phase = phase + scene.frequency * time
+    velocity_after = wall_states(scene, end_phase)[wall_index][1] - scene.bounce(side) * sign * speed
+    n_between = jnp.sum((impacts.side != 0) & (jnp.arange(slots) < first_index[..., None]), axis=-1)
+    return Return(
+        jnp.mod(end_phase, 2.0 * jnp.pi),
+        velocity_after,
+        time,
+        jnp.where(has_return, n_between, 0),
+        has_return,
+        impacts.status,
+    )

@@ -7,19 +7,19 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.compiler_hints import OPTIONS
+from ..compiled.compiler_hints import COMPILER_OPTIONS
 from ..scene import check
 from ..scene.scene import Scene
-from ..scene.state import State, real_state
-from .sample_slopes import Request, in_lanes, sampled
+from ..scene.state import State, state_arrays
+from .sample_derivatives import SampleRequest, differentiable_sample, sample_in_blocks
 
-FEWEST = 8  # times that are compiled for; known ones are filled up to a power of two
+MIN_COMPILED_TIMES = 8  # times that are compiled for; known ones are filled up to a power of two
 
 
-@check.typed
+@check.check_types
 def sample(scene: Scene, state: State, times: Float[ArrayLike, "..."]) -> tuple[State, Int[Array, "..."]]:
     """The states at given times, and a status of each lane: (State, status).
 
@@ -42,39 +42,45 @@ def sample(scene: Scene, state: State, times: Float[ArrayLike, "..."]) -> tuple[
     Raises ArgumentError for times, where they are known, that are not finite, negative or not in order, for a state or
     times that do not broadcast, and for what is no number.
     """
-    state = real_state(scene, state)
-    given = _checked(scene, state, times)
-    count = given.shape[-1]
-    traced = check.is_traced(*jax.tree.leaves((scene, state, given)))
-    full = count if traced and count else max(FEWEST, 1 << (count - 1).bit_length() if count else 0)
-    filled = (jnp if traced else np).concatenate([given, _last(given, full - count)], -1)
+    state = state_arrays(scene, state)
+    time_array = _validate_times(scene, state, times)
+    n_times = time_array.shape[-1]
+    is_traced = check.is_traced(*jax.tree.leaves((scene, state, time_array)))
+    n_padded = (
+        n_times if is_traced and n_times else max(MIN_COMPILED_TIMES, 1 << (n_times - 1).bit_length() if n_times else 0)
+    )
+    padded_times = (jnp if is_traced else np).concatenate(
+        [time_array, _repeat_last(time_array, n_padded - n_times)], -1
+    )
     leaves, tree = jax.tree.flatten((scene, state))
-    (contact, status), ((x, v), *_) = (sampled(Request(tree)) if traced else partial(_known, tree))(*leaves, filled)
-    x, v, contact = (each[..., :count] for each in (x, v, contact))
-    phase = jnp.asarray(state.phase)[..., None] + jnp.asarray(scene.frequency)[..., None] * given
+    (contact, status), ((x, v), *_) = (
+        differentiable_sample(SampleRequest(tree)) if is_traced else partial(_sample_concrete, tree)
+    )(*leaves, padded_times)
+    x, v, contact = (array[..., :n_times] for array in (x, v, contact))
+    phase = jnp.asarray(state.phase)[..., None] + jnp.asarray(scene.frequency)[..., None] * time_array
     phase = jnp.broadcast_to(phase, x.shape)
     return State(x, v, phase, contact), status.astype(jnp.int32)
 
 
-@persistent_jit(static_argnums=0, compiler_options=OPTIONS)
-def _flown(tree, leaves, times):
-    return in_lanes(Request(tree), *leaves, times)
+@persistent_jit(static_argnums=0, compiler_options=COMPILER_OPTIONS)
+def _sample_compiled(tree, leaves, times):
+    return sample_in_blocks(SampleRequest(tree), *leaves, times)
 
 
-def _known(tree, *given):
-    return _flown(tree, given[:-1], given[-1])
+def _sample_concrete(tree, *arguments):
+    return _sample_compiled(tree, arguments[:-1], arguments[-1])
 
 
-def _last(times, more):
+def _repeat_last(times, n_repeats):
     """The last of the times so often, 0 where there is none."""
     if times.shape[-1]:
-        return times[..., [-1] * more]
-    return np.zeros((*times.shape[:-1], more), times.dtype)
+        return times[..., [-1] * n_repeats]
+    return np.zeros((*times.shape[:-1], n_repeats), times.dtype)
 
 
-def _checked(scene, state, times):
+def _validate_times(scene, state, times):
     """The times as an array of the scene's type."""
-    times = check.real("times", times, scene.dtype)
+    times = check.real_array("times", times, scene.dtype)
     if not times.ndim:
         raise check.ArgumentError("times", "must have an axis, the last, for one after the other", times)
     shape = np.broadcast_shapes(scene.shape, *map(np.shape, jax.tree.leaves(state)))
@@ -86,6 +92,6 @@ def _checked(scene, state, times):
     if not check.is_traced(times):
         check.require("times", "must be finite", times, np.isfinite(times))
         check.require("times", "must not be negative", times, times >= 0)
-        later = np.diff(times, axis=-1, prepend=0.0) >= 0
-        check.require("times", "must be in order, none before the one before", times, later)
+        is_in_order = np.diff(times, axis=-1, prepend=0.0) >= 0
+        check.require("times", "must be in order, none before the one before", times, is_in_order)
     return times

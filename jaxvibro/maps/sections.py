@@ -4,17 +4,17 @@ import numpy as np
 import xarray as xr
 from jaxtyping import ArrayLike, Real
 
-from ..flight.wall_positions import SIGNS, places
-from ..output.units import ANGLE, LENGTH, SPEED, scales_in
+from ..flight.wall_positions import WALL_SIGNS, wall_states
+from ..output.units import ANGLE, LENGTH, SPEED, scales_attributes
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import SIDES, Scene
-from ..scene.state import State, check_start, real_state
-from .iterate import KEEP, ends, iterate
+from ..scene.state import State, check_start, state_arrays
+from .iterate import MAX_RECORDED_PERIODS, final_states, iterate
 from .phase_shift import shift_phase
 
 
-@check.host("use return_map or strobe")
+@check.host_only("use return_map or strobe")
 def sections(
     scene: Scene, state: State, phase: Real[ArrayLike, ""] = 0.0, periods: int = 1000, settle: int = 300
 ) -> xr.Dataset:
@@ -31,45 +31,45 @@ def sections(
     Raises ArgumentError for a batch, numbers that cannot be, and a motion that ends with a bad status.
     """
     check.require_single(scene)
-    settle, periods = check.whole("settle", settle, 0), check.whole("periods", periods, 1)
-    state = real_state(scene, state)
+    settle, periods = check.whole_number("settle", settle, 0), check.whole_number("periods", periods, 1)
+    state = state_arrays(scene, state)
     if np.shape(state.x + state.v + state.phase + state.contact):
         raise check.ArgumentError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
     check_start(scene, state)
-    given = check.number("phase", phase, np.float64)
-    if given.shape:
-        raise check.ArgumentError("phase", "must be a number", given)
-    turned = float(given)
-    state = State(*(np.reshape(np.asarray(each), 1) for each in (state.x, state.v, state.phase, state.contact)))
+    phase_array = check.finite_array("phase", phase, np.float64)
+    if phase_array.shape:
+        raise check.ArgumentError("phase", "must be a number", phase_array)
+    section_phase = float(phase_array)
+    state = State(*(np.reshape(np.asarray(value), 1) for value in (state.x, state.v, state.phase, state.contact)))
     if settle:
-        state = _good(*ends(scene, state, settle))
-    state = _good(*shift_phase(scene, state, turned))
-    parts = []
-    for first in range(0, periods, KEEP):
-        run = iterate(scene, state, min(KEEP, periods - first))
-        state = _good(run.state, run.status)
-        parts.append(run)
-    return _dataset(scene, turned, parts)
+        state = _require_valid(*final_states(scene, state, settle))
+    state = _require_valid(*shift_phase(scene, state, section_phase))
+    runs = []
+    for first_period in range(0, periods, MAX_RECORDED_PERIODS):
+        run = iterate(scene, state, min(MAX_RECORDED_PERIODS, periods - first_period))
+        state = _require_valid(run.state, run.status)
+        runs.append(run)
+    return _sections_dataset(scene, section_phase, runs)
 
 
-def _good(state, status):
+def _require_valid(state, status):
     if status[0] >= Status.CAP:
         raise check.ArgumentError("state", "must start a motion that goes on", Status(status[0]).word)
     return state
 
 
-def _dataset(scene, phase, parts):
+def _sections_dataset(scene, phase, runs):
     x, v, time, side, speed = (
-        np.concatenate([getattr(run, key)[:, 0] for run in parts]) for key in ("x", "v", "time", "side", "speed")
+        np.concatenate([getattr(run, key)[:, 0] for run in runs]) for key in ("x", "v", "time", "side", "speed")
     )
     columns = {"x": ("period", x, {"units": LENGTH}), "v": ("period", v, {"units": SPEED})}
-    for name, sign, k in zip(SIDES, SIGNS, (0, 1), strict=True):
-        hit = side == sign
-        angle = phase + float(scene.frequency) * time[hit]
-        after = np.empty(0)
+    for name, sign, wall_index in zip(SIDES, WALL_SIGNS, (0, 1), strict=True):
+        is_on_wall = side == sign
+        impact_phase = phase + float(scene.frequency) * time[is_on_wall]
+        velocity_after = np.empty(0)
         if getattr(scene, name) is not None:
-            pace = np.asarray(places(scene, angle)[k][1])
-            after = pace - float(scene.bounce(name)) * sign * speed[hit]
-        columns[f"{name}_phase"] = f"{name}_impact", np.mod(angle, 2.0 * np.pi), {"units": ANGLE}
-        columns[f"{name}_velocity"] = f"{name}_impact", after, {"units": SPEED}
-    return xr.Dataset(columns, attrs=scene.numbers | {"phase": phase} | scales_in(scene))
+            wall_velocity = np.asarray(wall_states(scene, impact_phase)[wall_index][1])
+            velocity_after = wall_velocity - float(scene.bounce(name)) * sign * speed[is_on_wall]
+        columns[f"{name}_phase"] = f"{name}_impact", np.mod(impact_phase, 2.0 * np.pi), {"units": ANGLE}
+        columns[f"{name}_velocity"] = f"{name}_impact", velocity_after, {"units": SPEED}
+    return xr.Dataset(columns, attrs=scene.numbers | {"phase": phase} | scales_attributes(scene))

@@ -12,21 +12,21 @@ from continuation.persistent_jit import persistent_jit
 
 from ..compiled.compiler_hints import choose
 from ..flight import integrate
-from ..flight.coefficients import frame
-from ..flight.entry import enter
-from ..flight.flight_state import absolute
-from ..output.units import ANGLE, LENGTH, SPEED, TIME, scales_in
+from ..flight.coefficients import compute_coefficients
+from ..flight.entry import start_path
+from ..flight.flight_state import absolute_state
+from ..output.units import ANGLE, LENGTH, SPEED, TIME, scales_attributes
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import Scene
-from ..scene.state import State, check_start, real_state
-from .one_period import finish
-from .stops import Stops, walk
+from ..scene.state import State, check_start, state_arrays
+from .one_period import state_and_impacts
+from .stops import Stops, fly_to_stops
 
-SLOTS = 1024
+MAX_IMPACTS = 1024
 
 
-@check.host("use strobe")
+@check.host_only("use strobe")
 def simulate(scene: Scene, state: State, periods: int = 1, samples: int = 200) -> xr.Dataset:
     """The trajectory of one state over whole drive periods, as an xarray.Dataset.
 
@@ -40,73 +40,79 @@ def simulate(scene: Scene, state: State, periods: int = 1, samples: int = 200) -
     Raises ArgumentError for a batch, for a start beyond a wall or not finite, and where an impact cap ends the
     trajectory.
     """
-    periods, samples = check.whole("periods", periods, 1), check.whole("samples", samples, 1)
-    state = real_state(scene, state)
+    periods, samples = check.whole_number("periods", periods, 1), check.whole_number("samples", samples, 1)
+    state = state_arrays(scene, state)
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     if shape:
         raise check.ArgumentError("state", "must be one state in one scene, no batch", f"shape {shape}")
     check_start(scene, state)
-    x, v, angle, impacts = jax.device_get(_trace(scene, state, periods, samples))
-    if impacts.status >= Status.CAP or impacts.count > SLOTS:
-        told = Status(int(impacts.status)).word if impacts.status else f"more than {SLOTS} impacts"
-        raise check.ArgumentError("state", f"must have a trajectory ({told})", f"x {float(x[0])}, v {float(v[0])}")
-    return _dataset(scene, x, v, angle, impacts)
+    x, v, phases, impacts = jax.device_get(_compiled_trajectory(scene, state, periods, samples))
+    if impacts.status >= Status.CAP or impacts.count > MAX_IMPACTS:
+        reason = Status(int(impacts.status)).word if impacts.status else f"more than {MAX_IMPACTS} impacts"
+        raise check.ArgumentError("state", f"must have a trajectory ({reason})", f"x {float(x[0])}, v {float(v[0])}")
+    return _trajectory_dataset(scene, x, v, phases, impacts)
 
 
-def _sampled(scene, state, periods, samples):
-    built = frame(scene)
-    path, fault = enter(built, state)
-    span = choose(fault == Status.OK, built.period / samples, 0.0)
-    angles = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
-    ends = span * jnp.arange(1, periods * samples + 1)
+def _sample_trajectory(scene, state, periods, samples):
+    coeffs = compute_coefficients(scene)
+    path, entry_status = start_path(coeffs, state)
+    sample_time = choose(entry_status == Status.OK, coeffs.period / samples, 0.0)
+    phases = state.phase + 2.0 * jnp.pi * jnp.arange(periods * samples + 1) / samples
+    stop_times = sample_time * jnp.arange(1, periods * samples + 1)
     # number by number: a cosine of many angles at once differs by roundings from those of one
-    cosine, sine = (lax.map(each, angles[1:]) for each in (jnp.cos, jnp.sin))
-    stops = Stops(span + 0.0 * ends, 0.0 * ends, cosine, sine, ends)
-    told = integrate.begin(built, path, SLOTS, ends[0])
-    cap = integrate.cap(built, periods * samples)
-    (told, _), (x, v) = walk(built, told, (), stops, cap, _kept, partial(_placed, built))
-    first = absolute(built, path)
-    x, v = (jnp.append(start, rest) for start, rest in zip(first, (x, v), strict=True))
-    return x, v, angles, finish(built, told, state, fault)[1]
+    cosine, sine = (lax.map(function, phases[1:]) for function in (jnp.cos, jnp.sin))
+    stops = Stops(sample_time + 0.0 * stop_times, 0.0 * stop_times, cosine, sine, stop_times)
+    loop = integrate.initial_loop_state(coeffs, path, MAX_IMPACTS, stop_times[0])
+    limits = integrate.loop_limits(coeffs, periods * samples)
+    (loop, _), (x, v) = fly_to_stops(
+        coeffs, loop, (), stops, limits, _keep_loop, partial(_position_and_velocity, coeffs)
+    )
+    start_xv = absolute_state(coeffs, path)
+    x, v = (jnp.append(start, samples_after) for start, samples_after in zip(start_xv, (x, v), strict=True))
+    return x, v, phases, state_and_impacts(coeffs, loop, state, entry_status)[1]
 
 
-def _kept(piece, told, more):
-    return told, more
+def _keep_loop(piece, loop, extra):
+    return loop, extra
 
 
-def _placed(frame, told, more):
-    return absolute(frame, told.path)
+def _position_and_velocity(coeffs, loop, extra):
+    return absolute_state(coeffs, loop.path)
 
 
-_trace = persistent_jit(_sampled, static_argnums=(2, 3))
+_compiled_trajectory = persistent_jit(_sample_trajectory, static_argnums=(2, 3))
 
 
-def _dataset(scene, x, v, angle, impacts):
-    time = (angle - angle[0]) / float(scene.frequency)
-    hit = impacts.side != 0
-    length, speed = {"units": LENGTH}, {"units": SPEED}
-    at = {"impact_time": ("impact", impacts.time[hit], {"units": TIME})}
-    place = _places(scene, impacts.time[hit], impacts.side[hit], angle[0])
+def _trajectory_dataset(scene, x, v, phases, impacts):
+    time = (phases - phases[0]) / float(scene.frequency)
+    is_impact = impacts.side != 0
+    length_attrs, speed_attrs = {"units": LENGTH}, {"units": SPEED}
+    impact_coords = {"impact_time": ("impact", impacts.time[is_impact], {"units": TIME})}
+    impact_position = _wall_positions(scene, impacts.time[is_impact], impacts.side[is_impact], phases[0])
     return xr.Dataset(
         {
-            "x": ("time", x, {"long_name": "displacement", **length}),
-            "v": ("time", v, {"long_name": "velocity", **speed}),
-            "side": ("impact", impacts.side[hit], {"long_name": "wall, -1 left, +1 right"}),
-            "speed": ("impact", impacts.speed[hit], {"long_name": "relative speed before the impact", **speed}),
-            "position": ("impact", place, {"long_name": "displacement at the impact", **length}),
+            "x": ("time", x, {"long_name": "displacement", **length_attrs}),
+            "v": ("time", v, {"long_name": "velocity", **speed_attrs}),
+            "side": ("impact", impacts.side[is_impact], {"long_name": "wall, -1 left, +1 right"}),
+            "speed": (
+                "impact",
+                impacts.speed[is_impact],
+                {"long_name": "relative speed before the impact", **speed_attrs},
+            ),
+            "position": ("impact", impact_position, {"long_name": "displacement at the impact", **length_attrs}),
         },
-        coords={"time": ("time", time, {"units": TIME}), "phase": ("time", angle, {"units": ANGLE}), **at},
-        attrs=scene.numbers | scales_in(scene),
+        coords={"time": ("time", time, {"units": TIME}), "phase": ("time", phases, {"units": ANGLE}), **impact_coords},
+        attrs=scene.numbers | scales_attributes(scene),
     )
 
 
-def _places(scene, time, side, phase):
+def _wall_positions(scene, time, side, phase):
     """Where the walls were that were hit."""
-    found = np.zeros_like(time)
+    positions = np.zeros_like(time)
     for sign, wall in ((-1, scene.left), (1, scene.right)):
         if wall is not None:
             motion = wall.motion
             angle = 0.0 if motion is None else motion.harmonic * (phase + scene.frequency * time) + motion.phase
-            swing = 0.0 if motion is None else motion.amplitude * np.cos(angle)
-            found = np.where(side == sign, wall.position + swing, found)
-    return found
+            displacement = 0.0 if motion is None else motion.amplitude * np.cos(angle)
+            positions = np.where(side == sign, wall.position + displacement, positions)
+    return positions

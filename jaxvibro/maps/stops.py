@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from ..compiled.compiler_hints import choose, least, two_sum
+from ..compiled.compiler_hints import choose, minimum, two_sum
 from ..flight import integrate
 from ..flight.flight_state import CAPPED
 
@@ -18,56 +18,57 @@ class Stops(NamedTuple):
     impacts are told, None: each piece has its own, that starts at 0."""
 
     span: Float[jax.Array, "stops ..."]
-    low: Float[jax.Array, "stops ..."]
+    span_low: Float[jax.Array, "stops ..."]
     cosine: Float[jax.Array, "stops ..."]
     sine: Float[jax.Array, "stops ..."]
     end: Float[jax.Array, "stops ..."] | None
 
 
-class Piece(NamedTuple):
+class FlightPiece(NamedTuple):
     """What is flown at once, a drive period at most: where it begins, its length and how long before its stop it
     ends."""
 
     path: integrate.Path
     length: Float[jax.Array, "..."]
-    left: Float[jax.Array, "..."]
+    time_to_stop: Float[jax.Array, "..."]
 
 
-def walk(frame, told, more, stops, cap, note, look):
-    """((journey, more) at the last stop, what `look` says of both at each stop).
+def fly_to_stops(coeffs, loop, extra, stops, limits, after_piece, observe):
+    """((journey, more) at the last stop, what `observe` says of both at each stop).
 
-    more: what else is carried along; note: of (piece, journey after it, more) the new (journey, more), after each
-    piece: at least one a stretch. cap: of a piece, unless note leaves the journey's counts as they are.
-    """
+    extra: what else is carried along; after_piece: of (piece, journey after it, more) the new (journey, more), after
+    each piece: at least one a stretch. limits: of a piece, unless note leaves the journey's counts as they are."""
 
-    def stretch(carry, stop):
-        lanes = jnp.zeros_like(carry[0].path.x)
-        fly = _flying(frame, stop, cap, note)
-        begun = (*carry, stop.span + lanes, stop.low + lanes, True)
-        told, more = lax.while_loop(lambda now: now[4] | jnp.any(now[2] > 0), fly, begun)[:2]
-        turned = told.path.motion._replace(cosine=stop.cosine + lanes, sine=stop.sine + lanes)
-        told = told._replace(path=told.path._replace(motion=turned))
-        return (told, more), look(told, more)
+    def fly_to_stop(carry, stop):
+        zero = jnp.zeros_like(carry[0].path.x)
+        fly_piece = _piece_stepper(coeffs, stop, limits, after_piece)
+        initial = (*carry, stop.span + zero, stop.span_low + zero, True)
+        loop, extra = lax.while_loop(lambda carry: carry[4] | jnp.any(carry[2] > 0), fly_piece, initial)[:2]
+        motion = loop.path.motion._replace(cosine=stop.cosine + zero, sine=stop.sine + zero)
+        loop = loop._replace(path=loop.path._replace(motion=motion))
+        return (loop, extra), observe(loop, extra)
 
-    return lax.scan(stretch, (told, more), stops)
+    return lax.scan(fly_to_stop, (loop, extra), stops)
 
 
-def _flying(frame, stop, cap, note):
+def _piece_stepper(coeffs, stop, limits, after_piece):
     """A turn: the next piece of a stretch."""
 
-    def fly(now):
-        told, more, left, low, _ = now
-        path = told.path
-        last, capped = left <= frame.period, path.to_go == CAPPED
-        length = choose(left > 0, least(left, frame.period), 0.0)
-        left, rest = two_sum(left, -length)
-        to_go = choose(capped, CAPPED, length)
-        to_go_low = choose(capped, 0.0, path.to_go_low + choose(last, low, 0.0))
-        low = choose(last, 0.0, low + rest)
-        piece = Piece(path._replace(to_go=to_go, to_go_low=to_go_low), length, left)
-        end = length if stop.end is None else stop.end - left
-        told = told._replace(path=piece.path, log=told.log._replace(end=end))
-        told, more = note(piece, integrate.run(frame, told, cap), more)
-        return told, more, choose(last, 0.0, left), low, False
+    def fly_piece(carry):
+        loop, extra, time_to_stop, time_to_stop_low, _ = carry
+        path = loop.path
+        is_last, is_capped = time_to_stop <= coeffs.period, path.time_remaining == CAPPED
+        length = choose(time_to_stop > 0, minimum(time_to_stop, coeffs.period), 0.0)
+        time_to_stop, rounding_error = two_sum(time_to_stop, -length)
+        time_remaining = choose(is_capped, CAPPED, length)
+        time_remaining_low = choose(is_capped, 0.0, path.time_remaining_low + choose(is_last, time_to_stop_low, 0.0))
+        time_to_stop_low = choose(is_last, 0.0, time_to_stop_low + rounding_error)
+        piece = FlightPiece(
+            path._replace(time_remaining=time_remaining, time_remaining_low=time_remaining_low), length, time_to_stop
+        )
+        log_end = length if stop.end is None else stop.end - time_to_stop
+        loop = loop._replace(path=piece.path, log=loop.log._replace(end_time=log_end))
+        loop, extra = after_piece(piece, integrate.run_loop(coeffs, loop, limits), extra)
+        return loop, extra, choose(is_last, 0.0, time_to_stop), time_to_stop_low, False
 
-    return fly
+    return fly_piece

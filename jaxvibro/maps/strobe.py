@@ -8,76 +8,80 @@ import numpy as np
 
 from continuation.persistent_jit import persistent_jit
 
-from ..compiled.blocks import LEAST
-from ..compiled.compiler_hints import OPTIONS
+from ..compiled.blocks import MIN_LANES
+from ..compiled.compiler_hints import COMPILER_OPTIONS
 from ..scene import check
 from ..scene.scene import Scene
-from ..scene.state import Impacts, State, real_state
+from ..scene.state import Impacts, State, state_arrays
 from . import derivatives, one_period, two_tiers
 
-SOME = 256  # lanes of which one is nearly always given up: up to a chunk of them are done by both tiers in one call
-CHUNK = 1024  # lanes that lean steps have given up are done so many at a time
+MIN_TWO_TIER_LANES = (
+    256  # lanes of which one is nearly always given up: up to a chunk of them are done by both tiers in one call
+)
+CHUNK_LANES = 1024  # lanes that lean steps have given up are done so many at a time
 
 
-@persistent_jit(static_argnums=(2, 3, 4), compiler_options=OPTIONS)
-def _at_once(scene, state, periods, slots, clearance):
-    return two_tiers.strobe(scene, state, periods, slots, LEAST, clearance)
+@persistent_jit(static_argnums=(2, 3, 4), compiler_options=COMPILER_OPTIONS)
+def _two_tier_strobe(scene, state, periods, slots, clearance):
+    return two_tiers.strobe(scene, state, periods, slots, MIN_LANES, clearance)
 
 
-@persistent_jit(static_argnums=(2, 3), compiler_options=OPTIONS)
-def _lean(scene, state, slots, clearance):
-    return two_tiers.lean_alone(scene, state, slots, LEAST, clearance)
+@persistent_jit(static_argnums=(2, 3), compiler_options=COMPILER_OPTIONS)
+def _fast_strobe(scene, state, slots, clearance):
+    return two_tiers.fast_strobe(scene, state, slots, MIN_LANES, clearance)
 
 
-@persistent_jit(static_argnums=(2, 3), compiler_options=OPTIONS)
-def _lean_of_one(scene, numbers, slots, clearance):
+@persistent_jit(static_argnums=(2, 3), compiler_options=COMPILER_OPTIONS)
+def _fast_strobe_single(scene, state_values, slots, clearance):
     """The same of one state, its numbers in a row: each array that is handed over takes some microseconds."""
-    return two_tiers.lean_alone(scene, State(*numbers), slots, LEAST, clearance)
+    return two_tiers.fast_strobe(scene, State(*state_values), slots, MIN_LANES, clearance)
 
 
-@persistent_jit(static_argnums=(2, 3), compiler_options=OPTIONS)
-def _full(scene, state, slots, clearance, due):
-    return one_period.strobe(scene, state, 1, slots, LEAST, clearance, due)
+@persistent_jit(static_argnums=(2, 3), compiler_options=COMPILER_OPTIONS)
+def _reference_strobe(scene, state, slots, clearance, n_due):
+    return one_period.strobe(scene, state, 1, slots, MIN_LANES, clearance, n_due)
 
 
 @partial(jax.jit, donate_argnums=0)
-def _put(whole, places, part):
+def _replace_lanes(results, indices, replacement):
     """The results with those of some lanes replaced, in place; a place beyond the end is none."""
-    return jax.tree.map(lambda old, new: old.at[places].set(new, mode="drop"), whole, part)
+    return jax.tree.map(lambda old, new: old.at[indices].set(new, mode="drop"), results, replacement)
 
 
-def _at(tree, places, shape):
+def _take_lanes(tree, indices, shape):
     """The lanes at some places of numbers that broadcast to a shape."""
-    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape)[places] if leaf.ndim else leaf, tree)
+    return jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape)[indices] if leaf.ndim else leaf, tree)
 
 
-def from_host(scene, state, periods, slots, clearance):
+def concrete_strobe(scene, state, periods, slots, clearance):
     """The strobe of numbers that are known: what the lean tier does not need is not compiled."""
-    numbers = (state.x, state.v, state.phase, state.contact)
-    shapes = [scene.shape, *map(np.shape, numbers)]
+    state_values = (state.x, state.v, state.phase, state.contact)
+    shapes = [scene.shape, *map(np.shape, state_values)]
     shape = np.broadcast_shapes(*shapes) if any(shapes) else ()
-    if periods > 1 or not two_tiers.takes(scene) or SOME <= math.prod(shape) <= CHUNK:
-        return _at_once(scene, state, periods, slots, clearance)
+    if periods > 1 or not two_tiers.has_fast_path(scene) or MIN_TWO_TIER_LANES <= math.prod(shape) <= CHUNK_LANES:
+        return _two_tier_strobe(scene, state, periods, slots, clearance)
     if not shape:
-        found, given_up = _lean_of_one(scene, np.array(numbers), slots, clearance)
-        return _full(scene, state, slots, clearance, None) if np.asarray(given_up) else found
-    found, given_up = _lean(scene, state, slots, clearance)
-    due = np.flatnonzero(given_up)
-    if not due.size:
-        return found
-    given = jax.tree.map(np.asarray, (scene, state))
-    width = min(CHUNK, np.size(given_up))
-    for first in range(0, due.size, width):
-        some = due[first : first + width]
-        spare = width - some.size
-        lanes = np.unravel_index(np.pad(some, (0, spare), mode="edge"), shape)
-        part = _full(*_at(given, lanes, shape), slots, clearance, np.int32(some.size))
-        places = (np.where(np.arange(width) < some.size, lanes[0], shape[0]), *lanes[1:])
-        found = _put(found, places, part)
-    return found
+        results, given_up = _fast_strobe_single(scene, np.array(state_values), slots, clearance)
+        return _reference_strobe(scene, state, slots, clearance, None) if np.asarray(given_up) else results
+    results, given_up = _fast_strobe(scene, state, slots, clearance)
+    due_lanes = np.flatnonzero(given_up)
+    if not due_lanes.size:
+        return results
+    host_arguments = jax.tree.map(np.asarray, (scene, state))
+    width = min(CHUNK_LANES, np.size(given_up))
+    for start in range(0, due_lanes.size, width):
+        chunk = due_lanes[start : start + width]
+        n_padding = width - chunk.size
+        lane_indices = np.unravel_index(np.pad(chunk, (0, n_padding), mode="edge"), shape)
+        chunk_results = _reference_strobe(
+            *_take_lanes(host_arguments, lane_indices, shape), slots, clearance, np.int32(chunk.size)
+        )
+        target_indices = (np.where(np.arange(width) < chunk.size, lane_indices[0], shape[0]), *lane_indices[1:])
+        results = _replace_lanes(results, target_indices, chunk_results)
+    return results
 
 
-@check.typed
+@check.check_types
 def strobe(
     scene: Scene, state: State, periods: int = 1, slots: int = 4, clearance: bool = False
 ) -> tuple[State, Impacts]:
@@ -104,9 +108,9 @@ def strobe(
     Raises ArgumentError for periods, slots, clearance or a state that cannot be; all else is a status of each lane
     (`Impacts`).
     """
-    periods, slots = check.whole("periods", periods, 1), check.whole("slots", slots, 0)
+    periods, slots = check.whole_number("periods", periods, 1), check.whole_number("slots", slots, 0)
     if not isinstance(clearance, bool | np.bool_):
         raise check.ArgumentError("clearance", "must be True or False", clearance)
-    state = real_state(scene, state)
-    traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, state)))
-    return (derivatives.strobe if traced else from_host)(scene, state, periods, slots, bool(clearance))
+    state = state_arrays(scene, state)
+    is_traced = any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves((scene, state)))
+    return (derivatives.strobe if is_traced else concrete_strobe)(scene, state, periods, slots, bool(clearance))

@@ -13,250 +13,299 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from ..compiled.blocks import in_blocks
+from ..compiled.blocks import run_in_blocks
 from ..compiled.compiler_hints import choose
-from ..compiled.kernels import narrow_width, one_kernel
-from ..flight import impact_log, lean, lean_numbers, lean_tangent
-from ..flight.coefficients import frame
-from ..flight.entry import enter
-from ..flight.lean_tangent import Tangent
+from ..compiled.kernels import call_as_kernel, narrow_block_width
+from ..flight import fast_coefficients, fast_path, fast_tangent, impact_log
+from ..flight.coefficients import compute_coefficients
+from ..flight.entry import start_path
+from ..flight.fast_tangent import Tangent
 from ..scene.codes import Contact, Status
 from ..scene.state import Impacts, State
 from . import one_period
-from .one_period import Past
-from .replayed_slopes import known_impacts, replayed_slopes, slots_first
+from .one_period import ReplayHistory
+from .replay_derivatives import collect_replay_data, move_slots_first, replay_derivatives
 
-STRIP = 8  # blocks of one kernel: what is launched around a kernel takes a tenth of a block's time
+BLOCKS_PER_STRIP = 8  # blocks of one kernel: what is launched around a kernel takes a tenth of a block's time
 
 
-class Asked(NamedTuple):
+class StrobeSettings(NamedTuple):
     """What is asked for, static: how many slots, whether the least clearance, derivatives by which leaves of (scene,
     state), and how many slots of a `one_period.Past` a period, which is for a replay."""
 
     slots: int
     clearance: bool = False
-    chosen: tuple[int, ...] = ()
-    late: int = 0
+    argnums: tuple[int, ...] = ()
+    history_slots: int = 0
 
 
-def strobe(scene, state, periods, slots, least, clearance=False):
+def strobe(scene, state, periods, slots, min_lanes, clearance=False):
     """(State, Impacts) of numbers that broadcast, in blocks of so many lanes at least."""
-    return recorded(scene, state, periods, slots, least, clearance)[0]
+    return strobe_with_record(scene, state, periods, slots, min_lanes, clearance)[0]
 
 
-def recorded(scene, state, periods, slots, least, clearance=False, late=0):
-    """((State, Impacts), `one_period.Past`), as `strobe`; late: slots of the past, not more than of the impacts."""
-    if not takes(scene):
-        return one_period.recorded(scene, state, periods, slots, least, clearance, late)
-    scene, state, shape = _flat(scene, state)
-    out, past, _ = _periods(scene, state, (), periods, Asked(slots, clearance, late=late), least)
-    return _shaped((out, past), shape)
+def strobe_with_record(scene, state, periods, slots, min_lanes, clearance=False, history_slots=0):
+    """((State, Impacts), `one_period.Past`), as `strobe`; history_slots: slots of the past, not more than of the
+    impacts."""
+    if not has_fast_path(scene):
+        return one_period.strobe_with_record(scene, state, periods, slots, min_lanes, clearance, history_slots)
+    scene, state, shape = _flatten_lanes(scene, state)
+    results, history, _ = _strobe_periods(
+        scene, state, (), periods, StrobeSettings(slots, clearance, history_slots=history_slots), min_lanes
+    )
+    return _restore_shape((results, history), shape)
 
 
-def sloped(tree, *leaves, periods, slots, least, chosen):
+def strobe_with_jacobian(tree, *leaves, periods, slots, min_lanes, argnums):
     """((State, Impacts), (those of x, of v)): with derivatives by the chosen ones of the leaves of (scene, state).
 
-    An axis for each choice, last. The scene is one that the lean tier `takes`.
+    An axis for each choice, last. The scene is one that the lean tier `has_fast_path`.
     """
-    scene, state, shape = _flat(*tree.unflatten(leaves))
-    none, one = jnp.zeros_like(state.x), jnp.ones_like(state.x)
-    start = tuple(Tangent(*(one if place == k else none for k in _own(tree))) for place in chosen)
-    out, _, tangents = _periods(scene, state, start, periods, Asked(slots, chosen=chosen), least)
-    slopes = tuple(jnp.stack(ways, axis=-1) for ways in zip(*tangents, strict=True))
-    return _shaped((out, slopes), shape)
+    scene, state, shape = _flatten_lanes(*tree.unflatten(leaves))
+    zero, one = jnp.zeros_like(state.x), jnp.ones_like(state.x)
+    start_tangents = tuple(Tangent(*(one if argnum == k else zero for k in _state_argnums(tree))) for argnum in argnums)
+    results, _, tangents = _strobe_periods(
+        scene, state, start_tangents, periods, StrobeSettings(slots, argnums=argnums), min_lanes
+    )
+    jacobian = tuple(jnp.stack(components, axis=-1) for components in zip(*tangents, strict=True))
+    return _restore_shape((results, jacobian), shape)
 
 
-def _own(tree):
+def _state_argnums(tree):
     """The places of x and v among the leaves of (scene, state)."""
     return tree.num_leaves - 4, tree.num_leaves - 3
 
 
-def _periods(scene, state, start, periods, asked, least):
-    out = _tried(scene, state, start, asked, least)
+def _strobe_periods(scene, state, start_tangents, periods, settings, min_lanes):
+    results = _strobe_period(scene, state, start_tangents, settings, min_lanes)
     if periods > 1:
-        out = lax.fori_loop(1, periods, partial(_again, scene, asked, least), out)
-    return out
+        results = lax.fori_loop(1, periods, partial(_append_period, scene, settings, min_lanes), results)
+    return results
 
 
-def _shaped(tree, shape):
+def _restore_shape(tree, shape):
     return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]) if shape else leaf, tree)
 
 
-def lean_alone(scene, state, slots, least, clearance=False):
+def fast_strobe(scene, state, slots, min_lanes, clearance=False):
     """((State, Impacts), whether a lane was given up: then the rest of what is said of it is of no meaning)."""
-    scene, state, shape = _flat(scene, state)
-    out, _, given_up = _in_blocks(scene, state, (), Asked(slots, clearance), least)
-    return _shaped((out, given_up), shape)
+    scene, state, shape = _flatten_lanes(scene, state)
+    results, _, given_up = _fast_in_blocks(scene, state, (), StrobeSettings(slots, clearance), min_lanes)
+    return _restore_shape((results, given_up), shape)
 
 
-def takes(scene):
+def has_fast_path(scene):
     """Whether the lean tier knows such a scene: spring, damper, a drive of one term and rigid walls, in double
     precision."""
     walls = [wall for wall in (scene.left, scene.right) if wall is not None]
-    plain = scene.force is None and not scene.drive
-    return plain and bool(walls) and not any(wall.soft for wall in walls) and scene.dtype == np.float64
+    is_single_term = scene.force is None and not scene.drive
+    return is_single_term and bool(walls) and not any(wall.soft for wall in walls) and scene.dtype == np.float64
 
 
-def _flat(scene, state):
+def _flatten_lanes(scene, state):
     """(scene, state, shape): numbers that are scalars or of all lanes in one axis, and the shape of the lanes."""
     shape = jnp.broadcast_shapes(*map(jnp.shape, jax.tree.leaves((scene, state))))
     state = replace(state, x=jnp.broadcast_to(state.x, shape))
 
-    def flat(leaf):
+    def flatten(leaf):
         return jnp.broadcast_to(leaf, shape).reshape(-1) if jnp.ndim(leaf) else leaf
 
-    return *jax.tree.map(flat, (scene, state)), shape
+    return *jax.tree.map(flatten, (scene, state)), shape
 
 
-def _in_blocks(scene, state, start, asked, least):
-    def run(given):
-        return one_kernel(_strip, *given, asked=asked, least=least)
+def _fast_in_blocks(scene, state, start_tangents, settings, min_lanes):
+    def run(arguments):
+        return call_as_kernel(_fast_strip, *arguments, settings=settings, min_lanes=min_lanes)
 
-    return in_blocks(run, (scene, state, start), partial(_empty, scene.dtype, asked), least, strip=STRIP)
-
-
-def _empty(dtype, asked, count):
-    none = jnp.zeros(count, dtype)
-    out = one_period.blank(count, asked.slots, dtype, asked.clearance)
-    return out, (Tangent(none, none),) * len(asked.chosen), jnp.zeros(count, bool)
-
-
-def _strip(scene, state, start, asked, least):
-    """`_lean`, a block after the other."""
-    empty = partial(_empty, scene.dtype, asked)
-    return in_blocks(lambda given: _lean(*given, asked), (scene, state, start), empty, least)
+    return run_in_blocks(
+        run,
+        (scene, state, start_tangents),
+        partial(_empty_results, scene.dtype, settings),
+        min_lanes,
+        max_blocks=BLOCKS_PER_STRIP,
+    )
 
 
-def _lean(scene, state, start, asked):
+def _empty_results(dtype, settings, n_lanes):
+    zero = jnp.zeros(n_lanes, dtype)
+    results = one_period.empty_results(n_lanes, settings.slots, dtype, settings.clearance)
+    return results, (Tangent(zero, zero),) * len(settings.argnums), jnp.zeros(n_lanes, bool)
+
+
+def _fast_strip(scene, state, start_tangents, settings, min_lanes):
+    """`_fast_period`, a block after the other."""
+    make_empty = partial(_empty_results, scene.dtype, settings)
+    return run_in_blocks(
+        lambda arguments: _fast_period(*arguments, settings), (scene, state, start_tangents), make_empty, min_lanes
+    )
+
+
+def _fast_period(scene, state, start_tangents, settings):
     """((State, Impacts), tangents by the chosen numbers, whether a lane was given up) of a period by lean steps."""
-    built = frame(scene)
-    numbers = lean_numbers.numbers(built)
-    path, fault = enter(built, state)
-    lanes = lean.begin(numbers, path, fault == Status.OK)
-    shifts = tuple(_shift(numbers, scene, state, place) for place in asked.chosen)
-    start = tuple(Tangent(x, v * numbers.reach) for x, v in start)
-    empty = impact_log.empty(state.x, asked.slots, built.period)
-    lanes, log, rows, ways, clear = lean.run(numbers, lanes, *empty, shifts, start, asked.clearance)
-    times, sides, speeds = impact_log.rows(rows)
-    good = fault == Status.OK
-    full = choose(log.count > asked.slots, lax.full_like(fault, Status.FULL), Status.OK)
-    x, v = choose(good, lanes.x, jnp.nan), choose(good, lanes.v * numbers.pace, jnp.nan)
+    coeffs = compute_coefficients(scene)
+    fast_coeffs = fast_coefficients.scale_coefficients(coeffs)
+    path, entry_status = start_path(coeffs, state)
+    lanes = fast_path.start_lanes(fast_coeffs, path, entry_status == Status.OK)
+    shifts = tuple(_argument_shift(fast_coeffs, scene, state, argnum) for argnum in settings.argnums)
+    start_tangents = tuple(Tangent(x, v * fast_coeffs.max_step) for x, v in start_tangents)
+    empty_log = impact_log.empty_log(state.x, settings.slots, coeffs.period)
+    lanes, log, slot_rows, tangents, min_clearance = fast_path.run_lanes(
+        fast_coeffs, lanes, *empty_log, shifts, start_tangents, settings.clearance
+    )
+    times, sides, speeds = impact_log.impact_rows(slot_rows)
+    is_valid = entry_status == Status.OK
+    slot_status = choose(log.count > settings.slots, lax.full_like(entry_status, Status.FULL), Status.OK)
+    x, v = choose(is_valid, lanes.x, jnp.nan), choose(is_valid, lanes.v * fast_coeffs.inverse_max_step, jnp.nan)
     impacts = Impacts(
         time=times,
         side=sides,
         speed=speeds,
         count=log.count.astype(jnp.int32),
         least_speed=log.least_speed,
-        least_clearance=clear,
-        status=choose(good, full, fault).astype(jnp.int32),
+        least_clearance=min_clearance,
+        status=choose(is_valid, slot_status, entry_status).astype(jnp.int32),
     )
     end = State(x, v, jnp.broadcast_to(state.phase, x.shape), jnp.zeros_like(x))
-    ways = tuple(Tangent(choose(good, x, jnp.nan), choose(good, v * numbers.pace, jnp.nan)) for x, v in ways)
-    return (end, impacts), ways, lanes.left == lean_numbers.GIVEN_UP
+    tangents = tuple(
+        Tangent(choose(is_valid, x, jnp.nan), choose(is_valid, v * fast_coeffs.inverse_max_step, jnp.nan))
+        for x, v in tangents
+    )
+    return (end, impacts), tangents, lanes.time_remaining == fast_coefficients.GIVEN_UP
 
 
-def _shift(numbers, scene, state, place):
+def _argument_shift(fast_coeffs, scene, state, argnum):
     """The `lean_tangent.Shift` where one number of scene and state moves."""
     leaves, tree = jax.tree.flatten((scene, state))
-    rates = [jnp.ones_like(leaf) if k == place else None for k, leaf in enumerate(leaves)]
-    rates, start = tree.unflatten(rates)
-    return lean_tangent.shift(numbers, scene, rates, start.phase)
+    rates = [jnp.ones_like(leaf) if k == argnum else None for k, leaf in enumerate(leaves)]
+    rates, state_rates = tree.unflatten(rates)
+    return fast_tangent.parameter_direction(fast_coeffs, scene, rates, state_rates.phase)
 
 
-def _tried(scene, state, start, asked, least):
-    """((State, Impacts), `Past`, tangents) of one period, of flat numbers: by lean steps, else by full ones."""
-    out, tangents, given_up = _in_blocks(scene, state, start, asked, least)
-    again = partial(_full, (scene, state, start), asked, given_up)
-    past = one_period.unreleased(out[1], asked.late)
-    return lax.cond(jnp.any(given_up), again, lambda same: same, (out, past, tangents))
+def _strobe_period(scene, state, start_tangents, settings, min_lanes):
+    """((State, Impacts), `ReplayHistory`, tangents) of one period, of flat numbers: by lean steps, else by full
+    ones."""
+    results, tangents, given_up = _fast_in_blocks(scene, state, start_tangents, settings, min_lanes)
+    rerun = partial(_reference_rerun, (scene, state, start_tangents), settings, given_up)
+    history = one_period.history_without_release(results[1], settings.history_slots)
+    return lax.cond(jnp.any(given_up), rerun, lambda unchanged: unchanged, (results, history, tangents))
 
 
-def _full(given, asked, due, out):
+def _reference_rerun(arguments, settings, is_due, results):
     """The results with those of some lanes replaced, a block at a time."""
-    run = partial(_through, asked=asked)
-    if not due.shape:
-        return run(*given)
-    count, width = len(due), min(narrow_width(), len(due))
-    places = jnp.append(jnp.nonzero(due, size=count, fill_value=count)[0], jnp.full(width, count))
+    run = partial(_reference_period, settings=settings)
+    if not is_due.shape:
+        return run(*arguments)
+    n_lanes, block_width = len(is_due), min(narrow_block_width(), len(is_due))
+    due_indices = jnp.append(jnp.nonzero(is_due, size=n_lanes, fill_value=n_lanes)[0], jnp.full(block_width, n_lanes))
 
-    def block(k, out):
-        some = lax.dynamic_slice_in_dim(places, k * width, width)
-        lanes = jax.tree.map(lambda leaf: leaf.at[some].get(mode="clip") if jnp.ndim(leaf) else leaf, given)
-        return jax.tree.map(lambda all, new: all.at[some].set(new, mode="drop"), out, run(*lanes))
+    def run_block(k, results):
+        block_indices = lax.dynamic_slice_in_dim(due_indices, k * block_width, block_width)
+        lane_arguments = jax.tree.map(
+            lambda leaf: leaf.at[block_indices].get(mode="clip") if jnp.ndim(leaf) else leaf, arguments
+        )
+        return jax.tree.map(lambda old, new: old.at[block_indices].set(new, mode="drop"), results, run(*lane_arguments))
 
-    return lax.fori_loop(0, -(-jnp.sum(due) // width), block, out)
+    return lax.fori_loop(0, -(-jnp.sum(is_due) // block_width), run_block, results)
 
 
-def _through(scene, state, start, asked):
-    """As `_tried`, by full steps; derivatives by a replay."""
-    chosen = asked.chosen
-    told = {"slots": asked.slots, "clearance": asked.clearance, "late": one_period.SLOTS if chosen else asked.late}
-    (end, impacts), past = one_kernel(one_period.through, scene, state, periods=1, **told)
-    if not chosen:
-        return (end, impacts), past, ()
+def _reference_period(scene, state, start_tangents, settings):
+    """As `_strobe_period`, by full steps; derivatives by a replay."""
+    argnums = settings.argnums
+    settings_dict = {
+        "slots": settings.slots,
+        "clearance": settings.clearance,
+        "history_slots": one_period.REPLAY_SLOTS if argnums else settings.history_slots,
+    }
+    (end, impacts), history = call_as_kernel(one_period.strobe_with_history, scene, state, periods=1, **settings_dict)
+    if not argnums:
+        return (end, impacts), history, ()
     leaves, tree = jax.tree.flatten((scene, state))
-    known = slots_first(known_impacts(end, impacts, past).of_state)
-    own = _own(tree)
-    moving = tuple(sorted({*chosen, *own}))
-    ((x, v),) = one_kernel(replayed_slopes, leaves, known, tree=tree, chosen=moving, periods=1, order=1, of_state=True)
-    by = {place: (x[..., k], v[..., k]) for k, place in enumerate(moving)}
-    forgets = (past.freed >= 0) | (abs(end.contact) == Contact.STUCK)
-
-    def later(place, tangent):
-        way = [sum(by[k][row] * rate for k, rate in zip(own, tangent, strict=True)) for row in (0, 1)]
-        way = [choose(forgets, 0.0, each) for each in way]  # whatever the start was, nan too
-        return Tangent(*way) if place in own else Tangent(*(a + b for a, b in zip(way, by[place], strict=True)))
-
-    tangents = tuple(later(*each) for each in zip(chosen, start, strict=True))
-    return (end, impacts), Past(past.freed), tangents
-
-
-def _again(scene, asked, least, k, past):
-    """The results with those of one period more, the k-th from 0."""
-    slots = asked.slots
-    (state, seen), before, tangents = past
-    (end, new), after, tangents = _tried(scene, state, tangents, asked, least)
-    begun = k * frame(scene).period
-    lost = seen.status >= Status.CAP
-    status = jnp.where(lost, seen.status, jnp.maximum(seen.status, new.status))
-    put = partial(_put, seen.count)
-    impacts = Impacts(
-        time=put(seen.time, _later(new.time, begun)),
-        side=put(seen.side, new.side),
-        speed=put(seen.speed, new.speed),
-        count=seen.count + new.count,
-        least_speed=jnp.minimum(seen.least_speed, new.least_speed),
-        least_clearance=jnp.minimum(seen.least_clearance, new.least_clearance) if asked.clearance else None,
-        status=jnp.where((status == Status.OK) & (seen.count + new.count > slots), Status.FULL, status),
+    impacts_to_replay = move_slots_first(collect_replay_data(end, impacts, history).state_impacts)
+    state_argnums = _state_argnums(tree)
+    active_indices = tuple(sorted({*argnums, *state_argnums}))
+    ((x, v),) = call_as_kernel(
+        replay_derivatives,
+        leaves,
+        impacts_to_replay,
+        tree=tree,
+        argnums=active_indices,
+        periods=1,
+        order=1,
+        of_state=True,
     )
-    return (end, impacts), _joined(seen.count, before, after, begun), tangents
+    columns = {argnum: (x[..., k], v[..., k]) for k, argnum in enumerate(active_indices)}
+    forgets_start = (history.release_time >= 0) | (abs(end.contact) == Contact.STUCK)
+
+    def propagate(argnum, tangent):
+        state_part = [
+            sum(columns[k][component] * rate for k, rate in zip(state_argnums, tangent, strict=True))
+            for component in (0, 1)
+        ]
+        state_part = [
+            choose(forgets_start, 0.0, component) for component in state_part
+        ]  # whatever the start was, nan too
+        return (
+            Tangent(*state_part)
+            if argnum in state_argnums
+            else Tangent(*(a + b for a, b in zip(state_part, columns[argnum], strict=True)))
+        )
+
+    tangents = tuple(propagate(*argnum_and_start) for argnum_and_start in zip(argnums, start_tangents, strict=True))
+    return (end, impacts), ReplayHistory(history.release_time), tangents
 
 
-def _put(count, old, rows):
+def _append_period(scene, settings, min_lanes, period, results):
+    """The results with those of one period more, the k-th from 0."""
+    slots = settings.slots
+    (state, old_impacts), old_history, tangents = results
+    (end, new_impacts), new_history, tangents = _strobe_period(scene, state, tangents, settings, min_lanes)
+    start_time = period * compute_coefficients(scene).period
+    is_invalid = old_impacts.status >= Status.CAP
+    status = jnp.where(is_invalid, old_impacts.status, jnp.maximum(old_impacts.status, new_impacts.status))
+    append = partial(_append_rows, old_impacts.count)
+    impacts = Impacts(
+        time=append(old_impacts.time, _delay_times(new_impacts.time, start_time)),
+        side=append(old_impacts.side, new_impacts.side),
+        speed=append(old_impacts.speed, new_impacts.speed),
+        count=old_impacts.count + new_impacts.count,
+        least_speed=jnp.minimum(old_impacts.least_speed, new_impacts.least_speed),
+        least_clearance=jnp.minimum(old_impacts.least_clearance, new_impacts.least_clearance)
+        if settings.clearance
+        else None,
+        status=jnp.where((status == Status.OK) & (old_impacts.count + new_impacts.count > slots), Status.FULL, status),
+    )
+    return (end, impacts), _join_histories(old_impacts.count, old_history, new_history, start_time), tangents
+
+
+def _append_rows(n_old, old_rows, new_rows):
     """Rows with others after the first so many; slots last."""
-    place = jnp.arange(old.shape[-1]) - count.astype(int)[..., None]
-    return jnp.where(place >= 0, jnp.take_along_axis(rows, jnp.maximum(place, 0), -1), old)
+    source = jnp.arange(old_rows.shape[-1]) - n_old.astype(int)[..., None]
+    return jnp.where(source >= 0, jnp.take_along_axis(new_rows, jnp.maximum(source, 0), -1), old_rows)
 
 
-def _later(rows, begun):
-    return rows + jnp.asarray(begun)[..., None]
+def _delay_times(times, start_time):
+    return times + jnp.asarray(start_time)[..., None]
 
 
-def _joined(count, before, after, begun):
-    """The `Past` of a path and a period after it; count: the path's impacts."""
-    anew = after.freed >= 0
-    freed = jnp.where(anew, after.freed + begun, before.freed)
-    if after.count is None:
-        return Past(freed)
+def _join_histories(n_impacts, old_history, new_history, start_time):
+    """The `ReplayHistory` of a path and a period after it; n_impacts: the path's impacts."""
+    has_release = new_history.release_time >= 0
+    release_time = jnp.where(has_release, new_history.release_time + start_time, old_history.release_time)
+    if new_history.count is None:
+        return ReplayHistory(release_time)
 
-    def since(old, rows):
-        return jnp.where(anew[..., None], rows, _put(before.count, old, rows))
+    def since_release(old_rows, new_rows):
+        return jnp.where(has_release[..., None], new_rows, _append_rows(old_history.count, old_rows, new_rows))
 
-    earlier = jnp.where(after.before >= 0, _later(after.before, begun), before.freed[..., None])
-    return Past(
-        freed,
-        jnp.where(anew, after.count, before.count + after.count),
-        since(before.times, _later(after.times, begun)),
-        since(before.sides, after.sides),
-        _put(count, before.before, earlier),
+    last_releases = jnp.where(
+        new_history.last_releases >= 0,
+        _delay_times(new_history.last_releases, start_time),
+        old_history.release_time[..., None],
+    )
+    return ReplayHistory(
+        release_time,
+        jnp.where(has_release, new_history.count, old_history.count + new_history.count),
+        since_release(old_history.times, _delay_times(new_history.times, start_time)),
+        since_release(old_history.sides, new_history.sides),
+        _append_rows(n_impacts, old_history.last_releases, last_releases),
     )

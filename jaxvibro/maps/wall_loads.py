@@ -8,33 +8,33 @@ import numpy as np
 import xarray as xr
 from numpy.polynomial import legendre
 
-from continuation.persistent_jit import SOON, persistent_jit
+from continuation.persistent_jit import FAST_COMPILE, persistent_jit
 
-from ..flight.coefficients import framed
-from ..flight.wall_positions import SIGNS, places
-from ..output.units import FORCE, POWER, SPEED, scales_in
+from ..flight.coefficients import flow_coefficients
+from ..flight.wall_positions import WALL_SIGNS, wall_states
+from ..output.units import FORCE, POWER, SPEED, scales_attributes
 from ..scene import check
 from ..scene.codes import Contact, Status
 from ..scene.scene import SIDES, Scene
-from ..scene.state import State, real_state
-from .contact_duration import duration
+from ..scene.state import State, state_arrays
+from .contact_duration import contact_time_of
 from .sample import sample
 from .strobe import strobe
 
-SLOTS, MOST = 32, 1024  # impacts of a lane that are looked at first, and at most
-NODES = 32  # of Gauss and Legendre in a stay within a soft wall
-GRID, NEWTON = 129, 4  # points of a stay from which Newton's steps to the largest force begin, and these
-ROWS = 4096  # stays that are looked at together
-LEAST = 3  # power of two of the stays that are looked at together
-AWAY = np.finfo(float).eps  # of a stay: how far from its ends the mass is looked at
-COLUMNS = {
+FIRST_SLOTS, MAX_SLOTS = 32, 1024  # impacts of a lane that are looked at first, and at most
+N_NODES = 32  # of Gauss and Legendre in a stay within a soft wall
+N_GRID, NEWTON_STEPS = 129, 4  # points of a stay from which Newton's steps to the largest force begin, and these
+ROWS_PER_CHUNK = 4096  # stays that are looked at together
+MIN_LOG2_ROWS = 3  # power of two of the stays that are looked at together
+END_OFFSET = np.finfo(float).eps  # of a stay: how far from its ends the mass is looked at
+LOAD_COLUMNS = {
     "largest_speed": (SPEED, "largest speed before an impact, relative to the wall"),
     "largest_force": (FORCE, "largest force of the wall on the mass"),
     "work_rate": (POWER, "energy that the wall takes in its own frame, over time"),
 }
 
 
-@check.host("use strobe and sample")
+@check.host_only("use strobe and sample")
 def wall_loads(scene: Scene, state: State | xr.Dataset, periods: int = 1) -> xr.Dataset:
     """What the walls bear within drive periods from a state on: an xarray.Dataset.
 
@@ -54,140 +54,150 @@ def wall_loads(scene: Scene, state: State | xr.Dataset, periods: int = 1) -> xr.
 
     Raises ArgumentError as `strobe` does.
     """
-    periods = check.whole("periods", periods, 1)
+    periods = check.whole_number("periods", periods, 1)
     if isinstance(state, xr.Dataset):
-        return _of_sweep(scene, state, periods)
-    return _of_states(scene, real_state(scene, state), periods)
+        return _loads_of_sweep(scene, state, periods)
+    return _loads_of_states(scene, state_arrays(scene, state), periods)
 
 
-def _of_sweep(scene, swept, periods):
+def _loads_of_sweep(scene, sweep_data, periods):
     """The Dataset of the states that a sweep recorded, with its dimensions and coordinates."""
-    if "swept" not in swept.attrs or not {"x", "v"} <= set(swept.variables):
-        raise check.ArgumentError("state", "must be a State, or a Dataset of sweep", f"with {', '.join(swept)}")
+    if "swept" not in sweep_data.attrs or not {"x", "v"} <= set(sweep_data.variables):
+        raise check.ArgumentError("state", "must be a State, or a Dataset of sweep", f"with {', '.join(sweep_data)}")
     check.require_single(scene)
-    name, recorded = swept.attrs["swept"], swept["x"]
-    values = swept[name].broadcast_like(recorded).transpose(*recorded.dims)
-    state = State(recorded.values, swept["v"].transpose(*recorded.dims).values, swept.attrs["phase"])
-    there = scene.replace(**{name: values.values})
-    found = _of_states(there, real_state(there, state), periods)
-    named = dict(zip(found["status"].dims, recorded.dims, strict=True))
-    return found.rename(named).assign_coords(recorded.coords)
+    name, sweep_x = sweep_data.attrs["swept"], sweep_data["x"]
+    values = sweep_data[name].broadcast_like(sweep_x).transpose(*sweep_x.dims)
+    state = State(sweep_x.values, sweep_data["v"].transpose(*sweep_x.dims).values, sweep_data.attrs["phase"])
+    swept_scene = scene.replace(**{name: values.values})
+    loads = _loads_of_states(swept_scene, state_arrays(swept_scene, state), periods)
+    dimension_names = dict(zip(loads["status"].dims, sweep_x.dims, strict=True))
+    return loads.rename(dimension_names).assign_coords(sweep_x.coords)
 
 
-def _of_states(scene, state, periods):
+def _loads_of_states(scene, state, periods):
     shape = np.broadcast_shapes(scene.shape, *map(np.shape, jax.tree.leaves(state)))
-    scales, scene, state = scales_in(scene), _in_lanes(scene, shape), _in_lanes(state, shape)
-    status, found = np.zeros(math.prod(shape), int), np.zeros((len(COLUMNS), math.prod(shape), len(scene.walls)))
+    scales, scene, state = scales_attributes(scene), _flatten_lanes(scene, shape), _flatten_lanes(state, shape)
+    status, loads = np.zeros(math.prod(shape), int), np.zeros((len(LOAD_COLUMNS), math.prod(shape), len(scene.walls)))
     for _ in range(periods):
-        given, (state, impacts) = state, _strobe(scene, state)
-        for k, side in enumerate(scene.walls):
-            speed, force, work = _of_wall(scene, given, impacts, side)
-            found[:2, :, k] = np.maximum(found[:2, :, k], [speed, force])
-            found[2, :, k] += work
+        start, (state, impacts) = state, _strobe_all_impacts(scene, state)
+        for wall_index, side in enumerate(scene.walls):
+            speed, force, work = _loads_of_wall(scene, start, impacts, side)
+            loads[:2, :, wall_index] = np.maximum(loads[:2, :, wall_index], [speed, force])
+            loads[2, :, wall_index] += work
         status = np.maximum(status, np.where(impacts.status >= Status.CAP, impacts.status, Status.OK))
-    found[2] /= (2.0 * np.pi * periods / np.asarray(scene.frequency))[:, None]
-    found = np.where((status >= Status.CAP)[:, None], np.nan, found)
-    return _dataset(scene, shape, found, status).assign_attrs(scales)
+    loads[2] /= (2.0 * np.pi * periods / np.asarray(scene.frequency))[:, None]
+    loads = np.where((status >= Status.CAP)[:, None], np.nan, loads)
+    return _loads_dataset(scene, shape, loads, status).assign_attrs(scales)
 
 
-def _strobe(scene, state):
+def _strobe_all_impacts(scene, state):
     """One period on, with slots for all impacts, where these are not too many."""
-    end, impacts = strobe(scene, state, 1, SLOTS)
-    most = int(np.max(np.where(impacts.status < Status.CAP, impacts.count, 0), initial=0))
-    return (end, impacts) if most <= SLOTS else strobe(scene, state, 1, min(MOST, 1 << (most - 1).bit_length()))
+    end, impacts = strobe(scene, state, 1, FIRST_SLOTS)
+    max_count = int(np.max(np.where(impacts.status < Status.CAP, impacts.count, 0), initial=0))
+    return (
+        (end, impacts)
+        if max_count <= FIRST_SLOTS
+        else strobe(scene, state, 1, min(MAX_SLOTS, 1 << (max_count - 1).bit_length()))
+    )
 
 
-def _in_lanes(tree, shape):
+def _flatten_lanes(tree, shape):
     return jax.tree.map(lambda leaf: np.broadcast_to(leaf, shape).reshape(-1), tree)
 
 
-def _of_wall(scene, state, impacts, side):
+def _loads_of_wall(scene, state, impacts, side):
     """(largest speed, 0 without one, largest force, work) of one wall within a period, each (lanes,)."""
-    met = np.asarray(impacts.side) == SIGNS[SIDES.index(side)]
-    met &= (np.asarray(impacts.status) < Status.CAP)[:, None]
-    speeds = np.where(met, impacts.speed, 0.0).max(axis=1)
+    is_impact = np.asarray(impacts.side) == WALL_SIGNS[SIDES.index(side)]
+    is_impact &= (np.asarray(impacts.status) < Status.CAP)[:, None]
+    speeds = np.where(is_impact, impacts.speed, 0.0).max(axis=1)
     if getattr(scene, side).soft:
-        return speeds, *_within(scene, state, impacts, met, side)
-    return speeds, np.full(len(met), np.nan), _at_impacts(scene, impacts, met, side)
+        return speeds, *_contact_loads(scene, state, impacts, is_impact, side)
+    return speeds, np.full(len(is_impact), np.nan), _impact_work(scene, impacts, is_impact, side)
 
 
-def _at_impacts(scene, impacts, met, side):
+def _impact_work(scene, impacts, is_impact, side):
     """The energy that the impacts on a rigid wall take. The slowest before a rest is taken for the last."""
-    speeds, rebound = np.asarray(impacts.speed), np.asarray(scene.bounce(side))[:, None]
-    rests = np.asarray(impacts.least_speed) == 0.0
-    slowest = np.argmin(np.where(impacts.side != 0, speeds, np.inf), axis=1)[:, None] == np.arange(speeds.shape[1])
-    return np.where(met, taken(speeds, rebound, slowest & rests[:, None]), 0.0).sum(axis=1)
+    speeds, restitution = np.asarray(impacts.speed), np.asarray(scene.bounce(side))[:, None]
+    has_chatter = np.asarray(impacts.least_speed) == 0.0
+    is_slowest = np.argmin(np.where(impacts.side != 0, speeds, np.inf), axis=1)[:, None] == np.arange(speeds.shape[1])
+    return np.where(is_impact, impact_energy_loss(speeds, restitution, is_slowest & has_chatter[:, None]), 0.0).sum(
+        axis=1
+    )
 
 
-def taken(speed, restitution, last):
-    """The energy that an impact takes in the wall's frame; last: before a rest, whose hops take what is left."""
-    return 0.5 * np.where(last, 1.0, 1.0 - restitution**2) * speed**2
+def impact_energy_loss(speed, restitution, is_last):
+    """The energy that an impact takes in the wall's frame; is_last: before a rest, whose hops take what is left."""
+    return 0.5 * np.where(is_last, 1.0, 1.0 - restitution**2) * speed**2
 
 
-def _within(scene, state, impacts, met, side):
+def _contact_loads(scene, state, impacts, is_impact, side):
     """(largest force, work) of the stays within a soft wall, (lanes,)."""
-    sign = SIGNS[SIDES.index(side)]
-    wall, pace = _wall(scene, np.asarray(state.phase), side)
-    contact, depth = np.asarray(state.contact) * sign, sign * (np.asarray(state.x) - wall)
-    begun = (contact == Contact.WITHIN) | ((contact != Contact.LANDED) & (depth > 0))
-    entries, speeds = (np.where(met, each, 0.0) for each in (impacts.time, impacts.speed))
-    begin, depth, rate = (
-        np.concatenate([first[:, None], rest], 1)
-        for first, rest in (
-            (0.0 * depth, entries),
-            (np.maximum(depth, 0.0), 0.0 * entries),
-            (sign * (np.asarray(state.v) - pace), speeds),
+    sign = WALL_SIGNS[SIDES.index(side)]
+    initial_wall_position, wall_velocity = _wall_motion(scene, np.asarray(state.phase), side)
+    contact, depth = np.asarray(state.contact) * sign, sign * (np.asarray(state.x) - initial_wall_position)
+    starts_inside = (contact == Contact.WITHIN) | ((contact != Contact.LANDED) & (depth > 0))
+    entry_times, speeds = (np.where(is_impact, array, 0.0) for array in (impacts.time, impacts.speed))
+    start_times, depth, rate = (
+        np.concatenate([initial[:, None], entries], 1)
+        for initial, entries in (
+            (0.0 * depth, entry_times),
+            (np.maximum(depth, 0.0), 0.0 * entry_times),
+            (sign * (np.asarray(state.v) - wall_velocity), speeds),
         )
     )
-    lanes, rows = np.nonzero(np.concatenate([begun[:, None], met], 1))
-    force, work = np.zeros(len(met)), np.zeros(len(met))
+    lanes, rows = np.nonzero(np.concatenate([starts_inside[:, None], is_impact], 1))
+    largest_force, work = np.zeros(len(is_impact)), np.zeros(len(is_impact))
     if not len(lanes):
-        return force, work
-    spare = (1 << max(LEAST, (len(lanes) - 1).bit_length())) - len(lanes)
-    padded, rows = (np.pad(each, (0, spare), mode="edge") for each in (lanes, rows))
-    begin, depth, rate = (each[padded, rows] for each in (begin, depth, rate))
-    here, phase = _picked(scene, padded), np.asarray(state.phase)[padded]
-    phase = phase + here.frequency * begin
-    left = 2.0 * np.pi / here.frequency - begin
-    last = np.asarray(_durations(here, sign + 0.0 * depth, depth, rate, phase, left))
-    where, pace = _wall(here, phase, side)
-    entered = State(where + sign * depth, pace + sign * rate, phase, np.full(phase.shape, sign * Contact.WITHIN))
-    nodes, weights = legendre.leggauss(NODES)
-    spread = np.concatenate([[AWAY - 1.0], nodes, [1.0 - AWAY]])
-    one, _ = sample(here, entered, 0.5 * last[:, None] * (1.0 + spread))
-    where, pace = _wall(here, np.asarray(one.phase), side)
-    push, rate = _push(here, sign * (np.asarray(one.x) - where), np.asarray(one.v), pace, side)
-    gained = 0.5 * last * ((push * rate)[:, 1:-1] @ weights)
-    np.maximum.at(force, lanes, _largest(push[: len(lanes)]))
-    np.add.at(work, lanes, gained[: len(lanes)])
-    return force, work
+        return largest_force, work
+    n_padding = (1 << max(MIN_LOG2_ROWS, (len(lanes) - 1).bit_length())) - len(lanes)
+    padded_lanes, rows = (np.pad(array, (0, n_padding), mode="edge") for array in (lanes, rows))
+    start_times, depth, rate = (array[padded_lanes, rows] for array in (start_times, depth, rate))
+    lane_scene, phase = _select_lanes(scene, padded_lanes), np.asarray(state.phase)[padded_lanes]
+    phase = phase + lane_scene.frequency * start_times
+    time_remaining = 2.0 * np.pi / lane_scene.frequency - start_times
+    contact_times = np.asarray(_contact_times(lane_scene, sign + 0.0 * depth, depth, rate, phase, time_remaining))
+    wall_position, wall_velocity = _wall_motion(lane_scene, phase, side)
+    entry_state = State(
+        wall_position + sign * depth, wall_velocity + sign * rate, phase, np.full(phase.shape, sign * Contact.WITHIN)
+    )
+    nodes, weights = legendre.leggauss(N_NODES)
+    points = np.concatenate([[END_OFFSET - 1.0], nodes, [1.0 - END_OFFSET]])
+    samples, _ = sample(lane_scene, entry_state, 0.5 * contact_times[:, None] * (1.0 + points))
+    wall_position, wall_velocity = _wall_motion(lane_scene, np.asarray(samples.phase), side)
+    contact_force, rate = _contact_force(
+        lane_scene, sign * (np.asarray(samples.x) - wall_position), np.asarray(samples.v), wall_velocity, side
+    )
+    contact_work = 0.5 * contact_times * ((contact_force * rate)[:, 1:-1] @ weights)
+    np.maximum.at(largest_force, lanes, _largest_force(contact_force[: len(lanes)]))
+    np.add.at(work, lanes, contact_work[: len(lanes)])
+    return largest_force, work
 
 
-def _picked(tree, lanes):
+def _select_lanes(tree, lanes):
     return jax.tree.map(lambda leaf: np.asarray(leaf)[lanes], tree)
 
 
-def _wall(scene, phase, side):
+def _wall_motion(scene, phase, side):
     """Where a wall is at phases (lanes, ...), and how fast."""
-    more = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *[1] * (phase.ndim - 1)), scene)
-    return [np.asarray(each) + 0.0 * phase for each in places(more, phase)[SIDES.index(side)]]
+    expanded_scene = jax.tree.map(lambda leaf: np.asarray(leaf).reshape(-1, *[1] * (phase.ndim - 1)), scene)
+    return [np.asarray(array) + 0.0 * phase for array in wall_states(expanded_scene, phase)[SIDES.index(side)]]
 
 
-@persistent_jit(compiler_options=SOON)
-def _durations(scene, sign, depth, rate, phase, longest):
+@persistent_jit(compiler_options=FAST_COMPILE)
+def _contact_times(scene, sign, depth, rate, phase, max_time):
     """How long stays last that begin so deep within the wall on a side, going so fast into it; at most the longest."""
-    frame = framed(scene)
-    touch = sign * jnp.where(depth > 0, 1.0 * Contact.WITHIN, 1.0 * Contact.ENTERED)
-    return duration(frame, touch, sign * depth, sign * rate, jnp.cos(phase), jnp.sin(phase), longest)
+    coeffs = flow_coefficients(scene)
+    contact = sign * jnp.where(depth > 0, 1.0 * Contact.WITHIN, 1.0 * Contact.ENTERED)
+    return contact_time_of(coeffs, contact, sign * depth, sign * rate, jnp.cos(phase), jnp.sin(phase), max_time)
 
 
-def _push(scene, depth, v, pace, side):
+def _contact_force(scene, depth, v, wall_velocity, side):
     """(the force of a soft wall against the mass, how fast that goes into it), at depths (lanes, points)."""
-    wall, sign = getattr(scene, side), SIGNS[SIDES.index(side)]
-    rate = sign * (v - pace)
+    wall, sign = getattr(scene, side), WALL_SIGNS[SIDES.index(side)]
+    rate = sign * (v - wall_velocity)
     if wall.law is not None:
-        numbers = {name: np.asarray(each)[:, None] for name, each in wall.law.numbers.items()}
-        return np.asarray(wall.law.function(np.maximum(depth, 0.0), rate, numbers)), rate
+        params = {name: np.asarray(value)[:, None] for name, value in wall.law.numbers.items()}
+        return np.asarray(wall.law.function(np.maximum(depth, 0.0), rate, params)), rate
     damping = np.asarray(scene.parameter(f"{side}.damping"))
     if scene.force is None:
         damping = damping - np.asarray(scene.damping)
@@ -195,29 +205,29 @@ def _push(scene, depth, v, pace, side):
     return stiffness[:, None] * depth + 2.0 * damping[:, None] * sign * v, rate
 
 
-def _largest(push):
+def _largest_force(contact_force):
     """The largest of the polynomial through each row's values at Gauss and Legendre's points, and of its end values:
     the largest on a grid, then Newton's steps to where the slope is zero."""
-    nodes, _ = legendre.leggauss(NODES)
-    grid = np.cos(np.linspace(0.0, np.pi, GRID))
-    found = []
-    for rows in np.array_split(push, max(1, len(push) // ROWS)):
-        series = [legendre.legfit(nodes, rows[:, 1:-1].T, NODES - 1)]
-        series += [legendre.legder(series[0], order) for order in (1, 2)]
-        best = grid[np.argmax(legendre.legval(grid, series[0]), axis=1)]
-        for _ in range(NEWTON):
-            slope, bend = (legendre.legval(best, one, tensor=False) for one in series[1:])
-            step = -slope / np.where(bend < 0.0, bend, -np.inf)
-            best = np.clip(best + np.clip(step, -np.pi / GRID, np.pi / GRID), -1.0, 1.0)
-        found.append(np.maximum(rows.max(axis=1), legendre.legval(best, series[0], tensor=False)))
-    return np.concatenate(found)
+    nodes, _ = legendre.leggauss(N_NODES)
+    grid = np.cos(np.linspace(0.0, np.pi, N_GRID))
+    maxima = []
+    for chunk in np.array_split(contact_force, max(1, len(contact_force) // ROWS_PER_CHUNK)):
+        legendre_series = [legendre.legfit(nodes, chunk[:, 1:-1].T, N_NODES - 1)]
+        legendre_series += [legendre.legder(legendre_series[0], order) for order in (1, 2)]
+        maximiser = grid[np.argmax(legendre.legval(grid, legendre_series[0]), axis=1)]
+        for _ in range(NEWTON_STEPS):
+            slope, curvature = (legendre.legval(maximiser, series, tensor=False) for series in legendre_series[1:])
+            step = -slope / np.where(curvature < 0.0, curvature, -np.inf)
+            maximiser = np.clip(maximiser + np.clip(step, -np.pi / N_GRID, np.pi / N_GRID), -1.0, 1.0)
+        maxima.append(np.maximum(chunk.max(axis=1), legendre.legval(maximiser, legendre_series[0], tensor=False)))
+    return np.concatenate(maxima)
 
 
-def _dataset(scene, shape, found, status):
-    lanes = ["lane"] if len(shape) == 1 else [f"lane_{axis}" for axis in range(len(shape))]
+def _loads_dataset(scene, shape, loads, status):
+    lane_dims = ["lane"] if len(shape) == 1 else [f"lane_{axis}" for axis in range(len(shape))]
     variables = {
-        name: ([*lanes, "wall"], one.reshape(*shape, -1), {"long_name": told, "units": unit})
-        for (name, (unit, told)), one in zip(COLUMNS.items(), found, strict=True)
+        name: ([*lane_dims, "wall"], values.reshape(*shape, -1), {"long_name": long_name, "units": unit})
+        for (name, (unit, long_name)), values in zip(LOAD_COLUMNS.items(), loads, strict=True)
     }
-    variables["status"] = (lanes, status.reshape(shape), {"long_name": "worst status, as of strobe"})
+    variables["status"] = (lane_dims, status.reshape(shape), {"long_name": "worst status, as of strobe"})
     return xr.Dataset(variables, {"wall": ("wall", list(scene.walls))})

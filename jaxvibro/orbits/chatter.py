@@ -23,154 +23,185 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 
 from ..flight import flow
 from ..flight.flows import flow_of
-from ..flight.soft_contact import bounce
-from .meeting_wall import pressed, way
+from ..flight.soft_contact import restitution_of
+from .wall_at_contact import contact_force_derivatives, wall_derivatives
 
-ORDER = 12  # of a hop's polynomial
-LONGEST = 0.4  # of `Frame.reach`: a hop that is longer is none of a series'
-LATE = 0.3  # of the same: so long before the release speeds are compared with the critical one
-ROUNDS = 6  # of Newton's steps from a cubic's root to the landing
-SMALL = 1e-4  # of what is left, or of the reach: so short are all further hops where the series is ended
-MOST = 100_000  # hops
-HALVES = 62  # of the bracket of the critical speed
+HOP_ORDER = 12  # of a hop's polynomial
+MAX_HOP_TIME = 0.4  # of `Frame.reach`: a hop that is longer is none of a series'
+COMPARISON_TIME = 0.3  # of the same: so long before the release speeds are compared with the critical one
+NEWTON_STEPS = 6  # of Newton's steps from a cubic's root to the landing
+SERIES_TOLERANCE = 1e-4  # of what is left, or of the reach: so short are all further hops where the series is ended
+MAX_HOPS = 100_000  # hops
+N_BISECTIONS = 62  # of the bracket of the critical speed
 
 
 class Hop(NamedTuple):
-    """time: how long it is; landing: the speed at its end, against the wall, inf times where it does not end; press,
-    change: of the wall at its start; third: y's third derivative there; terms: of its height."""
+    """time: how long it is; landing_speed: the speed at its end, against the wall, inf times where it does not end;
+    press, force_rate: of the wall at its start; third_derivative: y's third derivative there; terms: of its height."""
 
     time: Float[Array, ""]
-    landing: Float[Array, ""]
-    press: Float[Array, ""]
-    change: Float[Array, ""]
-    third: Float[Array, ""]
+    landing_speed: Float[Array, ""]
+    contact_force: Float[Array, ""]
+    force_rate: Float[Array, ""]
+    third_derivative: Float[Array, ""]
     terms: tuple[Float[Array, ""], ...]
 
 
-class Ending(NamedTuple):
-    """rest: how long the mass rests before the release, negative: it does not come to rest; first: how long the first
-    hop is, `Frame.reach` where it is longer; height, pace: over the wall and away from it, at times asked for."""
+class ChatterEnd(NamedTuple):
+    """sticking_time: how long the mass rests before the release, negative: it does not come to rest; first_hop_time:
+    how long the first hop is, `Frame.reach` where it is longer; height, velocity: over the wall and away from it, at
+    times asked for."""
 
-    rest: Float[Array, ""]
-    first: Float[Array, ""]
+    sticking_time: Float[Array, ""]
+    first_hop_time: Float[Array, ""]
     height: Float[Array, " times"]
-    pace: Float[Array, " times"]
+    velocity: Float[Array, " times"]
 
 
-def hop(frame, side, phasor, speed):
+def evaluate_hop(coeffs, side, phasor, speed):
     """The `Hop` from a wall that a mass leaves with a speed, a number, or without one where it is drawn away; phasor:
     the drive's cosine and sine."""
-    where, pace, *more = way(frame, side, *phasor, ORDER)
-    path = flow_of(frame).jet(frame, where, pace - side * speed, *phasor, ORDER)
-    rates = [side * (wall - mass) for wall, mass in zip(more, path[2:], strict=False)]
-    push, change = (side * each for each in pressed(frame, side, phasor))
-    terms = (speed, *(rate / math.factorial(k) for k, rate in enumerate(rates, 2)))  # of y / s
-    inside = terms[1] * terms[1] - 4.0 * terms[2] * speed
-    lifts = (speed == 0) & (push < 0)
-    lands = jnp.where(lifts, terms[2] < 0, (inside > 0) & (terms[1] < 0))
-    root = jnp.sqrt(jnp.where(lands, inside, 1.0)) - jnp.where(lands, terms[1], -1.0)
-    lift = -terms[1] / jnp.where(lifts & lands, terms[2], 1.0)
-    time = jnp.where(lands, jnp.where(lifts, lift, 2.0 * speed / root), 0.0)
-    for _ in range(ROUNDS):
-        height, slope = _horner(terms, time)
+    wall_position, wall_velocity, *wall_derivs = wall_derivatives(coeffs, side, *phasor, HOP_ORDER)
+    jet = flow_of(coeffs).jet(coeffs, wall_position, wall_velocity - side * speed, *phasor, HOP_ORDER)
+    height_derivs = [
+        side * (wall_deriv - mass_deriv) for wall_deriv, mass_deriv in zip(wall_derivs, jet[2:], strict=False)
+    ]
+    contact_force, force_rate = (side * derivative for derivative in contact_force_derivatives(coeffs, side, phasor))
+    height_terms = (
+        speed,
+        *(height_deriv / math.factorial(k) for k, height_deriv in enumerate(height_derivs, 2)),
+    )  # of y / s
+    discriminant = height_terms[1] * height_terms[1] - 4.0 * height_terms[2] * speed
+    lifts = (speed == 0) & (contact_force < 0)
+    lands = jnp.where(lifts, height_terms[2] < 0, (discriminant > 0) & (height_terms[1] < 0))
+    denominator = jnp.sqrt(jnp.where(lands, discriminant, 1.0)) - jnp.where(lands, height_terms[1], -1.0)
+    lift_time = -height_terms[1] / jnp.where(lifts & lands, height_terms[2], 1.0)
+    time = jnp.where(lands, jnp.where(lifts, lift_time, 2.0 * speed / denominator), 0.0)
+    for _ in range(NEWTON_STEPS):
+        height, slope = _horner(height_terms, time)
         time = time - jnp.where(lands, height / jnp.where(slope == 0, 1.0, slope), 0.0)
-    _, slope = _horner(terms, time)
-    good = lands & (time >= 0) & (slope <= 0) & (time <= frame.reach)
-    landing = jnp.where(good, -time * slope, jnp.inf)  # y' = (y / s) + s (y / s)', and y is 0
-    stays = (speed == 0) & ~lifts
-    return Hop(jnp.where(stays, 0.0, time), jnp.where(stays, 0.0, landing), push, change, rates[1], terms)
+    _, slope = _horner(height_terms, time)
+    is_valid = lands & (time >= 0) & (slope <= 0) & (time <= coeffs.max_step)
+    landing_speed = jnp.where(is_valid, -time * slope, jnp.inf)  # y' = (y / s) + s (y / s)', and y is 0
+    is_still = (speed == 0) & ~lifts
+    return Hop(
+        jnp.where(is_still, 0.0, time),
+        jnp.where(is_still, 0.0, landing_speed),
+        contact_force,
+        force_rate,
+        height_derivs[1],
+        height_terms,
+    )
 
 
-def _horner(terms, time):
+def _horner(height_terms, time):
     """A polynomial and its slope."""
-    value, slope = terms[-1], jnp.zeros_like(terms[-1])
-    for term in terms[-2::-1]:
+    value, slope = height_terms[-1], jnp.zeros_like(height_terms[-1])
+    for term in height_terms[-2::-1]:
         value, slope = value * time + term, slope * time + value
     return value, slope
 
 
-def ending(frame, side, release, tau, speed, since):
-    """The `Ending` of hops that begin at tau with a speed, numbers. release: the drive's cosine and sine there; since:
-    (times,) since tau, at which the mass is looked for."""
-    again = bounce(frame, side) + 0.0 * speed
-    none = 0.0 * (tau + speed)
+def chatter_end(coeffs, side, release_phasor, tau, speed, elapsed_times):
+    """The `ChatterEnd` of hops that begin at tau with a speed, numbers. release_phasor: the drive's cosine and sine
+    there; since: (times,) since tau, at which the mass is looked for."""
+    restitution = restitution_of(coeffs, side) + 0.0 * speed
+    zero = 0.0 * (tau + speed)
 
-    def going(carry):
-        return (carry[-1] == 0) & (carry[3] < MOST)
+    def is_unfinished(carry):
+        return (carry[-1] == 0) & (carry[3] < MAX_HOPS)
 
-    def one(carry):
-        late, speed, rest, count, first, height, pace, _ = carry
-        phasor = flow.rotated(*release, frame.frequency * late)
-        found = hop(frame, side, phasor, speed)
-        span, sure = _series(frame, again, speed, found)
-        held = (found.press > 0) | ((speed == 0) & (late + found.time == late))
-        ends = sure & (span <= SMALL * -late) & (late < 0) & held
-        lands = (held | (speed == 0)) & jnp.isfinite(found.landing) & (late + found.time < 0)
-        begun = since - (late - tau)
-        on = (begun >= 0) & (begun < jnp.where(ends, 0.0, found.time)) & (lands | ends)
-        y, slope = _horner(found.terms, jnp.where(on, begun, 0.0))
-        height, pace = jnp.where(on, begun * y, height), jnp.where(on, y + begun * slope, pace)
-        later = late + jnp.where(lands, found.time, 0.0)
-        rest = jnp.where(ends, -(late + span), -jnp.maximum(later, 0.0) - found.time - (speed > 0))
+    def next_hop(carry):
+        hop_tau, speed, sticking_time, n_hops, first_hop_time, height, velocity, _ = carry
+        phasor = flow.rotate_by_angle(*release_phasor, coeffs.frequency * hop_tau)
+        hop = evaluate_hop(coeffs, side, phasor, speed)
+        total_hop_time, is_accurate = _total_hop_time(coeffs, restitution, speed, hop)
+        is_pressed = (hop.contact_force > 0) | ((speed == 0) & (hop_tau + hop.time == hop_tau))
+        sticks = is_accurate & (total_hop_time <= SERIES_TOLERANCE * -hop_tau) & (hop_tau < 0) & is_pressed
+        lands = (is_pressed | (speed == 0)) & jnp.isfinite(hop.landing_speed) & (hop_tau + hop.time < 0)
+        time_in_hop = elapsed_times - (hop_tau - tau)
+        is_in_hop = (time_in_hop >= 0) & (time_in_hop < jnp.where(sticks, 0.0, hop.time)) & (lands | sticks)
+        y, slope = _horner(hop.terms, jnp.where(is_in_hop, time_in_hop, 0.0))
+        height, velocity = (
+            jnp.where(is_in_hop, time_in_hop * y, height),
+            jnp.where(is_in_hop, y + time_in_hop * slope, velocity),
+        )
+        next_tau = hop_tau + jnp.where(lands, hop.time, 0.0)
+        sticking_time = jnp.where(
+            sticks, -(hop_tau + total_hop_time), -jnp.maximum(next_tau, 0.0) - hop.time - (speed > 0)
+        )
         return (
-            jnp.where(ends, late, later),
-            jnp.where(lands, again * found.landing, speed),
-            rest,
-            count + 1.0,
-            jnp.where(count == 0, jnp.where(ends | jnp.isfinite(found.landing), found.time, frame.reach), first),
+            jnp.where(sticks, hop_tau, next_tau),
+            jnp.where(lands, restitution * hop.landing_speed, speed),
+            sticking_time,
+            n_hops + 1.0,
+            jnp.where(
+                n_hops == 0,
+                jnp.where(sticks | jnp.isfinite(hop.landing_speed), hop.time, coeffs.max_step),
+                first_hop_time,
+            ),
             height,
-            pace,
-            (ends | ~lands).astype(jnp.int32),
+            velocity,
+            (sticks | ~lands).astype(jnp.int32),
         )
 
-    blank = jnp.zeros_like(since) + none
-    start = tau + none, speed + none, none, none, none, blank, blank, jnp.int32(0)
-    _, _, rest, _, first, height, pace, done = lax.while_loop(going, one, start)
-    return Ending(jnp.where(done == 1, rest, -1.0), first, height, pace)
+    zeros = jnp.zeros_like(elapsed_times) + zero
+    start = tau + zero, speed + zero, zero, zero, zero, zeros, zeros, jnp.int32(0)
+    _, _, sticking_time, _, first_hop_time, height, velocity, done = lax.while_loop(is_unfinished, next_hop, start)
+    return ChatterEnd(jnp.where(done == 1, sticking_time, -1.0), first_hop_time, height, velocity)
 
 
-def _series(frame, again, speed, found):
+def _total_hop_time(coeffs, restitution, speed, hop):
     """(how long all hops last from one on, whether that is right to rounding)."""
-    push = jnp.where(found.press > 0, found.press, 1.0)
-    drag = 0.5 * (found.third + found.change)  # damping times the press
-    part = speed * (found.change + drag) / (push * push * (1.0 - again))
-    span = 2.0 * speed / ((1.0 - again) * push)
-    return span * (1.0 - 2.0 / 3.0 * part), (abs(part) <= SMALL) & (span <= SMALL * frame.reach)
+    contact_force = jnp.where(hop.contact_force > 0, hop.contact_force, 1.0)
+    drag = 0.5 * (hop.third_derivative + hop.force_rate)  # damping times the press
+    correction = speed * (hop.force_rate + drag) / (contact_force * contact_force * (1.0 - restitution))
+    leading_time = 2.0 * speed / ((1.0 - restitution) * contact_force)
+    return leading_time * (1.0 - 2.0 / 3.0 * correction), (abs(correction) <= SERIES_TOLERANCE) & (
+        leading_time <= SERIES_TOLERANCE * coeffs.max_step
+    )
 
 
-def late(frame, side, release, tau, speed):
+def approach_release(coeffs, side, release_phasor, tau, speed):
     """(tau, speed) of the first landing, or of the start, from which on the release is near."""
-    again = bounce(frame, side)
+    restitution = restitution_of(coeffs, side)
 
-    def going(carry):
+    def is_unfinished(carry):
         tau, speed = carry
-        return (tau < -LATE * frame.reach) & jnp.isfinite(speed) & (speed > 0)
+        return (tau < -COMPARISON_TIME * coeffs.max_step) & jnp.isfinite(speed) & (speed > 0)
 
-    def one(carry):
+    def next_hop(carry):
         tau, speed = carry
-        found = hop(frame, side, flow.rotated(*release, frame.frequency * tau), speed)
-        return tau + found.time, again * found.landing
+        hop = evaluate_hop(coeffs, side, flow.rotate_by_angle(*release_phasor, coeffs.frequency * tau), speed)
+        return tau + hop.time, restitution * hop.landing_speed
 
-    none = 0.0 * (tau + speed)
-    return lax.while_loop(going, one, (tau + none, speed + none))
+    zero = 0.0 * (tau + speed)
+    return lax.while_loop(is_unfinished, next_hop, (tau + zero, speed + zero))
 
 
-def critical(frame, side, release, tau):
+def critical_speed(coeffs, side, release_phasor, tau):
     """The speed from which on a mass that leaves a wall at tau < 0 does not come to rest; 0 where tau is not."""
-    late = tau * jnp.linspace(0.0, 1.0, 17)
-    push = jax.vmap(lambda late: side * pressed(frame, side, flow.rotated(*release, frame.frequency * late))[0])(late)
-    none = jnp.zeros(0, tau.dtype)
+    taus = tau * jnp.linspace(0.0, 1.0, 17)
+    contact_forces = jax.vmap(
+        lambda hop_tau: (
+            side
+            * contact_force_derivatives(
+                coeffs, side, flow.rotate_by_angle(*release_phasor, coeffs.frequency * hop_tau)
+            )[0]
+        )
+    )(taus)
+    no_times = jnp.zeros(0, tau.dtype)
 
-    def halve(_, carry):
-        low, high = carry
-        middle = 0.5 * (low + high)
-        rests = ending(frame, side, release, tau, middle, none).rest > 0
-        return jnp.where(rests, middle, low), jnp.where(rests, high, middle)
+    def bisect(_, carry):
+        lower, upper = carry
+        middle = 0.5 * (lower + upper)
+        sticks = chatter_end(coeffs, side, release_phasor, tau, middle, no_times).sticking_time > 0
+        return jnp.where(sticks, middle, lower), jnp.where(sticks, upper, middle)
 
-    most = jnp.maximum(-2.0 * tau * jnp.max(push), 0.0)
-    low, high = lax.fori_loop(0, HALVES, halve, (0.0 * most, most))
-    return 0.5 * (low + high)
+    max_speed = jnp.maximum(-2.0 * tau * jnp.max(contact_forces), 0.0)
+    lower, upper = lax.fori_loop(0, N_BISECTIONS, bisect, (0.0 * max_speed, max_speed))
+    return 0.5 * (lower + upper)

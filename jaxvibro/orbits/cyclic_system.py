@@ -12,189 +12,229 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float, Int
 
-from continuation.arrays import Array
-from continuation.linear import Eliminated, solve
+from continuation.array_type import Array
+from continuation.linear_solver import LinearSolution, solve
 
 
-class Ring(NamedTuple):
-    """own: (rows, 2, 2), each row's derivative by its own time and speed; following: by the next row's; by:
-    (rows, 2, p), by the parameters; last: the row whose next is the first; those after it are empty."""
+class CyclicBlockMatrix(NamedTuple):
+    """diagonal: (rows, 2, 2), each row's derivative by its own time and speed; coupling: by the next row's; by:
+    (rows, 2, p), by the parameters; last_row: the row whose next is the first; those after it are empty."""
 
-    own: Float[Array, "rows 2 2"]
-    following: Float[Array, "rows 2 2"]
-    by: Float[Array, "rows 2 parameters"]
-    last: Int[Array, ""]
+    diagonal: Float[Array, "rows 2 2"]
+    coupling: Float[Array, "rows 2 2"]
+    param_blocks: Float[Array, "rows 2 parameters"]
+    last_row: Int[Array, ""]
 
 
-def of(slopes, by=None):
-    """The `Ring` of the `Slopes` of `impact_equations.equations`, and of their derivative by p parameters, (2 rows, p),
-    None for none."""
-    own = jnp.stack([jnp.stack(pair, 1) for pair in slopes.own], 1)
-    e, f = slopes.following
+def assemble_matrix(jacobian, param_jacobian=None):
+    """The `CyclicBlockMatrix` of the `Slopes` of `impact_equations.equations`, and of their derivative by p parameters,
+    (2 rows, p), None for none."""
+    diagonal = jnp.stack([jnp.stack(entries, 1) for entries in jacobian.diagonal], 1)
+    e, f = jacobian.coupling
     zero = jnp.zeros_like(e)
-    following = jnp.stack([jnp.stack([e, zero], 1), jnp.stack([f, zero - 1.0], 1)], 1)
-    by = jnp.zeros((2 * len(e), 0), e.dtype) if by is None else by
-    return Ring(own, following, pairs(by, len(e)), slopes.last)
+    coupling = jnp.stack([jnp.stack([e, zero], 1), jnp.stack([f, zero - 1.0], 1)], 1)
+    param_jacobian = jnp.zeros((2 * len(e), 0), e.dtype) if param_jacobian is None else param_jacobian
+    return CyclicBlockMatrix(diagonal, coupling, pair_rows(param_jacobian, len(e)), jacobian.last_row)
 
 
 @jax.jit
-def bordered(ring, border, right):
+def solve_bordered(cyclic_matrix, border, right_sides):
     """The ring's equations, then the border's rows, for times, speeds and parameters: `linear.Eliminated`.
 
-    border: (p, 2 rows + p), or (2 rows + 1,) for one parameter; right: (2 rows + p, k), empty rows zero.
+    border: (p, 2 rows + p), or (2 rows + 1,) for one parameter; right_sides: (2 rows + p, k), empty rows zero.
     """
-    rows, size = len(ring.own), ring.by.shape[2]
-    border = border.reshape(size, -1)
-    blocks = jnp.concatenate([ring.own, ring.following, ring.by, pairs(right, rows)], 2)
-    edges = jnp.stack([border[:, :rows].T, border[:, rows : 2 * rows].T], 2)
-    blank = jnp.zeros((size, 2), blocks.dtype)
-    corner = jnp.concatenate([edges[0], blank, border[:, 2 * rows :], right[2 * rows :]], 1)
-    relation, corner, product, kept = _reduced(blocks, edges, corner, ring.last)
-    table = jnp.concatenate([relation, corner])
-    small = jnp.concatenate([table[:, :2] + table[:, 2:4], table[:, 4 : 4 + size]], 1)
-    found = solve(small, table[:, 4 + size :])
-    back = _back(kept, found.x[:2], found.x[:2], found.x[2:], ring.last)
-    x = jnp.concatenate([back[:, 0], back[:, 1], found.x[2:]])
-    return Eliminated(x, found.worst, product * found.determinant)
+    n_rows, n_params = len(cyclic_matrix.diagonal), cyclic_matrix.param_blocks.shape[2]
+    border = border.reshape(n_params, -1)
+    blocks = jnp.concatenate(
+        [cyclic_matrix.diagonal, cyclic_matrix.coupling, cyclic_matrix.param_blocks, pair_rows(right_sides, n_rows)], 2
+    )
+    border_blocks = jnp.stack([border[:, :n_rows].T, border[:, n_rows : 2 * n_rows].T], 2)
+    zeros = jnp.zeros((n_params, 2), blocks.dtype)
+    corner = jnp.concatenate([border_blocks[0], zeros, border[:, 2 * n_rows :], right_sides[2 * n_rows :]], 1)
+    closure_rows, corner, pivot_product, pivot_rows = _eliminate_rows(
+        blocks, border_blocks, corner, cyclic_matrix.last_row
+    )
+    reduced_system = jnp.concatenate([closure_rows, corner])
+    reduced_matrix = jnp.concatenate(
+        [reduced_system[:, :2] + reduced_system[:, 2:4], reduced_system[:, 4 : 4 + n_params]], 1
+    )
+    solution = solve(reduced_matrix, reduced_system[:, 4 + n_params :])
+    row_unknowns = _back_substitute(pivot_rows, solution.x[:2], solution.x[:2], solution.x[2:], cyclic_matrix.last_row)
+    x = jnp.concatenate([row_unknowns[:, 0], row_unknowns[:, 1], solution.x[2:]])
+    return LinearSolution(x, solution.pivot_ratio, pivot_product * solution.determinant)
 
 
-def determinants(ring):
+def determinants(cyclic_matrix):
     """The determinants of the equations by times and speeds: as they are, and where what comes after the last impact is
     the first's times -1, for a cycle that changes its sign each time round."""
-    blocks = jnp.concatenate([ring.own, ring.following], 2)
-    none = jnp.zeros((0, 4), blocks.dtype)
-    relation, _, product, _ = _reduced(blocks, jnp.zeros((len(blocks), 0, 2), blocks.dtype), none, ring.last)
-    closed = (relation[:, :2] + turn * relation[:, 2:4] for turn in (1.0, -1.0))
-    return tuple(product * (a[0] * b[1] - a[1] * b[0]) for a, b in closed)
+    blocks = jnp.concatenate([cyclic_matrix.diagonal, cyclic_matrix.coupling], 2)
+    no_border = jnp.zeros((0, 4), blocks.dtype)
+    closure_rows, _, pivot_product, _ = _eliminate_rows(
+        blocks, jnp.zeros((len(blocks), 0, 2), blocks.dtype), no_border, cyclic_matrix.last_row
+    )
+    closed_systems = (closure_rows[:, :2] + multiplier * closure_rows[:, 2:4] for multiplier in (1.0, -1.0))
+    return tuple(pivot_product * (a[0] * b[1] - a[1] * b[0]) for a, b in closed_systems)
 
 
-def nulls(ring, turn):
+def null_vectors(cyclic_matrix, multiplier):
     """(w, v), (2 rows,) each, for which w J and J v are zero where J is singular: the equations by times and speeds,
     what comes after the last impact being the first's times turn. Elsewhere w J v measures how far that is: its
     derivative is w J' v, but for what is as small as w J v. It has one sign along a locus: w J v grows with the turn,
     at a multiplier that is not a double one."""
-    place = jnp.arange(len(ring.own))
-    order = jnp.where(place <= ring.last, ring.last - place, place)
-    before = jnp.where(place < ring.last, order - 1, ring.last)
-    turned = (each.transpose(0, 2, 1)[at] for each, at in ((ring.own, order), (ring.following, before)))
-    own, following = (jnp.stack(each) for each in zip((ring.own, ring.following), turned, strict=True))
-    right, left = jax.vmap(_null, (0, 0, None, None))(own, following, ring.last, turn)
-    left, right = _flat(left[order]), _flat(right)
-    return jnp.where(by_turn(left, ring, right) < 0, -left, left), right
+    row_index = jnp.arange(len(cyclic_matrix.diagonal))
+    reversed_order = jnp.where(row_index <= cyclic_matrix.last_row, cyclic_matrix.last_row - row_index, row_index)
+    previous_row = jnp.where(row_index < cyclic_matrix.last_row, reversed_order - 1, cyclic_matrix.last_row)
+    transposed_blocks = (
+        blocks.transpose(0, 2, 1)[row_order]
+        for blocks, row_order in ((cyclic_matrix.diagonal, reversed_order), (cyclic_matrix.coupling, previous_row))
+    )
+    diagonal, coupling = (
+        jnp.stack(blocks)
+        for blocks in zip((cyclic_matrix.diagonal, cyclic_matrix.coupling), transposed_blocks, strict=True)
+    )
+    right_null, left_null = jax.vmap(_null_vector, (0, 0, None, None))(
+        diagonal, coupling, cyclic_matrix.last_row, multiplier
+    )
+    left_null, right_null = _unpair_rows(left_null[reversed_order]), _unpair_rows(right_null)
+    return jnp.where(multiplier_derivative(left_null, cyclic_matrix, right_null) < 0, -left_null, left_null), right_null
 
 
-def by_turn(left, ring, right):
-    """How w J v, J as in `nulls`, changes with the turn."""
-    w, v = (pairs(each, len(ring.own)) for each in (left, right))
-    return w[ring.last] @ ring.following[ring.last] @ v[0]
+def multiplier_derivative(left_null, cyclic_matrix, right_null):
+    """How w J v, J as in `null_vectors`, changes with the turn."""
+    w, v = (pair_rows(flat_vector, len(cyclic_matrix.diagonal)) for flat_vector in (left_null, right_null))
+    return w[cyclic_matrix.last_row] @ cyclic_matrix.coupling[cyclic_matrix.last_row] @ v[0]
 
 
-def _null(own, following, last, turn):
+def _null_vector(diagonal, coupling, last_row, multiplier):
     """(rows, 2): of all equations but one, the one that is least independent of the others, this is a solution."""
-    rows = len(own)
-    blocks = jnp.concatenate([own, following, jnp.zeros((rows, 2, 1), own.dtype)], 2)
-    edges, corner = (jnp.zeros(shape, blocks.dtype) for shape in ((rows, 0, 2), (0, 5)))
-    relation, _, _, kept = _reduced(blocks, edges, corner, last)
-    (a, b), (c, d) = relation[:, :2] + turn * relation[:, 2:4]
-    longer = a * a + b * b > c * c + d * d
-    first = jnp.stack([jnp.where(longer, -b, -d), jnp.where(longer, a, c)])
-    first = (first / jnp.sqrt(jnp.sum(first * first)))[:, None]
-    return _back(kept, first, turn * first, jnp.zeros((0, 1), blocks.dtype), last)[:, :, 0]
+    n_rows = len(diagonal)
+    blocks = jnp.concatenate([diagonal, coupling, jnp.zeros((n_rows, 2, 1), diagonal.dtype)], 2)
+    border_blocks, corner = (jnp.zeros(shape, blocks.dtype) for shape in ((n_rows, 0, 2), (0, 5)))
+    closure_rows, _, _, pivot_rows = _eliminate_rows(blocks, border_blocks, corner, last_row)
+    (a, b), (c, d) = closure_rows[:, :2] + multiplier * closure_rows[:, 2:4]
+    is_first_longer = a * a + b * b > c * c + d * d
+    first_unknowns = jnp.stack([jnp.where(is_first_longer, -b, -d), jnp.where(is_first_longer, a, c)])
+    first_unknowns = (first_unknowns / jnp.sqrt(jnp.sum(first_unknowns * first_unknowns)))[:, None]
+    return _back_substitute(
+        pivot_rows, first_unknowns, multiplier * first_unknowns, jnp.zeros((0, 1), blocks.dtype), last_row
+    )[:, :, 0]
 
 
-def product(left, ring, right, turn):
-    """w J v, J as in `nulls`."""
-    w, v = (pairs(each, len(ring.own)) for each in (left, right))
-    place = jnp.arange(len(v))
-    after = jnp.where(place == ring.last, turn, 1.0)[:, None] * v[jnp.where(place < ring.last, place + 1, 0)]
-    moved = jnp.einsum("kij,kj->ki", ring.own, v) + jnp.einsum("kij,kj->ki", ring.following, after)
-    return jnp.sum(w * moved)
+def bilinear_form(left_vector, cyclic_matrix, right_vector, multiplier):
+    """w J v, J as in `null_vectors`."""
+    w, v = (pair_rows(flat_vector, len(cyclic_matrix.diagonal)) for flat_vector in (left_vector, right_vector))
+    row_index = jnp.arange(len(v))
+    next_v = (
+        jnp.where(row_index == cyclic_matrix.last_row, multiplier, 1.0)[:, None]
+        * v[jnp.where(row_index < cyclic_matrix.last_row, row_index + 1, 0)]
+    )
+    image = jnp.einsum("kij,kj->ki", cyclic_matrix.diagonal, v) + jnp.einsum(
+        "kij,kj->ki", cyclic_matrix.coupling, next_v
+    )
+    return jnp.sum(w * image)
 
 
-def across(left, ring):
+def left_product(left_vector, cyclic_matrix):
     """w J, (2 rows,), J being the equations themselves."""
-    w, place = pairs(left, len(ring.own)), jnp.arange(len(ring.own))
-    by_next = jnp.einsum("ki,kij->kj", w, ring.following)[jnp.where(place == 0, ring.last, place - 1)]
-    found = jnp.einsum("ki,kij->kj", w, ring.own) + by_next
-    return _flat(jnp.where((place <= ring.last)[:, None], found, 0.0))
+    w, row_index = pair_rows(left_vector, len(cyclic_matrix.diagonal)), jnp.arange(len(cyclic_matrix.diagonal))
+    coupling_part = jnp.einsum("ki,kij->kj", w, cyclic_matrix.coupling)[
+        jnp.where(row_index == 0, cyclic_matrix.last_row, row_index - 1)
+    ]
+    row_vector = jnp.einsum("ki,kij->kj", w, cyclic_matrix.diagonal) + coupling_part
+    return _unpair_rows(jnp.where((row_index <= cyclic_matrix.last_row)[:, None], row_vector, 0.0))
 
 
-def dense(ring, turn=1.0):
-    """The equations' derivative as a matrix (2 rows, 2 rows + p), closed as in `nulls`; 1 for an empty unknown."""
-    rows = len(ring.own)
-    place = jnp.arange(rows)
-    hit = place <= ring.last
-    follows = jnp.where(place < ring.last, place + 1, 0)
-    sign = jnp.where(place == ring.last, turn, 1.0)
-    near = jax.nn.one_hot(place, rows, dtype=ring.own.dtype)
-    after = sign[:, None] * jax.nn.one_hot(follows, rows, dtype=ring.own.dtype)
-    own = jnp.where(hit[:, None, None], ring.own, jnp.eye(2))
-    following = jnp.where(hit[:, None, None], ring.following, 0.0)
-    whole = near[:, None, None, :] * own[..., None] + after[:, None, None, :] * following[..., None]
-    matrix = whole.transpose(1, 0, 2, 3).reshape(2 * rows, 2 * rows)
-    by = jnp.where(hit[:, None, None], ring.by, 0.0)
-    return jnp.concatenate([matrix, by.transpose(1, 0, 2).reshape(2 * rows, -1)], 1)
+def dense_matrix(cyclic_matrix, multiplier=1.0):
+    """The equations' derivative as a matrix (2 rows, 2 rows + p), closed as in `null_vectors`; 1 for an empty
+    unknown."""
+    n_rows = len(cyclic_matrix.diagonal)
+    row_index = jnp.arange(n_rows)
+    is_impact = row_index <= cyclic_matrix.last_row
+    next_row = jnp.where(row_index < cyclic_matrix.last_row, row_index + 1, 0)
+    closure_factor = jnp.where(row_index == cyclic_matrix.last_row, multiplier, 1.0)
+    own_one_hot = jax.nn.one_hot(row_index, n_rows, dtype=cyclic_matrix.diagonal.dtype)
+    next_one_hot = closure_factor[:, None] * jax.nn.one_hot(next_row, n_rows, dtype=cyclic_matrix.diagonal.dtype)
+    diagonal = jnp.where(is_impact[:, None, None], cyclic_matrix.diagonal, jnp.eye(2))
+    coupling = jnp.where(is_impact[:, None, None], cyclic_matrix.coupling, 0.0)
+    blocks = own_one_hot[:, None, None, :] * diagonal[..., None] + next_one_hot[:, None, None, :] * coupling[..., None]
+    matrix = blocks.transpose(1, 0, 2, 3).reshape(2 * n_rows, 2 * n_rows)
+    param_columns = jnp.where(is_impact[:, None, None], cyclic_matrix.param_blocks, 0.0)
+    return jnp.concatenate([matrix, param_columns.transpose(1, 0, 2).reshape(2 * n_rows, -1)], 1)
 
 
-def pairs(flat, rows):
+def pair_rows(flat_vector, n_rows):
     """Numbers by times, then speeds, (2 rows, k), as (rows, 2, k)."""
-    return jnp.stack([flat[:rows], flat[rows : 2 * rows]], 1)
+    return jnp.stack([flat_vector[:n_rows], flat_vector[n_rows : 2 * n_rows]], 1)
 
 
-def _flat(pairs):
+def _unpair_rows(row_pairs):
     """(rows, 2) by times, then speeds, (2 rows,)."""
-    return jnp.concatenate([pairs[:, 0], pairs[:, 1]])
+    return jnp.concatenate([row_pairs[:, 0], row_pairs[:, 1]])
 
 
-def _reduced(blocks, edges, corner, last):
+def _eliminate_rows(blocks, border_blocks, corner, last_row):
     """All unknowns eliminated but the first's: (the last relation, the border's rows, the product of the pivots, and
     the rows that give the others back).
 
     A row has columns of the first unknowns (2), of those after the present ones (2), of parameters, right sides.
     """
 
-    def eliminate(carry, given):
-        relation, corner, product = carry
-        place, block, edge = given
-        none = jnp.zeros((2, 2), block.dtype)
-        above = jnp.concatenate([relation[:, 2:4], relation[:, :2], none, relation[:, 4:]], 1)
-        below = jnp.concatenate([block[:, :2], none, block[:, 2:]], 1)
-        top, rest = _rotated(above, below)
-        low = jnp.concatenate([corner[:, 2:4] + edge, corner[:, :2], jnp.zeros_like(edge), corner[:, 4:]], 1)
+    def eliminate_row(carry, row_data):
+        closure_rows, corner, pivot_product = carry
+        row_index, block, border_block = row_data
+        zeros = jnp.zeros((2, 2), block.dtype)
+        above = jnp.concatenate([closure_rows[:, 2:4], closure_rows[:, :2], zeros, closure_rows[:, 4:]], 1)
+        below = jnp.concatenate([block[:, :2], zeros, block[:, 2:]], 1)
+        pivot_pair, remainder = _triangularise(above, below)
+        border_rows = jnp.concatenate(
+            [corner[:, 2:4] + border_block, corner[:, :2], jnp.zeros_like(border_block), corner[:, 4:]], 1
+        )
         for k in (0, 1):
-            low = low - (low[:, k : k + 1] / top[k, k]) * top[k]
-        there = place <= last
-        new = rest[:, 2:], low[:, 2:], product * (top[0, 0] * top[1, 1])
-        return jax.tree.map(lambda new, old: jnp.where(there, new, old), new, carry), top
+            border_rows = border_rows - (border_rows[:, k : k + 1] / pivot_pair[k, k]) * pivot_pair[k]
+        is_impact = row_index <= last_row
+        new_carry = remainder[:, 2:], border_rows[:, 2:], pivot_product * (pivot_pair[0, 0] * pivot_pair[1, 1])
+        return jax.tree.map(lambda new, old: jnp.where(is_impact, new, old), new_carry, carry), pivot_pair
 
     carry = blocks[0], corner, jnp.ones_like(blocks[0, 0, 0])
-    (relation, corner, product), kept = lax.scan(eliminate, carry, (jnp.arange(1, len(blocks)), blocks[1:], edges[1:]))
-    return relation, corner, product, kept
+    (closure_rows, corner, pivot_product), pivot_rows = lax.scan(
+        eliminate_row, carry, (jnp.arange(1, len(blocks)), blocks[1:], border_blocks[1:])
+    )
+    return closure_rows, corner, pivot_product, pivot_rows
 
 
 @jax.jit
-def _rotated(above, below):
+def _triangularise(above, below):
     """Two and two rows turned so that the first two columns are upper triangular: ((0, 1), (2, 3)) after."""
     rows = [*above, *below]
     for column, k, j in ((0, 0, 1), (0, 2, 3), (0, 0, 2), (1, 1, 3), (1, 1, 2)):
         a, b = rows[k][column], rows[j][column]
-        size = jnp.sqrt(a * a + b * b)
-        c, s = (jnp.where(size > 0, each / jnp.where(size > 0, size, 1.0), one) for each, one in ((a, 1.0), (b, 0.0)))
+        radius = jnp.sqrt(a * a + b * b)
+        c, s = (
+            jnp.where(radius > 0, component / jnp.where(radius > 0, radius, 1.0), default)
+            for component, default in ((a, 1.0), (b, 0.0))
+        )
         rows[k], rows[j] = c * rows[k] + s * rows[j], c * rows[j] - s * rows[k]
     return jnp.stack(rows[:2]), jnp.stack(rows[2:])
 
 
-def _back(kept, first, again, parameters, last):
+def _back_substitute(pivot_rows, first_unknowns, closing_unknowns, parameters, last_row):
     """All unknowns, (rows, 2, k), from the first's (2, k), these as they come again, and the parameters' (p, k)."""
-    size = len(parameters)
+    n_params = len(parameters)
 
-    def back(after, given):
-        place, top = given
-        right = top[:, 6 + size :] - top[:, 2:4] @ first - top[:, 4:6] @ after - top[:, 6 : 6 + size] @ parameters
-        speed = right[1] / top[1, 1]
-        found = jnp.stack([(right[0] - top[0, 1] * speed) / top[0, 0], speed])
-        there = place <= last
-        return jnp.where(there, found, after), jnp.where(there, found, 0.0)
+    def substitute_row(next_unknowns, row_data):
+        row_index, pivot_pair = row_data
+        right_side = (
+            pivot_pair[:, 6 + n_params :]
+            - pivot_pair[:, 2:4] @ first_unknowns
+            - pivot_pair[:, 4:6] @ next_unknowns
+            - pivot_pair[:, 6 : 6 + n_params] @ parameters
+        )
+        speed = right_side[1] / pivot_pair[1, 1]
+        row_unknowns = jnp.stack([(right_side[0] - pivot_pair[0, 1] * speed) / pivot_pair[0, 0], speed])
+        is_impact = row_index <= last_row
+        return jnp.where(is_impact, row_unknowns, next_unknowns), jnp.where(is_impact, row_unknowns, 0.0)
 
-    _, others = lax.scan(back, again, (jnp.arange(1, len(kept) + 1), kept), reverse=True)
-    return jnp.concatenate([first[None], others])
+    _, other_unknowns = lax.scan(
+        substitute_row, closing_unknowns, (jnp.arange(1, len(pivot_rows) + 1), pivot_rows), reverse=True
+    )
+    return jnp.concatenate([first_unknowns[None], other_unknowns])

@@ -2,28 +2,28 @@
 
 import numpy as np
 
-from ..flight.wall_positions import places
+from ..flight.wall_positions import wall_states
 from ..maps import itinerary as words
-from ..maps.initial_conditions import box
-from ..maps.iterate import KEEP, iterate
-from ..maps.rests import may_rest
+from ..maps.initial_conditions import initial_box
+from ..maps.iterate import MAX_RECORDED_PERIODS, iterate
+from ..maps.sticking_phases import may_stick
 from ..scene import check
 from ..scene.codes import Status
-from ..scene.scale import is_driven
 from ..scene.scene import Scene
-from ..scene.state import State, check_start, real_state
-from .by_impacts import by_impacts, guessed
-from .by_shooting import by_state
+from ..scene.state import State, check_start, state_arrays
+from ..scene.typical_scales import is_driven
 from .orbit import Orbit, OrbitError
+from .orbit_from_impacts import orbit_from_impacts, orbit_from_random_guesses
+from .shooting import orbit_from_state
 
-SETTLED = 1e-3  # of the largest x and v: a return as near as this
-FREE = (
+RETURN_TOLERANCE = 1e-3  # of the largest x and v: a return as near as this
+ADVICE_UNDRIVEN = (
     "a free motion repeats, if at all, after a period of its own, and does so from every phase, so that no single "
     "orbit has the drive's period; give the scene a drive, or let damping and walls bring the mass to rest"
 )
 
 
-@check.host("use solve_orbits; located has derivatives of an orbit")
+@check.host_only("use solve_orbits; located has derivatives of an orbit")
 def find_orbit(
     scene: Scene,
     state: State,
@@ -43,85 +43,91 @@ def find_orbit(
     singular Jacobian (a bifurcation), a flight through a wall; ArgumentError for arguments that cannot be.
     """
     check.require_single(scene)
-    state, settle = _lane(real_state(scene, state)), check.whole("settle", settle, 0)
+    state, settle = _single_lane(state_arrays(scene, state)), check.whole_number("settle", settle, 0)
     check_start(scene, state)
     if itinerary is not None:
-        itinerary = words.checked(itinerary, periods)
+        itinerary = words.validate_itinerary(itinerary, periods)
         periods = len(itinerary)
-    if periods is not None and check.whole("periods", periods, 1) > KEEP:
-        raise check.ArgumentError("periods", f"must be at most {KEEP}", periods)
-    size = max(float(abs(np.asarray(each)).max()) for each in (state.x, state.v))
+    if periods is not None and check.whole_number("periods", periods, 1) > MAX_RECORDED_PERIODS:
+        raise check.ArgumentError("periods", f"must be at most {MAX_RECORDED_PERIODS}", periods)
+    initial_size = max(float(abs(np.asarray(component)).max()) for component in (state.x, state.v))
     try:
         if settle:
-            state = _followed(iterate(scene, state, settle)).state
-        periods = periods or _returns(scene, state, settle, size)
-        return _near(scene, state, periods, itinerary)
+            state = _require_valid(iterate(scene, state, settle)).state
+        periods = periods or _return_period(scene, state, settle, initial_size)
+        return _orbit_near(scene, state, periods, itinerary)
     except OrbitError as error:
         if np.isnan(error.residual) or is_driven(scene):
             raise
-        raise OrbitError(f"{error.status}, and the scene has no drive", error.residual, FREE) from None
+        raise OrbitError(f"{error.status}, and the scene has no drive", error.residual, ADVICE_UNDRIVEN) from None
 
 
-def _lane(state):
+def _single_lane(state):
     if np.shape(state.x + state.v + state.phase + state.contact):
         raise check.ArgumentError("state", "must be a single state, not a batch", f"shape {np.shape(state.x)}")
-    return State(*(np.reshape(np.asarray(each), 1) for each in (state.x, state.v, state.phase, state.contact)))
+    return State(
+        *(np.reshape(np.asarray(component), 1) for component in (state.x, state.v, state.phase, state.contact))
+    )
 
 
-def _followed(found):
-    if found.status[0] >= Status.CAP:
-        what = f"the state cannot be followed ({Status(found.status[0]).word})"
-        raise OrbitError(what, np.nan, "start between the walls of the scene, at the state's phase")
-    return found
+def _require_valid(iterates):
+    if iterates.status[0] >= Status.CAP:
+        reason = f"the state cannot be followed ({Status(iterates.status[0]).word})"
+        raise OrbitError(reason, np.nan, "start between the walls of the scene, at the state's phase")
+    return iterates
 
 
-def _returns(scene, state, settle, size):
+def _return_period(scene, state, settle, initial_size):
     """The least number of periods after which the state comes back: to within SETTLED where it has settled.
 
-    size: of x and v at the start; a motion that has decayed to rounding beside that is at rest.
+    initial_size: of x and v at the start; a motion that has decayed to rounding beside that is at rest.
     """
-    points = _followed(iterate(scene, state, check.MOST_PERIODS)).points[:, 0]
-    first = np.array([state.x[0], state.v[0]])
-    apart, scale = abs(points - first).max(axis=1), abs(points).max()
-    decayed = scale <= float(np.finfo(scene.dtype).eps) * size
-    if settle and apart.min() > SETTLED * scale and not decayed:
+    points = _require_valid(iterate(scene, state, check.MAX_ORBIT_PERIODS)).points[:, 0]
+    start_point = np.array([state.x[0], state.v[0]])
+    distances, scale = abs(points - start_point).max(axis=1), abs(points).max()
+    has_decayed = scale <= float(np.finfo(scene.dtype).eps) * initial_size
+    if settle and distances.min() > RETURN_TOLERANCE * scale and not has_decayed:
         advice = "settle longer; or give periods and settle=0 for an unstable orbit, or ask find_orbits"
         raise OrbitError(
-            f"the state does not come back within {check.MOST_PERIODS} periods", float(apart.min()), advice
+            f"the state does not come back within {check.MAX_ORBIT_PERIODS} periods", float(distances.min()), advice
         )
-    return 1 if decayed else int(np.argmax(apart <= max(2.0 * apart.min(), 1e-6 * scale))) + 1
+    return 1 if has_decayed else int(np.argmax(distances <= max(2.0 * distances.min(), 1e-6 * scale))) + 1
 
 
-def _near(scene, state, periods, itinerary):
+def _orbit_near(scene, state, periods, itinerary):
     """The orbit near a state: by its impacts, or by the state where it rests on a wall or meets none."""
-    kept = _followed(iterate(scene, state, periods))
-    found = words.words(kept.side[:, 0])
-    plain = State(*(float(each[0]) for each in (state.x, state.v, state.phase, state.contact)))
-    length = 2.0 * np.pi / float(scene.frequency)
-    hit = kept.side[:, 0] != 0
-    times = (kept.time[:, 0] + length * np.arange(periods)[:, None])[hit]
-    speeds, sides = kept.speed[:, 0][hit], kept.side[:, 0][hit]
-    late = _late(scene, plain, float(kept.x[-1, 0]), float(kept.v[-1, 0]), SETTLED * length)
-    if late is not None:
-        wait, speed, side = late
-        times, speeds = np.append(times, length * periods + wait), np.append(speeds, speed)
+    iterates = _require_valid(iterate(scene, state, periods))
+    observed_itinerary = words.words_of_rows(iterates.side[:, 0])
+    start = State(*(float(component[0]) for component in (state.x, state.v, state.phase, state.contact)))
+    drive_period = 2.0 * np.pi / float(scene.frequency)
+    is_impact = iterates.side[:, 0] != 0
+    times = (iterates.time[:, 0] + drive_period * np.arange(periods)[:, None])[is_impact]
+    speeds, sides = iterates.speed[:, 0][is_impact], iterates.side[:, 0][is_impact]
+    missed_impact = _missed_impact(
+        scene, start, float(iterates.x[-1, 0]), float(iterates.v[-1, 0]), RETURN_TOLERANCE * drive_period
+    )
+    if missed_impact is not None:
+        delay, speed, side = missed_impact
+        times, speeds = np.append(times, drive_period * periods + delay), np.append(speeds, speed)
         sides = np.append(sides, side)
-        found = (*found[:-1], found[-1] + words.LETTERS[side])
-    if itinerary is not None and not words.same(found, itinerary):
-        return guessed(scene, itinerary, plain, box(scene)[2])
-    if not any(found) or may_rest(scene, kept.status, kept.contact):
-        return by_state(scene, plain, periods)
-    return by_impacts(scene, times, speeds, sides, plain.phase, periods)
+        observed_itinerary = (*observed_itinerary[:-1], observed_itinerary[-1] + words.LETTERS[side])
+    if itinerary is not None and not words.is_same_itinerary(observed_itinerary, itinerary):
+        return orbit_from_random_guesses(scene, itinerary, start, initial_box(scene)[2])
+    if not any(observed_itinerary) or may_stick(scene, iterates.status, iterates.contact):
+        return orbit_from_state(scene, start, periods)
+    return orbit_from_impacts(scene, times, speeds, sides, start.phase, periods)
 
 
-def _late(scene, begin, x, v, longest):
+def _missed_impact(scene, start, x, v, max_delay):
     """(time after the end, speed, side) of the impact with which a round that begins on a rigid wall ends, where a
     rounding, or a guess's error, has put it after the end; None where there is none so soon."""
-    for side, wall, (place, pace) in zip((-1, 1), (scene.left, scene.right), places(scene, begin.phase), strict=True):
+    for side, wall, (wall_position, wall_velocity) in zip(
+        (-1, 1), (scene.left, scene.right), wall_states(scene, start.phase), strict=True
+    ):
         if wall is None or wall.soft:
             continue
-        on = abs(begin.x - place) <= 8.0 * np.finfo(scene.dtype).eps * abs(float(place))
-        gap, speed = side * (float(place) - x), side * (v - float(pace))
-        if on and side * (begin.v - pace) < 0 and gap >= 0 and speed * longest > gap:
+        starts_on_wall = abs(start.x - wall_position) <= 8.0 * np.finfo(scene.dtype).eps * abs(float(wall_position))
+        gap, speed = side * (float(wall_position) - x), side * (v - float(wall_velocity))
+        if starts_on_wall and side * (start.v - wall_velocity) < 0 and gap >= 0 and speed * max_delay > gap:
             return gap / speed, speed, side
     return None

@@ -11,16 +11,16 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 
 from ..flight.flows import flow_of
-from ..flight.wall import course, less
+from ..flight.wall_motion import subtract, wall_jet
 
-TURN = 0.1  # between samples, of the fastest angle: the drive's, a wall's, the free oscillation's, in radians
-ROUNDS = 5  # of Newton's steps from a parabola's guess
-TOUCH = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
-OVERLAP = 1.0625  # of its periods, that the flight of a motion without impacts is looked at
-CLOSE = 1e-3  # of the samples' distance: Newton's last step at a turning point
+SAMPLE_ANGLE = 0.1  # between samples, of the fastest angle: the drive's, a wall's, the free oscillation's, in radians
+NEWTON_STEPS = 5  # of Newton's steps from a parabola's guess
+GRAZING_TOLERANCE = 1e-8  # of the scene's length: a clearance or a speed (length per t) as small is zero
+OVERLAP_FACTOR = 1.0625  # of its periods, that the flight of a motion without impacts is looked at
+STEP_TOLERANCE = 1e-3  # of the samples' distance: Newton's last step at a turning point
 
 
 class Flight(NamedTuple):
@@ -34,107 +34,139 @@ class Flight(NamedTuple):
     sine: Float[Array, " rows"]
 
 
-def without_impacts(frame, phase, periods, x, v):
+def impact_free_flight(coeffs, phase, periods, x, v):
     """The one `Flight` of a periodic motion that hits no wall, from x, v at a phase: over a little more than its
     periods."""
-    start = OVERLAP * periods * frame.period, x, v, jnp.cos(phase), jnp.sin(phase)
-    return Flight(*(jnp.reshape(each, 1) for each in start))
+    flight_fields = OVERLAP_FACTOR * periods * coeffs.period, x, v, jnp.cos(phase), jnp.sin(phase)
+    return Flight(*(jnp.reshape(field, 1) for field in flight_fields))
 
 
-def samples(frame, found):
+def sample_count(coeffs, flights):
     """How many samples the longest of some flights needs."""
-    reach = flow_of(frame).shortest(frame, found)
-    return jnp.ceil(jnp.max(found.time) / (TURN * reach)).astype(int) + 8
+    time_scale = flow_of(coeffs).shortest_step(coeffs, flights)
+    return jnp.ceil(jnp.max(flights.time) / (SAMPLE_ANGLE * time_scale)).astype(int) + 8
 
 
-def clearances(frame, found, samples):
+def turning_clearances(coeffs, flights, n_samples):
     """The least distance to each wall at a turning point of a flight towards it, and its time since the flight's start.
 
-    found: the `impact_equations.Flights`. Shapes (rows, walls); inf where there is none. Below 0 the flight passes
+    flights: the `impact_equations.Flights`. Shapes (rows, walls); inf where there is none. Below 0 the flight passes
     through.
     """
-    if not frame.walls:
-        none = jnp.zeros((len(found.time), 0), found.time.dtype)
-        return none, none
-    span = found.time / samples
-    crest, cell, past = (jnp.stack(each) for each in zip(*_nearest(frame, found, span, samples), strict=True))
+    if not coeffs.walls:
+        empty = jnp.zeros((len(flights.time), 0), flights.time.dtype)
+        return empty, empty
+    sample_time = flights.time / n_samples
+    nearest_distance, cell, cell_fraction = (
+        jnp.stack(wall_arrays)
+        for wall_arrays in zip(*_nearest_turning_points(coeffs, flights, sample_time, n_samples), strict=True)
+    )
 
-    def nearer(_, carry):
+    def newton_step(_, carry):
         time, _, _ = carry
-        every = relative(frame, found, time)
-        distance, closing, bending = (jnp.stack([one[k][j] for j, one in enumerate(every)]) for k in range(3))
-        step = closing / jnp.where(bending == 0, 1.0, bending)
-        turned = jnp.clip(time - step, cell * span, (cell + 1.0) * span)
-        return turned, distance + 0.5 * step * closing, (bending < 0) & (abs(step) <= CLOSE * span)
+        motions = relative_motion(coeffs, flights, time)
+        distance, approach_speed, approach_acceleration = (
+            jnp.stack([wall_motion[derivative][flight] for flight, wall_motion in enumerate(motions)])
+            for derivative in range(3)
+        )
+        step = approach_speed / jnp.where(approach_acceleration == 0, 1.0, approach_acceleration)
+        turning_time = jnp.clip(time - step, cell * sample_time, (cell + 1.0) * sample_time)
+        return (
+            turning_time,
+            distance + 0.5 * step * approach_speed,
+            (approach_acceleration < 0) & (abs(step) <= STEP_TOLERANCE * sample_time),
+        )
 
-    start = (cell + past) * span, jnp.zeros_like(crest), jnp.zeros_like(crest, bool)
-    time, distance, real = lax.fori_loop(0, ROUNDS, nearer, start)
-    return jnp.where(jnp.isfinite(crest) & real, distance, jnp.inf).T, time.T
+    start = (
+        (cell + cell_fraction) * sample_time,
+        jnp.zeros_like(nearest_distance),
+        jnp.zeros_like(nearest_distance, bool),
+    )
+    time, distance, is_turning_point = lax.fori_loop(0, NEWTON_STEPS, newton_step, start)
+    return jnp.where(jnp.isfinite(nearest_distance) & is_turning_point, distance, jnp.inf).T, time.T
 
 
-def is_real(frame, found, speeds, grazes=False):
+def is_admissible(coeffs, flights, speeds, first_grazes=False):
     """Whether flights keep to their walls, and hit them with positive speeds one after the other. grazes:
     whether the first is one that is to have none."""
-    clear, _ = clearances(frame, found, samples(frame, found))
-    hit = speeds[1:] if grazes else speeds
-    slack = TOUCH * frame.size if grazes else 0.0
-    return jnp.all(hit > 0) & jnp.all(clear >= -slack) & jnp.all(found.time > 0)
+    distances, _ = turning_clearances(coeffs, flights, sample_count(coeffs, flights))
+    impact_speeds = speeds[1:] if first_grazes else speeds
+    tolerance = GRAZING_TOLERANCE * coeffs.length_scale if first_grazes else 0.0
+    return jnp.all(impact_speeds > 0) & jnp.all(distances >= -tolerance) & jnp.all(flights.time > 0)
 
 
-def place(frame, found, time):
+def state_in_flight(coeffs, flights, time):
     """(x, v, the drive's cosine and sine) a time after each flight's start."""
-    return flow_of(frame).fly(frame, found.x, found.v, found.cosine, found.sine, time)
+    return flow_of(coeffs).fly(coeffs, flights.x, flights.v, flights.cosine, flights.sine, time)
 
 
-def relative(frame, found, time):
+def relative_motion(coeffs, flights, time):
     """For each wall: the distance to it, speed and acceleration towards it, a time after each flight's start."""
-    return _towards(frame, *place(frame, found, time))
+    return _motion_towards_walls(coeffs, *state_in_flight(coeffs, flights, time))
 
 
-def _towards(frame, x, v, cosine, sine):
-    pull, _ = flow_of(frame).accelerations(frame, x, v, cosine, sine)
-    found = []
-    for wall in frame.walls:
-        where, pace, bend = course(wall, frame.frequency, cosine, sine, 2)
-        found.append((wall.sign * (where - x), wall.sign * less(v, pace), wall.sign * less(pull, bend)))
-    return found
+def _motion_towards_walls(coeffs, x, v, cosine, sine):
+    acceleration, _ = flow_of(coeffs).acceleration_and_jerk(coeffs, x, v, cosine, sine)
+    motions = []
+    for wall in coeffs.walls:
+        wall_position, wall_velocity, wall_acceleration = wall_jet(wall, coeffs.frequency, cosine, sine, 2)
+        motions.append(
+            (
+                wall.sign * (wall_position - x),
+                wall.sign * subtract(v, wall_velocity),
+                wall.sign * subtract(acceleration, wall_acceleration),
+            )
+        )
+    return motions
 
 
-def _nearest(frame, found, span, samples):
+def _nearest_turning_points(coeffs, flights, sample_time, n_samples):
     """For each wall the nearest turning point as the samples see it: (its distance, inf: none; the samples' cell; how
     far into the cell Newton's steps begin)."""
-    none, onwards = jnp.zeros_like(span), flow_of(frame).repeated(frame, span)
+    zero, advance_sample = jnp.zeros_like(sample_time), flow_of(coeffs).flight_map(coeffs, sample_time)
 
-    def advance(k, carry):
-        place, before, best = carry
-        there = onwards(*place)
-        after = _towards(frame, *there)
-        best = [_better(k, span, *each) for each in zip(before, after, best, strict=True)]
-        return there, after, best
+    def scan_cell(cell, carry):
+        state, cell_start, nearest = carry
+        next_state = advance_sample(*state)
+        cell_end = _motion_towards_walls(coeffs, *next_state)
+        nearest = [
+            _nearer_turning_point(cell, sample_time, *wall_data)
+            for wall_data in zip(cell_start, cell_end, nearest, strict=True)
+        ]
+        return next_state, cell_end, nearest
 
-    start = found.x, found.v, found.cosine, found.sine
-    best = [(none + jnp.inf, none, none) for _ in frame.walls]
-    return lax.fori_loop(0, samples, advance, (start, _towards(frame, *start), best))[2]
+    start = flights.x, flights.v, flights.cosine, flights.sine
+    nearest = [(zero + jnp.inf, zero, zero) for _ in coeffs.walls]
+    return lax.fori_loop(0, n_samples, scan_cell, (start, _motion_towards_walls(coeffs, *start), nearest))[2]
 
 
-def _better(k, span, before, after, best):
+def _nearer_turning_point(cell, sample_time, cell_start, cell_end, nearest):
     """The nearer of the best turning point so far and those of a cell: where the speed towards the wall ends, once; or
     where, as its slopes say, it may rise above zero and end within the cell, or end and begin again."""
-    (distance, closing, bending), (low, end, slope) = before, after
-    once = (closing > 0) & (end <= 0)
-    rises = (closing <= 0) & (end <= 0) & (bending > 0) & (slope < 0)
-    dips = (closing > 0) & (end > 0) & (bending < 0) & (slope > 0)
-    safe = jnp.where(span > 0, span, 1.0)
-    bend = jnp.where(rises | dips, (slope - bending) / safe, 1.0)
-    height = closing - bending * (end - slope * span - closing) / (bend * safe)  # where the slopes' lines meet
-    take = once | (rises & (height > 0)) | (dips & (height < 0))
+    (start_distance, start_speed, start_accel), (end_distance, end_speed, end_accel) = cell_start, cell_end
+    crosses_zero = (start_speed > 0) & (end_speed <= 0)
+    may_rise = (start_speed <= 0) & (end_speed <= 0) & (start_accel > 0) & (end_accel < 0)
+    may_dip = (start_speed > 0) & (end_speed > 0) & (start_accel < 0) & (end_accel > 0)
+    safe_time = jnp.where(sample_time > 0, sample_time, 1.0)
+    jerk = jnp.where(may_rise | may_dip, (end_accel - start_accel) / safe_time, 1.0)
+    extremal_speed = start_speed - start_accel * (end_speed - end_accel * sample_time - start_speed) / (
+        jerk * safe_time
+    )  # where the slopes' lines meet
+    is_nearer = crosses_zero | (may_rise & (extremal_speed > 0)) | (may_dip & (extremal_speed < 0))
     # where a parabola through the end with the smaller slope falls through zero
-    first = abs(bending) < abs(slope)
-    speed, pull, begin = (jnp.where(first, *each) for each in ((closing, end), (bending, slope), (0.0, span)))
-    turn = begin - (pull + jnp.sqrt(jnp.maximum(pull * pull - 2.0 * bend * speed, 0.0))) / bend
-    mean = closing / jnp.where(once, closing - end, 1.0)
-    past = jnp.where(once, mean, jnp.clip(turn / safe, 0.0, 1.0))
-    crest = jnp.where(once, distance - 0.5 * closing * mean * span, jnp.minimum(distance, low))
-    new = (crest, k + jnp.zeros_like(span), past)
-    take &= crest < best[0]
-    return jax.tree.map(lambda new, old: jnp.where(take, new, old), new, best)
+    from_start = abs(start_accel) < abs(end_accel)
+    speed, accel, offset = (
+        jnp.where(from_start, *values)
+        for values in ((start_speed, end_speed), (start_accel, end_accel), (0.0, sample_time))
+    )
+    turning_time = offset - (accel + jnp.sqrt(jnp.maximum(accel * accel - 2.0 * jerk * speed, 0.0))) / jerk
+    zero_fraction = start_speed / jnp.where(crosses_zero, start_speed - end_speed, 1.0)
+    cell_fraction = jnp.where(crosses_zero, zero_fraction, jnp.clip(turning_time / safe_time, 0.0, 1.0))
+    turning_distance = jnp.where(
+        crosses_zero,
+        start_distance - 0.5 * start_speed * zero_fraction * sample_time,
+        jnp.minimum(start_distance, end_distance),
+    )
+    candidate = (turning_distance, cell + jnp.zeros_like(sample_time), cell_fraction)
+    is_nearer &= turning_distance < nearest[0]
+    return jax.tree.map(lambda new, old: jnp.where(is_nearer, new, old), candidate, nearest)

@@ -5,17 +5,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from continuation.persistent_jit import SOON, persistent_jit
+from continuation.persistent_jit import FAST_COMPILE, persistent_jit
 
 from ..flight import flow
-from ..flight.response import by_rows, of_scene
+from ..flight.flow_matrix import fly_with_matrix, matrix_by_rows
 from ..scene.codes import Status
 from ..scene.state import State
-from .by_shooting import by_state, period
 from .orbit import OrbitError
+from .shooting import orbit_from_state, strobe_period
 
-ROUNDS = 20  # of Newton's steps
-NEAR = 1e-12  # of 1 + the largest of x and v: a step as small is the last
+MAX_NEWTON_STEPS = 20  # of Newton's steps
+STEP_TOLERANCE = 1e-12  # of 1 + the largest of x and v: a step as small is the last
 
 
 def free_response(scene):
@@ -25,8 +25,8 @@ def free_response(scene):
     linear flow under several terms of the drive its first step is the motion.
     """
     if scene.force is not None or scene.drive:
-        return _from_rest(scene)
-    (p00, p01, p11), ((x, v), _) = _responses(scene)
+        return _newton_from_rest(scene)
+    (p00, p01, p11), ((x, v), _) = _period_responses(scene)
     matrix = np.array([[1.0 - p00, -p01], [p01, 1.0 - p11]])
     force = float(scene.amplitude)
     try:
@@ -36,42 +36,42 @@ def free_response(scene):
     return State(float(state[0]), float(state[1]))
 
 
-def _from_rest(scene):
+def _newton_from_rest(scene):
     state = np.zeros(2)
-    for _ in range(ROUNDS):
-        (x, v), matrix = jax.device_get(_around(scene, state))
-        p00, p01, p10, p11 = by_rows(matrix)
+    for _ in range(MAX_NEWTON_STEPS):
+        (x, v), matrix = jax.device_get(_free_period(scene, state))
+        p00, p01, p10, p11 = matrix_by_rows(matrix)
         try:
             step = np.linalg.solve(np.array([[1.0 - p00, -p01], [-p10, 1.0 - p11]]), state - np.array([x, v]))
         except np.linalg.LinAlgError:
             break
         state = state - step
-        if abs(step).max() <= NEAR * (1.0 + abs(state).max()):
+        if abs(step).max() <= STEP_TOLERANCE * (1.0 + abs(state).max()):
             return State(float(state[0]), float(state[1]))
     return State(np.nan, np.nan)
 
 
 @persistent_jit
-def _around(scene, state):
+def _free_period(scene, state):
     """((x, v), the matrix) a drive period later, walls not looked at."""
-    return of_scene(scene, *state, jnp.zeros(()), 2.0 * jnp.pi / scene.frequency)
+    return fly_with_matrix(scene, *state, jnp.zeros(()), 2.0 * jnp.pi / scene.frequency)
 
 
-@persistent_jit(compiler_options=SOON, numpy_first=True)
-def _responses(scene):
+@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)
+def _period_responses(scene):
     """The `flow.responses` over a drive period."""
-    return flow.responses(scene.frequency, scene.damping, jnp.asarray(2.0 * jnp.pi / scene.frequency))
+    return flow.flight_responses(scene.frequency, scene.damping, jnp.asarray(2.0 * jnp.pi / scene.frequency))
 
 
 def free_orbit(scene):
     """The free response as an `Orbit`, P100, where it keeps off the walls all the way round; else None."""
     state = free_response(scene)
-    end, impacts, _ = period(scene, state)
-    near = float(np.finfo(scene.dtype).eps) ** 0.5 * max(1.0, abs(state.x), abs(state.v))
-    comes_back = max(abs(end.x - state.x), abs(end.v - state.v)) <= near  # not so from within a soft wall
+    end, impacts, _ = strobe_period(scene, state)
+    tolerance = float(np.finfo(scene.dtype).eps) ** 0.5 * max(1.0, abs(state.x), abs(state.v))
+    comes_back = max(abs(end.x - state.x), abs(end.v - state.v)) <= tolerance  # not so from within a soft wall
     if impacts.status != Status.OK or impacts.count or end.contact or not comes_back:
         return None
     try:
-        return by_state(scene, state, 1)
+        return orbit_from_state(scene, state, 1)
     except OrbitError:  # singular: without damping
         return None

@@ -13,39 +13,39 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Float, Int
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 from continuation.newton import newton
 
-from ..flight import response
-from ..flight.coefficients import framed
+from ..flight import flow_matrix
+from ..flight.coefficients import flow_coefficients
 from ..flight.flows import flow_of
-from ..maps.contact_duration import product
-from .meeting_wall import pressed
-from .saltation import Meeting, jump, meeting, stayed
+from ..maps.contact_duration import matrix_product
+from .saltation import ContactMap, evaluate_contact_map, saltation_matrices, state_in_contact
+from .wall_at_contact import contact_force_derivatives
 
-LONGEST = 0.1  # of a drive period: the largest change of a time in one of Newton's steps
+MAX_TIME_CHANGE = 0.1  # of a drive period: the largest change of a time in one of Newton's steps
 
 
-class Cycle(NamedTuple):
+class ImpactSequence(NamedTuple):
     """Impacts in order of travel. times: since the drive was at the section's phase; speeds: abs(y- - v_b), both
-    (rows,); sides: -1, +1, 0 an empty row; phase: the section's, rad; periods: the number of drive periods. turn: 1, or
-    -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None is 1. closing: what a
-    change of the first impact is multiplied by as it comes after the last, in derivatives alone; None is 1. still:
-    (rows,), 1 at touches, impacts without speed, of a soft wall, which do nothing; None: there are none. releases:
-    (rows,), 1 where a row is no impact but the end of a rest on its wall, without speed, 2 where R is 0 and the mass is
-    drawn off that wall once more before the rest; None: there are none. passed:
-    (rows,), a time of the stay within a soft wall before which the mass leaves for no return to it; None: 0."""
+    (rows,); sides: -1, +1, 0 an empty row; phase: the section's, rad; periods: the number of drive periods.
+    closure_sign: 1, or -1 where what follows is the mirror image of the impacts, so that they are half an orbit; None
+    is 1. multiplier: what a change of the first impact is multiplied by as it comes after the last, in derivatives
+    alone; None is 1. still: (rows,), 1 at touches, impacts without speed, of a soft wall, which do nothing; None: there
+    are none. releases: (rows,), 1 where a row is no impact but the end of a rest on its wall, without speed, 2 where R
+    is 0 and the mass is drawn off that wall once more before the rest; None: there are none. passed: (rows,), a time of
+    the stay within a soft wall before which the mass leaves for no return to it; None: 0."""
 
     times: Float[Array, "*lanes rows"]
     speeds: Float[Array, "*lanes rows"]
     sides: Float[Array, "*lanes rows"]
     phase: Float[Array, "*lanes"]
     periods: Float[Array, "*lanes"]
-    turn: Float[Array, "*lanes"] | None = None
-    closing: Float[Array, "*lanes"] | None = None
-    still: Float[Array, "*lanes rows"] | None = None
+    closure_sign: Float[Array, "*lanes"] | None = None
+    multiplier: Float[Array, "*lanes"] | None = None
+    grazing: Float[Array, "*lanes rows"] | None = None
     releases: Float[Array, "*lanes rows"] | None = None
-    passed: Float[Array, "*lanes rows"] | None = None
+    min_contact_time: Float[Array, "*lanes rows"] | None = None
 
 
 class Flights(NamedTuple):
@@ -61,178 +61,213 @@ class Flights(NamedTuple):
     end_x: Float[Array, " rows"]
     end_v: Float[Array, " rows"]
     matrix: tuple[Float[Array, " rows"], ...]
-    follows: Int[Array, " rows"]
-    sign: Float[Array, " rows"]
-    met: Meeting
+    next_row: Int[Array, " rows"]
+    mirror_sign: Float[Array, " rows"]
+    contact_map: ContactMap
 
 
 @jax.jit
-def flights(frame, cycle):
+def compute_flights(coeffs, sequence):
     """The `Flights` of a cycle."""
-    sides, rows = cycle.sides, jnp.arange(len(cycle.sides))
-    last = jnp.sum(sides != 0) - 1
-    follows = jnp.where(rows < last, rows + 1, 0)
-    one = jnp.ones((), cycle.times.dtype)
-    sign = jnp.where(rows == last, one if cycle.turn is None else cycle.turn, one)
-    angle = cycle.phase + frame.frequency * cycle.times
-    met = meeting(frame, sides, jnp.cos(angle), jnp.sin(angle), cycle.speeds, cycle.still, cycle.passed)
-    again = jnp.where(rows == last, cycle.periods * frame.period, 0.0)
-    time = _following(cycle, cycle.times, follows) - cycle.times + again
-    time = time if met.stay is None else time - met.stay
-    flies = sides != 0 if cycle.releases is None else (sides != 0) & (cycle.releases[follows] == 0)
-    time = jnp.where(flies, jnp.maximum(time, 0.0), 0.0)
-    (x, v), (cosine, sine) = met.state, met.phasor
-    (end_x, end_v), matrix = flow_of(frame).matrix(frame, x, v, cosine, sine, time)
-    return Flights(time, x, v, cosine, sine, end_x, end_v, matrix, follows, sign, met)
+    sides, row_index = sequence.sides, jnp.arange(len(sequence.sides))
+    last_row = jnp.sum(sides != 0) - 1
+    next_row = jnp.where(row_index < last_row, row_index + 1, 0)
+    one = jnp.ones((), sequence.times.dtype)
+    mirror_sign = jnp.where(row_index == last_row, one if sequence.closure_sign is None else sequence.closure_sign, one)
+    angle = sequence.phase + coeffs.frequency * sequence.times
+    contact_map = evaluate_contact_map(
+        coeffs, sides, jnp.cos(angle), jnp.sin(angle), sequence.speeds, sequence.grazing, sequence.min_contact_time
+    )
+    wrap_time = jnp.where(row_index == last_row, sequence.periods * coeffs.period, 0.0)
+    time = _next_values(sequence, sequence.times, next_row) - sequence.times + wrap_time
+    time = time if contact_map.contact_time is None else time - contact_map.contact_time
+    has_flight = sides != 0 if sequence.releases is None else (sides != 0) & (sequence.releases[next_row] == 0)
+    time = jnp.where(has_flight, jnp.maximum(time, 0.0), 0.0)
+    (x, v), (cosine, sine) = contact_map.state, contact_map.phasor
+    (end_x, end_v), matrix = flow_of(coeffs).fly_with_matrix(coeffs, x, v, cosine, sine, time)
+    return Flights(time, x, v, cosine, sine, end_x, end_v, matrix, next_row, mirror_sign, contact_map)
 
 
-def _following(cycle, values, follows):
+def _next_values(sequence, values, next_row):
     """The values of the impacts that follow."""
-    found = values[follows]
-    if cycle.closing is None:
-        return found
-    return found + jnp.where(follows == 0, cycle.closing - 1.0, 0.0) * (found - lax.stop_gradient(found))
+    next_values = values[next_row]
+    if sequence.multiplier is None:
+        return next_values
+    return next_values + jnp.where(next_row == 0, sequence.multiplier - 1.0, 0.0) * (
+        next_values - lax.stop_gradient(next_values)
+    )
 
 
-def unwound(cycle, period, moves):
-    """The cycle with its first impact once more after its last. moves: (a change of its unknowns, by what that is
+def unroll_sequence(sequence, period, changes):
+    """The cycle with its first impact once more after its last. changes: (a change of its unknowns, by what that is
     multiplied where the first comes again), some."""
-    rows, last = len(cycle.sides), jnp.sum(cycle.sides != 0)
-    place = jnp.arange(rows + 1)
-    again, source = place == last, jnp.where(place < last, place, 0)
-    times = cycle.times[source] + jnp.where(again, cycle.periods * period, 0.0)
-    speeds = cycle.speeds[source] + 0.0
-    for change, back in moves:
-        sign = jnp.where(again, back, 1.0)
-        times, speeds = times + sign * change[:rows][source], speeds + sign * change[rows:][source]
-    turn = 1.0 if cycle.turn is None else cycle.turn
-    sides = jnp.where(place <= last, jnp.where(again, turn, 1.0) * cycle.sides[source], 0.0)
-    return Cycle(times, speeds, sides, cycle.phase, cycle.periods)
+    n_rows, n_impacts = len(sequence.sides), jnp.sum(sequence.sides != 0)
+    row_index = jnp.arange(n_rows + 1)
+    is_repeat, source = row_index == n_impacts, jnp.where(row_index < n_impacts, row_index, 0)
+    times = sequence.times[source] + jnp.where(is_repeat, sequence.periods * period, 0.0)
+    speeds = sequence.speeds[source] + 0.0
+    for change, repeat_factor in changes:
+        factor = jnp.where(is_repeat, repeat_factor, 1.0)
+        times, speeds = times + factor * change[:n_rows][source], speeds + factor * change[n_rows:][source]
+    closure_sign = 1.0 if sequence.closure_sign is None else sequence.closure_sign
+    sides = jnp.where(row_index <= n_impacts, jnp.where(is_repeat, closure_sign, 1.0) * sequence.sides[source], 0.0)
+    return ImpactSequence(times, speeds, sides, sequence.phase, sequence.periods)
 
 
-class Slopes(NamedTuple):
+class SequenceJacobian(NamedTuple):
     """How each row's equations, first the gap, then the speed, change with its own time and speed: ((a, b), (c, d));
-    and with the next impact's: ((e, 0), (f, -1)). last: the row whose next is the first."""
+    and with the next impact's: ((e, 0), (f, -1)). last_row: the row whose next is the first."""
 
-    own: tuple[tuple[Float[Array, " rows"], Float[Array, " rows"]], tuple[Float[Array, " rows"], Float[Array, " rows"]]]
-    following: tuple[Float[Array, " rows"], Float[Array, " rows"]]
-    last: Int[Array, ""]
+    diagonal: tuple[
+        tuple[Float[Array, " rows"], Float[Array, " rows"]], tuple[Float[Array, " rows"], Float[Array, " rows"]]
+    ]
+    coupling: tuple[Float[Array, " rows"], Float[Array, " rows"]]
+    last_row: Int[Array, ""]
 
 
-def equations(frame, cycle, found=None):
-    """(F, its `Slopes`) of the unknowns u = (times, speeds): how far each flight ends from its wall, from its speed.
+def residual_and_jacobian(coeffs, sequence, flights=None):
+    """(F, its `SequenceJacobian`) of the unknowns u = (times, speeds): how far each flight ends from its wall, from its
+    speed.
 
     Before a release no flight ends: a rest forgets how it was come by, and the press on the wall and the speed are to
-    be zero. found: the cycle's `Flights` where they are known.
+    be zero. flights: the cycle's `Flights` where they are known.
     """
-    found, sides = flights(frame, cycle) if found is None else found, cycle.sides
-    hit = sides != 0
+    flights, sides = compute_flights(coeffs, sequence) if flights is None else flights, sequence.sides
+    is_impact = sides != 0
 
-    def ahead(values):
-        return found.sign * _following(cycle, values, found.follows)
+    def at_next(values):
+        return flights.mirror_sign * _next_values(sequence, values, flights.next_row)
 
-    aim, met = ahead(sides), found.met
-    speed = found.end_v - ahead(met.pace)
-    pull, _ = flow_of(frame).accelerations(frame, found.end_x, found.end_v, ahead(met.cosine), ahead(met.sine))
-    gap = found.end_x - ahead(met.where)
-    excess = aim * speed - _following(cycle, cycle.speeds, found.follows)
-    (a, c), (b, d) = (response.through(found.matrix, x, v) for x, v in (met.by_time, met.by_speed))
-    c, d = aim * c, aim * d
-    own = (a, b), (c, d)
-    following = speed, aim * (pull - ahead(met.bend))
-    if cycle.releases is not None:
-        rests = cycle.releases[found.follows] > 0
-        push, change = (ahead(each) for each in pressed(frame, sides, (met.cosine, met.sine)))
-        gap = jnp.where(rests, push, gap)
-        excess = jnp.where(rests, -_following(cycle, cycle.speeds, found.follows), excess)
-        own = jax.tree.map(lambda each: jnp.where(rests, 0.0, each), own)
-        following = jnp.where(rests, change, following[0]), jnp.where(rests, 0.0, following[1])
-    values = jnp.where(jnp.tile(hit, 2), jnp.concatenate([gap, excess]), 0.0)
-    return values, Slopes(own, following, jnp.sum(hit) - 1)
+    next_side, contact_map = at_next(sides), flights.contact_map
+    relative_velocity = flights.end_v - at_next(contact_map.wall_velocity)
+    acceleration, _ = flow_of(coeffs).acceleration_and_jerk(
+        coeffs, flights.end_x, flights.end_v, at_next(contact_map.cosine), at_next(contact_map.sine)
+    )
+    gap = flights.end_x - at_next(contact_map.wall_position)
+    speed_error = next_side * relative_velocity - _next_values(sequence, sequence.speeds, flights.next_row)
+    (a, c), (b, d) = (
+        flow_matrix.apply_matrix(flights.matrix, x, v)
+        for x, v in (contact_map.state_by_time, contact_map.state_by_speed)
+    )
+    c, d = next_side * c, next_side * d
+    diagonal = (a, b), (c, d)
+    coupling = relative_velocity, next_side * (acceleration - at_next(contact_map.wall_acceleration))
+    if sequence.releases is not None:
+        is_sticking = sequence.releases[flights.next_row] > 0
+        contact_force, force_rate = (
+            at_next(array) for array in contact_force_derivatives(coeffs, sides, (contact_map.cosine, contact_map.sine))
+        )
+        gap = jnp.where(is_sticking, contact_force, gap)
+        speed_error = jnp.where(is_sticking, -_next_values(sequence, sequence.speeds, flights.next_row), speed_error)
+        diagonal = jax.tree.map(lambda entry: jnp.where(is_sticking, 0.0, entry), diagonal)
+        coupling = jnp.where(is_sticking, force_rate, coupling[0]), jnp.where(is_sticking, 0.0, coupling[1])
+    residual = jnp.where(jnp.tile(is_impact, 2), jnp.concatenate([gap, speed_error]), 0.0)
+    return residual, SequenceJacobian(diagonal, coupling, jnp.sum(is_impact) - 1)
 
 
-def solve(slopes, values):
+def solve_cyclic(jacobian, residual):
     """(the change of the unknowns that these values ask for, how far from singular): row by row, each next change from
     the one before, and the first so that the circle closes."""
-    rows = len(values) // 2
-    ((a, b), (c, d)), (e, f) = slopes.own, slopes.following
-    gap, excess = values[:rows], values[rows:]
+    n_rows = len(residual) // 2
+    ((a, b), (c, d)), (e, f) = jacobian.diagonal, jacobian.coupling
+    gap, speed_error = residual[:n_rows], residual[n_rows:]
     # (e, 0; f, -1) next = value - (a, b; c, d) own
     transfer = (-a / e, -b / e, c - f * a / e, d - f * b / e)
-    shift = (gap / e, f * gap / e - excess)
+    shift = (gap / e, f * gap / e - speed_error)
     zero, one = jnp.zeros_like(gap[0]), jnp.ones_like(gap[0])
 
     def compose(carry, row):
-        place, ((t00, t01, t10, t11), (s0, s1)) = row
+        row_index, ((t00, t01, t10, t11), (s0, s1)) = row
         (m00, m01, m10, m11), (h0, h1) = carry
-        new = (t00 * m00 + t01 * m10, t00 * m01 + t01 * m11, t10 * m00 + t11 * m10, t10 * m01 + t11 * m11)
-        new = new, (t00 * h0 + t01 * h1 + s0, t10 * h0 + t11 * h1 + s1)
-        return jax.tree.map(lambda new, old: jnp.where(place <= slopes.last, new, old), new, carry), None
+        new_carry = (t00 * m00 + t01 * m10, t00 * m01 + t01 * m11, t10 * m00 + t11 * m10, t10 * m01 + t11 * m11)
+        new_carry = new_carry, (t00 * h0 + t01 * h1 + s0, t10 * h0 + t11 * h1 + s1)
+        return jax.tree.map(
+            lambda new, old: jnp.where(row_index <= jacobian.last_row, new, old), new_carry, carry
+        ), None
 
-    places = jnp.arange(rows)
+    row_indices = jnp.arange(n_rows)
     start = (one, zero, zero, one), (zero, zero)
-    (whole, (h0, h1)), _ = lax.scan(compose, start, (places, (transfer, shift)))
-    m00, m01, m10, m11 = whole
+    (cycle_transfer, (h0, h1)), _ = lax.scan(compose, start, (row_indices, (transfer, shift)))
+    m00, m01, m10, m11 = cycle_transfer
     a, d = 1.0 - m00, 1.0 - m11
     determinant = a * d - m01 * m10
-    first = (d * h0 + m01 * h1) / determinant, (m10 * h0 + a * h1) / determinant
+    first_change = (d * h0 + m01 * h1) / determinant, (m10 * h0 + a * h1) / determinant
 
-    def advance(change, row):
-        place, ((t00, t01, t10, t11), (s0, s1)) = row
-        here = jax.tree.map(lambda each: jnp.where(place <= slopes.last, each, 0.0), change)
-        return (t00 * change[0] + t01 * change[1] + s0, t10 * change[0] + t11 * change[1] + s1), here
+    def advance_change(change, row):
+        row_index, ((t00, t01, t10, t11), (s0, s1)) = row
+        row_change = jax.tree.map(lambda component: jnp.where(row_index <= jacobian.last_row, component, 0.0), change)
+        return (t00 * change[0] + t01 * change[1] + s0, t10 * change[0] + t11 * change[1] + s1), row_change
 
-    _, (times, speeds) = lax.scan(advance, first, (places, (transfer, shift)))
+    _, (times, speeds) = lax.scan(advance_change, first_change, (row_indices, (transfer, shift)))
     return jnp.concatenate([times, speeds]), abs(determinant) / (1.0 + abs(m00 * m11) + abs(m01 * m10))
 
 
-def solved(scene, cycle):
+def solve_sequence(scene, sequence):
     """What Newton's method makes of a cycle's times and speeds: `newton.Solved`."""
-    built, rows = framed(scene), len(cycle.sides)
+    coeffs, n_rows = flow_coefficients(scene), len(sequence.sides)
 
-    def function(unknowns):
-        return equations(built, cycle._replace(times=unknowns[:rows], speeds=unknowns[rows:]))
+    def equations_of(unknowns):
+        return residual_and_jacobian(coeffs, sequence._replace(times=unknowns[:n_rows], speeds=unknowns[n_rows:]))
 
-    longest = jnp.repeat(jnp.array([LONGEST * built.period, jnp.inf]), rows, total_repeat_length=2 * rows)
-    return newton(function, jnp.concatenate([cycle.times, cycle.speeds]), longest, solve=solve)
+    max_change = jnp.repeat(
+        jnp.array([MAX_TIME_CHANGE * coeffs.period, jnp.inf]), n_rows, total_repeat_length=2 * n_rows
+    )
+    return newton(equations_of, jnp.concatenate([sequence.times, sequence.speeds]), max_change, solve=solve_cyclic)
 
 
-def ordered(scene, cycle, unknowns):
+def sort_sequence(scene, sequence, unknowns):
     """The cycle with these times and speeds, its times within its periods and in order."""
-    rows, span = len(cycle.sides), cycle.periods * 2.0 * jnp.pi / scene.frequency
-    times, speeds = unknowns[:rows], unknowns[rows:]
-    times = jnp.where(cycle.sides != 0, times - span * jnp.floor(times / span), jnp.inf)
+    n_rows, total_time = len(sequence.sides), sequence.periods * 2.0 * jnp.pi / scene.frequency
+    times, speeds = unknowns[:n_rows], unknowns[n_rows:]
+    times = jnp.where(sequence.sides != 0, times - total_time * jnp.floor(times / total_time), jnp.inf)
     order = jnp.argsort(times)
     times = jnp.where(jnp.isfinite(times), times, 0.0)
-    releases = None if cycle.releases is None else cycle.releases[order]
-    return Cycle(times[order], speeds[order], cycle.sides[order], cycle.phase, cycle.periods, releases=releases)
+    releases = None if sequence.releases is None else sequence.releases[order]
+    return ImpactSequence(
+        times[order], speeds[order], sequence.sides[order], sequence.phase, sequence.periods, releases=releases
+    )
 
 
-def invariants(frame, found, sides):
+def monodromy_invariants(coeffs, flights, sides):
     """(trace, determinant) of the monodromy matrix, the product of P and Q of all flights; the determinant is the
     product of theirs. Of orbits that rest both are zero, and are not asked for here."""
-    jumps, shrink = jump(frame, found.met, sides)
+    saltations, saltation_dets = saltation_matrices(coeffs, flights.contact_map, sides)
 
-    def on(k, carry):
+    def multiply_row(row, carry):
         matrix, determinant = carry
-        flight = [each[k] for each in found.matrix]
-        q00, q01, q10, q11 = product([each[k] for each in jumps], matrix)
-        (m00, m10), (m01, m11) = response.through(flight, q00, q10), response.through(flight, q01, q11)
-        new = (m00, m01, m10, m11), determinant * shrink[k] * response.determinant(flight)
-        return jax.tree.map(lambda new, old: jnp.where(sides[k] != 0, new, old), new, carry)
+        flight_matrix = [entry[row] for entry in flights.matrix]
+        q00, q01, q10, q11 = matrix_product([entry[row] for entry in saltations], matrix)
+        (m00, m10), (m01, m11) = (
+            flow_matrix.apply_matrix(flight_matrix, q00, q10),
+            flow_matrix.apply_matrix(flight_matrix, q01, q11),
+        )
+        new_carry = (m00, m01, m10, m11), determinant * saltation_dets[row] * flow_matrix.determinant(flight_matrix)
+        return jax.tree.map(lambda new, old: jnp.where(sides[row] != 0, new, old), new_carry, carry)
 
-    one, zero = jnp.ones_like(found.time[0]), jnp.zeros_like(found.time[0])
-    (m00, _, _, m11), determinant = lax.fori_loop(0, len(sides), on, ((one, zero, zero, one), one))
+    one, zero = jnp.ones_like(flights.time[0]), jnp.zeros_like(flights.time[0])
+    (m00, _, _, m11), determinant = lax.fori_loop(0, len(sides), multiply_row, ((one, zero, zero, one), one))
     return m00 + m11, determinant
 
 
-def at(frame, cycle, found, time):
+def states_at(coeffs, sequence, flights, time):
     """(x, v) of the cycle at times since the section's phase, (any number,)."""
-    span = cycle.periods * frame.period
-    since = time[:, None] - cycle.times
-    since = jnp.where(cycle.sides != 0, since - span * jnp.floor(since / span), jnp.inf)
-    k = jnp.argmin(since, axis=1)
-    since = jnp.take_along_axis(since, k[:, None], 1)[:, 0]
-    late = since if found.met.stay is None else jnp.maximum(since - found.met.stay[k], 0.0)
-    state = flow_of(frame).fly(frame, found.x[k], found.v[k], found.cosine[k], found.sine[k], late)[:2]
-    return state if found.met.stay is None else stayed(frame, found.met, cycle.sides, k, since, state)
+    total_time = sequence.periods * coeffs.period
+    elapsed_time = time[:, None] - sequence.times
+    elapsed_time = jnp.where(
+        sequence.sides != 0, elapsed_time - total_time * jnp.floor(elapsed_time / total_time), jnp.inf
+    )
+    row = jnp.argmin(elapsed_time, axis=1)
+    elapsed_time = jnp.take_along_axis(elapsed_time, row[:, None], 1)[:, 0]
+    flight_time = (
+        elapsed_time
+        if flights.contact_map.contact_time is None
+        else jnp.maximum(elapsed_time - flights.contact_map.contact_time[row], 0.0)
+    )
+    state = flow_of(coeffs).fly(
+        coeffs, flights.x[row], flights.v[row], flights.cosine[row], flights.sine[row], flight_time
+    )[:2]
+    return (
+        state
+        if flights.contact_map.contact_time is None
+        else state_in_contact(coeffs, flights.contact_map, sequence.sides, row, elapsed_time, state)
+    )

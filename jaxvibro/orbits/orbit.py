@@ -6,14 +6,14 @@ import numpy as np
 from jaxtyping import Complex
 
 from ..maps import itinerary as words
-from ..maps.rests import NO_RESTS
-from ..output.table_text import columns, headed, pair
-from ..output.units import LENGTH, SPEED, TIME, unit_in
+from ..maps.sticking_phases import NO_STICKING
+from ..output.table_text import align_columns, column_header, multipliers_text
+from ..output.units import LENGTH, SPEED, TIME, unit_in_system
 from ..scene.scene import SIDES, Scene
 from ..scene.state import Impacts, State
 
-KEPT = 1e-9  # of 1 + the trace, squared: nearer to 1 a determinant is 1
-MARGIN = 1e-9  # a multiplier as near to size 1 is a special point's, whose stability rounding would decide
+AREA_TOLERANCE = 1e-9  # of 1 + the trace, squared: nearer to 1 a determinant is 1
+STABILITY_MARGIN = 1e-9  # a multiplier as near to size 1 is a special point's, whose stability rounding would decide
 
 
 class OrbitError(ValueError):
@@ -25,8 +25,8 @@ class OrbitError(ValueError):
         self.status, self.residual, self.advice = status, residual, advice
 
     def __str__(self) -> str:
-        left = "" if np.isnan(self.residual) else f" (residual {self.residual:.1e})"
-        return f"no orbit: {self.status}{left}; {self.advice}"
+        residual_text = "" if np.isnan(self.residual) else f" (residual {self.residual:.1e})"
+        return f"no orbit: {self.status}{residual_text}; {self.advice}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,56 +66,68 @@ class Orbit:
 
         Raises ArgumentError for other units, and where the scene has no scales.
         """
-        (length, wide), (pace, high), (clock, late) = (unit_in(self.scene, one, units) for one in (LENGTH, SPEED, TIME))
-        rows = [(headed("time", clock, units), "wall", headed("speed", pace, units))]
-        hits = zip(self.impacts.time, self.impacts.side, self.impacts.speed, strict=True)
-        rows += [(f"{late * time:.9g}", SIDES[int(side > 0)], f"{high * speed:.9g}") for time, side, speed in hits]
-        told = f"{self.label}, {'stable' if self.stable else 'unstable'}, multipliers {pair(self.multipliers)}"
-        x, v = f"{wide * self.state.x:.12g}", f"{high * self.state.v:.12g}"
-        state = f"{headed('x', length, units)} {x}, {headed('v', pace, units)} {v} at phase {self.state.phase:.9g}"
-        return "\n".join([told, state, columns(rows)])
+        (length_unit, length_scale), (speed_unit, speed_scale), (time_unit, time_scale) = (
+            unit_in_system(self.scene, quantity, units) for quantity in (LENGTH, SPEED, TIME)
+        )
+        rows = [(column_header("time", time_unit, units), "wall", column_header("speed", speed_unit, units))]
+        impacts = zip(self.impacts.time, self.impacts.side, self.impacts.speed, strict=True)
+        rows += [
+            (f"{time_scale * time:.9g}", SIDES[int(side > 0)], f"{speed_scale * speed:.9g}")
+            for time, side, speed in impacts
+        ]
+        heading = (
+            f"{self.label}, {'stable' if self.stable else 'unstable'}, multipliers {multipliers_text(self.multipliers)}"
+        )
+        x_text, v_text = f"{length_scale * self.state.x:.12g}", f"{speed_scale * self.state.v:.12g}"
+        state_text = (
+            f"{column_header('x', length_unit, units)} {x_text}, {column_header('v', speed_unit, units)}"
+            f" {v_text} at phase {self.state.phase:.9g}"
+        )
+        return "\n".join([heading, state_text, align_columns(rows)])
 
 
-def multipliers(trace, determinant):
-    """The eigenvalues of a matrix with this trace and determinant: complex, shape (2,), see `roots`."""
-    return roots(np.reshape(trace, 1), np.reshape(determinant, 1))[0]
+def eigenvalue_pair(trace, determinant):
+    """The eigenvalues of a matrix with this trace and determinant: complex, shape (2,), see `eigenvalue_pairs`."""
+    return eigenvalue_pairs(np.reshape(trace, 1), np.reshape(determinant, 1))[0]
 
 
-def roots(trace, determinant):
+def eigenvalue_pairs(trace, determinant):
     """The eigenvalues of matrices with these traces and determinants, (points,): (points, 2), the larger first.
 
     The larger is found without cancellation, the smaller from the determinant. Both are infinite where a number is not
     finite: at an impact without speed.
     """
     with np.errstate(invalid="ignore", divide="ignore", over="ignore"):
-        half = 0.5 * trace
-        inside = half * half - determinant
-        larger = half + np.copysign(np.sqrt(np.maximum(inside, 0.0)), half)
-        real = np.stack([larger, np.where(larger != 0, determinant / larger, 0.0)], 1)
-        turned = half[:, None] + 1j * np.sqrt(np.maximum(-inside, 0.0))[:, None] * np.array([1.0, -1.0])
-        found = np.where((inside < 0)[:, None], turned, real)
-    return np.where(np.isfinite(found).all(axis=1)[:, None], found, np.inf)
+        half_trace = 0.5 * trace
+        discriminant = half_trace * half_trace - determinant
+        larger = half_trace + np.copysign(np.sqrt(np.maximum(discriminant, 0.0)), half_trace)
+        real_pairs = np.stack([larger, np.where(larger != 0, determinant / larger, 0.0)], 1)
+        complex_pairs = half_trace[:, None] + 1j * np.sqrt(np.maximum(-discriminant, 0.0))[:, None] * np.array(
+            [1.0, -1.0]
+        )
+        eigenvalues = np.where((discriminant < 0)[:, None], complex_pairs, real_pairs)
+    return np.where(np.isfinite(eigenvalues).all(axis=1)[:, None], eigenvalues, np.inf)
 
 
-def described(scene, state, impacts, itinerary, roots, residual, unknowns, resting=NO_RESTS):
+def make_orbit(scene, state, impacts, itinerary, multipliers, residual, unknowns, sticking=NO_STICKING):
     """The `Orbit` of these, its label and its stability read from them."""
     return Orbit(
-        label=words.label(itinerary, resting.endless),
+        label=words.label(itinerary, sticking.chatter_walls),
         periods=len(itinerary),
         state=state,
         impacts=impacts,
         itinerary=itinerary,
-        multipliers=roots,
-        stable=bool(np.all(abs(roots) < 1.0 - MARGIN)),
+        multipliers=multipliers,
+        stable=bool(np.all(abs(multipliers) < 1.0 - STABILITY_MARGIN)),
         residual=residual,
         least_speed=impacts.least_speed,
         least_clearance=impacts.least_clearance,
         unknowns=unknowns,
         scene=scene,
-        rests=resting.rests,
+        rests=sticking.has_sticking,
     )
 
 
-def areas_kept(trace, determinant):
+def is_area_preserving(trace, determinant):
     """Whether the product of the multipliers is 1, of each orbit that there is."""
-    return bool(np.all(abs(determinant - 1.0) <= KEPT * (1.0 + abs(trace)) ** 2))
+    return bool(np.all(abs(determinant - 1.0) <= AREA_TOLERANCE * (1.0 + abs(trace)) ** 2))

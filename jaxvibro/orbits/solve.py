@@ -11,23 +11,23 @@ from jax import lax
 from jaxtyping import Complex, Float, Int
 
 from continuation import newton
-from continuation.arrays import Array
-from continuation.implicit import in_turn, root, smooth
+from continuation.array_type import Array
+from continuation.implicit_function import forward_differentiable, implicit_root, loop_over_lanes
 
-from ..compiled.kernels import one_kernel
-from ..flight import response
-from ..flight.coefficients import framed
+from ..compiled.kernels import call_as_kernel
+from ..flight import flow_matrix
+from ..flight.coefficients import flow_coefficients
 from ..maps import itinerary as words
 from ..maps.strobe import strobe
 from ..scene import check
 from ..scene.codes import SolutionStatus, Status
 from ..scene.scene import Scene
-from ..scene.state import State, real_state
+from ..scene.state import State, state_arrays
 from . import impact_equations
-from .flight_clearance import is_real, without_impacts
-from .impact_equations import Cycle
+from .flight_clearance import impact_free_flight, is_admissible
+from .impact_equations import ImpactSequence
 
-STATIC = {"static": True}
+STATIC_FIELD = {"static": True}
 
 
 @jax.tree_util.register_dataclass
@@ -44,10 +44,10 @@ class OrbitSolutions:
     multipliers: Complex[Array, "*shape 2"]
     residual: Float[Array, "*shape"]
     status: Int[Array, "*shape"]
-    itinerary: tuple[str, ...] = field(metadata=STATIC)
+    itinerary: tuple[str, ...] = field(metadata=STATIC_FIELD)
 
 
-@check.typed
+@check.check_types
 def solve_orbits(
     scenes: Scene,
     guesses: State | tuple[Array, Array],
@@ -68,25 +68,25 @@ def solve_orbits(
 
     Raises ArgumentError for arguments that cannot be.
     """
-    walls = words.checked(itinerary, periods)
+    valid_itinerary = words.validate_itinerary(itinerary, periods)
     if not isinstance(scenes, Scene):
         raise check.ArgumentError("scenes", "must be a Scene", scenes)
     leaves, tree = jax.tree.flatten(scenes)
-    asked = Itinerary(tree, walls)
-    sides = asked.sides
+    task = OrbitTask(tree, valid_itinerary)
+    sides = task.sides
     if isinstance(guesses, State):
-        phase, start = _met(scenes, real_state(scenes, guesses), sides, len(walls))
+        phase, start = _guess_from_state(scenes, state_arrays(scenes, guesses), sides, len(valid_itinerary))
     else:
-        phase, start = jnp.zeros((), scenes.dtype), _given(guesses, len(sides), scenes.dtype)
+        phase, start = jnp.zeros((), scenes.dtype), _guess_rows(guesses, len(sides), scenes.dtype)
     shape = jnp.broadcast_shapes(scenes.shape, jnp.shape(phase), start.shape[:-1])
-    rows = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in leaves], 1)
+    leaf_rows = jnp.stack([jnp.broadcast_to(leaf, shape).reshape(-1) for leaf in leaves], 1)
     phase = jnp.broadcast_to(phase, shape).reshape(-1)
     start = jnp.broadcast_to(start, (*shape, start.shape[-1])).reshape(-1, start.shape[-1])
-    found = solved(asked, rows, phase, start)
-    return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), found)
+    solutions = solve_lanes(task, leaf_rows, phase, start)
+    return jax.tree.map(lambda leaf: leaf.reshape(*shape, *leaf.shape[1:]), solutions)
 
 
-class Itinerary(NamedTuple):
+class OrbitTask(NamedTuple):
     """What is static of an orbit: the tree of its scene's numbers, and the walls that it hits, a word a period."""
 
     tree: jax.tree_util.PyTreeDef
@@ -95,7 +95,7 @@ class Itinerary(NamedTuple):
     @property
     def sides(self) -> Float[np.ndarray, " impacts"]:
         """-1 left, 1 right."""
-        return words.sides(self.words)
+        return words.wall_sides(self.words)
 
     @property
     def periods(self) -> int:
@@ -103,126 +103,141 @@ class Itinerary(NamedTuple):
         return len(self.words)
 
 
-def _given(guesses, count, dtype):
+def _guess_rows(guesses, n_impacts, dtype):
     """Times and speeds in rows. Raises ArgumentError."""
     if not isinstance(guesses, tuple | list) or len(guesses) != 2:
         raise check.ArgumentError("guesses", "must be a State, or (times, speeds)", guesses)
-    rows = [check.real(f"guesses.{name}", each, dtype) for name, each in zip(("times", "speeds"), guesses, strict=True)]
+    rows = [
+        check.real_array(f"guesses.{name}", array, dtype)
+        for name, array in zip(("times", "speeds"), guesses, strict=True)
+    ]
     for name, row in zip(("times", "speeds"), rows, strict=True):
-        if np.ndim(row) == 0 or np.shape(row)[-1] != count:
-            rule = f"must have an entry for each of the itinerary's {count} impacts, last"
+        if np.ndim(row) == 0 or np.shape(row)[-1] != n_impacts:
+            rule = f"must have an entry for each of the itinerary's {n_impacts} impacts, last"
             raise check.ArgumentError(f"guesses.{name}", rule, f"shape {np.shape(row)}")
     shape = jnp.broadcast_shapes(*map(np.shape, rows))
-    if not count:
+    if not n_impacts:
         return jnp.zeros((*shape[:-1], 2), dtype)
     return jnp.concatenate([jnp.broadcast_to(row, shape) for row in rows], -1)
 
 
-def _met(scenes, guesses, sides, periods):
+def _guess_from_state(scenes, guesses, sides, periods):
     """(the section's phase, times and speeds of the impacts after states, begun with one that makes them those asked
     for, nan where none does); without impacts x and v."""
     scenes, guesses = lax.stop_gradient((scenes, guesses))
     if not len(sides):
         shape = jnp.broadcast_shapes(guesses.x.shape, guesses.v.shape)
-        return guesses.phase, jnp.stack([jnp.broadcast_to(each, shape) for each in (guesses.x, guesses.v)], -1)
+        return guesses.phase, jnp.stack(
+            [jnp.broadcast_to(component, shape) for component in (guesses.x, guesses.v)], -1
+        )
     _, impacts = strobe(scenes, guesses, periods, len(sides))
-    whole = (impacts.count == len(sides)) & (impacts.status < Status.CAP)
-    later = impacts.time + (2.0 * jnp.pi * periods / scenes.frequency)[..., None]
-    twice = (jnp.concatenate([impacts.time, later], -1), *(jnp.tile(each, 2) for each in (impacts.speed, impacts.side)))
+    has_all_impacts = (impacts.count == len(sides)) & (impacts.status < Status.CAP)
+    next_times = impacts.time + (2.0 * jnp.pi * periods / scenes.frequency)[..., None]
+    two_rounds = (
+        jnp.concatenate([impacts.time, next_times], -1),
+        *(jnp.tile(component, 2) for component in (impacts.speed, impacts.side)),
+    )
     start = jnp.full((*impacts.time.shape[:-1], 2 * len(sides)), jnp.nan, scenes.dtype)
-    for turn in reversed(range(len(sides))):
-        times, speeds, hit = (each[..., turn : turn + len(sides)] for each in twice)
-        alike = whole & (hit == sides.astype(np.int8)).all(-1)
-        start = jnp.where(alike[..., None], jnp.concatenate([times, speeds], -1), start)
+    for shift in reversed(range(len(sides))):
+        times, speeds, impact_sides = (component[..., shift : shift + len(sides)] for component in two_rounds)
+        matches = has_all_impacts & (impact_sides == sides.astype(np.int8)).all(-1)
+        start = jnp.where(matches[..., None], jnp.concatenate([times, speeds], -1), start)
     return guesses.phase, start
 
 
 @partial(jax.jit, static_argnums=0)
-def solved(asked, rows, phases, starts):
+def solve_lanes(task, leaf_rows, phases, starts):
     """The `OrbitSolutions` of lanes in one axis."""
-    zero, find, look = (partial(each, asked) for each in (left, _found, _is_real))
-    find, look, measure = (
-        root(zero, find, one_kernel),
-        in_turn(look, one_kernel),
-        smooth(partial(_measured, asked), one_kernel),
+    residual_of, find_root, test_admissible = (
+        partial(function, task) for function in (orbit_residual, _solve_newton, _is_admissible)
+    )
+    find_root, test_admissible, measure = (
+        implicit_root(residual_of, find_root, call_as_kernel),
+        loop_over_lanes(test_admissible, call_as_kernel),
+        forward_differentiable(partial(_section_and_invariants, task), call_as_kernel),
     )
 
-    def lane(row, phase, start):
-        fixed = phase, start
-        unknowns, (residual, status) = find(row, fixed)
-        x, v, trace, determinant = measure(jnp.concatenate([unknowns, row]), fixed)
-        real = look(*lax.stop_gradient((row, phase, unknowns)))
+    def solve_lane(leaf_row, phase, start):
+        constants = phase, start
+        unknowns, (residual, status) = find_root(leaf_row, constants)
+        x, v, trace, determinant = measure(jnp.concatenate([unknowns, leaf_row]), constants)
+        is_real = test_admissible(*lax.stop_gradient((leaf_row, phase, unknowns)))
         status = jnp.where(
-            status == newton.OK, jnp.where(real, SolutionStatus.OK, SolutionStatus.VIRTUAL), SolutionStatus.NONE
+            status == newton.OK, jnp.where(is_real, SolutionStatus.OK, SolutionStatus.VIRTUAL), SolutionStatus.NONE
         )
-        blank = jnp.where(status == SolutionStatus.NONE, jnp.nan, 1.0)
-        times, speeds = jnp.split(unknowns * blank, 2) if len(asked.sides) else (unknowns[:0], unknowns[:0])
-        state = State(x * blank, v * blank, phase, 0.0 * phase)
-        roots = _multipliers(trace, determinant) * blank
-        return OrbitSolutions(state, times, speeds, roots, residual, status, asked.words)
+        nan_mask = jnp.where(status == SolutionStatus.NONE, jnp.nan, 1.0)
+        times, speeds = jnp.split(unknowns * nan_mask, 2) if len(task.sides) else (unknowns[:0], unknowns[:0])
+        state = State(x * nan_mask, v * nan_mask, phase, 0.0 * phase)
+        multipliers = _multiplier_pair(trace, determinant) * nan_mask
+        return OrbitSolutions(state, times, speeds, multipliers, residual, status, task.words)
 
-    return jax.vmap(lane)(rows, phases, starts)
+    return jax.vmap(solve_lane)(leaf_rows, phases, starts)
 
 
-def cycle_of(asked, unknowns, phase):
-    """The `Cycle` with these times and speeds."""
+def sequence_of(task, unknowns, phase):
+    """The `ImpactSequence` with these times and speeds."""
     times, speeds = jnp.split(unknowns, 2)
-    return Cycle(times, speeds, jnp.asarray(asked.sides), phase, jnp.asarray(float(asked.periods)))
+    return ImpactSequence(times, speeds, jnp.asarray(task.sides), phase, jnp.asarray(float(task.periods)))
 
 
-def left(asked, unknowns, numbers, fixed):
+def orbit_residual(task, unknowns, scene_leaves, constants):
     """What is to be zero."""
-    scene, (phase, _) = asked.tree.unflatten(list(numbers)), fixed
-    if len(asked.sides):
-        return impact_equations.equations(framed(scene), cycle_of(asked, unknowns, phase))[0]
-    return jnp.stack(_flown(asked, scene, phase, unknowns)[0]) - unknowns
+    scene, (phase, _) = task.tree.unflatten(list(scene_leaves)), constants
+    if len(task.sides):
+        return impact_equations.residual_and_jacobian(flow_coefficients(scene), sequence_of(task, unknowns, phase))[0]
+    return jnp.stack(_free_flight(task, scene, phase, unknowns)[0]) - unknowns
 
 
-def _flown(asked, scene, phase, state):
+def _free_flight(task, scene, phase, state):
     """((x, v), the flight's matrix) after the periods, without walls."""
-    return response.of_scene(scene, state[0], state[1], phase, asked.periods * 2.0 * jnp.pi / scene.frequency)
+    return flow_matrix.fly_with_matrix(scene, state[0], state[1], phase, task.periods * 2.0 * jnp.pi / scene.frequency)
 
 
-def _found(asked, numbers, fixed):
-    phase, start = fixed
-    if len(asked.sides):
-        scene = asked.tree.unflatten(list(numbers))
-        found = impact_equations.solved(scene, cycle_of(asked, start, phase))
+def _solve_newton(task, scene_leaves, constants):
+    phase, start = constants
+    if len(task.sides):
+        scene = task.tree.unflatten(list(scene_leaves))
+        newton_result = impact_equations.solve_sequence(scene, sequence_of(task, start, phase))
     else:
-        function = partial(left, asked)
-        found = newton.newton(lambda u: (function(u, numbers, fixed), jax.jacfwd(function)(u, numbers, fixed)), start)
-    return found.unknowns, (found.residual, found.status.astype(numbers.dtype))
+        residual_of = partial(orbit_residual, task)
+        newton_result = newton.newton(
+            lambda u: (residual_of(u, scene_leaves, constants), jax.jacfwd(residual_of)(u, scene_leaves, constants)),
+            start,
+        )
+    return newton_result.unknowns, (newton_result.residual, newton_result.status.astype(scene_leaves.dtype))
 
 
-def _is_real(asked, numbers, phase, unknowns):
-    scene = asked.tree.unflatten(list(numbers))
-    built = framed(scene)
-    if len(asked.sides):
-        cycle = cycle_of(asked, unknowns, phase)
-        return is_real(built, impact_equations.flights(built, cycle), cycle.speeds)
-    return is_real(built, without_impacts(built, phase, asked.periods, *unknowns), jnp.ones_like(unknowns[:1]))
+def _is_admissible(task, scene_leaves, phase, unknowns):
+    scene = task.tree.unflatten(list(scene_leaves))
+    coeffs = flow_coefficients(scene)
+    if len(task.sides):
+        sequence = sequence_of(task, unknowns, phase)
+        return is_admissible(coeffs, impact_equations.compute_flights(coeffs, sequence), sequence.speeds)
+    return is_admissible(
+        coeffs, impact_free_flight(coeffs, phase, task.periods, *unknowns), jnp.ones_like(unknowns[:1])
+    )
 
 
-def _measured(asked, joined, fixed):
+def _section_and_invariants(task, unknowns_and_leaves, constants):
     """x and v at the section, trace and determinant of the monodromy matrix, of unknowns and numbers in one row."""
-    phase, start = fixed
-    unknowns, scene = joined[: len(start)], asked.tree.unflatten(list(joined[len(start) :]))
-    if not len(asked.sides):
-        _, matrix = _flown(asked, scene, phase, unknowns)
-        p00, _, _, p11 = response.by_rows(matrix)
-        return jnp.stack([*unknowns, p00 + p11, response.determinant(matrix)])
-    built, cycle = framed(scene), cycle_of(asked, unknowns, phase)
-    found = impact_equations.flights(built, cycle)
-    x, v = impact_equations.at(built, cycle, found, jnp.zeros(1, unknowns.dtype))
-    return jnp.stack([x[0], v[0], *impact_equations.invariants(built, found, cycle.sides)])
+    phase, start = constants
+    unknowns, scene = unknowns_and_leaves[: len(start)], task.tree.unflatten(list(unknowns_and_leaves[len(start) :]))
+    if not len(task.sides):
+        _, matrix = _free_flight(task, scene, phase, unknowns)
+        p00, _, _, p11 = flow_matrix.matrix_by_rows(matrix)
+        return jnp.stack([*unknowns, p00 + p11, flow_matrix.determinant(matrix)])
+    coeffs, sequence = flow_coefficients(scene), sequence_of(task, unknowns, phase)
+    flights = impact_equations.compute_flights(coeffs, sequence)
+    x, v = impact_equations.states_at(coeffs, sequence, flights, jnp.zeros(1, unknowns.dtype))
+    return jnp.stack([x[0], v[0], *impact_equations.monodromy_invariants(coeffs, flights, sequence.sides)])
 
 
-def _multipliers(trace, determinant):
+def _multiplier_pair(trace, determinant):
     """The roots of a monodromy matrix, the larger first: (2,) complex; smooth but where they are one."""
-    half = 0.5 * trace
-    inside = half * half - determinant
-    size = jnp.sqrt(jnp.where(inside == 0, 1.0, abs(inside))) * jnp.where(inside == 0, 0.0, 1.0)
-    larger = half + jnp.where(half < 0, -size, size)
+    half_trace = 0.5 * trace
+    discriminant = half_trace * half_trace - determinant
+    root_size = jnp.sqrt(jnp.where(discriminant == 0, 1.0, abs(discriminant))) * jnp.where(discriminant == 0, 0.0, 1.0)
+    larger = half_trace + jnp.where(half_trace < 0, -root_size, root_size)
     smaller = determinant / jnp.where(larger == 0, 1.0, larger)
-    real = jnp.stack([larger, smaller]) + 0j
-    return jnp.where(inside < 0, half + 1j * size * jnp.array([1.0, -1.0]), real)
+    real_pair = jnp.stack([larger, smaller]) + 0j
+    return jnp.where(discriminant < 0, half_trace + 1j * root_size * jnp.array([1.0, -1.0]), real_pair)

@@ -10,12 +10,12 @@ from continuation.persistent_jit import persistent_jit
 
 from ..maps.strobe import strobe
 from ..scene import check
-from .orbit import Orbit, areas_kept
+from .orbit import Orbit, is_area_preserving
 
-RESONANT = 1e-6  # of a multiplier from a third root of 1
+RESONANCE_TOLERANCE = 1e-6  # of a multiplier from a third root of 1
 
 
-@check.host("use strobe and its derivatives")
+@check.host_only("use strobe and its derivatives")
 def twist(orbit: Orbit) -> float:
     """The twist of an elliptic orbit: how the angle by which a return turns changes with the action.
 
@@ -28,45 +28,55 @@ def twist(orbit: Orbit) -> float:
     Applied Bifurcation Theory, 4.7). Raises ArgumentError for an orbit that is not elliptic, and next to the resonance
     1:3, where there is none.
     """
-    first = orbit.multipliers[0]
-    kept = areas_kept(np.sum(orbit.multipliers), np.prod(orbit.multipliers))
-    if orbit.rests or not kept or not first.imag:
+    multiplier = orbit.multipliers[0]
+    preserves_area = is_area_preserving(np.sum(orbit.multipliers), np.prod(orbit.multipliers))
+    if orbit.rests or not preserves_area or not multiplier.imag:
         raise check.ArgumentError("orbit", "must be elliptic, its multipliers on the unit circle", orbit.multipliers)
-    if abs(first**3 - 1.0) < RESONANT:
+    if abs(multiplier**3 - 1.0) < RESONANCE_TOLERANCE:
         raise check.ArgumentError("orbit", "must be none of the resonance 1:3", orbit.multipliers)
-    here = np.array([np.asarray(orbit.state.x), np.asarray(orbit.state.v)])
-    return _coefficient(*(np.asarray(each) for each in _derivatives(orbit.scene, orbit.state, here, orbit.periods)))
+    point = np.array([np.asarray(orbit.state.x), np.asarray(orbit.state.v)])
+    return _birkhoff_coefficient(
+        *(np.asarray(tensor) for tensor in _return_derivatives(orbit.scene, orbit.state, point, orbit.periods))
+    )
 
 
 @persistent_jit(static_argnums=3)
-def _derivatives(scene, state, here, periods):
+def _return_derivatives(scene, state, point, periods):
     """The first, second and third derivatives of a return by (x, v)."""
 
-    def back(start):
+    def return_map(start):
         end, _ = strobe(scene, replace(state, x=start[0], v=start[1]), periods, 0)
         return jnp.stack([end.x, end.v])
 
-    ways = [back]
+    derivatives = [return_map]
     for _ in range(3):
-        ways.append(jax.jacfwd(ways[-1]))
-    return [way(here) for way in ways[1:]]
+        derivatives.append(jax.jacfwd(derivatives[-1]))
+    return [derivative(point) for derivative in derivatives[1:]]
 
 
-def _coefficient(matrix, second, third):
-    values, vectors = np.linalg.eig(matrix)
-    others, lefts = np.linalg.eig(matrix.T)
-    root, q, p = values[values.imag > 0][0], vectors[:, values.imag > 0][:, 0], lefts[:, others.imag < 0][:, 0]
+def _birkhoff_coefficient(matrix, second_derivs, third_derivs):
+    eigenvalues, eigenvectors = np.linalg.eig(matrix)
+    left_eigenvalues, left_eigenvectors = np.linalg.eig(matrix.T)
+    multiplier, q, p = (
+        eigenvalues[eigenvalues.imag > 0][0],
+        eigenvectors[:, eigenvalues.imag > 0][:, 0],
+        left_eigenvectors[:, left_eigenvalues.imag < 0][:, 0],
+    )
     p = p / np.vdot(q, p)
 
-    def along(tensor, *ways):
-        for way in ways:
-            tensor = tensor @ way
+    def multilinear_form(tensor, *vectors):
+        for vector in vectors:
+            tensor = tensor @ vector
         return np.vdot(p, tensor)
 
-    bar = root.conjugate()
-    twice, mixed, back = along(second, q, q), along(second, q, q.conj()), along(second, q.conj(), q.conj())
-    cubic = along(third, q, q, q.conj()) / 2.0
-    cubic += twice * mixed * (bar - 3.0 + 2.0 * root) / (2.0 * (root**2 - root) * (bar - 1.0))
-    cubic += abs(mixed) ** 2 / (1.0 - bar) + abs(back) ** 2 / (2.0 * (root**2 - bar))
+    conjugate = multiplier.conjugate()
+    g20, g11, g02 = (
+        multilinear_form(second_derivs, q, q),
+        multilinear_form(second_derivs, q, q.conj()),
+        multilinear_form(second_derivs, q.conj(), q.conj()),
+    )
+    cubic = multilinear_form(third_derivs, q, q, q.conj()) / 2.0
+    cubic += g20 * g11 * (conjugate - 3.0 + 2.0 * multiplier) / (2.0 * (multiplier**2 - multiplier) * (conjugate - 1.0))
+    cubic += abs(g11) ** 2 / (1.0 - conjugate) + abs(g02) ** 2 / (2.0 * (multiplier**2 - conjugate))
     area = 2.0 * abs(np.linalg.det(np.stack([q.real, q.imag])))
-    return float((bar * cubic).imag / area)
+    return float((conjugate * cubic).imag / area)

@@ -15,8 +15,8 @@ from pathlib import Path
 
 from .file_lock import LockUnavailable, try_lock
 
-PARTIAL, LOCK = ".partial", ".lock"
-TOKEN = "[0-9a-f]{16}"
+PARTIAL_SUFFIX, LOCK_SUFFIX = ".partial", ".lock"
+TOKEN_PATTERN = "[0-9a-f]{16}"
 
 
 @contextmanager
@@ -41,16 +41,16 @@ def complete_folder(path):
     OSError
         If the folder cannot be made beside its place, or cannot be put into it and nothing else is there.
     """
-    part, lock, descriptor = _reserve(path)
+    temporary, lock, descriptor = _reserve_temporary(path)
     try:
-        yield part
+        yield temporary
         try:
-            os.rename(part, path)
+            os.rename(temporary, path)
         except OSError:
             if not os.path.lexists(path):
                 raise
     finally:
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(temporary, ignore_errors=True)
         with suppress(OSError):
             os.unlink(lock)
         if descriptor is not None:
@@ -59,7 +59,7 @@ def complete_folder(path):
 
 def remove_abandoned(path: Path) -> None:
     """Remove the temporary folders that dead processes left beside `path`; those of live processes stay."""
-    pattern = re.compile(rf"{re.escape(f'.{path.name}.')}{TOKEN}{re.escape(LOCK)}")
+    pattern = re.compile(rf"{re.escape(f'.{path.name}.')}{TOKEN_PATTERN}{re.escape(LOCK_SUFFIX)}")
     try:
         locks = [path.with_name(name) for name in os.listdir(path.parent) if pattern.fullmatch(name)]
     except OSError:
@@ -68,35 +68,35 @@ def remove_abandoned(path: Path) -> None:
         with suppress(OSError, LockUnavailable):  # removed meanwhile, or another user's
             descriptor = os.open(lock, os.O_RDWR)
             try:
-                part = lock.with_suffix(PARTIAL)
+                temporary = lock.with_suffix(PARTIAL_SUFFIX)
                 if try_lock(descriptor):
-                    shutil.rmtree(part, ignore_errors=True)
-                    if not os.path.lexists(part):
+                    shutil.rmtree(temporary, ignore_errors=True)
+                    if not os.path.lexists(temporary):
                         os.unlink(lock)
             finally:
                 os.close(descriptor)
 
 
-def _reserve(path):
+def _reserve_temporary(path):
     """(temporary folder, its lock file, descriptor that holds the lock or None) under names that are not in use."""
     while True:
         stem = f".{path.name}.{secrets.token_hex(8)}"
-        part, lock = path.with_name(stem + PARTIAL), path.with_name(stem + LOCK)
+        temporary, lock = path.with_name(stem + PARTIAL_SUFFIX), path.with_name(stem + LOCK_SUFFIX)
         try:
             descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o600)
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(path)) from None
         try:
-            if try_lock(descriptor) and _is_named(descriptor, lock):
-                return part, lock, descriptor
+            if try_lock(descriptor) and _still_has_name(descriptor, lock):
+                return temporary, lock, descriptor
         except LockUnavailable:
             os.close(descriptor)
             os.unlink(lock)
-            return part, lock, None
+            return temporary, lock, None
         os.close(descriptor)  # `remove_abandoned` of another process was faster than the lock
 
 
-def _is_named(descriptor, path):
+def _still_has_name(descriptor, path):
     """Return True if an open file still has its name."""
     try:
         return os.path.samestat(os.fstat(descriptor), os.stat(path))

@@ -7,11 +7,11 @@ import shutil
 from contextlib import contextmanager
 from pathlib import Path
 
-ROOM = 1 << 20  # bytes that a disk must have free before work whose results go there
+MIN_FREE_BYTES = 1 << 20  # bytes that a disk must have free before work whose results go there
 
 
 @contextmanager
-def whole(path, force=False):
+def atomic_file(path, overwrite=False):
     """A file for bytes, beside the wanted one, which takes its place when the block ends well.
 
     It is made anew under a name that nobody can guess, so never written through a link that lies there, and has the
@@ -22,30 +22,30 @@ def whole(path, force=False):
     path = Path(path)
     if not path.parent.is_dir():
         raise NotADirectoryError(f"{path.parent} is no folder")
-    if os.path.lexists(path) and not force:
+    if os.path.lexists(path) and not overwrite:
         raise FileExistsError(f"{path} is there already; force overwrites it")
-    part = path.with_name(f".{secrets.token_hex(16)}.part")
+    temporary = path.with_name(f".{secrets.token_hex(16)}.part")
     try:
-        with open(part, "xb") as file:
+        with open(temporary, "xb") as file:
             try:
                 yield file
                 file.close()
-                os.replace(part, path)
+                os.replace(temporary, path)
             finally:
-                part.unlink(missing_ok=True)
+                temporary.unlink(missing_ok=True)
     except OSError as error:
-        if error.errno is None or error.filename not in (None, str(part)):
+        if error.errno is None or error.filename not in (None, str(temporary)):
             raise
         raise OSError(error.errno, error.strerror, str(path)) from None
 
 
-def refuse_folder(folder):
+def require_writable_folder(folder):
     """Refuse a folder to write into, be it there or to be made, where files cannot be put: an OSError that names it."""
     folder = Path(folder)
     if not os.path.isdir(folder) and os.path.lexists(folder):
         raise NotADirectoryError(f"out: {folder} is no folder")
-    above = next(one for one in (folder, *folder.absolute().parents) if os.path.lexists(one))
-    if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
-        raise PermissionError(f"out: {above} cannot be written to")
-    if shutil.disk_usage(above).free < ROOM:
+    ancestor = next(candidate for candidate in (folder, *folder.absolute().parents) if os.path.lexists(candidate))
+    if not (ancestor.is_dir() and os.access(ancestor, os.W_OK | os.X_OK)):
+        raise PermissionError(f"out: {ancestor} cannot be written to")
+    if shutil.disk_usage(ancestor).free < MIN_FREE_BYTES:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))

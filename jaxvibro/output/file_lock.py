@@ -62,9 +62,9 @@ def exclusive_lock(path):
         return
     try:
         try:
-            held = try_lock(descriptor)
+            has_lock = try_lock(descriptor)
         except LockUnavailable:
-            held = False
-        yield held
+            has_lock = False
+        yield has_lock
     finally:
         os.close(descriptor)

@@ -3,18 +3,18 @@
 from ..scene import check
 
 # Where a program has no such point, ours stays: GR, CH and RL are known to none of them.
-OTHERS = {
+FOREIGN_LABELS = {
     "auto": {"SN": "LP", "SB": "BP", "NS": "TR", "NSA": "NSA"},
     "matcont": {"SN": "LPC", "SB": "BPC", "BP": "BPC", "NSA": "NS", "CP": "CPC"},
 }
-NAMES = ("jaxvibro", *OTHERS)
+LABEL_SYSTEMS = ("jaxvibro", *FOREIGN_LABELS)
 
 
-def name_in(kind: str, labels: str) -> str:
+def translate_label(kind: str, label_system: str) -> str:
     """A kind of special point as "jaxvibro", "auto" (AUTO-07p) or "matcont" (MatCont, of cycles) calls it.
 
     Raises ArgumentError for other programs.
     """
-    if not isinstance(labels, str) or labels not in NAMES:
-        raise check.ArgumentError("labels", f"must be one of {', '.join(NAMES)}", labels)
-    return OTHERS.get(labels, {}).get(kind, kind)
+    if not isinstance(label_system, str) or label_system not in LABEL_SYSTEMS:
+        raise check.ArgumentError("labels", f"must be one of {', '.join(LABEL_SYSTEMS)}", label_system)
+    return FOREIGN_LABELS.get(label_system, {}).get(kind, kind)

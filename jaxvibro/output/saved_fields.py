@@ -7,62 +7,62 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..scene.check import ArgumentError, require_known, short
+from ..scene.check import ArgumentError, require_parameter, shorten
 from ..scene.scene_table import SceneTable
-from .checksums import dataset_of
+from .checksums import parse_dataset
 
-CODES = {1, 2, 3}  # of an impact, and of releases, times the wall's sign
+IMPACT_CODES = {1, 2, 3}  # of an impact, and of releases, times the wall's sign
 
 
-def record_of(content: bytes, path, what: str, read: Callable[..., Any]) -> Any:
-    """What read(Dataset) makes of a file's bytes; `what` says whose `save` writes such files.
+def read_record(content: bytes, path, owner: str, parse: Callable[..., Any]) -> Any:
+    """What read(Dataset) makes of a file's bytes; `owner` says whose `save` writes such files.
 
-    Raises ArgumentError, whatever `read` falls over.
+    Raises ArgumentError, whatever `parse` falls over.
     """
-    data = dataset_of(content, path)
+    data = parse_dataset(content, path)
     try:
-        return read(data)
+        return parse(data)
     except (LookupError, ValueError, TypeError, ArithmeticError, RecursionError) as error:
         reason = f"{type(error).__name__}: {error}"
-        raise ArgumentError("path", f"must be a file of {what}.save ({short(reason)})", str(path)) from None
+        raise ArgumentError("path", f"must be a file of {owner}.save ({shorten(reason)})", str(path)) from None
 
 
-def field(attrs, key, kind):
+def decode_field(attrs, key, kind):
     """A field that is JSON, of a kind that msgspec tells. Raises what `msgspec` raises."""
     return msgspec.convert(json.loads(attrs[key]), kind)
 
 
-def require_fit(name, holds):
+def require_valid(name, is_valid):
     """Raises ValueError, naming the field, where it does not hold."""
-    if not holds:
+    if not is_valid:
         raise ValueError(f"its {name} cannot be")
 
 
-def scene_in(attrs, *names):
+def decode_scene(attrs, *names):
     """The scene in a file, which has parameters of these names. Raises ArgumentError where it has not."""
     scene = msgspec.toml.decode(attrs["scene"], type=SceneTable).make()
     for name in names:
-        require_known(name, scene.names, name)
+        require_parameter(name, scene.names, name)
     return scene
 
 
 def require_bounds(bounds):
     """Raises ValueError where (low, high) are no bounds."""
-    require_fit("bounds", len(bounds) == 2 and np.isfinite(bounds).all() and bounds[0] < bounds[1])
+    require_valid("bounds", len(bounds) == 2 and np.isfinite(bounds).all() and bounds[0] < bounds[1])
 
 
-def require_columns(data, dims, finite):
+def require_columns(data, dims, finite_columns):
     """Raises an error where data are without the columns of a curve of orbits, or hold numbers that no orbit has.
 
-    dims: {column: its dimensions}; finite: the columns without nan and infinity.
+    dims: {column: its dimensions}; finite_columns: the columns without nan and infinity.
     """
-    for key, wanted in dims.items():
-        require_fit(key, data[key].dims == wanted and data[key].dtype.kind in "fi")
-    require_fit("sizes", data.sizes["point"] > 0 and data.sizes["multiplier"] == 2)
+    for key, expected_dims in dims.items():
+        require_valid(key, data[key].dims == expected_dims and data[key].dtype.kind in "fi")
+    require_valid("sizes", data.sizes["point"] > 0 and data.sizes["multiplier"] == 2)
     sides = data["side"].values
-    hit = sides != 0
-    require_fit("side", np.isin(abs(sides), (0, *CODES)).all())
-    for key in finite:
-        require_fit(key, np.isfinite(data[key].values).all())
+    is_impact = sides != 0
+    require_valid("side", np.isin(abs(sides), (0, *IMPACT_CODES)).all())
+    for key in finite_columns:
+        require_valid(key, np.isfinite(data[key].values).all())
     for key in ("time", "speed"):
-        require_fit(key, np.isfinite(data[key].values[hit]).all())
+        require_valid(key, np.isfinite(data[key].values[is_impact]).all())

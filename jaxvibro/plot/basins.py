@@ -7,19 +7,28 @@ from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from ..attractors.assign import OUTSIDE, UNRESOLVED
-from .style import WALL, axes, edges, is_from, of_plane, picture, plain, scales_of
+from ..attractors.basin_labels import OUTSIDE, UNRESOLVED
+from .style import (
+    WALL_COLOUR,
+    axes_or_new,
+    cell_edges,
+    checked_picture,
+    escape_formulas,
+    phase_plane_axes,
+    require_dataset,
+    scales_of,
+)
 
 # Pale kin of Okabe and Ito's colours, from light to dark, so that they are told in grey too.
-PALE = ("#FCEFB4", "#A9DCF5", "#F2AE72", "#72AD91", "#A9719A", "#4C79AD", "#94502F", "#3F5750")
-CHAOS, UNKNOWN = ("#FFFFFF", "#C9C9C9", "#E6E6E6"), "#303030"
-DOTS = ("#000000", "#B03A00", "#00517F")  # of chaotic attractors
+PALE_COLOURS = ("#FCEFB4", "#A9DCF5", "#F2AE72", "#72AD91", "#A9719A", "#4C79AD", "#94502F", "#3F5750")
+CHAOS_COLOURS, UNRESOLVED_COLOUR = ("#FFFFFF", "#C9C9C9", "#E6E6E6"), "#303030"
+CHAOS_DOT_COLOURS = ("#000000", "#B03A00", "#00517F")  # of chaotic attractors
 # Of mirror images the second has the turned shape, of a motion that is its own image the shape has no direction.
-PAIRS = (("<", ">"), ("^", "v"), ("$\\subset$", "$\\supset$"), ("P", "X"))
-SINGLE = ("o", "s", "D", "p", "h", "8")
+MIRROR_MARKERS = (("<", ">"), ("^", "v"), ("$\\subset$", "$\\supset$"), ("P", "X"))
+SINGLE_MARKERS = ("o", "s", "D", "p", "h", "8")
 
 
-@picture
+@checked_picture
 def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True, units: str = "scene") -> Axes:
     """Draw a Dataset of `jaxvibro.basins`, velocity against position: the Axes.
 
@@ -30,62 +39,69 @@ def basins(dataset: xr.Dataset, ax: Axes | None = None, legend: bool = True, uni
 
     Raises ArgumentError for what is no such Dataset, and for other units.
     """
-    is_from("basins", "basins", ("label", "fraction", "x", "v"), dataset)
-    across, up = of_plane(scales_of(dataset, units))
-    ax = axes(ax)
-    colours, shapes = _looks(dataset)
-    listed = [WALL, UNKNOWN, *colours]
-    norm = BoundaryNorm(np.arange(OUTSIDE - 0.5, len(colours)), len(listed))
-    borders = [edges(axis.size * dataset[name].values) for axis, name in ((across, "x"), (up, "v"))]
-    drawn = ax.pcolorfast(*borders, dataset["label"].values, cmap=ListedColormap(listed), norm=norm, zorder=0)
-    drawn.set_rasterized(True)
-    for place, shape in enumerate(shapes):
-        points = across.size * dataset["point_x"].values[place], up.size * dataset["point_v"].values[place]
-        ax.plot(*points, **_mark(shape, colours[place]), gid="attractor", zorder=3 if shape == "." else 3.5)
-    ax.set(xlabel=across.label, ylabel=up.label)
+    require_dataset("basins", "basins", ("label", "fraction", "x", "v"), dataset)
+    x_axis, y_axis = phase_plane_axes(scales_of(dataset, units))
+    ax = axes_or_new(ax)
+    colours, markers = _attractor_styles(dataset)
+    palette = [WALL_COLOUR, UNRESOLVED_COLOUR, *colours]
+    norm = BoundaryNorm(np.arange(OUTSIDE - 0.5, len(colours)), len(palette))
+    borders = [cell_edges(axis.factor * dataset[name].values) for axis, name in ((x_axis, "x"), (y_axis, "v"))]
+    image = ax.pcolorfast(*borders, dataset["label"].values, cmap=ListedColormap(palette), norm=norm, zorder=0)
+    image.set_rasterized(True)
+    for index, marker in enumerate(markers):
+        points = x_axis.factor * dataset["point_x"].values[index], y_axis.factor * dataset["point_v"].values[index]
+        ax.plot(*points, **_marker_style(marker, colours[index]), gid="attractor", zorder=3 if marker == "." else 3.5)
+    ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     ax.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
     if legend:
-        handles = _entries(dataset, colours, shapes)
+        handles = _legend_handles(dataset, colours, markers)
         ax.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.14), ncols=2, frameon=False)
     return ax
 
 
-def _looks(dataset):
+def _attractor_styles(dataset):
     """(colours, shapes) of the attractors, a shape "." where chaotic."""
-    colours, shapes = [], [None] * dataset.sizes["attractor"]
-    pairs, single, pale, chaos = iter(PAIRS * 8), iter(SINGLE * 8), iter(PALE * 8), iter(CHAOS * 8)
-    for place, (kind, twin) in enumerate(zip(dataset["kind"].values, dataset["mirror_of"].values, strict=True)):
-        colours.append(next(chaos if kind == "chaotic" else pale))
+    colours, markers = [], [None] * dataset.sizes["attractor"]
+    marker_pairs, single_markers, pale_colours, chaos_colours = (
+        iter(MIRROR_MARKERS * 8),
+        iter(SINGLE_MARKERS * 8),
+        iter(PALE_COLOURS * 8),
+        iter(CHAOS_COLOURS * 8),
+    )
+    for index, (kind, mirror_index) in enumerate(zip(dataset["kind"].values, dataset["mirror_of"].values, strict=True)):
+        colours.append(next(chaos_colours if kind == "chaotic" else pale_colours))
         if kind != "periodic":
-            shapes[place] = "."
-        elif shapes[place] is None and twin > place:
-            shapes[place], shapes[twin] = next(pairs)
-        elif shapes[place] is None:
-            shapes[place] = next(single)
-    return colours, shapes
+            markers[index] = "."
+        elif markers[index] is None and mirror_index > index:
+            markers[index], markers[mirror_index] = next(marker_pairs)
+        elif markers[index] is None:
+            markers[index] = next(single_markers)
+    return colours, markers
 
 
-def _mark(shape, colour):
-    if shape == ".":
-        dots = dict(zip(CHAOS, DOTS, strict=True)).get(colour, DOTS[0])
-        return {"linestyle": "none", "marker": ".", "markersize": 1.5, "color": dots}
-    return {"linestyle": "none", "marker": shape, "markersize": 9, "color": colour, "markeredgecolor": "black"}
+def _marker_style(marker, colour):
+    if marker == ".":
+        dot_colour = dict(zip(CHAOS_COLOURS, CHAOS_DOT_COLOURS, strict=True)).get(colour, CHAOS_DOT_COLOURS[0])
+        return {"linestyle": "none", "marker": ".", "markersize": 1.5, "color": dot_colour}
+    return {"linestyle": "none", "marker": marker, "markersize": 9, "color": colour, "markeredgecolor": "black"}
 
 
-def _entries(dataset, colours, shapes):
+def _legend_handles(dataset, colours, markers):
     """The legend: an entry for each attractor, and for starts on none."""
-    found = []
-    for place, shape in enumerate(shapes):
-        if dataset["kind"].values[place] == "unresolved":
+    handles = []
+    for index, marker in enumerate(markers):
+        if dataset["kind"].values[index] == "unresolved":
             continue
-        told = f"{plain(str(dataset['name'].values[place]))}: {100 * float(dataset['fraction'][place]):.1f} %"
-        if shape == ".":
-            found.append(Patch(facecolor=colours[place], edgecolor=_mark(shape, colours[place])["color"], label=told))
+        text = f"{escape_formulas(str(dataset['name'].values[index]))}: {100 * float(dataset['fraction'][index]):.1f} %"
+        if marker == ".":
+            handles.append(
+                Patch(facecolor=colours[index], edgecolor=_marker_style(marker, colours[index])["color"], label=text)
+            )
         else:
-            found.append(Line2D([], [], label=told, **_mark(shape, colours[place])))
-    label = dataset["label"].values
-    if (label == UNRESOLVED).any():
-        found.append(Patch(facecolor=UNKNOWN, label="not certain"))
-    if (label == OUTSIDE).any():
-        found.append(Patch(facecolor=WALL, label="beyond a wall"))
-    return found
+            handles.append(Line2D([], [], label=text, **_marker_style(marker, colours[index])))
+    labels = dataset["label"].values
+    if (labels == UNRESOLVED).any():
+        handles.append(Patch(facecolor=UNRESOLVED_COLOUR, label="not certain"))
+    if (labels == OUTSIDE).any():
+        handles.append(Patch(facecolor=WALL_COLOUR, label="beyond a wall"))
+    return handles

@@ -9,29 +9,29 @@ from matplotlib.axes import Axes
 from matplotlib.font_manager import FontProperties
 from matplotlib.typing import ColorType
 
-from ..branches.branch import MEANINGS, Branch
-from ..output.labels import name_in
-from .smooth import smooth
+from ..branches.branch import KIND_NAMES, Branch
+from ..output.labels import translate_label
+from .smooth_line import smooth_line
 from .style import (
     COLOURS,
-    WALL,
-    are_of,
-    axes,
-    is_of,
-    legend,
-    of_parameter,
-    of_variable,
-    picture,
-    plain,
+    WALL_COLOUR,
+    add_legend,
+    axes_or_new,
+    checked_picture,
+    escape_formulas,
+    parameter_axis,
     require_axes,
+    require_record,
+    require_records,
+    scaled_line_width,
     scales_of,
-    wide,
+    variable_axis,
 )
 
-ORDER = tuple(COLOURS[k] for k in (2, 7, 5, 3, 0, 6, 1))  # yellow is too pale for a line
-ORDER += ("#882255", "#999933", "#332288", "#44AA99")  # of Tol's, where there are more
-WIDTHS = {True: 2.0, False: 0.9}  # of a stable and of an unstable part, points
-STYLES = {True: "-", False: (0, (4, 2))}
+BRANCH_COLOURS = tuple(COLOURS[k] for k in (2, 7, 5, 3, 0, 6, 1))  # yellow is too pale for a line
+BRANCH_COLOURS += ("#882255", "#999933", "#332288", "#44AA99")  # of Tol's, where there are more
+LINE_WIDTHS = {True: 2.0, False: 0.9}  # of a stable and of an unstable part, points
+LINE_STYLES = {True: "-", False: (0, (4, 2))}
 MARKERS = {
     "SN": "o",
     "SB": "D",
@@ -45,15 +45,15 @@ MARKERS = {
     "R3": "<",
     "R4": "d",
 }
-FILLED = COLOURS[4]  # of special points: attractors are white or black
-OTHERS = "XP*pdh<>"  # of monitors
-LINES = 3  # on one tick
-SAMPLED = 64  # points of a line that are looked for on others
-SAME = 1e-3  # of their extent: lines as near are drawn once
-TICKS = "x-small"  # their size
+MARKER_COLOUR = COLOURS[4]  # of special points: attractors are white or black
+MONITOR_MARKERS = "XP*pdh<>"  # of monitors
+MAX_TICK_LINES = 3  # on one tick
+MAX_CHECK_POINTS = 64  # points of a line that are looked for on others
+OVERLAP_TOLERANCE = 1e-3  # of their extent: lines as near are drawn once
+TICK_FONT_SIZE = "x-small"  # their size
 
 
-@picture
+@checked_picture
 def branch(
     one: Branch,
     variable: str = "x",
@@ -76,124 +76,147 @@ def branch(
 
     Raises ArgumentError for what is no `Branch`, and for other variables, units and labels.
     """
-    is_of("branch", Branch, one)
-    scales, found, alone = scales_of(one, units), one.curves(variable), ax is None
-    across, up = of_parameter(scales, one.name), of_variable(scales, variable)
-    ax, text = axes(ax), name(one)
-    known = {str(line.get_label()).lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"}
-    colour = colour or known.get(text, ORDER[len(known) % len(ORDER)])
-    twins, new = [], False
-    for piece in found.pieces:
-        look: dict[str, Any] = {
+    require_record("branch", Branch, one)
+    scales, curves, is_new = scales_of(one, units), one.curves(variable), ax is None
+    x_axis, y_axis = parameter_axis(scales, one.name), variable_axis(scales, variable)
+    ax, branch_label = axes_or_new(ax), branch_name(one)
+    label_colours = {
+        str(line.get_label()).lstrip("_"): line.get_color() for line in ax.lines if line.get_gid() == "branch"
+    }
+    colour = colour or label_colours.get(branch_label, BRANCH_COLOURS[len(label_colours) % len(BRANCH_COLOURS)])
+    covering_lines, has_new_line = [], False
+    for piece in curves.pieces:
+        line_style: dict[str, Any] = {
             "color": colour,
-            "linewidth": wide(WIDTHS[piece.stable]),
-            "linestyle": STYLES[piece.stable],
+            "linewidth": scaled_line_width(LINE_WIDTHS[piece.stable]),
+            "linestyle": LINE_STYLES[piece.stable],
             "zorder": 3,
         }
-        for across_part, up_part in _parts(piece, found.points.get("SB") if variable not in ("x", "v") else None):
-            line = smooth(across_part * across.size, up_part * up.size)
-            twin = covering(ax, line[0], line[1], look["linewidth"])
-            twins += [] if twin is None else [twin]
-            if twin is None:
-                new = True
-                ax.plot(*line, label="_" + text, gid="branch", solid_capstyle="butt", **look)
-    if text not in known:
-        told, shown = (text, colour) if new or not twins else (f"{text}, on {_label(twins[0])}", twins[0].get_color())
-        ax.plot([], [], label=told, gid="branch", color=shown, linewidth=wide(WIDTHS[True]))
-    stability_entries(ax)
-    _points(ax, found.points, across.size, up.size, labels)
+        for x_part, y_part in _split_at_turns(piece, curves.points.get("SB") if variable not in ("x", "v") else None):
+            line = smooth_line(x_part * x_axis.factor, y_part * y_axis.factor)
+            covering_line = find_covering_line(ax, line[0], line[1], line_style["linewidth"])
+            covering_lines += [] if covering_line is None else [covering_line]
+            if covering_line is None:
+                has_new_line = True
+                ax.plot(*line, label="_" + branch_label, gid="branch", solid_capstyle="butt", **line_style)
+    if branch_label not in label_colours:
+        legend_text, legend_colour = (
+            (branch_label, colour)
+            if has_new_line or not covering_lines
+            else (f"{branch_label}, on {_line_label(covering_lines[0])}", covering_lines[0].get_color())
+        )
+        ax.plot(
+            [], [], label=legend_text, gid="branch", color=legend_colour, linewidth=scaled_line_width(LINE_WIDTHS[True])
+        )
+    add_stability_legend(ax)
+    _draw_special_points(ax, curves.points, x_axis.factor, y_axis.factor, labels)
     if variable in ("x", "peak"):
-        _walls(ax, one, up.size)
-    ax.set(xlabel=across.label, ylabel=up.label)
+        _draw_walls(ax, one, y_axis.factor)
+    ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     ax.margins(x=0.01)
-    legend(ax, alone)
+    add_legend(ax, is_new)
     return ax
 
 
-def _parts(piece, turns):
+def _split_at_turns(piece, turning_marks):
     """(values, column) of the lines of a `Piece`: each of its columns, cut at the `Marks` where it turns back on itself
     (the orbits on the two sides of a symmetry breaking are mirror images), None: nowhere."""
-    cuts = [] if turns is None else np.flatnonzero(np.isin(piece.values, turns.values))
-    edges = [0, *(int(cut) for cut in cuts if 0 < cut < len(piece.values) - 1), len(piece.values) - 1]
+    cut_indices = [] if turning_marks is None else np.flatnonzero(np.isin(piece.values, turning_marks.values))
+    breaks = [0, *(int(index) for index in cut_indices if 0 < index < len(piece.values) - 1), len(piece.values) - 1]
     for column in piece.columns.T:
-        for first, last in pairwise(edges):
-            yield piece.values[first : last + 1], column[first : last + 1]
+        for start, stop in pairwise(breaks):
+            yield piece.values[start : stop + 1], column[start : stop + 1]
 
 
-def covering(ax: Axes, across: Float[np.ndarray, " points"], up: Float[np.ndarray, " points"], width: float) -> Any:
+def find_covering_line(ax: Axes, x: Float[np.ndarray, " points"], y: Float[np.ndarray, " points"], width: float) -> Any:
     """Find a branch's line of this width in the Axes that covers all points of a new line; None without one."""
-    points = np.stack([across, up])[:, np.isfinite(up)]
-    points = points[:, :: max(1, points.shape[1] // SAMPLED)]
+    points = np.stack([x, y])[:, np.isfinite(y)]
+    points = points[:, :: max(1, points.shape[1] // MAX_CHECK_POINTS)]
     for line in ax.lines:
         if line.get_gid() != "branch" or line.get_linewidth() != width or not points.size:
             continue
-        drawn = np.array(line.get_data(), float)
-        if drawn.shape[1] > 1 and _is_on(points, drawn):
+        line_points = np.array(line.get_data(), float)
+        if line_points.shape[1] > 1 and _lies_on_line(points, line_points):
             return line
     return None
 
 
-def _is_on(points, line):
+def _lies_on_line(points, line_points):
     """Return True if points lie on a line, (2, points) both, to SAME of its extent."""
-    size = np.maximum(np.nanmax(line, axis=1) - np.nanmin(line, axis=1), np.ptp(points, axis=1))[:, None]
-    size = np.where(size > 0, size, 1.0)
-    points, line = points / size, line / size
-    starts, ways = line[:, :-1, None], np.diff(line, axis=1)[:, :, None]
-    lengths = (ways**2).sum(axis=0)
-    off = points[:, None, :] - starts
+    extent = np.maximum(np.nanmax(line_points, axis=1) - np.nanmin(line_points, axis=1), np.ptp(points, axis=1))[
+        :, None
+    ]
+    extent = np.where(extent > 0, extent, 1.0)
+    points, line_points = points / extent, line_points / extent
+    starts, directions = line_points[:, :-1, None], np.diff(line_points, axis=1)[:, :, None]
+    squared_lengths = (directions**2).sum(axis=0)
+    offsets = points[:, None, :] - starts
     with np.errstate(invalid="ignore", divide="ignore"):
-        share = np.clip(np.where(lengths > 0, (off * ways).sum(axis=0) / lengths, 0.0), 0.0, 1.0)
-    apart = np.hypot(*(off - share * ways))
-    return bool((np.where(np.isnan(apart), np.inf, apart).min(axis=0) < SAME).all())
+        fraction = np.clip(
+            np.where(squared_lengths > 0, (offsets * directions).sum(axis=0) / squared_lengths, 0.0), 0.0, 1.0
+        )
+    distances = np.hypot(*(offsets - fraction * directions))
+    return bool((np.where(np.isnan(distances), np.inf, distances).min(axis=0) < OVERLAP_TOLERANCE).all())
 
 
-def _label(line):
+def _line_label(line):
     return str(line.get_label()).lstrip("_")
 
 
-def name(one):
+def branch_name(branch):
     """The labels of a branch's stretches, each once, in their order: "P100, P111"."""
-    return ", ".join(dict.fromkeys(part.label for part in one.segments))
+    return ", ".join(dict.fromkeys(segment.label for segment in branch.segments))
 
 
-def stability_entries(ax):
+def add_stability_legend(ax):
     """What the lines mean, once in a legend."""
     if not any(line.get_gid() == "stability" for line in ax.lines):
         for stable, text in ((True, "stable"), (False, "unstable")):
-            look = {"color": WALL, "linewidth": wide(WIDTHS[stable]), "linestyle": STYLES[stable]}
-            ax.plot([], [], label=text, gid="stability", **look)
+            line_style = {
+                "color": WALL_COLOUR,
+                "linewidth": scaled_line_width(LINE_WIDTHS[stable]),
+                "linestyle": LINE_STYLES[stable],
+            }
+            ax.plot([], [], label=text, gid="stability", **line_style)
 
 
-def _points(ax, points, wide, high, labels):
-    known = [line.get_label() for line in ax.lines if line.get_gid() == "special"]
+def _draw_special_points(ax, points, x_factor, y_factor, labels):
+    known_labels = [line.get_label() for line in ax.lines if line.get_gid() == "special"]
     for kind, marks in points.items():
-        up = high * marks.columns
-        across = np.broadcast_to(wide * marks.values[:, None], up.shape)
-        text = plain(f"{name_in(kind, labels)}: {MEANINGS[kind]}" if kind in MEANINGS else kind)
-        told = text if text not in known else "_" + text
-        look = {"marker": _marker(kind), "markersize": 5.5, "markerfacecolor": FILLED, "markeredgecolor": "black"}
-        ax.plot(across.ravel(), up.ravel(), label=told, gid="special", linestyle="none", zorder=7, **look)
+        y = y_factor * marks.columns
+        x = np.broadcast_to(x_factor * marks.values[:, None], y.shape)
+        text = escape_formulas(f"{translate_label(kind, labels)}: {KIND_NAMES[kind]}" if kind in KIND_NAMES else kind)
+        legend_text = text if text not in known_labels else "_" + text
+        marker_style = {
+            "marker": _kind_marker(kind),
+            "markersize": 5.5,
+            "markerfacecolor": MARKER_COLOUR,
+            "markeredgecolor": "black",
+        }
+        ax.plot(x.ravel(), y.ravel(), label=legend_text, gid="special", linestyle="none", zorder=7, **marker_style)
 
 
-def _marker(kind):
+def _kind_marker(kind):
     """A kind's marker: a monitor's is told by its name alone, so that it is the same in every picture."""
-    return MARKERS.get(kind) or OTHERS[sum(map(ord, kind)) % len(OTHERS)]
+    return MARKERS.get(kind) or MONITOR_MARKERS[sum(map(ord, kind)) % len(MONITOR_MARKERS)]
 
 
-def _walls(ax, one, size):
+def _draw_walls(ax, branch, factor):
     """Lines where the walls stand, each once: not those that move or that the parameter moves, nor those far off."""
-    low, high = ax.get_ylim()
-    near = (high - low) / 4
-    known = [line.get_ydata()[0] for line in ax.lines if line.get_color() == WALL and len(line.get_ydata())]
-    for side, wall in one.scene.walls.items():
-        if wall.motion is not None or one.name == f"{side}.position":
+    lower, upper = ax.get_ylim()
+    tolerance = (upper - lower) / 4
+    known_positions = [
+        line.get_ydata()[0] for line in ax.lines if line.get_color() == WALL_COLOUR and len(line.get_ydata())
+    ]
+    for side, wall in branch.scene.walls.items():
+        if wall.motion is not None or branch.name == f"{side}.position":
             continue
-        place = size * float(wall.position)
-        if place not in known and low - near <= place <= high + near:
-            ax.axhline(place, color=WALL, linewidth=0.8, zorder=0)
+        position = factor * float(wall.position)
+        if position not in known_positions and lower - tolerance <= position <= upper + tolerance:
+            ax.axhline(position, color=WALL_COLOUR, linewidth=0.8, zorder=0)
 
 
-@picture
+@checked_picture
 def mark_points(
     branches: tuple[Branch, ...] | list[Branch], ax: Axes, units: str = "scene", labels: str = "jaxvibro"
 ) -> Axes:
@@ -204,36 +227,44 @@ def mark_points(
 
     Raises ArgumentError for what is no tuple or list of `Branch`es.
     """
-    are_of("mark_points", Branch, branches)
+    require_records("mark_points", Branch, branches)
     require_axes(ax)
-    low, high = ax.get_xlim()
-    close = _line(ax) * (high - low)
-    digits = max(0, 3 - int(np.floor(np.log10(high - low))))  # about a thousandth of the range
-    sizes = [of_parameter(scales_of(one, units), one.name).size for one in branches]
-    special = [
-        (each.kind, size * each.value) for one, size in zip(branches, sizes, strict=True) for each in one.special
+    lower, upper = ax.get_xlim()
+    line_spacing = _tick_line_width(ax) * (upper - lower)
+    digits = max(0, 3 - int(np.floor(np.log10(upper - lower))))  # about a thousandth of the range
+    factors = [parameter_axis(scales_of(branch, units), branch.name).factor for branch in branches]
+    points = [
+        (item.kind, factor * item.value)
+        for branch, factor in zip(branches, factors, strict=True)
+        for item in branch.special
     ]
-    found = {(kind, f"{value:.{digits}f}"): value for kind, value in special}
+    unique_points = {(kind, f"{value:.{digits}f}"): value for kind, value in points}
     ticks: list[tuple[float, list[str]]] = []  # value, lines
-    for (kind, text), value in sorted(found.items(), key=lambda item: item[1]):
-        if kind == "EP" or not low <= value <= high:
+    for (kind, text), value in sorted(unique_points.items(), key=lambda item: item[1]):
+        if kind == "EP" or not lower <= value <= upper:
             continue
-        if not ticks or value - ticks[-1][0] >= close * min(LINES, len(ticks[-1][1])):
+        if not ticks or value - ticks[-1][0] >= line_spacing * min(MAX_TICK_LINES, len(ticks[-1][1])):
             ticks.append((value, []))
-        ticks[-1][1].append(f"{plain(name_in(kind, labels))} {text}")
-    top = ax.secondary_xaxis("top")
-    top.set_xticks([value for value, _ in ticks], [_lines(each) for _, each in ticks], rotation=90, fontsize=TICKS)
-    for told, (_, each) in zip(top.get_xticklabels(), ticks, strict=True):
-        told.set_horizontalalignment("left" if len(each) > 1 else "center")  # the first line at the tick
+        ticks[-1][1].append(f"{escape_formulas(translate_label(kind, labels))} {text}")
+    top_axis = ax.secondary_xaxis("top")
+    top_axis.set_xticks(
+        [value for value, _ in ticks], [_tick_text(item) for _, item in ticks], rotation=90, fontsize=TICK_FONT_SIZE
+    )
+    for tick_label, (_, item) in zip(top_axis.get_xticklabels(), ticks, strict=True):
+        tick_label.set_horizontalalignment("left" if len(item) > 1 else "center")  # the first line at the tick
     return ax
 
 
-def _line(ax):
+def _tick_line_width(ax):
     """The width of a line of such a text, of the Axes' width."""
-    across = ax.figure.get_figwidth() * ax.get_position().width
-    return 1.3 * FontProperties(size=TICKS).get_size_in_points() / (72.0 * across)
+    axes_width = ax.figure.get_figwidth() * ax.get_position().width
+    return 1.3 * FontProperties(size=TICK_FONT_SIZE).get_size_in_points() / (72.0 * axes_width)
 
 
-def _lines(told):
+def _tick_text(texts):
     """What one tick says."""
-    return "\n".join(told if len(told) <= LINES else [*told[: LINES - 1], f"and {len(told) - LINES + 1} more"])
+    return "\n".join(
+        texts
+        if len(texts) <= MAX_TICK_LINES
+        else [*texts[: MAX_TICK_LINES - 1], f"and {len(texts) - MAX_TICK_LINES + 1} more"]
+    )

@@ -9,32 +9,32 @@ from matplotlib.markers import TICKLEFT, TICKRIGHT
 
 from ..attractors.find import Attractor
 from ..attractors.shares import share_text
-from ..scene.check import choice
+from ..scene.check import require_choice
 from .style import (
     COLOURS,
-    WALL,
-    are_of,
-    axes,
-    is_from,
-    legend,
-    of_parameter,
-    of_variable,
-    paler,
-    picture,
-    plain,
+    WALL_COLOUR,
+    add_legend,
+    axes_or_new,
+    checked_picture,
+    escape_formulas,
+    lighten,
+    parameter_axis,
+    require_dataset,
+    require_records,
     require_value,
     scales_of,
+    variable_axis,
 )
 
-SIZES = 2.2, 3.6  # points, of the first leg's dots: between these what there is room for
-ROOM = 0.7  # of the way from one value to the next
-SMALLER = 0.5  # of the size of the leg before: where legs agree a ring of it is seen, in print too
-FAINT = 0.7  # of that size
+DOT_SIZES = 2.2, 3.6  # points, of the first leg's dots: between these what there is room for
+DOT_SPACING = 0.7  # of the way from one value to the next
+LEG_SIZE_RATIO = 0.5  # of the size of the leg before: where legs agree a ring of it is seen, in print too
+FAINT_SIZE_RATIO = 0.7  # of that size
 MARKERS = "osD^vP*X"
-SWEPT = "swept"  # group id of dots
+SWEEP_GID = "swept"  # group id of dots
 
 
-@picture
+@checked_picture
 def diagram(
     swept: xr.Dataset, variable: str = "x", ax: Axes | None = None, faint: bool = False, units: str = "scene"
 ) -> Axes:
@@ -47,55 +47,61 @@ def diagram(
 
     Raises ArgumentError for what is no such Dataset, and for other units.
     """
-    is_from("diagram", "sweep", ("swept", "x", "v"), swept)
-    choice("variable", variable, ("x", "v"))
-    alone, scales = ax is None, scales_of(swept, units)
-    ax, name = axes(ax), swept.attrs["swept"]
-    wide, high = of_parameter(scales, name), of_variable(scales, variable)
-    step, *lanes = (dim for dim in swept[variable].dims if dim != "period")
-    legs = [swept] if not lanes else [swept.isel({lanes[0]: k}) for k in range(swept.sizes[lanes[0]])]
-    there = sum(line.get_gid() == SWEPT and np.size(line.get_xdata()) > 0 for line in ax.lines)
-    first = float(np.clip(ROOM * _points(ax) / len(swept[step]), *SIZES))
-    for k, leg in enumerate(legs, there):
-        across = np.broadcast_to(wide.size * leg[name].values[:, None], leg[variable].shape)
-        up = high.size * leg[variable].transpose(step, "period").values
-        _dots(ax, across, up, k, first, _named(leg, lanes) + f"from {across[0, 0]:g} to {across[-1, 0]:g}", faint)
+    require_dataset("diagram", "sweep", ("swept", "x", "v"), swept)
+    require_choice("variable", variable, ("x", "v"))
+    is_new, scales = ax is None, scales_of(swept, units)
+    ax, parameter = axes_or_new(ax), swept.attrs["swept"]
+    x_axis, y_axis = parameter_axis(scales, parameter), variable_axis(scales, variable)
+    step, *leg_dims = (dim for dim in swept[variable].dims if dim != "period")
+    legs = (
+        [swept]
+        if not leg_dims
+        else [swept.isel({leg_dims[0]: leg_index}) for leg_index in range(swept.sizes[leg_dims[0]])]
+    )
+    n_earlier_legs = sum(line.get_gid() == SWEEP_GID and np.size(line.get_xdata()) > 0 for line in ax.lines)
+    first_size = float(np.clip(DOT_SPACING * _axes_width(ax) / len(swept[step]), *DOT_SIZES))
+    for leg_index, leg in enumerate(legs, n_earlier_legs):
+        x = np.broadcast_to(x_axis.factor * leg[parameter].values[:, None], leg[variable].shape)
+        y = y_axis.factor * leg[variable].transpose(step, "period").values
+        _draw_dots(
+            ax, x, y, leg_index, first_size, _leg_prefix(leg, leg_dims) + f"from {x[0, 0]:g} to {x[-1, 0]:g}", faint
+        )
     if variable == "x":
-        _walls(ax, swept.attrs, high.size)
-    ax.set(xlabel=wide.label, ylabel=high.label)
+        _draw_walls(ax, swept.attrs, y_axis.factor)
+    ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     ax.margins(x=0.01)
-    legend(ax, alone)
+    add_legend(ax, is_new)
     return ax
 
 
-def _named(leg, lanes):
-    return plain(f"{leg[lanes[0]].values}: ") if lanes and lanes[0] in leg.coords else ""
+def _leg_prefix(leg, leg_dims):
+    return escape_formulas(f"{leg[leg_dims[0]].values}: ") if leg_dims and leg_dims[0] in leg.coords else ""
 
 
-def _walls(ax, attrs, size):
-    low, high = ax.get_ylim()
-    near = (high - low) / 4
+def _draw_walls(ax, attrs, factor):
+    lower, upper = ax.get_ylim()
+    tolerance = (upper - lower) / 4
     for side in ("left", "right"):
-        place = attrs.get(f"{side}.position")
-        stands = place is not None and f"{side}.motion.amplitude" not in attrs
-        if stands and low - near <= size * place <= high + near:
-            ax.axhline(size * place, color=WALL, linewidth=0.8, zorder=0)
+        position = attrs.get(f"{side}.position")
+        is_fixed = position is not None and f"{side}.motion.amplitude" not in attrs
+        if is_fixed and lower - tolerance <= factor * position <= upper + tolerance:
+            ax.axhline(factor * position, color=WALL_COLOUR, linewidth=0.8, zorder=0)
 
 
-def _points(ax):
+def _axes_width(ax):
     """The width of Axes, points."""
     return 72.0 * ax.figure.get_figwidth() * ax.get_position().width
 
 
-def _dots(ax, across, up, place, first, text, faint):
-    size, colour = first * SMALLER ** min(place, 2), COLOURS[place % len(COLOURS)]
-    style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": paler(colour) if faint else colour}
-    size, style["zorder"] = (FAINT * size, 2.0) if faint else (size, 4.0)
-    ax.plot(across.ravel(), up.ravel(), markersize=size, rasterized=True, label="_" + text, gid=SWEPT, **style)
-    ax.plot([], [], markersize=7 / (1 + 0.4 * place), label=text, **style)
+def _draw_dots(ax, x, y, leg_index, first_size, text, faint):
+    size, colour = first_size * LEG_SIZE_RATIO ** min(leg_index, 2), COLOURS[leg_index % len(COLOURS)]
+    style = {"linestyle": "none", "marker": "o", "markeredgewidth": 0, "color": lighten(colour) if faint else colour}
+    size, style["zorder"] = (FAINT_SIZE_RATIO * size, 2.0) if faint else (size, 4.0)
+    ax.plot(x.ravel(), y.ravel(), markersize=size, rasterized=True, label="_" + text, gid=SWEEP_GID, **style)
+    ax.plot([], [], markersize=7 / (1 + 0.4 * leg_index), label=text, **style)
 
 
-@picture
+@checked_picture
 def mark(
     attractors: tuple[Attractor, ...] | list[Attractor],
     value: float,
@@ -111,28 +117,32 @@ def mark(
 
     Raises ArgumentError for what is no tuple or list of `Attractor`s, and for other units.
     """
-    are_of("mark", Attractor, attractors)
+    require_records("mark", Attractor, attractors)
     require_value(value)
-    choice("variable", variable, ("x", "v"))
-    sizes = [of_variable(scales_of(one, units), variable).size for one in attractors]
-    ax = axes(ax)
-    shapes: dict[int, Any] = {}
-    ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
-    for place, one in enumerate(attractors):
-        if one.kind == "unresolved":
+    require_choice("variable", variable, ("x", "v"))
+    factors = [variable_axis(scales_of(attractor, units), variable).factor for attractor in attractors]
+    ax = axes_or_new(ax)
+    markers: dict[int, Any] = {}
+    ax.axvline(value, color=WALL_COLOUR, linewidth=0.8, linestyle=":", zorder=0)
+    for index, attractor in enumerate(attractors):
+        if attractor.kind == "unresolved":
             continue
-        twin = place if one.mirror_of is None else one.mirror_of
-        first = min(place, twin)
-        shape = shapes.setdefault(first, MARKERS[len(shapes) % len(MARKERS)])
-        up = sizes[place] * one.points[:, "xv".index(variable)]
-        if one.kind == "chaotic":
-            look: dict[str, Any] = {
-                "marker": TICKLEFT if place == first else TICKRIGHT,
+        mirror_index = index if attractor.mirror_of is None else attractor.mirror_of
+        first_index = min(index, mirror_index)
+        marker = markers.setdefault(first_index, MARKERS[len(markers) % len(MARKERS)])
+        y = factors[index] * attractor.points[:, "xv".index(variable)]
+        if attractor.kind == "chaotic":
+            marker_style: dict[str, Any] = {
+                "marker": TICKLEFT if index == first_index else TICKRIGHT,
                 "markeredgewidth": 0.3,
                 "zorder": 4,
             }
         else:
-            look = {"marker": shape, "markerfacecolor": "white" if place == first else "black", "zorder": 5}
-        text = f"{one.label}, {share_text(one)}"
-        ax.plot(np.full(len(up), value), up, color="black", markersize=5.5, linestyle="none", label=text, **look)
+            marker_style = {
+                "marker": marker,
+                "markerfacecolor": "white" if index == first_index else "black",
+                "zorder": 5,
+            }
+        text = f"{attractor.label}, {share_text(attractor)}"
+        ax.plot(np.full(len(y), value), y, color="black", markersize=5.5, linestyle="none", label=text, **marker_style)
     return ax

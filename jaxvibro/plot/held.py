@@ -5,19 +5,19 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
-from ..branches.held_branch import UNITS, HeldBranch
-from ..output.runs import runs
-from ..output.units import amount_text
-from .branch import STYLES, WIDTHS, stability_entries
-from .plane import in_plane, plane_gid, with_gid
-from .smooth import smooth
-from .style import COLOURS, axes, is_of, legend, picture, scales_of, wide
+from ..branches.held_branch import HELD_UNITS, HeldBranch
+from ..output.equal_runs import find_equal_runs
+from ..output.units import quantity_text
+from .branch import LINE_STYLES, LINE_WIDTHS, add_stability_legend
+from .parameter_plane import artists_with_gid, plane_gid, prepare_plane
+from .smooth_line import smooth_line
+from .style import COLOURS, add_legend, axes_or_new, checked_picture, require_record, scaled_line_width, scales_of
 
-HELD = "held"
-ORDER = tuple(COLOURS[k] for k in (6, 3, 5, 7, 0))  # loci have others first
+HELD_GID = "held"
+HELD_COLOURS = tuple(COLOURS[k] for k in (6, 3, 5, 7, 0))  # loci have others first
 
 
-@picture
+@checked_picture
 def held(one: HeldBranch, ax: Axes | None = None, colour: ColorType | None = None, units: str = "scene") -> Axes:
     """Draw a `HeldBranch` in the plane of its two parameters, the first across, the second up: the Axes.
 
@@ -28,24 +28,38 @@ def held(one: HeldBranch, ax: Axes | None = None, colour: ColorType | None = Non
     Raises ArgumentError for what is no `HeldBranch`, where the Axes hold curves of other parameters, or of these the
     other way round, and for other units.
     """
-    is_of("held", HeldBranch, one)
-    alone = ax is None
-    ax, sizes = in_plane(axes(ax), one.names, scales_of(one, units))
-    told = f"{one.held} {amount_text(scales_of(one, units), UNITS[one.held], one.value)} of {one.label}"
-    known = {str(line.get_label()).lstrip("_"): line.get_color() for line in with_gid(ax.lines, HELD)}
-    colour = colour or known.get(told, ORDER[len(known) % len(ORDER)])
-    line, steady = one.values * sizes, one.stable[:-1] & one.stable[1:]
-    for first, last in runs(steady):
-        here = bool(steady[first])
-        look: dict[str, Any] = {
+    require_record("held", HeldBranch, one)
+    is_new = ax is None
+    ax, factors = prepare_plane(axes_or_new(ax), one.names, scales_of(one, units))
+    legend_text = f"{one.held} {quantity_text(scales_of(one, units), HELD_UNITS[one.held], one.value)} of {one.label}"
+    label_colours = {
+        str(line.get_label()).lstrip("_"): line.get_color() for line in artists_with_gid(ax.lines, HELD_GID)
+    }
+    colour = colour or label_colours.get(legend_text, HELD_COLOURS[len(label_colours) % len(HELD_COLOURS)])
+    line, is_stable = one.values * factors, one.stable[:-1] & one.stable[1:]
+    for start, stop in find_equal_runs(is_stable):
+        stable = bool(is_stable[start])
+        line_style: dict[str, Any] = {
             "color": colour,
-            "linewidth": wide(WIDTHS[here]),
-            "linestyle": STYLES[here],
+            "linewidth": scaled_line_width(LINE_WIDTHS[stable]),
+            "linestyle": LINE_STYLES[stable],
             "zorder": 4,
         }
-        ax.plot(*smooth(*line[first : last + 1].T), label="_" + told, gid=plane_gid(HELD, one.names), **look)
-    if told not in known:
-        ax.plot([], [], label=told, gid=plane_gid(HELD, one.names), color=colour, linewidth=wide(WIDTHS[True]))
-    stability_entries(ax)
-    legend(ax, alone)
+        ax.plot(
+            *smooth_line(*line[start : stop + 1].T),
+            label="_" + legend_text,
+            gid=plane_gid(HELD_GID, one.names),
+            **line_style,
+        )
+    if legend_text not in label_colours:
+        ax.plot(
+            [],
+            [],
+            label=legend_text,
+            gid=plane_gid(HELD_GID, one.names),
+            color=colour,
+            linewidth=scaled_line_width(LINE_WIDTHS[True]),
+        )
+    add_stability_legend(ax)
+    add_legend(ax, is_new)
     return ax

@@ -8,14 +8,23 @@ from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
 from ..loci.locus import MEANINGS, Locus
-from ..output.labels import name_in
+from ..output.labels import translate_label
 from ..scene.check import ArgumentError
-from .plane import in_plane, plane_gid, with_gid
-from .smooth import smooth
-from .style import COLOURS, axes, is_of, legend, picture, plain, scales_of, wide
+from .parameter_plane import artists_with_gid, plane_gid, prepare_plane
+from .smooth_line import smooth_line
+from .style import (
+    COLOURS,
+    add_legend,
+    axes_or_new,
+    checked_picture,
+    escape_formulas,
+    require_record,
+    scaled_line_width,
+    scales_of,
+)
 
 # Of each kind: a colour, and a style that tells it without colour.
-LOOKS = {
+KIND_STYLES = {
     "SN": (COLOURS[0], "-"),
     "PD": (COLOURS[7], (0, (6, 2))),
     "SB": (COLOURS[5], (0, (7, 2, 1.5, 2))),
@@ -23,16 +32,16 @@ LOOKS = {
     "CH": (COLOURS[3], (0, (3, 1, 1, 1, 1, 1))),
     "RL": (COLOURS[1], (0, (10, 3))),
 }
-WIDTHS = (2.2, 1.4, 0.8)  # of the first, second and further loci of a kind, points
+LINE_WIDTHS = (2.2, 1.4, 0.8)  # of the first, second and further loci of a kind, points
 MARKERS = {"CP": "*", "GPD": "^", "DSB": "D", "GR": "v", "GG": "s", "RG": "o", "SN": "<", "PD": ">", "SB": "d"}
 MARKERS |= {"CH": "H", "RL": "8", "DG": "P"}
-SIZES = {"RG": 9.0}  # points; of others 6: loci that end on a grazing may do so at an RG, whose ring then shows
-FILLED = COLOURS[4]
+MARKER_SIZES = {"RG": 9.0}  # points; of others 6: loci that end on a grazing may do so at an RG, whose ring then shows
+MARKER_COLOUR = COLOURS[4]
 HATCHES = ("///", "\\\\\\", "...", "xxx", "")
-LOCUS, REGION = "locus", "region"
+LOCUS_GID, REGION_GID = "locus", "region"
 
 
-@picture
+@checked_picture
 def locus(
     one: Locus,
     ax: Axes | None = None,
@@ -50,46 +59,60 @@ def locus(
     Raises ArgumentError where the Axes hold loci of other parameters, or of these the other way round, and for other
     units and labels.
     """
-    is_of("locus", Locus, one)
-    alone = ax is None
-    ax, sizes = in_plane(axes(ax), one.names, scales_of(one, units))
-    told, (own, style) = name(one), LOOKS[one.kind]
-    lines = with_gid(ax.lines, LOCUS)
-    alike = [line for line in lines if line.get_label().lstrip("_") == told]
-    earlier = {line.get_label().lstrip("_") for line in lines} - {told}
-    rank = sum(each.startswith(f"{one.kind} ") for each in earlier)
-    look: dict[str, Any] = {
-        "color": colour or own,
-        "linestyle": style,
-        "linewidth": wide(WIDTHS[min(rank, len(WIDTHS) - 1)]),
+    require_record("locus", Locus, one)
+    is_new = ax is None
+    ax, factors = prepare_plane(axes_or_new(ax), one.names, scales_of(one, units))
+    legend_text, (kind_colour, dashes) = locus_name(one), KIND_STYLES[one.kind]
+    lines = artists_with_gid(ax.lines, LOCUS_GID)
+    same_lines = [line for line in lines if line.get_label().lstrip("_") == legend_text]
+    earlier_labels = {line.get_label().lstrip("_") for line in lines} - {legend_text}
+    rank = sum(label.startswith(f"{one.kind} ") for label in earlier_labels)
+    line_style: dict[str, Any] = {
+        "color": colour or kind_colour,
+        "linestyle": dashes,
+        "linewidth": scaled_line_width(LINE_WIDTHS[min(rank, len(LINE_WIDTHS) - 1)]),
     }
-    if alike:
-        look = {"linestyle": style, "color": colour or alike[0].get_color(), "linewidth": alike[0].get_linewidth()}
-    hidden = any(line.get_color() == look["color"] for line in alike)
-    line = smooth(*(one.values * sizes).T)
-    ax.plot(*line, label=f"_{told}" if hidden else told, gid=plane_gid(LOCUS, one.names), zorder=3, **look)
-    _points(ax, one, sizes, labels)
-    legend(ax, alone)
+    if same_lines:
+        line_style = {
+            "linestyle": dashes,
+            "color": colour or same_lines[0].get_color(),
+            "linewidth": same_lines[0].get_linewidth(),
+        }
+    is_listed = any(line.get_color() == line_style["color"] for line in same_lines)
+    line = smooth_line(*(one.values * factors).T)
+    ax.plot(
+        *line,
+        label=f"_{legend_text}" if is_listed else legend_text,
+        gid=plane_gid(LOCUS_GID, one.names),
+        zorder=3,
+        **line_style,
+    )
+    _draw_codim2_points(ax, one, factors, labels)
+    add_legend(ax, is_new)
     return ax
 
 
-def name(one):
+def locus_name(locus):
     """What a locus is called: "SN of P111"."""
-    return f"{one.kind} of {one.label}"
+    return f"{locus.kind} of {locus.label}"
 
 
-def _points(ax, one, sizes, labels):
-    known = [line.get_label() for line in ax.lines if line.get_gid() == "codimension two"]
-    for kind in dict.fromkeys(each.kind for each in one.special if each.kind != "EP"):
-        across, up = (np.array([list(each.values.values()) for each in one.points(kind)]) * sizes).T
-        text = f"{name_in(kind, labels)}: {MEANINGS.get(kind, f'end of a locus of {kind}')}"
-        told = f"_{text}" if text in known else text
-        look = {"marker": MARKERS[kind], "markersize": SIZES.get(kind, 6.0), "zorder": 7 - 0.1 * SIZES.get(kind, 6.0)}
-        look |= {"markerfacecolor": FILLED, "markeredgecolor": "black", "linestyle": "none"}
-        ax.plot(across, up, label=told, gid="codimension two", **look)
+def _draw_codim2_points(ax, locus, factors, labels):
+    known_labels = [line.get_label() for line in ax.lines if line.get_gid() == "codimension two"]
+    for kind in dict.fromkeys(special.kind for special in locus.special if special.kind != "EP"):
+        x, y = (np.array([list(special.values.values()) for special in locus.points(kind)]) * factors).T
+        text = f"{translate_label(kind, labels)}: {MEANINGS.get(kind, f'end of a locus of {kind}')}"
+        legend_text = f"_{text}" if text in known_labels else text
+        marker_style = {
+            "marker": MARKERS[kind],
+            "markersize": MARKER_SIZES.get(kind, 6.0),
+            "zorder": 7 - 0.1 * MARKER_SIZES.get(kind, 6.0),
+        }
+        marker_style |= {"markerfacecolor": MARKER_COLOUR, "markeredgecolor": "black", "linestyle": "none"}
+        ax.plot(x, y, label=legend_text, gid="codimension two", **marker_style)
 
 
-@picture
+@checked_picture
 def region(
     first: Locus,
     second: Locus,
@@ -107,28 +130,30 @@ def region(
     Raises ArgumentError where the two are not over the same parameters in the same order, where no such line meets
     both, and as `locus` does.
     """
-    is_of("region", Locus, first, second)
+    require_record("region", Locus, first, second)
     if not isinstance(text, str):
         raise ArgumentError("text", "must be a string", text)
     if first.names != second.names:
         raise ArgumentError("second", f"must be a locus in {' and '.join(first.names)}, as the first", second.names)
-    ax, sizes = in_plane(axes(ax), first.names, scales_of(first, units))
-    outlines = _outlines(first.values * sizes, second.values * sizes)
+    ax, factors = prepare_plane(axes_or_new(ax), first.names, scales_of(first, units))
+    outlines = _outlines(first.values * factors, second.values * factors)
     if not outlines:
         raise ArgumentError("second", f"must share values of {first.names[1]} with the first", repr(second))
-    earlier = len({patch.get_label() for patch in with_gid(ax.patches, REGION)} - {"_"})
-    look: dict[str, Any] = {
+    n_earlier = len({patch.get_label() for patch in artists_with_gid(ax.patches, REGION_GID)} - {"_"})
+    patch_style: dict[str, Any] = {
         "facecolor": colour or "0.5",
         "edgecolor": colour or "0.35",
-        "hatch": HATCHES[earlier % len(HATCHES)],
+        "hatch": HATCHES[n_earlier % len(HATCHES)],
     }
-    for place, outline in enumerate(outlines):
-        told = plain(text) if place == 0 else "_"
-        patch = ax.fill(*outline.T, label=told, gid=plane_gid(REGION, first.names), alpha=0.22, zorder=1, **look)[0]
+    for index, outline in enumerate(outlines):
+        legend_text = escape_formulas(text) if index == 0 else "_"
+        patch = ax.fill(
+            *outline.T, label=legend_text, gid=plane_gid(REGION_GID, first.names), alpha=0.22, zorder=1, **patch_style
+        )[0]
         patch.set_linewidth(0.0)
-    across, up = _widest(outlines)
-    box = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.5}
-    ax.text(across, up, plain(text), ha="center", va="center", zorder=8, fontsize="small", bbox=box)
+    x, y = _widest_point(outlines)
+    box_style = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 1.5}
+    ax.text(x, y, escape_formulas(text), ha="center", va="center", zorder=8, fontsize="small", bbox=box_style)
     return ax
 
 
@@ -138,39 +163,48 @@ def _outlines(first, second):
     Between two heights at which neither curve has a point both are straight; there, of all their pieces from left to
     right, each two neighbours of different curves have a part of the region between them.
     """
-    heights = np.unique(np.concatenate([first[:, 1], second[:, 1]]))
+    levels = np.unique(np.concatenate([first[:, 1], second[:, 1]]))
     parts, open_parts = [], []
-    for low, high in pairwise(heights):
-        pieces = [(*piece, curve) for curve, one in enumerate((first, second)) for piece in _pieces(one, low, high)]
+    for lower, upper in pairwise(levels):
+        pieces = [
+            (*piece, curve_index)
+            for curve_index, element in enumerate((first, second))
+            for piece in _level_crossings(element, lower, upper)
+        ]
         pieces.sort(key=lambda piece: piece[0] + piece[1])
-        pairs = [(one, other) for one, other in pairwise(pieces) if one[2] != other[2]]
+        pairs = [(element, neighbour) for element, neighbour in pairwise(pieces) if element[2] != neighbour[2]]
         if len(pairs) != len(open_parts):
             open_parts = [([], []) for _ in pairs]
             parts += open_parts
-        for (left, right), (one, other) in zip(open_parts, pairs, strict=True):
-            left += [(one[0], low), (one[1], high)]
-            right += [(other[0], low), (other[1], high)]
-    return [np.array([*left, *reversed(right)]) for left, right in parts]
+        for (left_edge, right_edge), (element, neighbour) in zip(open_parts, pairs, strict=True):
+            left_edge += [(element[0], lower), (element[1], upper)]
+            right_edge += [(neighbour[0], lower), (neighbour[1], upper)]
+    return [np.array([*left_edge, *reversed(right_edge)]) for left_edge, right_edge in parts]
 
 
-def _pieces(curve, low, high):
+def _level_crossings(curve, lower, upper):
     """(across at the one height, at the other) of each piece of a curve that reaches from the one to the other."""
-    ends = np.sort(np.stack([curve[:-1, 1], curve[1:, 1]]), axis=0)
-    for place in np.flatnonzero((ends[0] <= low) & (high <= ends[1])):
-        (left, down), (right, up) = curve[place : place + 2]
-        yield tuple(left + (height - down) / (up - down) * (right - left) for height in (low, high))
+    piece_levels = np.sort(np.stack([curve[:-1, 1], curve[1:, 1]]), axis=0)
+    for index in np.flatnonzero((piece_levels[0] <= lower) & (upper <= piece_levels[1])):
+        (x_start, y_start), (x_end, y_end) = curve[index : index + 2]
+        yield tuple(x_start + (level - y_start) / (y_end - y_start) * (x_end - x_start) for level in (lower, upper))
 
 
-def _widest(outlines):
+def _widest_point(outlines):
     """A point in the middle of where the largest region is wide, not close to its ends."""
-    best, where = -np.inf, None
-    heights = np.concatenate(outlines)[:, 1]
-    largest = max(np.ptp(one[:, 0]) for one in outlines)
-    for one in outlines:
-        left, right = one[: len(one) // 2], one[len(one) // 2 :][::-1]
-        room = np.minimum(left[:, 1] - left[0, 1], left[-1, 1] - left[:, 1]) / np.ptp(heights)
-        size = np.minimum(abs(right[:, 0] - left[:, 0]) / largest, 2.0 * room)
-        place = int(np.argmax(size))
-        if size[place] > best:
-            best, where = size[place], (0.5 * (left[place, 0] + right[place, 0]), left[place, 1])
-    return where
+    best_width, best_point = -np.inf, None
+    levels = np.concatenate(outlines)[:, 1]
+    max_width = max(np.ptp(outline[:, 0]) for outline in outlines)
+    for outline in outlines:
+        left_edge, right_edge = outline[: len(outline) // 2], outline[len(outline) // 2 :][::-1]
+        end_distance = np.minimum(left_edge[:, 1] - left_edge[0, 1], left_edge[-1, 1] - left_edge[:, 1]) / np.ptp(
+            levels
+        )
+        width_score = np.minimum(abs(right_edge[:, 0] - left_edge[:, 0]) / max_width, 2.0 * end_distance)
+        index = int(np.argmax(width_score))
+        if width_score[index] > best_width:
+            best_width, best_point = (
+                width_score[index],
+                (0.5 * (left_edge[index, 0] + right_edge[index, 0]), left_edge[index, 1]),
+            )
+    return best_point

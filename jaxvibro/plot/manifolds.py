@@ -7,14 +7,24 @@ import xarray as xr
 from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
-from .style import COLOURS, WALL, axes, is_from, legend, of_plane, picture, plain, scales_of
+from .style import (
+    COLOURS,
+    WALL_COLOUR,
+    add_legend,
+    axes_or_new,
+    checked_picture,
+    escape_formulas,
+    phase_plane_axes,
+    require_dataset,
+    scales_of,
+)
 
 # Why a curve ends; it goes on beyond a grazing, and an impact at the section's phase.
-ENDS = {"attractor": "o", "length": "s", "points": "D", "resolution": "^", "fast": "v"}
-LOOKS = {"stable": (COLOURS[2], "-"), "unstable": (COLOURS[7], (0, (5, 2)))}
+END_MARKERS = {"attractor": "o", "length": "s", "points": "D", "resolution": "^", "fast": "v"}
+KIND_STYLES = {"stable": (COLOURS[2], "-"), "unstable": (COLOURS[7], (0, (5, 2)))}
 
 
-@picture
+@checked_picture
 def manifold(
     dataset: xr.Dataset,
     ax: Axes | None = None,
@@ -31,52 +41,60 @@ def manifold(
 
     Raises ArgumentError for what is no such Dataset, and for other units.
     """
-    is_from("manifold", "manifold", ("kind", "piece", "x", "v"), dataset)
-    across, up = of_plane(scales_of(dataset, units))
-    alone, ax = ax is None, axes(ax)
-    own, style = LOOKS[dataset.attrs["kind"]]
+    require_dataset("manifold", "manifold", ("kind", "piece", "x", "v"), dataset)
+    x_axis, y_axis = phase_plane_axes(scales_of(dataset, units))
+    is_new, ax = ax is None, axes_or_new(ax)
+    kind_colour, dashes = KIND_STYLES[dataset.attrs["kind"]]
     breaks = np.flatnonzero(np.diff(dataset["piece"].values)) + 1
-    states = across.size * dataset["x"].values, up.size * dataset["v"].values
-    x, v = (np.insert(each, breaks, np.nan) for each in states)
-    told = f"{dataset.attrs['kind']} manifold of {plain(dataset.attrs['label'])}"
-    look: dict[str, Any] = {"color": colour or own, "linestyle": style, "linewidth": 0.9}
-    ax.plot(x, v, label=told, gid="manifold", zorder=2, **look)
+    states = x_axis.factor * dataset["x"].values, y_axis.factor * dataset["v"].values
+    x, v = (np.insert(coordinate, breaks, np.nan) for coordinate in states)
+    legend_text = f"{dataset.attrs['kind']} manifold of {escape_formulas(dataset.attrs['label'])}"
+    line_style: dict[str, Any] = {"color": colour or kind_colour, "linestyle": dashes, "linewidth": 0.9}
+    ax.plot(x, v, label=legend_text, gid="manifold", zorder=2, **line_style)
     if saddle:
-        first = np.flatnonzero(dataset["arc"].values == 0)
-        dots: dict[str, Any] = {
+        start_rows = np.flatnonzero(dataset["arc"].values == 0)
+        marker_style: dict[str, Any] = {
             "linestyle": "none",
             "marker": "X",
             "markersize": 8,
             "color": "white",
             "markeredgecolor": "black",
         }
-        ax.plot(*(each[first] for each in states), gid="saddle", zorder=4, **dots)
-    _ends(ax, dataset, states, look["color"])
-    _walls(ax, dataset.attrs, across.size)
-    ax.set(xlabel=across.label, ylabel=up.label)
-    legend(ax, alone)
+        ax.plot(*(coordinate[start_rows] for coordinate in states), gid="saddle", zorder=4, **marker_style)
+    _mark_ends(ax, dataset, states, line_style["color"])
+    _draw_walls(ax, dataset.attrs, x_axis.factor)
+    ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
+    add_legend(ax, is_new)
     return ax
 
 
-def _ends(ax, dataset, states, colour):
+def _mark_ends(ax, dataset, states, colour):
     """Marks where pieces begin and end, a kind for each reason."""
-    piece = dataset["piece"].values
-    known = {line.get_label() for line in ax.lines if line.get_gid() == "end"}
-    first, last = np.searchsorted(piece, np.unique(piece)), np.searchsorted(piece, np.unique(piece), "right") - 1
-    places = np.append(first, last)
+    pieces = dataset["piece"].values
+    known_labels = {line.get_label() for line in ax.lines if line.get_gid() == "end"}
+    starts, stops = np.searchsorted(pieces, np.unique(pieces)), np.searchsorted(pieces, np.unique(pieces), "right") - 1
+    end_rows = np.append(starts, stops)
     reasons = np.append(*(dataset[name].values.astype(str) for name in ("began", "ended")))
-    for reason, marker in ENDS.items():
-        here, told = places[reasons == reason], f"end: {reason}"
-        if not len(here):
+    for reason, marker in END_MARKERS.items():
+        rows, legend_text = end_rows[reasons == reason], f"end: {reason}"
+        if not len(rows):
             continue
-        look = {"marker": marker, "markersize": 4.5, "markerfacecolor": "white"}
-        look |= {"linestyle": "none", "markeredgecolor": colour, "label": f"_{told}" if told in known else told}
-        ax.plot(*(each[here] for each in states), gid="end", zorder=3.5, **look)
+        marker_style = {"marker": marker, "markersize": 4.5, "markerfacecolor": "white"}
+        marker_style |= {
+            "linestyle": "none",
+            "markeredgecolor": colour,
+            "label": f"_{legend_text}" if legend_text in known_labels else legend_text,
+        }
+        ax.plot(*(coordinate[rows] for coordinate in states), gid="end", zorder=3.5, **marker_style)
 
 
-def _walls(ax, attrs, size):
-    known = [line.get_xdata()[0] for line in ax.lines if line.get_gid() == "wall"]
+def _draw_walls(ax, attrs, factor):
+    known_positions = [line.get_xdata()[0] for line in ax.lines if line.get_gid() == "wall"]
     for side in ("left", "right"):
-        place = attrs.get(f"{side}.position")
-        if place is not None and f"{side}.motion.amplitude" not in attrs and size * place not in known:
-            ax.axvline(size * place, color=WALL, linewidth=0.8, zorder=1, gid="wall")
+        position = attrs.get(f"{side}.position")
+        if (
+            position is not None
+            and f"{side}.motion.amplitude" not in attrs
+            and factor * position not in known_positions
+        ):
+            ax.axvline(factor * position, color=WALL_COLOUR, linewidth=0.8, zorder=1, gid="wall")

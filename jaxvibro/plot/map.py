@@ -8,19 +8,19 @@ from matplotlib.patches import Patch
 
 from ..output import label_codes
 from ..scene.check import ArgumentError
-from .plane import in_plane
-from .style import axes, edges, is_from, picture, plain, scales_of
+from .parameter_plane import prepare_plane
+from .style import axes_or_new, cell_edges, checked_picture, escape_formulas, require_dataset, scales_of
 
 # Of orbits of 1, 2, ... periods; Okabe and Ito's, and two that differ from them in lightness. Further ones begin anew.
-HUES = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#B5A000", "#7A4B9E")
-WHITE = (0.75, 0.0, 0.35, 0.55, 0.18)  # how much of it there is, by the number of an orbit's impacts
-ONE_SIDED = 0.1  # more of it where the left wall is hit more often than the right one
-OTHERS = {label_codes.CHAOTIC: "#303030", label_codes.UNDECIDED: "#C9C9C9", label_codes.NOT_DONE: "#FFFFFF"}
-MOST = 12  # labels that the legend tells
-AROUND_ZERO = ("exponent",)  # quantities whose sign matters
+PERIOD_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", "#B5A000", "#7A4B9E")
+WHITE_SHARES = (0.75, 0.0, 0.35, 0.55, 0.18)  # how much of it there is, by the number of an orbit's impacts
+ASYMMETRY_WHITE = 0.1  # more of it where the left wall is hit more often than the right one
+SPECIAL_COLOURS = {label_codes.CHAOTIC: "#303030", label_codes.UNDECIDED: "#C9C9C9", label_codes.NOT_DONE: "#FFFFFF"}
+MAX_LEGEND_LABELS = 12  # labels that the legend tells
+SIGNED_QUANTITIES = ("exponent",)  # quantities whose sign matters
 
 
-@picture
+@checked_picture
 def map(
     data: xr.Dataset,
     ax: Axes | None = None,
@@ -38,28 +38,33 @@ def map(
 
     Raises ArgumentError for what is no such Dataset, and for other quantities and units.
     """
-    is_from("map", "map_parameters", ("label", "scene_file"), data)
+    require_dataset("map", "map_parameters", ("label", "scene_file"), data)
     if not isinstance(quantity, str) or quantity not in data.data_vars:
-        raise ArgumentError("quantity", f"must be one of {_words(data.data_vars)}", quantity)
-    drawn = data[quantity]
-    if drawn.ndim != 2 or not set(drawn.dims) <= set(data.coords):
+        raise ArgumentError("quantity", f"must be one of {_join_names(data.data_vars)}", quantity)
+    quantity_data = data[quantity]
+    if quantity_data.ndim != 2 or not set(quantity_data.dims) <= set(data.coords):
         rule = "must have two parameters as dimensions: choose from the others first, as data.sel(way=1)"
-        raise ArgumentError("quantity", rule, f"{quantity} along {_words(drawn.dims)}")
-    up, across = (str(name) for name in drawn.dims)
-    ax, sizes = in_plane(axes(ax), (across, up), scales_of(data, units))
-    cells = [edges(size * data[name].values) for name, size in zip((across, up), sizes, strict=True)]
+        raise ArgumentError("quantity", rule, f"{quantity} along {_join_names(quantity_data.dims)}")
+    y_name, x_name = (str(name) for name in quantity_data.dims)
+    ax, factors = prepare_plane(axes_or_new(ax), (x_name, y_name), scales_of(data, units))
+    borders = [cell_edges(factor * data[name].values) for name, factor in zip((x_name, y_name), factors, strict=True)]
     if quantity == "label":
-        codes = np.unique(drawn.values)
-        places, listed = np.searchsorted(codes, drawn.values), [label_colour(code) for code in codes.tolist()]
+        codes = np.unique(quantity_data.values)
+        colour_indices, palette = (
+            np.searchsorted(codes, quantity_data.values),
+            [label_colour(code) for code in codes.tolist()],
+        )
         norm = BoundaryNorm(np.arange(-0.5, len(codes)), max(len(codes), 2))
-        image = ax.pcolorfast(*cells, places, cmap=ListedColormap(listed + listed[:1]), norm=norm, zorder=0)
+        image = ax.pcolorfast(*borders, colour_indices, cmap=ListedColormap(palette + palette[:1]), norm=norm, zorder=0)
     else:
-        look = {"cmap": "PuOr_r", "norm": CenteredNorm()} if quantity in AROUND_ZERO else {"cmap": "cividis"}
-        image = ax.pcolorfast(*cells, np.ma.masked_invalid(drawn.values), zorder=0, **look)
+        colour_style = (
+            {"cmap": "PuOr_r", "norm": CenteredNorm()} if quantity in SIGNED_QUANTITIES else {"cmap": "cividis"}
+        )
+        image = ax.pcolorfast(*borders, np.ma.masked_invalid(quantity_data.values), zorder=0, **colour_style)
     image.set_rasterized(True)
-    ax.set(xlim=cells[0][[0, -1]], ylim=cells[1][[0, -1]])
+    ax.set(xlim=borders[0][[0, -1]], ylim=borders[1][[0, -1]])
     if legend and quantity == "label":
-        handles = _entries(drawn.values)
+        handles = _legend_handles(quantity_data.values)
         ax.legend(
             handles=handles,
             loc="upper center",
@@ -69,34 +74,36 @@ def map(
             fontsize="small",
         )
     elif legend:
-        unit = drawn.attrs.get("units", "")
-        told = plain(str(drawn.attrs.get("long_name", quantity)))
-        ax.figure.colorbar(image, ax=ax, label=told if unit in ("", "1") else f"{told} ({plain(unit)})")
+        unit = quantity_data.attrs.get("units", "")
+        label = escape_formulas(str(quantity_data.attrs.get("long_name", quantity)))
+        ax.figure.colorbar(image, ax=ax, label=label if unit in ("", "1") else f"{label} ({escape_formulas(unit)})")
     return ax
 
 
 def label_colour(code: int) -> str:
     """The colour of a label's code, the same in all maps."""
-    if code in OTHERS:
-        return OTHERS[code]
-    n, hits = int(label_codes.period_of(code)), [code // label_codes.LEFT % 1000, code % 1000]
-    own = np.array(to_rgb(HUES[(n - 1) % len(HUES)]))
-    white = WHITE[sum(hits) % len(WHITE)] + (ONE_SIDED if hits[0] > hits[1] else 0.0)
-    return to_hex(tuple(own + (1.0 - own) * white))
+    if code in SPECIAL_COLOURS:
+        return SPECIAL_COLOURS[code]
+    period, impact_counts = int(label_codes.period_of(code)), [code // label_codes.LEFT_FACTOR % 1000, code % 1000]
+    hue = np.array(to_rgb(PERIOD_COLOURS[(period - 1) % len(PERIOD_COLOURS)]))
+    white_share = WHITE_SHARES[sum(impact_counts) % len(WHITE_SHARES)] + (
+        ASYMMETRY_WHITE if impact_counts[0] > impact_counts[1] else 0.0
+    )
+    return to_hex(tuple(hue + (1.0 - hue) * white_share))
 
 
-def _entries(codes):
+def _legend_handles(codes):
     """The legend: an entry for each of the most frequent labels, and how many there are besides."""
-    found, counts = np.unique(codes, return_counts=True)
-    order = np.lexsort((found, -counts))
-    entries = [
+    unique_codes, counts = np.unique(codes, return_counts=True)
+    order = np.lexsort((unique_codes, -counts))
+    handles = [
         Patch(facecolor=label_colour(code), edgecolor="0.4", linewidth=0.5, label=label_codes.label_of(code))
-        for code in found[order[:MOST]].tolist()
+        for code in unique_codes[order[:MAX_LEGEND_LABELS]].tolist()
     ]
-    if len(found) > MOST:
-        entries.append(Patch(facecolor="none", label=f"and {len(found) - MOST} more"))
-    return entries
+    if len(unique_codes) > MAX_LEGEND_LABELS:
+        handles.append(Patch(facecolor="none", label=f"and {len(unique_codes) - MAX_LEGEND_LABELS} more"))
+    return handles
 
 
-def _words(names):
+def _join_names(names):
     return ", ".join(str(name) for name in names)

@@ -7,15 +7,25 @@ from matplotlib.axes import Axes
 
 from ..maps.simulate import simulate
 from ..orbits.orbit import Orbit
-from ..scene.check import choice
+from ..scene.check import require_choice
 from .portrait import portrait
-from .style import COLOURS, WALL, are_of, axes, is_of, of_variable, picture, require_value, scales_of
+from .style import (
+    COLOURS,
+    WALL_COLOUR,
+    axes_or_new,
+    checked_picture,
+    require_record,
+    require_records,
+    require_value,
+    scales_of,
+    variable_axis,
+)
 
-SAMPLES = 400  # of a drive period
-COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a diagram
+SAMPLES_PER_PERIOD = 400  # of a drive period
+ORBIT_COLOUR, MARKERS = COLOURS[5], "^dv<>pXP"  # in a diagram
 
 
-@picture
+@checked_picture
 def orbit(one: Orbit, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw an `Orbit` of `find_orbit` or `find_orbits` in the phase plane, as `portrait` does: the Axes.
 
@@ -24,27 +34,27 @@ def orbit(one: Orbit, ax: Axes | None = None, units: str = "scene") -> Axes:
 
     Raises ArgumentError as `simulate` and `portrait` do.
     """
-    is_of("orbit", Orbit, one)
-    ax = portrait(simulate(one.scene, one.state, one.periods, SAMPLES), one.scene, ax, one.stable, units)
-    ax.set_title(title(one), fontsize="medium")
+    require_record("orbit", Orbit, one)
+    ax = portrait(simulate(one.scene, one.state, one.periods, SAMPLES_PER_PERIOD), one.scene, ax, one.stable, units)
+    ax.set_title(orbit_title(one), fontsize="medium")
     return ax
 
 
-def title(one):
+def orbit_title(orbit):
     """An `Orbit`'s label, its stability and its larger multiplier, or both where they are complex."""
-    first = one.multipliers[0]
-    told = f"multiplier {first.real:.5g}"
-    if first.imag:
-        told = f"multipliers {first.real:.4g} ± {abs(first.imag):.4g}i"
-    where = f", state at phase {one.state.phase:.4g}" if one.state.phase else ""
-    return f"{one.label}, {_stability(one)}, {told}{where}"
+    multiplier = orbit.multipliers[0]
+    multiplier_text = f"multiplier {multiplier.real:.5g}"
+    if multiplier.imag:
+        multiplier_text = f"multipliers {multiplier.real:.4g} ± {abs(multiplier.imag):.4g}i"
+    phase_text = f", state at phase {orbit.state.phase:.4g}" if orbit.state.phase else ""
+    return f"{orbit.label}, {_stability_word(orbit)}, {multiplier_text}{phase_text}"
 
 
-def _stability(one):
-    return "stable" if one.stable else "unstable"
+def _stability_word(orbit):
+    return "stable" if orbit.stable else "unstable"
 
 
-@picture
+@checked_picture
 def mark_orbits(
     orbits: tuple[Orbit, ...] | list[Orbit],
     value: float,
@@ -60,30 +70,32 @@ def mark_orbits(
 
     Raises ArgumentError for what is no tuple or list of `Orbit`s, and for other units.
     """
-    are_of("mark_orbits", Orbit, orbits)
+    require_records("mark_orbits", Orbit, orbits)
     require_value(value)
-    choice("variable", variable, ("x", "v"))
-    sizes = [of_variable(scales_of(one, units), variable).size for one in orbits]
-    ax = axes(ax)
-    shapes: dict[int, Any] = {}
-    ax.axvline(value, color=WALL, linewidth=0.8, linestyle=":", zorder=0)
-    for place, one in enumerate(orbits):
-        twin = place if one.mirror_of is None else one.mirror_of
-        first = min(place, twin)
-        new = first not in shapes
-        shape = shapes.setdefault(first, MARKERS[len(shapes) % len(MARKERS)])
-        up = sizes[place] * _section(one)["xv".index(variable)]
-        look = {"marker": shape, "markerfacecolor": COLOUR if one.stable else "white", "zorder": 6}
-        image = " and mirror image" if twin != place else ""
-        text = f"{one.label}{image}, {_stability(one)}" if new else None
-        ax.plot(np.full(len(up), value), up, color=COLOUR, markersize=5.5, linestyle="none", label=text, **look)
+    require_choice("variable", variable, ("x", "v"))
+    factors = [variable_axis(scales_of(orbit, units), variable).factor for orbit in orbits]
+    ax = axes_or_new(ax)
+    markers: dict[int, Any] = {}
+    ax.axvline(value, color=WALL_COLOUR, linewidth=0.8, linestyle=":", zorder=0)
+    for index, orbit in enumerate(orbits):
+        mirror_index = index if orbit.mirror_of is None else orbit.mirror_of
+        first_index = min(index, mirror_index)
+        is_new = first_index not in markers
+        marker = markers.setdefault(first_index, MARKERS[len(markers) % len(MARKERS)])
+        y = factors[index] * _section_points(orbit)["xv".index(variable)]
+        marker_style = {"marker": marker, "markerfacecolor": ORBIT_COLOUR if orbit.stable else "white", "zorder": 6}
+        image_text = " and mirror image" if mirror_index != index else ""
+        text = f"{orbit.label}{image_text}, {_stability_word(orbit)}" if is_new else None
+        ax.plot(
+            np.full(len(y), value), y, color=ORBIT_COLOUR, markersize=5.5, linestyle="none", label=text, **marker_style
+        )
     return ax
 
 
-def _section(one):
+def _section_points(orbit):
     """x and v at phase 0 of each of an orbit's periods, two arrays of shape (periods,): the nearest samples."""
-    motion = simulate(one.scene, one.state, one.periods, SAMPLES)
-    turns = motion["phase"].values[:-1] / (2 * np.pi)
-    where = abs(turns - np.round(turns)).reshape(one.periods, SAMPLES).argmin(axis=1)
-    where += SAMPLES * np.arange(one.periods)
-    return motion["x"].values[where], motion["v"].values[where]
+    trajectory = simulate(orbit.scene, orbit.state, orbit.periods, SAMPLES_PER_PERIOD)
+    periods = trajectory["phase"].values[:-1] / (2 * np.pi)
+    rows = abs(periods - np.round(periods)).reshape(orbit.periods, SAMPLES_PER_PERIOD).argmin(axis=1)
+    rows += SAMPLES_PER_PERIOD * np.arange(orbit.periods)
+    return trajectory["x"].values[rows], trajectory["v"].values[rows]

@@ -7,11 +7,20 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from ..scene.scene import Scene
-from .path import with_impacts
-from .style import COLOURS, WALL, axes, is_from, is_of, of_plane, picture, scales_of
+from .impact_path import insert_impacts
+from .style import (
+    COLOURS,
+    WALL_COLOUR,
+    axes_or_new,
+    checked_picture,
+    phase_plane_axes,
+    require_dataset,
+    require_record,
+    scales_of,
+)
 
 
-@picture
+@checked_picture
 def portrait(
     trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, stable: bool = True, units: str = "scene"
 ) -> Axes:
@@ -23,32 +32,44 @@ def portrait(
 
     Raises ArgumentError for what is no such Dataset, or no `Scene`, and for other units.
     """
-    is_from("portrait", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
-    is_of("portrait", Scene, scene)
-    across, up = of_plane(scales_of(trajectory, units))
-    ax = axes(ax)
-    _walls(ax, scene, across.size)
-    _, x, v, jumps = with_impacts(trajectory, scene)
-    x, v = across.size * x, up.size * v
-    line, broken = ("-", "--") if stable else ((0, (6, 2)), ":")
-    ax.plot(x, v, color=COLOURS[0 if stable else 7], linewidth=1.0, linestyle=line)
-    ends = np.stack([jumps, jumps + 2, jumps + 1], -1).ravel()  # before, after, nan
-    ax.plot(x[ends], v[ends], color=COLOURS[1], linewidth=1.2, linestyle=broken)
-    turns = trajectory["phase"].values / (2 * np.pi)
-    whole = np.flatnonzero(abs(turns - turns[0] - np.round(turns - turns[0])) < 1e-6)[1:]
-    dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 4, "color": COLOURS[2], "zorder": 3}
-    dots["markerfacecolor"] = COLOURS[2] if stable else "white"
-    ax.plot(across.size * trajectory["x"].values[whole], up.size * trajectory["v"].values[whole], **dots)
-    ax.set(xlabel=across.label, ylabel=up.label)
+    require_dataset("portrait", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
+    require_record("portrait", Scene, scene)
+    x_axis, y_axis = phase_plane_axes(scales_of(trajectory, units))
+    ax = axes_or_new(ax)
+    _draw_walls(ax, scene, x_axis.factor)
+    _, x, v, impact_rows = insert_impacts(trajectory, scene)
+    x, v = x_axis.factor * x, y_axis.factor * v
+    dashes, impact_dashes = ("-", "--") if stable else ((0, (6, 2)), ":")
+    ax.plot(x, v, color=COLOURS[0 if stable else 7], linewidth=1.0, linestyle=dashes)
+    impact_entries = np.stack([impact_rows, impact_rows + 2, impact_rows + 1], -1).ravel()  # before, after, nan
+    ax.plot(x[impact_entries], v[impact_entries], color=COLOURS[1], linewidth=1.2, linestyle=impact_dashes)
+    periods = trajectory["phase"].values / (2 * np.pi)
+    section_rows = np.flatnonzero(abs(periods - periods[0] - np.round(periods - periods[0])) < 1e-6)[1:]
+    marker_style: dict[str, Any] = {
+        "linestyle": "none",
+        "marker": "o",
+        "markersize": 4,
+        "color": COLOURS[2],
+        "zorder": 3,
+    }
+    marker_style["markerfacecolor"] = COLOURS[2] if stable else "white"
+    ax.plot(
+        x_axis.factor * trajectory["x"].values[section_rows],
+        y_axis.factor * trajectory["v"].values[section_rows],
+        **marker_style,
+    )
+    ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     ax.locator_params(axis="x", nbins=6)
     return ax
 
 
-def _walls(ax, scene, size):
+def _draw_walls(ax, scene, factor):
     for wall in (scene.left, scene.right):
         if wall is None:
             continue
-        swing = 0.0 if wall.motion is None else size * abs(float(wall.motion.amplitude))
-        place = size * float(wall.position)
-        ax.axvspan(place - swing, place + swing, color=WALL, alpha=0.3, linewidth=0, zorder=0)
-        ax.axvline(place, color=WALL, linewidth=1.0, zorder=0)
+        wall_amplitude = 0.0 if wall.motion is None else factor * abs(float(wall.motion.amplitude))
+        position = factor * float(wall.position)
+        ax.axvspan(
+            position - wall_amplitude, position + wall_amplitude, color=WALL_COLOUR, alpha=0.3, linewidth=0, zorder=0
+        )
+        ax.axvline(position, color=WALL_COLOUR, linewidth=1.0, zorder=0)

@@ -8,13 +8,13 @@ from matplotlib.axes import Axes
 from matplotlib.typing import ColorType
 
 from ..scene.check import ArgumentError
-from .style import COLOURS, axes, is_from, of_plane, picture, scales_of
+from .style import COLOURS, axes_or_new, checked_picture, phase_plane_axes, require_dataset, scales_of
 
-WALLS = ("left", "right")
-NARROW = 0.01  # of the middle of an axis
+SIDES = ("left", "right")
+MIN_RELATIVE_RANGE = 0.01  # of the middle of an axis
 
 
-@picture
+@checked_picture
 def section(
     dataset: xr.Dataset,
     which: str = "sigma",
@@ -29,10 +29,10 @@ def section(
 
     Raises ArgumentError for what is no such Dataset, and for another section or other units.
     """
-    is_from("section", "sections", ("x", "v"), dataset)
-    across, up = of_plane(scales_of(dataset, units))
-    ax = axes(ax)
-    look: dict[str, Any] = {
+    require_dataset("section", "sections", ("x", "v"), dataset)
+    x_axis, y_axis = phase_plane_axes(scales_of(dataset, units))
+    ax = axes_or_new(ax)
+    marker_style: dict[str, Any] = {
         "linestyle": "none",
         "marker": ".",
         "markersize": 2.0,
@@ -40,21 +40,23 @@ def section(
         "rasterized": True,
     }
     if which == "sigma":
-        ax.plot(across.size * dataset["x"].values, up.size * dataset["v"].values, **look)
-        ax.set(xlabel=across.label, ylabel=up.label)
-        return _roomy(ax)
-    if which not in WALLS:
+        ax.plot(x_axis.factor * dataset["x"].values, y_axis.factor * dataset["v"].values, **marker_style)
+        ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
+        return _widen_limits(ax)
+    if which not in SIDES:
         raise ArgumentError("which", 'must be "sigma", "left" or "right"', which)
-    ax.plot(dataset[f"{which}_phase"].values / np.pi, up.size * dataset[f"{which}_velocity"].values, **look)
+    ax.plot(
+        dataset[f"{which}_phase"].values / np.pi, y_axis.factor * dataset[f"{which}_velocity"].values, **marker_style
+    )
     ax.set(xlabel=r"phase of the drive at the impact $\,/\,\pi$", xlim=(0.0, 2.0))
-    ax.set_ylabel(up.label.replace("velocity", "velocity after it"))
-    return _roomy(ax)
+    ax.set_ylabel(y_axis.label.replace("velocity", "velocity after it"))
+    return _widen_limits(ax)
 
 
-def _roomy(ax):
+def _widen_limits(ax):
     """Axes in which what is the same but for rounding, as states of a period, is one dot: no axis is so narrow."""
-    for low, high, take in ((*ax.get_xlim(), ax.set_xlim), (*ax.get_ylim(), ax.set_ylim)):
-        middle = 0.5 * (low + high)
-        if high - low < NARROW * abs(middle):
-            take(middle - NARROW * abs(middle), middle + NARROW * abs(middle))
+    for lower, upper, set_limits in ((*ax.get_xlim(), ax.set_xlim), (*ax.get_ylim(), ax.set_ylim)):
+        middle = 0.5 * (lower + upper)
+        if upper - lower < MIN_RELATIVE_RANGE * abs(middle):
+            set_limits(middle - MIN_RELATIVE_RANGE * abs(middle), middle + MIN_RELATIVE_RANGE * abs(middle))
     return ax

@@ -6,16 +6,25 @@ import numpy as np
 import xarray as xr
 from matplotlib.axes import Axes
 
-from .style import COLOURS, WALL, axes, is_from, legend, of_parameter, picture, scales_of
+from .style import (
+    COLOURS,
+    WALL_COLOUR,
+    add_legend,
+    axes_or_new,
+    checked_picture,
+    parameter_axis,
+    require_dataset,
+    scales_of,
+)
 
-SURE = 3.0  # standard errors by which the first exponent must exceed 0, for a value to be shaded as chaotic
-BAND = 2.0  # standard errors to either side
-SHADE, PALE = "0.85", 0.35
-NAMES = ("first exponent", "second exponent")
-STYLES = (("-", 1.3, COLOURS[0]), ("--", 1.0, COLOURS[7]))  # told apart in grey by dashes and width
+CHAOS_SIGMAS = 3.0  # standard errors by which the first exponent must exceed 0, for a value to be shaded as chaotic
+BAND_SIGMAS = 2.0  # standard errors to either side
+CHAOS_SHADE, BAND_ALPHA = "0.85", 0.35
+EXPONENT_NAMES = ("first exponent", "second exponent")
+LINE_STYLES = (("-", 1.3, COLOURS[0]), ("--", 1.0, COLOURS[7]))  # told apart in grey by dashes and width
 
 
-@picture
+@checked_picture
 def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw a Dataset of `jaxvibro.spectrum`: the Axes.
 
@@ -27,49 +36,61 @@ def spectrum(found: xr.Dataset, ax: Axes | None = None, units: str = "scene") ->
 
     Raises ArgumentError for what is no such Dataset, and for other units.
     """
-    is_from("spectrum", "spectrum", ("swept", "exponent", "error"), found)
-    name = found.attrs["swept"]
-    alone, wide, ax = ax is None, of_parameter(scales_of(found, units), name), axes(ax)
-    order = np.argsort(found[name].values, kind="stable")
-    found = found.isel({name: order})
-    across, exponent, error = wide.size * found[name].values, found["exponent"].values, found["error"].values
-    ax.axhline(0.0, color=WALL, linewidth=0.8, zorder=0)
-    for first, last in _ranges(across, exponent[:, 0] > SURE * error[:, 0]):
-        ax.axvspan(first, last, color=SHADE, linewidth=0, zorder=-1, label="_chaotic")
-    for k, (dashes, width, colour) in enumerate(STYLES):
-        line = np.where(np.isfinite(exponent[:, k]), exponent[:, k], np.nan)
-        spread = np.where(np.isfinite(error[:, k]), BAND * error[:, k], 0.0)
-        ax.fill_between(across, line - spread, line + spread, color=colour, alpha=PALE, linewidth=0)
-        ax.plot(across, line, dashes, linewidth=width, color=colour, label=NAMES[k])
-        single = _alone(np.isfinite(line))
-        if single.any():
-            ax.plot(across[single], line[single], "o", markersize=3, color=colour, label="_alone")
-        deep = across[np.isneginf(exponent[:, k])]
-        ticks: dict[str, Any] = {"linestyle": "none", "marker": "v", "markersize": 4, "color": colour, "clip_on": False}
-        ax.plot(deep, np.zeros(len(deep)), transform=ax.get_xaxis_transform(), label="_-inf", **ticks)
+    require_dataset("spectrum", "spectrum", ("swept", "exponent", "error"), found)
+    parameter = found.attrs["swept"]
+    is_new, x_axis, ax = ax is None, parameter_axis(scales_of(found, units), parameter), axes_or_new(ax)
+    order = np.argsort(found[parameter].values, kind="stable")
+    found = found.isel({parameter: order})
+    x, exponent, error = x_axis.factor * found[parameter].values, found["exponent"].values, found["error"].values
+    ax.axhline(0.0, color=WALL_COLOUR, linewidth=0.8, zorder=0)
+    for start, stop in _true_ranges(x, exponent[:, 0] > CHAOS_SIGMAS * error[:, 0]):
+        ax.axvspan(start, stop, color=CHAOS_SHADE, linewidth=0, zorder=-1, label="_chaotic")
+    for index, (dashes, width, colour) in enumerate(LINE_STYLES):
+        line = np.where(np.isfinite(exponent[:, index]), exponent[:, index], np.nan)
+        spread = np.where(np.isfinite(error[:, index]), BAND_SIGMAS * error[:, index], 0.0)
+        ax.fill_between(x, line - spread, line + spread, color=colour, alpha=BAND_ALPHA, linewidth=0)
+        ax.plot(x, line, dashes, linewidth=width, color=colour, label=EXPONENT_NAMES[index])
+        is_isolated = _isolated_values(np.isfinite(line))
+        if is_isolated.any():
+            ax.plot(x[is_isolated], line[is_isolated], "o", markersize=3, color=colour, label="_alone")
+        infinite_values = x[np.isneginf(exponent[:, index])]
+        tick_style: dict[str, Any] = {
+            "linestyle": "none",
+            "marker": "v",
+            "markersize": 4,
+            "color": colour,
+            "clip_on": False,
+        }
+        ax.plot(
+            infinite_values,
+            np.zeros(len(infinite_values)),
+            transform=ax.get_xaxis_transform(),
+            label="_-inf",
+            **tick_style,
+        )
     if "between" in found and np.isfinite(found["between"]).any():
-        look: dict[str, Any] = {
+        circle_style: dict[str, Any] = {
             "linestyle": "none",
             "marker": "o",
             "markersize": 4,
             "markerfacecolor": "none",
             "color": COLOURS[5],
         }
-        ax.plot(across, found["between"].values, label="growth between rests", **look)
-    ax.set(xlabel=wide.label, ylabel="Lyapunov exponents per drive period")
+        ax.plot(x, found["between"].values, label="growth between rests", **circle_style)
+    ax.set(xlabel=x_axis.label, ylabel="Lyapunov exponents per drive period")
     ax.margins(x=0.01)
-    legend(ax, alone)
+    add_legend(ax, is_new)
     return ax
 
 
-def _alone(finite):
+def _isolated_values(finite):
     """Which values have no neighbour to draw a line to."""
-    beside = np.pad(finite, 1)
-    return finite & ~beside[:-2] & ~beside[2:]
+    neighbours = np.pad(finite, 1)
+    return finite & ~neighbours[:-2] & ~neighbours[2:]
 
 
-def _ranges(across, holds):
+def _true_ranges(x, condition):
     """Where neighbouring values hold: from half way to the one before to half way to the one after."""
-    edges = np.concatenate([across[:1], 0.5 * (across[1:] + across[:-1]), across[-1:]])
-    turns = np.flatnonzero(np.diff(np.concatenate([[0], holds.astype(int), [0]])))
-    return [(edges[first], edges[last]) for first, last in zip(turns[::2], turns[1::2], strict=True)]
+    edges = np.concatenate([x[:1], 0.5 * (x[1:] + x[:-1]), x[-1:]])
+    changes = np.flatnonzero(np.diff(np.concatenate([[0], condition.astype(int), [0]])))
+    return [(edges[start], edges[stop]) for start, stop in zip(changes[::2], changes[1::2], strict=True)]

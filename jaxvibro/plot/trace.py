@@ -6,11 +6,21 @@ import xarray as xr
 from matplotlib.axes import Axes
 
 from ..scene.scene import Scene
-from .path import position, with_impacts
-from .style import COLOURS, WALL, axes, is_from, is_of, of_time, of_variable, picture, scales_of
+from .impact_path import insert_impacts, wall_position
+from .style import (
+    COLOURS,
+    WALL_COLOUR,
+    axes_or_new,
+    checked_picture,
+    require_dataset,
+    require_record,
+    scales_of,
+    time_axis,
+    variable_axis,
+)
 
 
-@picture
+@checked_picture
 def trace(trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, units: str = "scene") -> Axes:
     """Draw the position in a Dataset of `simulate` against time, with walls and impacts: the Axes.
 
@@ -18,16 +28,24 @@ def trace(trajectory: xr.Dataset, scene: Scene, ax: Axes | None = None, units: s
 
     Raises ArgumentError for what is no such Dataset, or no `Scene`, and for other units.
     """
-    is_from("trace", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
-    is_of("trace", Scene, scene)
+    require_dataset("trace", "simulate", ("x", "v", "phase", "impact_time"), trajectory)
+    require_record("trace", Scene, scene)
     scales = scales_of(trajectory, units)
-    across, up, ax = of_time(scales, float(scene.frequency)), of_variable(scales, "x"), axes(ax)
+    x_axis, y_axis, ax = time_axis(scales, float(scene.frequency)), variable_axis(scales, "x"), axes_or_new(ax)
     for wall in scene.walls.values():
-        place = up.size * position(wall, trajectory["phase"].values)
-        ax.plot(across.size * trajectory["time"].values, place, color=WALL, linewidth=1.5)
-    time, x, _, _ = with_impacts(trajectory, scene)
-    ax.plot(across.size * time, up.size * x, color=COLOURS[0], linewidth=1.0)
-    dots: dict[str, Any] = {"linestyle": "none", "marker": "o", "markersize": 3.5, "color": COLOURS[1], "zorder": 3}
-    ax.plot(across.size * trajectory["impact_time"].values, up.size * trajectory["position"].values, **dots)
-    ax.set(xlabel=across.label, ylabel=up.label)
+        positions = y_axis.factor * wall_position(wall, trajectory["phase"].values)
+        ax.plot(x_axis.factor * trajectory["time"].values, positions, color=WALL_COLOUR, linewidth=1.5)
+    time, x, _, _ = insert_impacts(trajectory, scene)
+    ax.plot(x_axis.factor * time, y_axis.factor * x, color=COLOURS[0], linewidth=1.0)
+    marker_style: dict[str, Any] = {
+        "linestyle": "none",
+        "marker": "o",
+        "markersize": 3.5,
+        "color": COLOURS[1],
+        "zorder": 3,
+    }
+    ax.plot(
+        x_axis.factor * trajectory["impact_time"].values, y_axis.factor * trajectory["position"].values, **marker_style
+    )
+    ax.set(xlabel=x_axis.label, ylabel=y_axis.label)
     return ax

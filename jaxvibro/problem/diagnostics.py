@@ -8,151 +8,196 @@ import numpy as np
 from jax import lax
 from jaxtyping import Float
 
-from continuation.arrays import Array
-from continuation.persistent_jit import SOON, persistent_jit
+from continuation.array_type import Array
+from continuation.persistent_jit import FAST_COMPILE, persistent_jit
 
-from ..compiled.kernels import one_kernel
-from ..flight import response
-from ..flight.coefficients import framed
+from ..compiled.kernels import call_as_kernel
+from ..flight import flow_matrix
+from ..flight.coefficients import flow_coefficients
 from ..flight.flows import flow_of
-from ..orbits import cyclic_system, flight_clearance, impact_equations, releases
-from ..orbits.meeting_wall import way
-from .equations import cycle_at, there
+from ..orbits import chatter_and_release, cyclic_system, flight_clearance, impact_equations
+from ..orbits.wall_at_contact import wall_derivatives
+from .equations import scene_at, sequence_at
 
-LANES = 144  # points of a compiled call
+POINTS_PER_CALL = 144  # points of a compiled call
 
 
 class Diagnostics(NamedTuple):
-    """clear, late: (points, flights, walls), the least distance at a turning point towards the wall, and its time since
-    the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods), at the
-    section's phase; fold, flip: (points,), determinants, zero where a branch folds and where the period doubles. rest,
-    hold, plain: (points, rows), as `releases.Tails` has them, inf where nothing rests; hold as `releases.draws` too."""
+    """clearance, turning_time: (points, flights, walls), the least distance at a turning point towards the wall, and
+    its time since the flight's start; trace, determinant: (points,), of the monodromy matrix; x, v: (points, periods),
+    at the section's phase; fold_test, flip_test: (points,), determinants, zero where a branch folds and where the
+    period doubles. rest, min_contact_force, hop_margin: (points, rows), as `releases.Tails` has them, inf where nothing
+    rests; hold as `releases.draws` too."""
 
-    clear: Float[Array, "*points flights walls"]
-    late: Float[Array, "*points flights walls"]
+    clearance: Float[Array, "*points flights walls"]
+    turning_time: Float[Array, "*points flights walls"]
     trace: Float[Array, "*points"]
     determinant: Float[Array, "*points"]
     x: Float[Array, "*points periods"]
     v: Float[Array, "*points periods"]
-    fold: Float[Array, "*points"]
-    flip: Float[Array, "*points"]
-    rest: Float[Array, "*points rows"]
-    hold: Float[Array, "*points rows"]
-    plain: Float[Array, "*points rows"]
+    fold_test: Float[Array, "*points"]
+    flip_test: Float[Array, "*points"]
+    sticking_time: Float[Array, "*points rows"]
+    min_contact_force: Float[Array, "*points rows"]
+    hop_margin: Float[Array, "*points rows"]
 
 
-def diagnose(along, zs):
+def diagnose(problem, zs):
     """The `Diagnostics` at points, shape (points, n + 1)."""
-    periods = int(along.cycle.periods)
-    wide = 1 << (periods - 1).bit_length()  # so that fewer sizes are compiled
-    look = Diagnostics(*each_of(_way_of(along), along, zs, wide))
-    return look._replace(x=look.x[:, :periods], v=look.v[:, :periods])
+    n_periods = int(problem.sequence.periods)
+    n_padded_periods = 1 << (n_periods - 1).bit_length()  # so that fewer sizes are compiled
+    diagnostics = Diagnostics(*evaluate_points(_diagnostics_kernel(problem), problem, zs, n_padded_periods))
+    return diagnostics._replace(x=diagnostics.x[:, :n_periods], v=diagnostics.v[:, :n_periods])
 
 
-def _way_of(along):
-    if not len(along.cycle.sides):
-        return _free
-    return hitting if along.cycle.releases is None else resting
+def _diagnostics_kernel(problem):
+    if not len(problem.sequence.sides):
+        return _free_diagnostics
+    return impact_diagnostics if problem.sequence.releases is None else sticking_diagnostics
 
 
-def each_of(one, along, zs, periods):
+def evaluate_points(kernel, problem, zs, n_periods):
     """What a function of a module, (along, z, periods) -> a tuple of arrays, gives at points: a tuple of arrays."""
-    parts = []
-    for first in range(0, len(zs), LANES):
-        some = zs[first : first + LANES]
-        padded = np.concatenate([some, np.repeat(some[-1:], LANES - len(some), axis=0)])
-        seen = _seen_resting if one is resting else _seen
-        found = jax.device_get(seen(one, along, padded, np.int32(len(some)), periods))
-        parts.append([each[: len(some)] for each in found])
-    return tuple(np.concatenate(each) for each in zip(*parts, strict=True))
+    blocks = []
+    for block_start in range(0, len(zs), POINTS_PER_CALL):
+        block = zs[block_start : block_start + POINTS_PER_CALL]
+        padded_block = np.concatenate([block, np.repeat(block[-1:], POINTS_PER_CALL - len(block), axis=0)])
+        evaluate = _evaluate_sticking if kernel is sticking_diagnostics else _evaluate_compiled
+        block_result = jax.device_get(evaluate(kernel, problem, padded_block, np.int32(len(block)), n_periods))
+        blocks.append([values[: len(block)] for values in block_result])
+    return tuple(np.concatenate(values) for values in zip(*blocks, strict=True))
 
 
-def _in_turn(one, along, zs, count, periods):
-    return _each(along, zs, count, jax.jit(one, static_argnums=2), periods)
+def _evaluate_uncompiled(kernel, problem, zs, n_points, n_periods):
+    return _loop_over_points(problem, zs, n_points, jax.jit(kernel, static_argnums=2), n_periods)
 
 
-@persistent_jit(static_argnums=(0, 4), numpy_first=_in_turn)
-def _seen(one, along, zs, count, periods):
+@persistent_jit(static_argnums=(0, 4), numpy_first=_evaluate_uncompiled)
+def _evaluate_compiled(kernel, problem, zs, n_points, n_periods):
     """Point by point in one kernel: as fast here as many lanes at once, and compiled in half the time."""
-    return one_kernel(_each, along, zs, count, one=one, periods=periods)
+    return call_as_kernel(_loop_over_points, problem, zs, n_points, kernel=kernel, n_periods=n_periods)
 
 
-@persistent_jit(static_argnums=(0, 4), compiler_options=SOON)
-def _seen_resting(one, along, zs, count, periods):
+@persistent_jit(static_argnums=(0, 4), compiler_options=FAST_COMPILE)
+def _evaluate_sticking(kernel, problem, zs, n_points, n_periods):
     """The same compiled at once: a chatter has too many hops for Python."""
-    return one_kernel(_each, along, zs, count, one=one, periods=periods)
+    return call_as_kernel(_loop_over_points, problem, zs, n_points, kernel=kernel, n_periods=n_periods)
 
 
-def _each(along, zs, count, one, periods):
-    def look(k, found):
-        new = one(along, lax.dynamic_index_in_dim(zs, k, keepdims=False), periods)
-        return jax.tree.map(lambda whole, part: lax.dynamic_update_index_in_dim(whole, part, k, 0), found, new)
+def _loop_over_points(problem, zs, n_points, kernel, n_periods):
+    def store_result(k, results):
+        result = kernel(problem, lax.dynamic_index_in_dim(zs, k, keepdims=False), n_periods)
+        return jax.tree.map(lambda array, entry: lax.dynamic_update_index_in_dim(array, entry, k, 0), results, result)
 
-    shapes = jax.eval_shape(lambda along, z: one(along, z, periods), along, zs[0])
-    blank = jax.tree.map(lambda leaf: jnp.zeros((len(zs), *leaf.shape), leaf.dtype), shapes)
-    return lax.fori_loop(0, count, look, blank)
+    result_shapes = jax.eval_shape(lambda problem, z: kernel(problem, z, n_periods), problem, zs[0])
+    empty_results = jax.tree.map(lambda leaf: jnp.zeros((len(zs), *leaf.shape), leaf.dtype), result_shapes)
+    return lax.fori_loop(0, n_points, store_result, empty_results)
 
 
-def hitting(along, z, periods):
+def impact_diagnostics(problem, z, n_periods):
     """The `Diagnostics` at one point of orbits with impacts."""
-    built, given = framed(there(along, z)), cycle_at(along, z)
-    found = impact_equations.flights(built, given)
-    x, v = impact_equations.at(built, given, found, built.period * jnp.arange(periods))
-    clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
-    measures = cyclic_system.determinants(cyclic_system.of(impact_equations.equations(built, given, found)[1]))
-    own = impact_equations.invariants(built, found, given.sides)
-    none = jnp.full_like(given.times, jnp.inf)
-    return Diagnostics(*clear, *own, x, v, *measures, none, releases.draws(built, given, found), none)
+    coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
+    flights = impact_equations.compute_flights(coeffs, sequence)
+    x, v = impact_equations.states_at(coeffs, sequence, flights, coeffs.period * jnp.arange(n_periods))
+    clearances = flight_clearance.turning_clearances(coeffs, flights, flight_clearance.sample_count(coeffs, flights))
+    test_determinants = cyclic_system.determinants(
+        cyclic_system.assemble_matrix(impact_equations.residual_and_jacobian(coeffs, sequence, flights)[1])
+    )
+    trace_and_determinant = impact_equations.monodromy_invariants(coeffs, flights, sequence.sides)
+    no_sticking = jnp.full_like(sequence.times, jnp.inf)
+    return Diagnostics(
+        *clearances,
+        *trace_and_determinant,
+        x,
+        v,
+        *test_determinants,
+        no_sticking,
+        chatter_and_release.lift_off_force(coeffs, sequence, flights),
+        no_sticking,
+    )
 
 
-def resting(along, z, periods):
+def sticking_diagnostics(problem, z, n_periods):
     """The `Diagnostics` at one point of orbits that rest: their multipliers are zero. Where a mass is let go its wall
     is none that it comes to."""
-    built, given = framed(there(along, z)), cycle_at(along, z)
-    found = impact_equations.flights(built, given)
-    times = built.period * jnp.arange(periods)
-    look = releases.tails(built, given, found, times)
-    count = flight_clearance.samples(built, found)
-    clear, late = flight_clearance.clearances(built, found, count)
-    own = jnp.array([wall.sign for wall in built.walls]) == given.sides[:, None]
-    leaves = (given.releases[:, None] > 0) & own & (late <= 2.0 * (found.time / count)[:, None])
-    clear = jnp.where(leaves, jnp.inf, clear)
-    ring = cyclic_system.of(impact_equations.equations(built, given, found)[1])
-    fold, none = cyclic_system.determinants(ring)[0], jnp.zeros_like(z[0])
-    state = _stayed(built, given, found, look, times)
-    hold = jnp.minimum(look.hold, releases.draws(built, given, found))
-    return Diagnostics(clear, late, none, none, *state, fold, 1.0 + none, look.rest, hold, look.plain)
+    coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
+    flights = impact_equations.compute_flights(coeffs, sequence)
+    section_times = coeffs.period * jnp.arange(n_periods)
+    chatter_tails = chatter_and_release.chatter_outcomes(coeffs, sequence, flights, section_times)
+    n_samples = flight_clearance.sample_count(coeffs, flights)
+    clearance, turning_time = flight_clearance.turning_clearances(coeffs, flights, n_samples)
+    is_same_wall = jnp.array([wall.sign for wall in coeffs.walls]) == sequence.sides[:, None]
+    is_leaving = (
+        (sequence.releases[:, None] > 0) & is_same_wall & (turning_time <= 2.0 * (flights.time / n_samples)[:, None])
+    )
+    clearance = jnp.where(is_leaving, jnp.inf, clearance)
+    cyclic_matrix = cyclic_system.assemble_matrix(impact_equations.residual_and_jacobian(coeffs, sequence, flights)[1])
+    fold_test, zero = cyclic_system.determinants(cyclic_matrix)[0], jnp.zeros_like(z[0])
+    section_state = _state_at_times(coeffs, sequence, flights, chatter_tails, section_times)
+    min_contact_force = jnp.minimum(
+        chatter_tails.min_contact_force, chatter_and_release.lift_off_force(coeffs, sequence, flights)
+    )
+    return Diagnostics(
+        clearance,
+        turning_time,
+        zero,
+        zero,
+        *section_state,
+        fold_test,
+        1.0 + zero,
+        chatter_tails.sticking_time,
+        min_contact_force,
+        chatter_tails.hop_margin,
+    )
 
 
-def _stayed(built, given, found, look, times):
+def _state_at_times(coeffs, sequence, flights, chatter_tails, section_times):
     """(x, v) at times since the section's phase, in flight, within hops, or at rest."""
-    x, v = impact_equations.at(built, given, found, times)
-    span = given.periods * built.period
-    since = times[:, None] - given.times
-    since = jnp.where(given.sides != 0, since - span * jnp.floor(since / span), jnp.inf)
-    row = jnp.argmin(since, axis=1)
-    tail, ends = releases.tails_of(built, given, found)
-    late = jnp.take_along_axis(since, row[:, None], 1)[:, 0]
-    held, side = ends[row] & (late < -tail.tau[row]), given.sides[row]
-    angle = given.phase + built.frequency * times
-    where, pace, _ = way(built, side, jnp.cos(angle), jnp.sin(angle))
-    height, rise = (each[row, jnp.arange(len(times))] for each in (look.height, look.pace))
-    return jnp.where(held, where - side * height, x), jnp.where(held, pace - side * rise, v)
+    x, v = impact_equations.states_at(coeffs, sequence, flights, section_times)
+    orbit_duration = sequence.periods * coeffs.period
+    elapsed_times = section_times[:, None] - sequence.times
+    elapsed_times = jnp.where(
+        sequence.sides != 0, elapsed_times - orbit_duration * jnp.floor(elapsed_times / orbit_duration), jnp.inf
+    )
+    row = jnp.argmin(elapsed_times, axis=1)
+    row_tails, precedes_release = chatter_and_release.chatter_starts(coeffs, sequence, flights)
+    elapsed_time = jnp.take_along_axis(elapsed_times, row[:, None], 1)[:, 0]
+    is_in_chatter, side = precedes_release[row] & (elapsed_time < -row_tails.tau[row]), sequence.sides[row]
+    drive_angle = sequence.phase + coeffs.frequency * section_times
+    wall_position, wall_velocity, _ = wall_derivatives(coeffs, side, jnp.cos(drive_angle), jnp.sin(drive_angle))
+    wall_distance, relative_velocity = (
+        table[row, jnp.arange(len(section_times))] for table in (chatter_tails.height, chatter_tails.velocity)
+    )
+    return jnp.where(is_in_chatter, wall_position - side * wall_distance, x), jnp.where(
+        is_in_chatter, wall_velocity - side * relative_velocity, v
+    )
 
 
-def _free(along, z, periods):
-    built, found = flight(along, z)
-    around = found.time / flight_clearance.OVERLAP
-    _, matrix = flow_of(built).matrix(built, found.x, found.v, found.cosine, found.sine, around)
-    p00, _, _, p11 = response.by_rows(matrix)
-    x, v = jnp.full(periods, z[0]), jnp.full(periods, z[1])
-    clear = flight_clearance.clearances(built, found, flight_clearance.samples(built, found))
-    measures = [jnp.ones_like(z[0])] * 2
-    none = jnp.zeros(0, z.dtype)
-    return Diagnostics(*clear, (p00 + p11)[0], response.determinant(matrix)[0], x, v, *measures, none, none, none)
+def _free_diagnostics(problem, z, n_periods):
+    coeffs, flight = free_flight(problem, z)
+    orbit_duration = flight.time / flight_clearance.OVERLAP_FACTOR
+    _, monodromy = flow_of(coeffs).fly_with_matrix(
+        coeffs, flight.x, flight.v, flight.cosine, flight.sine, orbit_duration
+    )
+    p00, _, _, p11 = flow_matrix.matrix_by_rows(monodromy)
+    x, v = jnp.full(n_periods, z[0]), jnp.full(n_periods, z[1])
+    clearances = flight_clearance.turning_clearances(coeffs, flight, flight_clearance.sample_count(coeffs, flight))
+    test_determinants = [jnp.ones_like(z[0])] * 2
+    no_rows = jnp.zeros(0, z.dtype)
+    return Diagnostics(
+        *clearances,
+        (p00 + p11)[0],
+        flow_matrix.determinant(monodromy)[0],
+        x,
+        v,
+        *test_determinants,
+        no_rows,
+        no_rows,
+        no_rows,
+    )
 
 
-def flight(along, z):
+def free_flight(problem, z):
     """(`Frame`, the one flight) of an orbit without impacts: over a little more than its periods."""
-    built, turns = framed(there(along, z)), along.cycle
-    return built, flight_clearance.without_impacts(built, turns.phase, turns.periods, z[0], z[1])
+    coeffs, sequence = flow_coefficients(scene_at(problem, z)), problem.sequence
+    return coeffs, flight_clearance.impact_free_flight(coeffs, sequence.phase, sequence.periods, z[0], z[1])

@@ -34,7 +34,7 @@ class End(Enum):
         return Reason(self, self.value.format(value=value, kind=kind))
 
 
-LIMITS = End.MAX_POINTS, End.MAX_SECONDS  # ends that a later call can continue from
+RESUMABLE_ENDS = End.MAX_POINTS, End.MAX_SECONDS  # ends that a later call can continue from
 
 
 class Reason(NamedTuple):
@@ -44,29 +44,29 @@ class Reason(NamedTuple):
     text: str
 
 
-def ended(one):
-    """A `continuation.stretch.Stretch` with its end as an `End` of these."""
-    return one._replace(end=End[one.end.name])
+def convert_end(segment):
+    """A `continuation.branch_segment.BranchSegment` with its end as an `End` of these."""
+    return segment._replace(end=End[segment.end.name])
 
 
-def read(text):
+def parse_end(text):
     """The `End` of a text: saved branches had no more. Raises ValueError where it is none."""
-    return _parsed(text)[0]
+    return _parse_reason(text)[0]
 
 
-def scaled(text, size):
+def rescale_reason(text, factor):
     """The text of a `Reason`, its value told in another unit, in which it is so many times as large."""
-    _, match = _parsed(text)
+    _, match = _parse_reason(text)
     if not match.groups():
         return text
-    return f"{text[: match.start(1)]}{float(match[1]) * size:.12g}{text[match.end(1) :]}"
+    return f"{text[: match.start(1)]}{float(match[1]) * factor:.12g}{text[match.end(1) :]}"
 
 
-def _parsed(text):
+def _parse_reason(text):
     """(the `End` of a text, the match, whose first group is the value where the text has one)."""
-    for one in End:
-        pattern = re.sub(r"\\{value[^}]*\\}", r"(\\S+)", re.escape(one.value)).replace(r"\{kind\}", ".+")
+    for end in End:
+        pattern = re.sub(r"\\{value[^}]*\\}", r"(\\S+)", re.escape(end.value)).replace(r"\{kind\}", ".+")
         match = re.fullmatch(pattern, text)
         if match:
-            return one, match
+            return end, match
     raise ValueError(f"why a branch ends is not told by {text!r}")

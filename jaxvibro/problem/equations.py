@@ -12,32 +12,33 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Int
 
-from continuation.arclength import bordered
-from continuation.problem import Problem, Test
+from continuation.arclength import solve_bordered
+from continuation.problem import Problem, TestFunction
 
-from ..compiled.kernels import one_kernel
-from ..flight import response
-from ..flight.coefficients import framed
+from ..compiled.kernels import call_as_kernel
+from ..flight import flow_matrix
+from ..flight.coefficients import flow_coefficients
 from ..orbits import cyclic_system, impact_equations
-from ..orbits.impact_equations import Cycle
+from ..orbits.impact_equations import ImpactSequence
 from ..scene.codes import Contact
 from ..scene.scene import Scene
 
-NONE = 1e-10  # of the drive's amplitudes, per t: as small a speed is none
+MIN_SPEED_RATIO = 1e-10  # of the drive's amplitudes, per t: as small a speed is none
 
 
 class OrbitEquations(NamedTuple):
-    """What a branch is of. scene: its numbers but for the parameters; which: the scene's tree with 1 where the first
-    parameter stands, 2 the second, else 0; cycle: sides, phase and periods; its times and speeds are not used."""
+    """What a branch is of. scene: its numbers but for the parameters; parameter_marks: the scene's tree with 1 where
+    the first parameter stands, 2 the second, else 0; sequence: sides, phase and periods; its times and speeds are not
+    used."""
 
     scene: Scene
-    which: Scene
-    cycle: Cycle
+    parameter_marks: Scene
+    sequence: ImpactSequence
 
     @property
-    def hits(self) -> Int[np.ndarray, " impacts"]:
+    def impact_rows(self) -> Int[np.ndarray, " impacts"]:
         """The rows of impacts, whose speeds are to be positive."""
-        return np.flatnonzero(are_impacts(self.cycle))
+        return np.flatnonzero(are_impacts(self.sequence))
 
     @property
     def slack(self) -> float:
@@ -45,121 +46,147 @@ class OrbitEquations(NamedTuple):
         return 0.0
 
 
-def are_impacts(cycle):
+def are_impacts(sequence):
     """Which rows of a cycle are impacts, and neither empty nor releases: (rows,)."""
-    hit = np.asarray(cycle.sides != 0)
-    return hit if cycle.releases is None else hit & (np.asarray(cycle.releases) == 0)
+    is_impact = np.asarray(sequence.sides != 0)
+    return is_impact if sequence.releases is None else is_impact & (np.asarray(sequence.releases) == 0)
 
 
-def codes(cycle):
+def side_codes(sequence):
     """The sides of a cycle's rows, +-2 or +-3 of releases, as `grazing.padded` takes them: (rows,)."""
-    return cycle.sides if cycle.releases is None else cycle.sides * (1.0 + cycle.releases)
+    return sequence.sides if sequence.releases is None else sequence.sides * (1.0 + sequence.releases)
 
 
-def are_releases(codes):
-    """Which of some rows with these `codes` are releases."""
-    return abs(np.asarray(codes)) >= Contact.STUCK
+def are_releases(side_codes):
+    """Which of some rows with these `side_codes` are releases."""
+    return abs(np.asarray(side_codes)) >= Contact.STUCK
 
 
-def there(along, z):
+def scene_at(problem, z):
     """The scene at z."""
-    values = z[2 * len(along.cycle.sides) or 2 :]
+    values = z[2 * len(problem.sequence.sides) or 2 :]
 
-    def put(leaf, mark):
+    def substitute_value(leaf, parameter_number):
         for k in range(len(values)):
-            leaf = jnp.where(mark == k + 1, values[k], leaf)
+            leaf = jnp.where(parameter_number == k + 1, values[k], leaf)
         return leaf
 
-    return jax.tree.map(put, along.scene, along.which)
+    return jax.tree.map(substitute_value, problem.scene, problem.parameter_marks)
 
 
-def number_there(along, z, name):
+def parameter_at(problem, z, name):
     """A number of the scene at z, of the scene itself, as the host asks for it: a float."""
-    return _value(along, z, getattr(along.which, name), getattr(along.scene, name))
+    return _marked_value(problem, z, getattr(problem.parameter_marks, name), getattr(problem.scene, name))
 
 
-def _value(along, z, mark, own):
+def _marked_value(problem, z, parameter_number, fixed_value):
     """A number at z: its own, or the parameter that it is marked as."""
-    place = int(mark)
-    return float(z[(2 * len(along.cycle.sides) or 2) + place - 1] if place else own)
+    index = int(parameter_number)
+    return float(z[(2 * len(problem.sequence.sides) or 2) + index - 1] if index else fixed_value)
 
 
-def cycle_at(along, z):
-    """The `Cycle` with these unknowns."""
-    rows = len(along.cycle.sides)
-    return along.cycle._replace(times=z[:rows], speeds=z[rows : 2 * rows])
+def sequence_at(problem, z):
+    """The `ImpactSequence` with these unknowns."""
+    n_rows = len(problem.sequence.sides)
+    return problem.sequence._replace(times=z[:n_rows], speeds=z[n_rows : 2 * n_rows])
 
 
 @jax.jit
-def impacts(z, along):
+def evaluate_impact_system(z, problem):
     """(F, its `cyclic_system.Ring`)."""
-    return varied(z, along)[:2]
+    return evaluate_with_variations(z, problem)[:2]
 
 
-def varied(z, along):
+def evaluate_with_variations(z, problem):
     """(F, its `cyclic_system.Ring`, how the ring's own and following change with each parameter)."""
-    given, free = cycle_at(along, z), 2 * len(along.cycle.sides)
+    sequence, n_orbit_unknowns = sequence_at(problem, z), 2 * len(problem.sequence.sides)
 
-    def at(values):
-        value, slopes = impact_equations.equations(framed(there(along, jnp.concatenate([z[:free], values]))), given)
-        return value, cyclic_system.of(slopes)
+    def evaluate_at(parameter_values):
+        residual, derivatives = impact_equations.residual_and_jacobian(
+            flow_coefficients(scene_at(problem, jnp.concatenate([z[:n_orbit_unknowns], parameter_values]))), sequence
+        )
+        return residual, cyclic_system.assemble_matrix(derivatives)
 
-    by, more = [], []
-    for unit in np.eye(len(z) - free):
-        (value, slopes), (change, bent) = jax.jvp(at, (z[free:],), (jnp.asarray(unit, z.dtype),))
-        by.append(change)
-        more.append(slopes._replace(own=bent.own, following=bent.following))
-    return value, slopes._replace(by=cyclic_system.pairs(jnp.stack(by, 1), len(given.sides))), more
+    parameter_columns, variations = [], []
+    for direction in np.eye(len(z) - n_orbit_unknowns):
+        (residual, cyclic_matrix), (residual_change, matrix_change) = jax.jvp(
+            evaluate_at, (z[n_orbit_unknowns:],), (jnp.asarray(direction, z.dtype),)
+        )
+        parameter_columns.append(residual_change)
+        variations.append(cyclic_matrix._replace(diagonal=matrix_change.diagonal, coupling=matrix_change.coupling))
+    return (
+        residual,
+        cyclic_matrix._replace(
+            param_blocks=cyclic_system.pair_rows(jnp.stack(parameter_columns, 1), len(sequence.sides))
+        ),
+        variations,
+    )
 
 
-def _plain(z, along):
+def _dense_impact_system(z, problem):
     """(F, dF/dz); an empty row's unknowns are to be zero."""
-    value, slopes = impacts(z, along)
-    empty = jnp.tile(along.cycle.sides == 0, 2)
-    return jnp.where(empty, z[: len(value)], value), cyclic_system.dense(slopes)
+    residual, cyclic_matrix = evaluate_impact_system(z, problem)
+    is_empty = jnp.tile(problem.sequence.sides == 0, 2)
+    return jnp.where(is_empty, z[: len(residual)], residual), cyclic_system.dense_matrix(cyclic_matrix)
 
 
-def _flip(z, along):
-    built, given = framed(there(along, z)), cycle_at(along, z)
-    return cyclic_system.dense(cyclic_system.of(impact_equations.equations(built, given)[1]), -1.0)
+def _flip_matrix(z, problem):
+    coeffs, sequence = flow_coefficients(scene_at(problem, z)), sequence_at(problem, z)
+    return cyclic_system.dense_matrix(
+        cyclic_system.assemble_matrix(impact_equations.residual_and_jacobian(coeffs, sequence)[1]), -1.0
+    )
 
 
-def _hits(z, along):
+def _has_positive_speeds(z, problem):
     """Whether each impact has a speed: where one has none, the equations are singular, and every test is zero."""
-    speeds, strength = z[len(along.cycle.sides) :][along.hits], abs(number_there(along, z, "amplitude"))
-    for mark, term in zip(along.which.drive, along.scene.drive, strict=True):
-        strength += abs(_value(along, z, mark.amplitude, term.amplitude))
-    return bool((speeds > NONE * strength).all())
+    speeds, drive_strength = (
+        z[len(problem.sequence.sides) :][problem.impact_rows],
+        abs(parameter_at(problem, z, "amplitude")),
+    )
+    for term_marks, term in zip(problem.parameter_marks.drive, problem.scene.drive, strict=True):
+        drive_strength += abs(_marked_value(problem, z, term_marks.amplitude, term.amplitude))
+    return bool((speeds > MIN_SPEED_RATIO * drive_strength).all())
 
 
 @jax.jit
-def _free(z, along):
+def _free_system(z, problem):
     """(F, dF/dz): what a flight over the periods leaves to be periodic."""
 
-    def values(z):
-        scene, turns = there(along, z), along.cycle
-        span = turns.periods * 2.0 * jnp.pi / scene.frequency
-        x, v = response.of_scene(scene, z[0], z[1], turns.phase, span)[0]
-        left = jnp.stack([x - z[0], v - z[1]])
-        return left, left
+    def evaluate_residual(z):
+        scene, sequence = scene_at(problem, z), problem.sequence
+        orbit_duration = sequence.periods * 2.0 * jnp.pi / scene.frequency
+        x, v = flow_matrix.fly_with_matrix(scene, z[0], z[1], sequence.phase, orbit_duration)[0]
+        residual = jnp.stack([x - z[0], v - z[1]])
+        return residual, residual
 
-    slopes, left = jax.jacfwd(values, has_aux=True)(z)
-    return left, slopes
+    jacobian, residual = jax.jacfwd(evaluate_residual, has_aux=True)(z)
+    return residual, jacobian
 
 
-def _free_flip(z, along):
+def _free_flip_matrix(z, problem):
     """M + I, singular where the period doubles."""
-    return _free(z, along)[1][:, :2] + 2.0 * jnp.eye(2, dtype=z.dtype)
+    return _free_system(z, problem)[1][:, :2] + 2.0 * jnp.eye(2, dtype=z.dtype)
 
 
-IMPACTS = Problem(impacts, cyclic_system.bordered, _plain, (Test("PD", _flip),), one_kernel, _hits)
-RESTING = Problem(_plain, bordered, _plain, (), one_kernel, _hits)  # what forgets does not double
-FREE = Problem(_free, bordered, _free, (Test("PD", _free_flip),), one_kernel)
+IMPACT_PROBLEM = Problem(
+    evaluate_impact_system,
+    cyclic_system.solve_bordered,
+    _dense_impact_system,
+    (TestFunction("PD", _flip_matrix),),
+    call_as_kernel,
+    _has_positive_speeds,
+)
+STICKING_PROBLEM = Problem(
+    _dense_impact_system, solve_bordered, _dense_impact_system, (), call_as_kernel, _has_positive_speeds
+)  # what forgets does not double
+FREE_PROBLEM = Problem(
+    _free_system, solve_bordered, _free_system, (TestFunction("PD", _free_flip_matrix),), call_as_kernel
+)
 
 
 @singledispatch
-def problem(along):
+def continuation_problem(problem):
     """The `Problem` of what is followed: of the orbits of an `OrbitEquations`."""
-    if not len(along.cycle.sides):
-        return FREE
-    return IMPACTS if along.cycle.releases is None else RESTING
+    if not len(problem.sequence.sides):
+        return FREE_PROBLEM
+    return IMPACT_PROBLEM if problem.sequence.releases is None else STICKING_PROBLEM

@@ -11,208 +11,276 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from continuation import event_search, locate
-from continuation.arclength import Control, Point
-from continuation.points import start_point
+from continuation import augmented_systems, event_search
+from continuation.arclength import Point, StepControl
+from continuation.intermediate_points import start_point
 
 from .diagnostics import Diagnostics, diagnose
-from .equations import OrbitEquations, are_releases, codes, problem
-from .same_orbit import turns
-from .touches import admissible, bearing, scales, span, stays, touches, wall_sides
+from .equations import OrbitEquations, are_releases, continuation_problem, side_codes
+from .grazing_contact import (
+    admissible,
+    arclength_weights,
+    contact_durations_at,
+    distance_and_speed,
+    find_grazing_contacts,
+    orbit_duration_at,
+    wall_sides,
+)
+from .same_orbit import match_repeated_contacts
 
-ASIDE = 1e-5, 1e-7  # steps, in scaled lengths, after which a branch that leaves a grazing is looked at
-SURE, LOOSE = 1e-12, 1e-10  # Newton's tolerance there, with impacts added and with none: slow ones leave rounding
-FLAT = 1e-6  # of a speed's or a distance's rate along a branch: as small is none
-ROUNDS = 12  # of Newton's steps to an orbit without impacts
-SINGULAR = 1e-7  # of the largest singular value: one as small is a direction that is not solved for
-FEW = 4  # touches at once, of which every choice is tried
+EXIT_STEPS = 1e-5, 1e-7  # steps, in scaled lengths, after which a branch that leaves a grazing is looked at
+TIGHT_TOLERANCE, LOOSE_TOLERANCE = (
+    1e-12,
+    1e-10,
+)  # Newton's tolerance there, with impacts added and with none: slow ones leave rounding
+ZERO_RATE = 1e-6  # of a speed's or a distance's rate along a branch: as small is none
+NEWTON_STEPS = 12  # of Newton's steps to an orbit without impacts
+SINGULAR_RATIO = 1e-7  # of the largest singular value: one as small is a direction that is not solved for
+MAX_FREE_CHOICES = 4  # touches at once, of which every choice is tried
 
 
 class GrazingExit(NamedTuple):
-    """A branch that leaves a grazing admissibly. along: its orbits; point: the grazing itself, its tangent leading
-    away; near, look: z a little on, and its `Diagnostics`; included: which of the touches are its impacts."""
+    """A branch that leaves a grazing admissibly. problem: its orbits; point: the grazing itself, its tangent leading
+    away; nearby_z, diagnostics: z a little on, and its `Diagnostics`; included: which of the touches are its
+    impacts."""
 
-    along: OrbitEquations
+    problem: OrbitEquations
     point: Point
-    near: Float[np.ndarray, " unknowns"]
-    look: Diagnostics
+    nearby_z: Float[np.ndarray, " unknowns"]
+    diagnostics: Diagnostics
     included: tuple[bool, ...]
 
 
-def each_choice(along, z, met, length):
-    """What `leave` finds in both directions along the orbits of each itinerary that the touches give."""
-    for included in _distinct(along, z, met):
-        new, start, out = with_touches(along, z, met, included)
-        tangent = event_search.tangent(problem(new), start, scales(new, length), new)
-        rates = opened(new, start, tangent, out)
+def try_all_choices(problem, z, grazing_contacts, length_scale):
+    """What `find_exit` finds in both directions along the orbits of each itinerary that the touches give."""
+    for included in _distinct_choices(problem, z, grazing_contacts):
+        choice_problem, start_z, omitted = with_grazing_contacts(problem, z, grazing_contacts, included)
+        tangent = event_search.unit_tangent(
+            continuation_problem(choice_problem),
+            start_z,
+            arclength_weights(choice_problem, length_scale),
+            choice_problem,
+        )
+        rates = growth_rates(choice_problem, start_z, tangent, omitted)
         for sign in (1.0, -1.0):
-            yield leave(new, start, sign * tangent, sign * rates, length, included)
+            yield find_exit(choice_problem, start_z, sign * tangent, sign * rates, length_scale, included)
 
 
-def exits(along, z, length, ways=each_choice):
+def find_exits(problem, z, length_scale, generate_exits=try_all_choices):
     """(the `Touch`es at a grazing; the `GrazingExit`s that leave it, of the branch that came there itself too; whether
-    each way that opens is one of them: Newton's method may not converge there). ways: as `each_choice`."""
-    met = touches(along, z, length)
-    found = list(ways(along, z, met, length))
-    return met, [way for way, _ in found if way], all(sure for _, sure in found)
+    each way that opens is one of them: Newton's method may not converge there). generate_exits: as
+    `try_all_choices`."""
+    grazing_contacts = find_grazing_contacts(problem, z, length_scale)
+    outcomes = list(generate_exits(problem, z, grazing_contacts, length_scale))
+    return (
+        grazing_contacts,
+        [grazing_exit for grazing_exit, _ in outcomes if grazing_exit],
+        all(is_sure for _, is_sure in outcomes),
+    )
 
 
-def with_touches(along, z, met, included):
-    """The orbit with some of the touches as impacts: (its `OrbitEquations`, its z, the others as `left_out` gives
-    them)."""
-    every = listed(along, z, met, included)
-    kept = [one for one in every if one.kept]
-    new, start = with_impacts(along, z, kept)
-    return new, start, left_out(new, start, every, kept)
+def with_grazing_contacts(problem, z, grazing_contacts, included):
+    """The orbit with some of the touches as impacts: (its `OrbitEquations`, its z, the others as `omitted_contacts`
+    gives them)."""
+    all_impacts = list_impacts(problem, z, grazing_contacts, included)
+    kept_impacts = [impact for impact in all_impacts if impact.is_kept]
+    new_problem, start_z = with_impacts(problem, z, kept_impacts)
+    return new_problem, start_z, omitted_contacts(new_problem, start_z, all_impacts, kept_impacts)
 
 
-def with_impacts(along, z, hits, rows=()):
-    """(the `OrbitEquations` of orbits with these impacts, z of the one that is there); rows: that these were in."""
-    new = recut(along, padded(along, [(one.time, one.speed, one.side) for one in hits]), rows)
-    if not hits:
-        return new, free_start(new, z[-1], _begun(along, z))
-    return new, np.concatenate([new.cycle.times, new.cycle.speeds, z[2 * len(along.cycle.sides) or 2 :]])
+def with_impacts(problem, z, impacts, source_rows=()):
+    """(the `OrbitEquations` of orbits with these impacts, z of the one that is there); source_rows: that these were
+    in."""
+    new_problem = replace_sequence(
+        problem, padded_sequence(problem, [(impact.time, impact.speed, impact.side) for impact in impacts]), source_rows
+    )
+    if not impacts:
+        return new_problem, solve_free_orbit(new_problem, z[-1], _section_state(problem, z))
+    return new_problem, np.concatenate(
+        [new_problem.sequence.times, new_problem.sequence.speeds, z[2 * len(problem.sequence.sides) or 2 :]]
+    )
 
 
 @singledispatch
-def recut(along, cycle, rows):
+def replace_sequence(problem, sequence, source_rows):
     """What is followed, with a cycle of some rows' impacts alone."""
-    return along._replace(cycle=cycle)
+    return problem._replace(sequence=sequence)
 
 
-def _distinct(along, z, met):
+def _distinct_choices(problem, z, grazing_contacts):
     """The choices of touches to be impacts: of those that are one orbit, counted from another period, the branch's own
     or the first."""
-    own, kept = tuple(one.own for one in met), []
-    if not met:  # as of passes that differ by less than samples tell: none is known to be the touch
-        return [own]
-    times = np.array([one.late + (z[one.row] if len(along.cycle.sides) else 0.0) for one in met])
-    places = turns(along, z, times, np.array([one.side for one in met]))
-    for included in _choices(met):
-        alike = [tuple(included[k] for k in row) for row in places]
-        if (included == own or own not in alike) and not any(one in kept for one in alike):
-            kept.append(included)
-    return kept
+    branch_choice, choices = tuple(entry.is_impact for entry in grazing_contacts), []
+    if not grazing_contacts:  # as of passes that differ by less than samples tell: none is known to be the touch
+        return [branch_choice]
+    contact_times = np.array(
+        [entry.delay + (z[entry.row] if len(problem.sequence.sides) else 0.0) for entry in grazing_contacts]
+    )
+    image_table = match_repeated_contacts(
+        problem, z, contact_times, np.array([entry.side for entry in grazing_contacts])
+    )
+    for included in _candidate_choices(grazing_contacts):
+        equivalent_choices = [tuple(included[k] for k in image_indices) for image_indices in image_table]
+        if (included == branch_choice or branch_choice not in equivalent_choices) and not any(
+            entry in choices for entry in equivalent_choices
+        ):
+            choices.append(included)
+    return choices
 
 
-def _choices(met):
+def _candidate_choices(grazing_contacts):
     """Which touches are to be impacts: every choice of a few; of many all, none, those that are and the others."""
-    if len(met) <= FEW:
-        return list(product((False, True), repeat=len(met)))
-    own = tuple(one.own for one in met)
-    return list(dict.fromkeys([own, tuple(not one for one in own), (False,) * len(met), (True,) * len(met)]))
+    if len(grazing_contacts) <= MAX_FREE_CHOICES:
+        return list(product((False, True), repeat=len(grazing_contacts)))
+    branch_choice = tuple(entry.is_impact for entry in grazing_contacts)
+    return list(
+        dict.fromkeys(
+            [
+                branch_choice,
+                tuple(not entry for entry in branch_choice),
+                (False,) * len(grazing_contacts),
+                (True,) * len(grazing_contacts),
+            ]
+        )
+    )
 
 
-class Hit(NamedTuple):
+class ImpactEntry(NamedTuple):
     time: float
     speed: float
     side: int
-    kept: bool
+    is_kept: bool
 
 
-def listed(along, z, met, included):
+def list_impacts(problem, z, grazing_contacts, included):
     """All impacts and touches in order of travel, those kept that are no touches or are to be impacts."""
-    rows, wanted = len(along.cycle.sides), dict(zip(met, included, strict=True))
-    own = {touch.row: touch for touch in met if touch.own}
-    found = []
-    sides = codes(along.cycle)
+    n_rows, is_included = len(problem.sequence.sides), dict(zip(grazing_contacts, included, strict=True))
+    contact_of_row = {contact.row: contact for contact in grazing_contacts if contact.is_impact}
+    entries = []
+    sides = side_codes(problem.sequence)
     for row in np.flatnonzero(sides):
-        touch, side = own.get(int(row)), int(sides[row])
-        one = Hit(z[row], 0.0 if touch else z[rows + row], side, wanted[touch] if touch else True)
-        found.append(((int(row), 0.0), one))
-    for touch in met:
-        if not touch.own:
-            begin = z[touch.row] if rows else 0.0
-            found.append(((touch.row, touch.late), Hit(begin + touch.late, 0.0, touch.side, wanted[touch])))
-    return [one for _, one in sorted(found)]
+        contact, side = contact_of_row.get(int(row)), int(sides[row])
+        entry = ImpactEntry(
+            z[row], 0.0 if contact else z[n_rows + row], side, is_included[contact] if contact else True
+        )
+        entries.append(((int(row), 0.0), entry))
+    for contact in grazing_contacts:
+        if not contact.is_impact:
+            impact_time = z[contact.row] if n_rows else 0.0
+            entries.append(
+                (
+                    (contact.row, contact.delay),
+                    ImpactEntry(impact_time + contact.delay, 0.0, contact.side, is_included[contact]),
+                )
+            )
+    return [entry for _, entry in sorted(entries)]
 
 
-def left_out(along, z, every, kept):
+def omitted_contacts(problem, z, all_impacts, kept_impacts):
     """(row, wall, time since the flight after that row's impact began) of each touch that is none of those kept.
 
-    along, z: of the orbit that has the impacts kept, in rows in this order.
+    problem, z: of the orbit that has the impacts kept, in rows in this order.
     """
-    walls, found, held = wall_sides(along.scene), [], stays(along, z)
-    whole = span(along, z)
-    place = len(kept) - 1  # what is before the first is after the last
-    for one in every:
-        if one.kept:
-            place = kept.index(one)
+    side_of_wall, omitted, contact_durations = wall_sides(problem.scene), [], contact_durations_at(problem, z)
+    orbit_duration = orbit_duration_at(problem, z)
+    index = len(kept_impacts) - 1  # what is before the first is after the last
+    for impact in all_impacts:
+        if impact.is_kept:
+            index = kept_impacts.index(impact)
         else:
-            begin, row = kept[place].time if kept else 0.0, max(place, 0)
-            found.append((row, walls.index(one.side), (one.time - begin) % whole - float(held[row])))
-    return found
+            impact_time, row = kept_impacts[index].time if kept_impacts else 0.0, max(index, 0)
+            omitted.append(
+                (
+                    row,
+                    side_of_wall.index(impact.side),
+                    (impact.time - impact_time) % orbit_duration - float(contact_durations[row]),
+                )
+            )
+    return omitted
 
 
-def padded(along, impacts):
+def padded_sequence(problem, impacts):
     """A cycle with these impacts, (time, speed, side) each, in rows of a power of two; none without impacts. A side is
     +-2 where it is no impact but a release, +-3 where the mass lifts before that rest (`Cycle.releases`)."""
-    rows = 0 if not impacts else max(2, 1 << (len(impacts) - 1).bit_length())
-    columns = np.zeros((3, rows))
-    for k, one in enumerate(impacts):
-        columns[:, k] = one
+    n_rows = 0 if not impacts else max(2, 1 << (len(impacts) - 1).bit_length())
+    columns = np.zeros((3, n_rows))
+    for k, impact in enumerate(impacts):
+        columns[:, k] = impact
     times, speeds, sides = columns
-    released = np.where(are_releases(sides), abs(sides) - 1.0, 0.0)
-    marks = released if released.any() else None
-    return along.cycle._replace(times=times, speeds=speeds, sides=np.sign(sides), releases=marks)
+    release_codes = np.where(are_releases(sides), abs(sides) - 1.0, 0.0)
+    releases = release_codes if release_codes.any() else None
+    return problem.sequence._replace(times=times, speeds=speeds, sides=np.sign(sides), releases=releases)
 
 
-def _begun(along, z):
+def _section_state(problem, z):
     """(x, v) at the section of an orbit that a force of the user's own drives; of another it does not matter."""
-    if along.scene.force is None or not len(along.cycle.sides):
+    if problem.scene.force is None or not len(problem.sequence.sides):
         return z[:2]
-    look = diagnose(along, z[None])
-    return look.x[0, 0], look.v[0, 0]
+    diagnostics = diagnose(problem, z[None])
+    return diagnostics.x[0, 0], diagnostics.v[0, 0]
 
 
-def free_start(along, value, near):
+def solve_free_orbit(problem, parameter_value, guess_state):
     """z of the orbit without impacts: the only one under spring and damper, else that near some (x, v)."""
-    of_force = along.scene.force is not None
-    start = np.array([*(near if of_force and np.isfinite(near).all() else (0.0, 0.0)), value])
-    for _ in range(ROUNDS if of_force else 1):
-        rest, slopes = (np.asarray(each) for each in locate.evaluated(problem(along), start, along))
-        matrix = slopes[
+    has_force = problem.scene.force is not None
+    z = np.array([*(guess_state if has_force and np.isfinite(guess_state).all() else (0.0, 0.0)), parameter_value])
+    for _ in range(NEWTON_STEPS if has_force else 1):
+        residual, jacobian = (
+            np.asarray(array) for array in augmented_systems.evaluate(continuation_problem(problem), z, problem)
+        )
+        state_jacobian = jacobian[
             :, :2
         ]  # at a fold or a branch point, which a force may have, no step leads along its null vector
-        step = np.linalg.lstsq(matrix, rest, SINGULAR)[0] if of_force else np.linalg.solve(matrix, rest)
-        start[:2] -= step
-        if abs(step).max() <= locate.SMALL * (1.0 + abs(start).max()):
+        step = (
+            np.linalg.lstsq(state_jacobian, residual, SINGULAR_RATIO)[0]
+            if has_force
+            else np.linalg.solve(state_jacobian, residual)
+        )
+        z[:2] -= step
+        if abs(step).max() <= augmented_systems.STEP_TOLERANCE * (1.0 + abs(z).max()):
             break
-    return start
+    return z
 
 
-def opening(along, z, direction, row, wall, late):
+def opening_rate(problem, z, direction, row, wall, time_in_flight):
     """How fast the distance of a flight at a time grows in a direction of z."""
-    ends = (bearing(along, row, wall, np.append(z + sign * locate.APART * direction, late))[0] for sign in (1, -1))
-    return float(np.subtract(*ends) / (2.0 * locate.APART))
+    offset_distances = (
+        distance_and_speed(
+            problem, row, wall, np.append(z + sign * augmented_systems.DIFFERENCE_STEP * direction, time_in_flight)
+        )[0]
+        for sign in (1, -1)
+    )
+    return float(np.subtract(*offset_distances) / (2.0 * augmented_systems.DIFFERENCE_STEP))
 
 
-def opened(along, z, tangent, out):
+def growth_rates(problem, z, tangent, omitted):
     """How fast the speeds that are zero, and the distances of the touches left out, grow along a tangent."""
-    rows = len(along.cycle.sides)
-    slow = [tangent[rows + k] for k in along.hits if z[rows + k] == 0.0]
-    return np.array(slow + [opening(along, z, tangent, *each) for each in out])
+    n_rows = len(problem.sequence.sides)
+    speed_rates = [tangent[n_rows + k] for k in problem.impact_rows if z[n_rows + k] == 0.0]
+    return np.array(speed_rates + [opening_rate(problem, z, tangent, *location) for location in omitted])
 
 
-def leave(along, z, tangent, rates, length, included):
-    """(the `GrazingExit` along a tangent of a branch, None where it is none; whether that is sure). rates: as `opened`
-    gives them."""
-    if (rates < -FLAT).any():
+def find_exit(problem, z, tangent, rates, length_scale, included):
+    """(the `GrazingExit` along a tangent of a branch, None where it is none; whether that is sure). rates: as
+    `growth_rates` gives them."""
+    if (rates < -ZERO_RATE).any():
         return None, True
-    way, met = stepped(along, z, tangent, length, included, SURE if any(included) else LOOSE, ASIDE)
-    return way, met or rates.min(initial=0.0) <= 0
+    grazing_exit, converged = step_along_exit(
+        problem, z, tangent, length_scale, included, TIGHT_TOLERANCE if any(included) else LOOSE_TOLERANCE, EXIT_STEPS
+    )
+    return grazing_exit, converged or rates.min(initial=0.0) <= 0
 
 
-def stepped(along, z, tangent, length, included, tolerance, asides):
+def step_along_exit(problem, z, tangent, length_scale, included, tolerance, offsets):
     """(the `GrazingExit` along a tangent, None where none of these steps aside comes to an admissible orbit; whether
     one of them comes to an orbit)."""
     point = start_point(z, tangent)
-    numbers = (np.float64(each) for each in (0.0, 1.0, tolerance, -np.inf, np.inf))
-    control, met = Control(scales(along, length), *numbers), False
-    for aside in asides:
-        near = event_search.step(problem(along), point, aside, control, along)
-        met |= bool(near.met)
-        look = diagnose(along, near.z[None])
-        if near.met and admissible(along, near.z, look)[0]:
-            return GrazingExit(along, point, near.z, look, included), True
-    return None, met
+    control_values = (np.float64(value) for value in (0.0, 1.0, tolerance, -np.inf, np.inf))
+    control, converged = StepControl(arclength_weights(problem, length_scale), *control_values), False
+    for offset in offsets:
+        nearby_point = event_search.take_step(continuation_problem(problem), point, offset, control, problem)
+        converged |= bool(nearby_point.converged)
+        diagnostics = diagnose(problem, nearby_point.z[None])
+        if nearby_point.converged and admissible(problem, nearby_point.z, diagnostics)[0]:
+            return GrazingExit(problem, point, nearby_point.z, diagnostics, included), True
+    return None, converged

@@ -11,12 +11,12 @@ import xarray as xr
 from jaxtyping import Complex
 
 from ..orbits.orbit import Orbit
-from ..output.atomic_write import whole
+from ..output.atomic_write import atomic_file
 from ..scene.check import ArgumentError
 from ..scene.scene import Scene
-from .orbit_on_branch import OrbitPoint, described_orbit, label_of
+from .orbit_point import OrbitPoint, label_of, orbit_from_row
 
-Found = TypeVar("Found", bound="SpecialOrbit")  # the class of a curve's special points
+SpecialType = TypeVar("SpecialType", bound="SpecialOrbit")  # the class of a curve's special points
 
 
 class SpecialOrbit:
@@ -35,15 +35,15 @@ class SpecialOrbit:
     @cached_property
     def orbit(self) -> Orbit:
         """The `Orbit` at the point. At a grazing an impact may have no speed."""
-        return described_orbit(self.scene, self.spot)
+        return orbit_from_row(self.scene, self.spot)
 
 
-class OrbitRows(ABC, Generic[Found]):
+class OrbitRows(ABC, Generic[SpecialType]):
     """A class of these has data, special and reasons; `NOUN`, what it is called; `located(place)`: (the scene at a
     point, its `OrbitPoint`); content: the bytes of its file."""
 
     data: xr.Dataset
-    special: tuple[Found, ...]
+    special: tuple[SpecialType, ...]
     reasons: tuple[str, str]
     NOUN: str
     located: Callable[[int], tuple[Scene, OrbitPoint]]
@@ -61,9 +61,9 @@ class OrbitRows(ABC, Generic[Found]):
         """Why each end is one: {"first": ..., "last": ...}."""
         return dict(zip(("first", "last"), self.reasons, strict=True))
 
-    def points(self, kind: str) -> tuple[Found, ...]:
+    def points(self, kind: str) -> tuple[SpecialType, ...]:
         """The special points of a kind, a tuple."""
-        return tuple(one for one in self.special if one.kind == kind)
+        return tuple(special for special in self.special if special.kind == kind)
 
     @property
     def multipliers(self) -> Complex[np.ndarray, "points 2"]:
@@ -77,7 +77,7 @@ class OrbitRows(ABC, Generic[Found]):
         Raises FileExistsError where the file is there already, unless force is given; OSError where it cannot be
         written; ArgumentError where the scene has a force without a name.
         """
-        with whole(path, force) as file:
+        with atomic_file(path, force) as file:
             file.write(self.content)
 
     def orbit(self, place: int) -> Orbit:
@@ -85,20 +85,20 @@ class OrbitRows(ABC, Generic[Found]):
 
         Raises ArgumentError for a place where there is none.
         """
-        count = len(self)
-        if not -count <= place < count:
-            raise ArgumentError("place", f"must be a point of the {self.NOUN}, from 0 to {count - 1}", place)
-        return described_orbit(*self.located(place))
+        n_points = len(self)
+        if not -n_points <= place < n_points:
+            raise ArgumentError("place", f"must be a point of the {self.NOUN}, from 0 to {n_points - 1}", place)
+        return orbit_from_row(*self.located(place))
 
 
-def row_of(data, place):
+def dataset_row(data, index):
     """The numbers of one point of a branch's, or locus', data, {name: array}."""
-    return {name: each.values[place] for name, each in data.variables.items()}
+    return {name: variable.values[index] for name, variable in data.variables.items()}
 
 
-def spot_of(row, name):
-    """The `OrbitPoint` of a `row_of` a branch's data."""
-    hit = row["side"] != 0
-    columns = (row[key][hit].astype(float) for key in ("time", "speed", "side"))
-    plain = (float(row[key][0]) for key in ("x", "v"))
-    return OrbitPoint(float(row[name]), *columns, len(row["x"]), *plain, float(row["residual"]))
+def parse_orbit_row(row, name):
+    """The `OrbitPoint` of a `dataset_row` a branch's data."""
+    is_impact = row["side"] != 0
+    impact_columns = (row[key][is_impact].astype(float) for key in ("time", "speed", "side"))
+    state = (float(row[key][0]) for key in ("x", "v"))
+    return OrbitPoint(float(row[name]), *impact_columns, len(row["x"]), *state, float(row["residual"]))

@@ -2,54 +2,62 @@
 
 import numpy as np
 
-from ..orbits.orbit_comparison import meetings, times_round
-from .equations import number_there
+from ..orbits.orbit_comparison import impacts_as_points, repetition_count
+from .equations import parameter_at
 
-REPEATED = 1e-6  # times and speeds as near are one
+REPEAT_TOLERANCE = 1e-6  # times and speeds as near are one
 
 
-def images(along, cycle, value, near):
+def equivalent_points(problem, sequence, value, near_z):
     """The points z near one of them that are the same orbit as a cycle at a value: its impacts counted from another."""
-    count, span = int(np.sum(cycle.sides != 0)), float(cycle.periods) * 2.0 * np.pi
-    rows = len(along.cycle.sides)
-    if len(cycle.sides) != rows or cycle.periods != along.cycle.periods or not rows:
+    n_impacts, orbit_duration = int(np.sum(sequence.sides != 0)), float(sequence.periods) * 2.0 * np.pi
+    n_rows = len(problem.sequence.sides)
+    if len(sequence.sides) != n_rows or sequence.periods != problem.sequence.periods or not n_rows:
         return
-    sides, own = np.asarray(cycle.sides[:count]), np.asarray(along.cycle.sides)
-    if count != int(np.sum(own != 0)):
+    sides, own_sides = np.asarray(sequence.sides[:n_impacts]), np.asarray(problem.sequence.sides)
+    if n_impacts != int(np.sum(own_sides != 0)):
         return
-    frequency = float(value) if bool(along.which.frequency) else float(along.scene.frequency)
-    span, period = span / frequency, 2.0 * np.pi / frequency
-    times, speeds = cycle.times[:count], cycle.speeds[:count]
-    for turn in range(count):
-        if not np.array_equal(np.roll(sides, -turn), own[:count]):
+    frequency = float(value) if bool(problem.parameter_marks.frequency) else float(problem.scene.frequency)
+    orbit_duration, period = orbit_duration / frequency, 2.0 * np.pi / frequency
+    times, speeds = sequence.times[:n_impacts], sequence.speeds[:n_impacts]
+    for first_row in range(n_impacts):
+        if not np.array_equal(np.roll(sides, -first_row), own_sides[:n_impacts]):
             continue
-        late = np.concatenate([times[turn:], times[:turn] + span])
-        late = late - period * np.round((late[0] - near[0]) / period)
-        for shift in (-period, 0.0, period):
-            z = np.zeros(2 * rows + 1)
-            z[:count], z[rows : rows + count], z[-1] = late + shift, np.roll(speeds, -turn), value
+        shifted_times = np.concatenate([times[first_row:], times[:first_row] + orbit_duration])
+        shifted_times = shifted_times - period * np.round((shifted_times[0] - near_z[0]) / period)
+        for period_shift in (-period, 0.0, period):
+            z = np.zeros(2 * n_rows + 1)
+            z[:n_impacts], z[n_rows : n_rows + n_impacts], z[-1] = (
+                shifted_times + period_shift,
+                np.roll(speeds, -first_row),
+                value,
+            )
             yield z
 
 
-def is_repeated(along, z):
+def is_repeated(problem, z):
     """Whether an orbit, but for impacts without speed, is a shorter one, gone through more than once."""
-    return times_round(impacts(along, z), int(along.cycle.periods), REPEATED) > 1
+    return repetition_count(impact_points(problem, z), int(problem.sequence.periods), REPEAT_TOLERANCE) > 1
 
 
-def turns(along, z, times, sides):
+def match_repeated_contacts(problem, z, contact_times, sides):
     """Which of some touches each is when an orbit, repeated but for impacts without speed, has gone through the shorter
-    one so many times: (times round, touches), the first row being each itself."""
-    periods = int(along.cycle.periods)
-    rounds = times_round(impacts(along, z), periods, REPEATED)
-    span = periods * 2.0 * np.pi / number_there(along, z, "frequency")
-    late = times - times[:, None] - span / rounds * np.arange(rounds)[:, None, None]
-    apart = abs(late - span * np.round(late / span)) + span * (sides != sides[:, None])
-    return apart.argmin(axis=2)
+    one so many contact_times: (times round, touches), the first row being each itself."""
+    periods = int(problem.sequence.periods)
+    n_repeats = repetition_count(impact_points(problem, z), periods, REPEAT_TOLERANCE)
+    orbit_duration = periods * 2.0 * np.pi / parameter_at(problem, z, "frequency")
+    time_differences = (
+        contact_times - contact_times[:, None] - orbit_duration / n_repeats * np.arange(n_repeats)[:, None, None]
+    )
+    distances = abs(
+        time_differences - orbit_duration * np.round(time_differences / orbit_duration)
+    ) + orbit_duration * (sides != sides[:, None])
+    return distances.argmin(axis=2)
 
 
-def impacts(along, z, length=None):
+def impact_points(problem, z, speed_scale=None):
     """The impacts of an orbit in order as points (`orbit_comparison`), speeds over a length per t or the largest."""
-    rows = len(along.cycle.sides)
-    times, speeds = z[:rows], z[rows : 2 * rows]
-    length = length or speeds.max(initial=0.0) or 1.0
-    return meetings(number_there(along, z, "frequency"), times, along.cycle.sides, speeds, length)
+    n_rows = len(problem.sequence.sides)
+    times, speeds = z[:n_rows], z[n_rows : 2 * n_rows]
+    speed_scale = speed_scale or speeds.max(initial=0.0) or 1.0
+    return impacts_as_points(parameter_at(problem, z, "frequency"), times, problem.sequence.sides, speeds, speed_scale)

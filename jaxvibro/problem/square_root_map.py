@@ -28,69 +28,80 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Complex, Float
 
-MOST = 64  # returns: after as many a sign of C M^n E is rounding
-NONE = 1e-8  # of the root times M's largest entry, or of what C M^n E may be: as small has no sign
+MAX_RETURNS = 64  # returns: after as many a sign of C M^n E is rounding
+ZERO_RESPONSE = 1e-8  # of the root times M's largest entry, or of what C M^n E may be: as small has no sign
 
 
 class OneImpactWindow(NamedTuple):
     """Orbits with one impact in n returns, each s = sqrt(depth) at it, mu = s^2 - q s: they exist from s = 0 to touch,
-    where they meet the wall once more, inf if they do not; stable from stable on, nan where none is. fold, doubling: s
-    where a multiplier is 1, or -1, nan if not between."""
+    where they meet the wall once more, inf if they do not; stable from stable on, nan where none is. fold_root,
+    doubling_root: s where a multiplier is 1, or -1, nan if not between."""
 
-    q: float
-    touch: float
-    stable: float
-    fold: float
-    doubling: float
+    linear_coefficient: float
+    grazing_root: float
+    min_stable_root: float
+    fold_root: float
+    doubling_root: float
 
-    def depth(self, s: float) -> float:
+    def depth(self, depth_root: float) -> float:
         """mu."""
-        return s * s - self.q * s
+        return depth_root * depth_root - self.linear_coefficient * depth_root
 
 
 class SquareRootMap(NamedTuple):
-    """root: how much the velocity jumps by, over the root of the depth; matrix: M."""
+    """jump_coefficient: how much the velocity jumps by, over the root of the depth; matrix: M."""
 
-    root: float
+    jump_coefficient: float
     matrix: Float[np.ndarray, "2 2"]
 
     @property
     def multipliers(self) -> Complex[np.ndarray, "2"]:
         """M's, the larger first: (2,) complex."""
-        found = np.linalg.eigvals(self.matrix).astype(complex)
-        return found[np.argsort(-abs(found), kind="stable")]
+        eigenvalues = np.linalg.eigvals(self.matrix).astype(complex)
+        return eigenvalues[np.argsort(-abs(eigenvalues), kind="stable")]
 
-    def powers(self, count: int) -> Float[np.ndarray, "powers 2 2"]:
-        """M^n for n = 0 to count: (count + 1, 2, 2)."""
-        found = [np.eye(2)]
-        for _ in range(count):
-            found.append(self.matrix @ found[-1])
-        return np.stack(found)
+    def powers(self, max_power: int) -> Float[np.ndarray, "powers 2 2"]:
+        """M^n for n = 0 to max_power: (count + 1, 2, 2)."""
+        powers = [np.eye(2)]
+        for _ in range(max_power):
+            powers.append(self.matrix @ powers[-1])
+        return np.stack(powers)
 
-    def responses(self, count: int) -> Float[np.ndarray, " powers"]:
-        """C M^n E for n = 0 to count: (count + 1,)."""
-        return -self.root * self.powers(count)[:, 0, 1]
+    def responses(self, max_power: int) -> Float[np.ndarray, " powers"]:
+        """C M^n E for n = 0 to max_power: (count + 1,)."""
+        return -self.jump_coefficient * self.powers(max_power)[:, 0, 1]
 
-    def first_deeper(self) -> int | None:
+    def first_positive_response(self) -> int | None:
         """The first n for which C M^n E > 0, 0 where there is none up to MOST, None where one before has no sign."""
-        found, size = self.responses(MOST), abs(self.multipliers[0])
-        if abs(found[1]) <= NONE * self.root * abs(self.matrix).max():
+        responses, spectral_radius = self.responses(MAX_RETURNS), abs(self.multipliers[0])
+        if abs(responses[1]) <= ZERO_RESPONSE * self.jump_coefficient * abs(self.matrix).max():
             return None
-        for n in range(1, MOST + 1):
-            if abs(found[n]) <= NONE * abs(found[1]) * size ** (n - 1):
+        for n in range(1, MAX_RETURNS + 1):
+            if abs(responses[n]) <= ZERO_RESPONSE * abs(responses[1]) * spectral_radius ** (n - 1):
                 return None
-            if found[n] > 0:
+            if responses[n] > 0:
                 return n
         return 0
 
     def window(self, n: int) -> OneImpactWindow:
         """The `OneImpactWindow` of n returns, of an orbit that is stable itself."""
-        found, shrink = self.responses(n), np.linalg.det(self.matrix)
+        responses, determinant = self.responses(n), np.linalg.det(self.matrix)
         trace = np.trace(self.powers(n)[n])
-        closed, turned = 1.0 - trace + shrink**n, 1.0 + trace + shrink**n
-        q = found[n] / closed
-        later = np.array([(found[k] + shrink**k * found[n - k]) / closed for k in range(1, n)])
-        touch = float((q - later).min(initial=np.inf))
-        fold, doubling = (s if 0.0 < s < touch else np.nan for s in (0.5 * q, -0.5 * found[n] / turned))
-        stable = np.nanmin([fold, doubling]) if touch > 0 and not np.isnan([fold, doubling]).all() else np.nan
-        return OneImpactWindow(float(q), touch, float(stable), float(fold), float(doubling))
+        fold_determinant, flip_determinant = 1.0 - trace + determinant**n, 1.0 + trace + determinant**n
+        linear_coefficient = responses[n] / fold_determinant
+        later_responses = np.array(
+            [(responses[k] + determinant**k * responses[n - k]) / fold_determinant for k in range(1, n)]
+        )
+        grazing_root = float((linear_coefficient - later_responses).min(initial=np.inf))
+        fold_root, doubling_root = (
+            root if 0.0 < root < grazing_root else np.nan
+            for root in (0.5 * linear_coefficient, -0.5 * responses[n] / flip_determinant)
+        )
+        min_stable_root = (
+            np.nanmin([fold_root, doubling_root])
+            if grazing_root > 0 and not np.isnan([fold_root, doubling_root]).all()
+            else np.nan
+        )
+        return OneImpactWindow(
+            float(linear_coefficient), grazing_root, float(min_stable_root), float(fold_root), float(doubling_root)
+        )

@@ -16,157 +16,209 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from continuation import locate
+from continuation import augmented_systems
 
-from ..scene.scale import force_rates, scene_length
-from .equations import OrbitEquations, problem
-from .grazing import padded
-from .touches import scales, span, stays
+from ..scene.typical_scales import force_rates, scene_length
+from .equations import OrbitEquations, continuation_problem
+from .grazing import padded_sequence
+from .grazing_contact import arclength_weights, contact_durations_at, orbit_duration_at
 
-APART = 0.05  # between the points of a difference, over the fastest rate
-FLIGHT = 0.05  # of a flight: more no point is moved by, and of a speed, where a wall is soft
-PLACES = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
-FIRST = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
-SECOND = np.array([-1 / 560, 8 / 315, -1 / 5, 8 / 5, 8 / 5, -1 / 5, 8 / 315, -1 / 560])  # of what is 0 at the point
+NODE_SPACING = 0.05  # between the points of a difference, over the fastest rate
+MAX_FLIGHT_FRACTION = 0.05  # of a flight: more no point is moved by, and of a speed, where a wall is soft
+STENCIL_NODES = np.array([-4, -3, -2, -1, 1, 2, 3, 4])
+FIRST_DERIV_WEIGHTS = np.array([1 / 280, -4 / 105, 1 / 5, -4 / 5, 4 / 5, -1 / 5, 4 / 105, -1 / 280])
+SECOND_DERIV_WEIGHTS = np.array(
+    [-1 / 560, 8 / 315, -1 / 5, 8 / 5, 8 / 5, -1 / 5, 8 / 315, -1 / 560]
+)  # of what is 0 at the point
 
 
 class Unfolding(NamedTuple):
-    """bend: b, the others are at the point's value + bend s^2; null: v, (times, speeds), s being the root mean square
-    over the impacts of the changes of time and of speed over the scene's length; rate: how fast the multiplier changes
-    with the parameter along the orbits that the point lies on, nan at an SN, where it does as a root."""
+    """coefficient: b, the others are at the point's value + bend s^2; null_vector: v, (times, speeds), s being the root
+    mean square over the impacts of the changes of time and of speed over the scene's length; multiplier_rate: how fast
+    the multiplier changes with the parameter along the orbits that the point lies on, nan at an SN, where it does as a
+    root."""
 
-    bend: float
-    null: Float[np.ndarray, " unknowns"]
-    rate: float
-
-
-class _Line(NamedTuple):
-    """along: orbits; z: one of them; closing: 1, or -1 where a change comes back as its opposite; v, w: null vectors of
-    J, w over the length of a row; slopes: dF/dz; by: its first derivative along v; third: w F_uuu v v v."""
-
-    along: OrbitEquations
-    closing: float
-    v: Float[np.ndarray, " unknowns"]
-    w: Float[np.ndarray, " unknowns"]
-    slopes: Float[np.ndarray, "unknowns z"]
-    by: Float[np.ndarray, "unknowns z"]
-    third: float
+    coefficient: float
+    null_vector: Float[np.ndarray, " unknowns"]
+    multiplier_rate: float
 
 
-def folded(scene, along, z):
+class _NullDirection(NamedTuple):
+    """problem: orbits; z: one of them; closure: 1, or -1 where a change comes back as its opposite; right_null,
+    left_null: null vectors of J, w over the length of a row; jacobian: dF/dz; jacobian_derivative: its first derivative
+    along v; third_derivative: w F_uuu v v v."""
+
+    problem: OrbitEquations
+    closure: float
+    right_null: Float[np.ndarray, " unknowns"]
+    left_null: Float[np.ndarray, " unknowns"]
+    jacobian: Float[np.ndarray, "unknowns z"]
+    jacobian_derivative: Float[np.ndarray, "unknowns z"]
+    third_derivative: float
+
+
+def unfold_saddle_node(scene, problem, z):
     """The `Unfolding` of an SN. scene: at the point, here and below."""
-    line = _line(scene, along, z, 1.0)
-    bend = -0.5 * line.w @ line.by[:, :-1] @ line.v / (line.w @ line.slopes[:, -1])
-    return Unfolding(float(bend), _told(along, line.v), np.nan)
+    null_direction = _expand_along_null(scene, problem, z, 1.0)
+    coefficient = (
+        -0.5
+        * null_direction.left_null
+        @ null_direction.jacobian_derivative[:, :-1]
+        @ null_direction.right_null
+        / (null_direction.left_null @ null_direction.jacobian[:, -1])
+    )
+    return Unfolding(float(coefficient), _impact_components(problem, null_direction.right_null), np.nan)
 
 
-def broken(scene, along, z):
+def unfold_symmetry_breaking(scene, problem, z):
     """The `Unfolding` of an SB."""
-    line = _line(scene, along, z, 1.0)
-    return _forked(line, _told(along, line.v))
+    null_direction = _expand_along_null(scene, problem, z, 1.0)
+    return _unfold_pitchfork(null_direction, _impact_components(problem, null_direction.right_null))
 
 
-def doubled(scene, along, z):
+def unfold_period_doubling(scene, problem, z):
     """The `Unfolding` of a PD. Of one impact the doubled orbit is looked at: there that change is its own null
     vector."""
-    if len(along.hits) > 1:
-        line = _line(scene, along, z, -1.0)
-        return _forked(line, _told(along, line.v))
-    late, speed = z[0] + span(along, z), z[len(along.cycle.sides)]
-    cycle = along.cycle._replace(periods=np.asarray(2.0 * along.cycle.periods))
-    twice = along._replace(cycle=cycle)
-    side = along.cycle.sides[0]
-    twice = twice._replace(cycle=padded(twice, [(z[0], speed, side), (late, speed, side)]))
-    line = _line(scene, twice, np.concatenate([twice.cycle.times, twice.cycle.speeds, z[-1:]]), 1.0)
-    found = _forked(line, line.v[[0, 2]])
-    return found._replace(rate=-0.5 * found.rate)  # its multiplier is the square
+    if len(problem.impact_rows) > 1:
+        null_direction = _expand_along_null(scene, problem, z, -1.0)
+        return _unfold_pitchfork(null_direction, _impact_components(problem, null_direction.right_null))
+    second_time, speed = z[0] + orbit_duration_at(problem, z), z[len(problem.sequence.sides)]
+    sequence = problem.sequence._replace(periods=np.asarray(2.0 * problem.sequence.periods))
+    doubled_problem = problem._replace(sequence=sequence)
+    side = problem.sequence.sides[0]
+    doubled_problem = doubled_problem._replace(
+        sequence=padded_sequence(doubled_problem, [(z[0], speed, side), (second_time, speed, side)])
+    )
+    null_direction = _expand_along_null(
+        scene,
+        doubled_problem,
+        np.concatenate([doubled_problem.sequence.times, doubled_problem.sequence.speeds, z[-1:]]),
+        1.0,
+    )
+    unfolding = _unfold_pitchfork(null_direction, null_direction.right_null[[0, 2]])
+    return unfolding._replace(multiplier_rate=-0.5 * unfolding.multiplier_rate)  # its multiplier is the square
 
 
-def _told(along, v):
+def _impact_components(problem, vector):
     """A change of the impacts alone, without those of empty rows."""
-    rows, count = len(along.cycle.sides), len(along.hits)
-    return np.concatenate([v[:count], v[rows : rows + count]])
+    n_rows, n_impacts = len(problem.sequence.sides), len(problem.impact_rows)
+    return np.concatenate([vector[:n_impacts], vector[n_rows : n_rows + n_impacts]])
 
 
-def _line(scene, along, z, closing):
-    args = problem(along), z, along
-    slopes = locate.slopes_of(*args)
-    scale = scales(along, scene_length(scene))[:-1]
-    matrix = _closed(along, slopes[None], closing)[0][:, :-1]
-    v, w = locate.null(matrix), locate.null(matrix.T)
-    v = v / np.linalg.norm(scale * v)
-    v = v * np.sign(v[np.flatnonzero(abs(v) > 0.5 * abs(v).max())[0]])
-    step = _step(scene, along, z, v)
-    found = locate.slopes_at(problem(along), z + np.outer(PLACES * step, np.append(v, 0.0)), along)
-    if closing < 0:  # the rows of the flight back to the first impact are those where that is moved the other way
-        turned = np.append(v, 0.0)
-        turned[_ends(along)[0]] *= -1.0
-        other = locate.slopes_at(problem(along), z + np.outer(PLACES * step, turned), along)
-        found = np.array(found)
-        rows = _ends(along)[1]
-        found[:, rows] = other[:, rows]
-    by = np.tensordot(FIRST, found, 1) / step
-    second = np.tensordot(SECOND, found, 1) / step**2
-    return _Line(along, closing, v, w, slopes, by, float(w @ _closed(along, second[None], closing)[0][:, :-1] @ v))
+def _expand_along_null(scene, problem, z, closure):
+    problem_arguments = continuation_problem(problem), z, problem
+    jacobian = augmented_systems.jacobian_at(*problem_arguments)
+    weights = arclength_weights(problem, scene_length(scene))[:-1]
+    matrix = _apply_closure(problem, jacobian[None], closure)[0][:, :-1]
+    right_null, left_null = augmented_systems.null_vector(matrix), augmented_systems.null_vector(matrix.T)
+    right_null = right_null / np.linalg.norm(weights * right_null)
+    right_null = right_null * np.sign(right_null[np.flatnonzero(abs(right_null) > 0.5 * abs(right_null).max())[0]])
+    spacing = _stencil_spacing(scene, problem, z, right_null)
+    jacobians = augmented_systems.jacobians_at(
+        continuation_problem(problem), z + np.outer(STENCIL_NODES * spacing, np.append(right_null, 0.0)), problem
+    )
+    if closure < 0:  # the rows of the flight back to the first impact are those where that is moved the other way
+        reflected = np.append(right_null, 0.0)
+        reflected[_closure_indices(problem)[0]] *= -1.0
+        reflected_jacobians = augmented_systems.jacobians_at(
+            continuation_problem(problem), z + np.outer(STENCIL_NODES * spacing, reflected), problem
+        )
+        jacobians = np.array(jacobians)
+        return_rows = _closure_indices(problem)[1]
+        jacobians[:, return_rows] = reflected_jacobians[:, return_rows]
+    jacobian_derivative = np.tensordot(FIRST_DERIV_WEIGHTS, jacobians, 1) / spacing
+    second_derivative = np.tensordot(SECOND_DERIV_WEIGHTS, jacobians, 1) / spacing**2
+    return _NullDirection(
+        problem,
+        closure,
+        right_null,
+        left_null,
+        jacobian,
+        jacobian_derivative,
+        float(left_null @ _apply_closure(problem, second_derivative[None], closure)[0][:, :-1] @ right_null),
+    )
 
 
-def _forked(line, null):
+def _unfold_pitchfork(null_direction, null_vector):
     """The `Unfolding` of a pitchfork: of the orbit twice round, or of one without its symmetry."""
-    size = len(line.v)
-    bent = _closed(line.along, line.by[None], line.closing)[0][:, :-1] @ line.v
-    matrix = np.zeros((size + 1, size + 1))
-    matrix[:size, :size] = line.slopes[:, :-1]
-    if line.closing > 0:  # singular: what is solved for is in its range
-        matrix[:size, -1], matrix[-1, :size] = line.w, line.v
+    n_unknowns = len(null_direction.right_null)
+    curvature = (
+        _apply_closure(null_direction.problem, null_direction.jacobian_derivative[None], null_direction.closure)[0][
+            :, :-1
+        ]
+        @ null_direction.right_null
+    )
+    bordered = np.zeros((n_unknowns + 1, n_unknowns + 1))
+    bordered[:n_unknowns, :n_unknowns] = null_direction.jacobian[:, :-1]
+    if null_direction.closure > 0:  # singular: what is solved for is in its range
+        bordered[:n_unknowns, -1], bordered[-1, :n_unknowns] = null_direction.left_null, null_direction.right_null
     else:
-        matrix[-1, -1] = 1.0
-    right = np.vstack([np.stack([-0.5 * bent, -line.slopes[:, -1]], 1), np.zeros((1, 2))])
-    still, moved = np.linalg.solve(matrix, right)[:size].T
-    across = line.w @ line.by
-    rate = across[:-1] @ moved + across[-1]
-    first, rows = _ends(line.along)
-    by_closing = line.w[rows] @ line.slopes[np.ix_(rows, first)] @ line.v[first]
-    return Unfolding(float(-(line.third / 6.0 + across[:-1] @ still) / rate), null, float(-rate / by_closing))
+        bordered[-1, -1] = 1.0
+    rhs = np.vstack([np.stack([-0.5 * curvature, -null_direction.jacobian[:, -1]], 1), np.zeros((1, 2))])
+    quadratic_shift, parameter_shift = np.linalg.solve(bordered, rhs)[:n_unknowns].T
+    null_gradient = null_direction.left_null @ null_direction.jacobian_derivative
+    rate = null_gradient[:-1] @ parameter_shift + null_gradient[-1]
+    first_impact, return_rows = _closure_indices(null_direction.problem)
+    closure_derivative = (
+        null_direction.left_null[return_rows]
+        @ null_direction.jacobian[np.ix_(return_rows, first_impact)]
+        @ null_direction.right_null[first_impact]
+    )
+    return Unfolding(
+        float(-(null_direction.third_derivative / 6.0 + null_gradient[:-1] @ quadratic_shift) / rate),
+        null_vector,
+        float(-rate / closure_derivative),
+    )
 
 
-def _ends(along):
+def _closure_indices(problem):
     """(the unknowns of the first impact, the rows of the flight back to it)."""
-    rows = len(along.cycle.sides)
-    last = len(along.hits) - 1
-    return [0, rows], [last, rows + last]
+    n_rows = len(problem.sequence.sides)
+    last_row = len(problem.impact_rows) - 1
+    return [0, n_rows], [last_row, n_rows + last_row]
 
 
-def _closed(along, slopes, closing):
+def _apply_closure(problem, jacobians, closure):
     """Slopes, some, where a change of the first impact comes back times the closing."""
-    found = np.array(slopes)
-    if closing < 0:
-        first, rows = _ends(along)
-        for row in rows:
-            found[:, row, first] *= -1.0
-    return found
+    closed_jacobians = np.array(jacobians)
+    if closure < 0:
+        first_impact, return_rows = _closure_indices(problem)
+        for row in return_rows:
+            closed_jacobians[:, row, first_impact] *= -1.0
+    return closed_jacobians
 
 
-def _step(scene, along, z, v):
+def _stencil_spacing(scene, problem, z, direction):
     """How far along v a difference's points are apart: so that what they are of is smooth over all of them."""
-    rows, hits, length = len(along.cycle.sides), along.hits, scene_length(scene)
-    times, speeds = abs(v[hits]), abs(v[rows + hits])
-    flights = np.append(z[hits[1:]], z[hits[0]] + span(along, z)) - z[hits] - stays(along, z)[hits]
-    change = [
-        (times + np.roll(times, -1)) / (FLIGHT * flights),
-        np.maximum(times, speeds / length) * max(_rate(scene), *_swings(scene, along, z)) / APART,
+    n_rows, impact_rows, length_scale = len(problem.sequence.sides), problem.impact_rows, scene_length(scene)
+    time_changes, speed_changes = abs(direction[impact_rows]), abs(direction[n_rows + impact_rows])
+    flight_durations = (
+        np.append(z[impact_rows[1:]], z[impact_rows[0]] + orbit_duration_at(problem, z))
+        - z[impact_rows]
+        - contact_durations_at(problem, z)[impact_rows]
+    )
+    relative_changes = [
+        (time_changes + np.roll(time_changes, -1)) / (MAX_FLIGHT_FRACTION * flight_durations),
+        np.maximum(time_changes, speed_changes / length_scale)
+        * max(_fastest_rate(scene), *_contact_rates(scene, problem, z))
+        / NODE_SPACING,
     ]
     if scene.soft_sides:
-        change.append(speeds / (FLIGHT * abs(z[rows + hits])))
-    return 1.0 / float(np.max(change))
+        relative_changes.append(speed_changes / (MAX_FLIGHT_FRACTION * abs(z[n_rows + impact_rows])))
+    return 1.0 / float(np.max(relative_changes))
 
 
-def _swings(scene, along, z):
+def _contact_rates(scene, problem, z):
     """How fast what is within soft walls beside a force swings, by how long it stays: numbers, one at least."""
-    held = stays(along, z)[along.hits] if scene.soft_sides and scene.force is not None else np.zeros(0)
-    return [0.0, *(np.pi / held[held > 0])]
+    contact_durations = (
+        contact_durations_at(problem, z)[problem.impact_rows]
+        if scene.soft_sides and scene.force is not None
+        else np.zeros(0)
+    )
+    return [0.0, *(np.pi / contact_durations[contact_durations > 0])]
 
 
-def _rate(scene):
+def _fastest_rate(scene):
     """How fast the fastest of what an orbit's equations hold turns or decays."""
     frequency = float(scene.frequency)
     if scene.force is None:
@@ -177,8 +229,8 @@ def _rate(scene):
     rates += [term.harmonic * frequency for term in scene.drive]
     for wall in scene.walls.values():
         if wall.soft and scene.force is None:
-            own = damping if wall.damping is None else damping + float(wall.damping)
-            rates += [np.sqrt(1.0 + float(wall.stiffness)), 2.0 * own]
+            contact_damping = damping if wall.damping is None else damping + float(wall.damping)
+            rates += [np.sqrt(1.0 + float(wall.stiffness)), 2.0 * contact_damping]
         if wall.motion is not None:
             rates.append(wall.motion.harmonic * frequency)
     return max(rates)

@@ -3,15 +3,15 @@
 import numpy as np
 
 from .. import plot
-from ..loci.held_point import hold, move
+from ..loci.point_continuation import continue_point, prepare_point
 from ..plot.style import COLOURS, SYMBOLS
-from .closed import grazing
-from .panels import Drawn, legend, panels, png, sheet, styled, trim
-from .response import SHORT, marked, response
+from .closed_forms import grazing_amplitude
+from .panels import FigureResult, add_legend, figure_style, make_figure, panel_files, png_bytes, trim_labels
+from .response import PEAK_LABEL, frequency_response, select_special_points
 
-SHADES = tuple(COLOURS[k] for k in (0, 5, 7, 3))
-CURVE = 40  # points of the fold's amplitude
-FROM = 0.155  # the amplitude at which it begins: P100 grazes from 2 gamma sqrt(1 - gamma^2) = 0.1518 on
+CURVE_COLOURS = tuple(COLOURS[k] for k in (0, 5, 7, 3))
+CURVE_POINTS = 40  # points of the fold's amplitude
+LOWEST_AMPLITUDE = 0.155  # the amplitude at which it begins: P100 grazes from 2 gamma sqrt(1 - gamma^2) = 0.1518 on
 
 CAPTION = (
     "Above, the largest x on P100 and P111 against the drive's frequency at four amplitudes; below, the amplitude at "
@@ -19,43 +19,60 @@ CAPTION = (
 )
 
 
-def drawn(file, progress):
+def reproduce_figure(file, progress):
     """Figure 11; it has no claims."""
-    found = [(each.scene.make(), response(each.scene.make(), file.branch)) for each in panels(file)]
-    with styled():
-        return Drawn(_picture(file, found), CAPTION, ())
+    responses = [
+        (panel_file.scene.make(), frequency_response(panel_file.scene.make(), file.branch))
+        for panel_file in panel_files(file)
+    ]
+    with figure_style():
+        return FigureResult(_picture(file, responses), CAPTION, ())
 
 
-def edge(special, amplitudes):
+def trace_special_point(special, amplitudes):
     """(frequencies, amplitudes) at which a special point in frequency is, of those that it is followed to."""
-    point, found = hold(special, ("amplitude",)), []
+    point, curve_points = prepare_point(special, ("amplitude",)), []
     for amplitude in amplitudes:
-        point, share = move(point, [amplitude])
-        if share < 1.0:
+        point, fraction = continue_point(point, [amplitude])
+        if fraction < 1.0:
             break
-        found.append((point.value, amplitude))
-    return np.array(found).T
+        curve_points.append((point.value, amplitude))
+    return np.array(curve_points).T
 
 
-def _picture(file, found):
-    figure, ((above,), (below,)) = sheet(2, 1, 2.9)
-    folds = [(scene, one.fold) for scene, one in found if one.fold is not None]
-    for colour, (scene, one) in zip(SHADES, found, strict=True):
-        for branch in reversed(one.branches):
-            plot.branch(marked(branch), "peak", above, colour)
-        below.axhline(float(scene.amplitude), color=colour, linewidth=0.8)
-        above.plot([], [], color=colour, label=f"{SYMBOLS['amplitude']} = {float(scene.amplitude):g}")
-    above.set(ylim=(0.0, None))
+def _picture(file, responses):
+    figure, ((upper_ax,), (lower_ax,)) = make_figure(2, 1, 2.9)
+    folds = [(scene, response.fold) for scene, response in responses if response.fold is not None]
+    for colour, (scene, response) in zip(CURVE_COLOURS, responses, strict=True):
+        for branch in reversed(response.branches):
+            plot.branch(select_special_points(branch), "peak", upper_ax, colour)
+        lower_ax.axhline(float(scene.amplitude), color=colour, linewidth=0.8)
+        upper_ax.plot([], [], color=colour, label=f"{SYMBOLS['amplitude']} = {float(scene.amplitude):g}")
+    upper_ax.set(ylim=(0.0, None))
     scene, fold = folds[0]
-    own, top = float(scene.amplitude), 1.25 * max(float(scene.amplitude) for scene, _ in found)
-    down, up = (edge(fold, np.linspace(own, last, CURVE)) for last in (FROM, top))
-    below.plot(*np.hstack([down[:, ::-1], up]), color="black", label="saddle-node of P111")
-    w = np.linspace(*file.branch.bounds, 400)
-    below.plot(w, grazing(w, float(scene.damping)), color="black", linestyle=":", label="grazing of P100")
-    below.set(xlim=above.get_xlim(), ylim=(0.0, top), xlabel=above.get_xlabel(), ylabel="drive amplitude $A$")
-    places = np.array([[above], [below]])
-    trim(places, ticks=9)
-    above.set_ylabel(SHORT)
-    below.set_ylabel("$A$")
-    legend(figure, places, columns=3, without=("branch",))
-    return png(figure)
+    scene_amplitude, max_amplitude = (
+        float(scene.amplitude),
+        1.25 * max(float(scene.amplitude) for scene, _ in responses),
+    )
+    lower_part, upper_part = (
+        trace_special_point(fold, np.linspace(scene_amplitude, end_amplitude, CURVE_POINTS))
+        for end_amplitude in (LOWEST_AMPLITUDE, max_amplitude)
+    )
+    lower_ax.plot(*np.hstack([lower_part[:, ::-1], upper_part]), color="black", label="saddle-node of P111")
+    frequencies = np.linspace(*file.branch.bounds, 400)
+    lower_ax.plot(
+        frequencies,
+        grazing_amplitude(frequencies, float(scene.damping)),
+        color="black",
+        linestyle=":",
+        label="grazing of P100",
+    )
+    lower_ax.set(
+        xlim=upper_ax.get_xlim(), ylim=(0.0, max_amplitude), xlabel=upper_ax.get_xlabel(), ylabel="drive amplitude $A$"
+    )
+    axes_grid = np.array([[upper_ax], [lower_ax]])
+    trim_labels(axes_grid, max_ticks=9)
+    upper_ax.set_ylabel(PEAK_LABEL)
+    lower_ax.set_ylabel("$A$")
+    add_legend(figure, axes_grid, columns=3, excluded_gids=("branch",))
+    return png_bytes(figure)

@@ -7,8 +7,8 @@ from decimal import Decimal
 AGREES = "agrees to its digits"
 DIFFERS = "differs"
 HOLDS = "holds"  # a claim in words
-FALSE = "cannot hold"
-OPEN = "undecided"  # the error bar, or what stays unresolved, reaches over an edge of what is claimed
+CANNOT_HOLD = "cannot hold"
+UNDECIDED = "undecided"  # the error bar, or what stays unresolved, reaches over an edge of what is claimed
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class Claim:
     def verdict(self) -> str:
         """A number agrees or differs, words hold or not; what does not exist cannot hold; else it is undecided."""
         if math.isnan(self.value):
-            return OPEN if self.more else FALSE
-        least, most = self.value - self.error, self.value + self.error + self.more
-        if self.low <= least and most <= self.high:
+            return UNDECIDED if self.more else CANNOT_HOLD
+        lower, upper = self.value - self.error, self.value + self.error + self.more
+        if self.low <= lower and upper <= self.high:
             return AGREES if self.printed else HOLDS
-        if most < self.low or least > self.high:
-            return DIFFERS if self.printed else FALSE
-        return OPEN
+        if upper < self.low or lower > self.high:
+            return DIFFERS if self.printed else CANNOT_HOLD
+        return UNDECIDED
 
     @property
     def is_right(self) -> bool:
@@ -50,46 +50,52 @@ class Claim:
         return self.verdict in (AGREES, HOLDS)
 
 
-def number(figure, text, printed, found, reason=""):
-    """The `Claim` that a number is what is printed, to half a unit of its last digit; found: (value, error)."""
-    exact = Decimal(printed)
-    half = 0.5 * 10.0 ** exact.as_tuple().exponent
+def number_claim(figure, text, printed, result, reason=""):
+    """The `Claim` that a number is what is printed, to half a unit of its last digit; result: (value, error)."""
+    printed_value = Decimal(printed)
+    half_unit = 0.5 * 10.0 ** printed_value.as_tuple().exponent
     return Claim(
-        figure, text, printed, float(exact) - half, float(exact) + half, *found, reason + _cut(exact, found[0])
+        figure,
+        text,
+        printed,
+        float(printed_value) - half_unit,
+        float(printed_value) + half_unit,
+        *result,
+        reason + _truncation_note(printed_value, result[0]),
     )
 
 
-def _cut(exact, value):
+def _truncation_note(printed_value, value):
     """What is to be said of a number whose digits are right but cut off in place of rounded."""
-    unit = 10.0 ** exact.as_tuple().exponent
-    cut = unit * 0.5 < value - float(exact) < unit
-    return f" The digits printed are those of {value:.6g}, cut off and not rounded." if cut else ""
+    digit_unit = 10.0 ** printed_value.as_tuple().exponent
+    is_truncated = digit_unit * 0.5 < value - float(printed_value) < digit_unit
+    return f" The digits printed are those of {value:.6g}, cut off and not rounded." if is_truncated else ""
 
 
-def statement(figure, text, found, low=-math.inf, high=math.inf, reason="", more=0.0):
-    """The `Claim` in words that a number lies between two; found: (value, error)."""
-    return Claim(figure, text, "", low, high, *found, reason, more)
+def statement_claim(figure, text, result, low=-math.inf, high=math.inf, reason="", excess=0.0):
+    """The `Claim` in words that a number lies between two; result: (value, error)."""
+    return Claim(figure, text, "", low, high, *result, reason, excess)
 
 
-def own(figure, text, found, low=-math.inf, high=math.inf, reason="", more=0.0):
+def own_claim(figure, text, result, low=-math.inf, high=math.inf, reason="", excess=0.0):
     """The same of our own, that stands apart from the paper's."""
-    return replace(statement(figure, text, found, low, high, reason, more), ours=True)
+    return replace(statement_claim(figure, text, result, low, high, reason, excess), ours=True)
 
 
-def judged(claim):
+def computed_text(claim):
     """What was computed for a claim, with its error bar."""
-    return told(claim.value, claim.error) + (", perhaps more" if claim.more else "")
+    return value_text(claim.value, claim.error) + (", perhaps more" if claim.more else "")
 
 
-def told(value, error):
+def value_text(value, error):
     """A value with its error bar: as many digits as it bears, twelve at most."""
     if math.isnan(value):
         return "none"
     if error == 0.0 and float(value).is_integer():
         return f"{int(value)} (exact)"
-    digits = 12 if error == 0.0 else min(12, max(1, 2 + _order(value) - _order(error)))
+    digits = 12 if error == 0.0 else min(12, max(1, 2 + _decimal_order(value) - _decimal_order(error)))
     return f"{value:.{digits}g} ± {error:.1g}"
 
 
-def _order(value):
+def _decimal_order(value):
     return math.floor(math.log10(abs(value))) if value else 0

@@ -4,13 +4,13 @@ import numpy as np
 
 from ..maps.simulate import simulate
 from ..orbits.find import find_orbit
-from ..plot.style import COLOURS, COORDINATES, TIME_IN_PERIODS, WALL
+from ..plot.style import COLOURS, COORDINATE_LABELS, TIME_LABEL, WALL_COLOUR
 from ..scene.state import State
-from .panels import Drawn, legend, panels, png, sheet, styled
+from .panels import FigureResult, add_legend, figure_style, make_figure, panel_files, png_bytes
 
-SAMPLES, FAR = 600, 1.5
-LOOKS = ("-", "--")
-START = State(0.9, -1.1)
+N_SAMPLES, MAX_POSITION = 600, 1.5
+LINE_STYLES = ("-", "--")
+START_STATE = State(0.9, -1.1)
 
 CAPTION = (
     "The compliant walls at -1 and 1, for two stiffnesses: the force of the springs against position; the motion that "
@@ -18,43 +18,43 @@ CAPTION = (
 )
 
 
-def drawn(file, progress):
+def reproduce_figure(file, progress):
     """Figure 9; it has no claims."""
-    found = []
-    for each in panels(file):
-        scene = each.scene.make()
-        orbit = find_orbit(scene, START)
-        found.append((scene, simulate(scene, orbit.state, orbit.periods, SAMPLES)))
-    with styled():
-        return Drawn(_picture(found), CAPTION, ())
+    motions = []
+    for panel_file in panel_files(file):
+        scene = panel_file.scene.make()
+        orbit = find_orbit(scene, START_STATE)
+        motions.append((scene, simulate(scene, orbit.state, orbit.periods, N_SAMPLES)))
+    with figure_style():
+        return FigureResult(_picture(motions), CAPTION, ())
 
 
-def force(scene, x):
+def spring_force(scene, x):
     """The force of the springs on the mass at x, towards 0: x, and k2 (x - x_b) within a wall (39)."""
-    found = np.array(x)
+    forces = np.array(x)
     for sign, wall in ((-1.0, scene.left), (1.0, scene.right)):
-        place, stiffness = float(wall.position), float(wall.stiffness)
-        found += sign * stiffness * np.maximum(sign * (x - place), 0.0)
-    return found
+        position, stiffness = float(wall.position), float(wall.stiffness)
+        forces += sign * stiffness * np.maximum(sign * (x - position), 0.0)
+    return forces
 
 
-def _picture(found):
-    figure, places = sheet(3, 1, 2.2)
-    (pull,), (phase,), (trace,) = places
-    x = np.linspace(-FAR, FAR, SAMPLES + 1)
-    for k, (scene, motion) in enumerate(found):
-        look = {"color": COLOURS[(0, 7)[k]], "linestyle": LOOKS[k], "linewidth": 1.2}
-        pull.plot(x, force(scene, x), label=f"$k_2$ = {float(scene.right.stiffness):g}", **look)
-        phase.plot(motion["x"], motion["v"], **look)
-        trace.plot(motion["time"] * float(scene.frequency) / (2.0 * np.pi), motion["x"], **look)
-    for side in (found[0][0].left, found[0][0].right):
-        place = float(side.position)
-        beyond = sorted((place, np.sign(place) * FAR))
-        for ax in (pull, phase):
-            ax.axvspan(*beyond, color=WALL, alpha=0.2, linewidth=0)
-        trace.axhspan(*beyond, color=WALL, alpha=0.2, linewidth=0)
-    pull.set(xlim=(-FAR, FAR), xlabel=COORDINATES["x"], ylabel=r"spring force$\,/\,(K d)$")
-    phase.set(xlim=(-FAR, FAR), xlabel=COORDINATES["x"], ylabel=COORDINATES["v"])
-    trace.set(xlim=(0.0, 1.0), ylim=(-FAR, FAR), xlabel=TIME_IN_PERIODS, ylabel=COORDINATES["x"])
-    legend(figure, places)
-    return png(figure)
+def _picture(motions):
+    figure, axes_grid = make_figure(3, 1, 2.2)
+    (force_ax,), (phase_ax,), (time_ax,) = axes_grid
+    x = np.linspace(-MAX_POSITION, MAX_POSITION, N_SAMPLES + 1)
+    for index, (scene, motion) in enumerate(motions):
+        line_style = {"color": COLOURS[(0, 7)[index]], "linestyle": LINE_STYLES[index], "linewidth": 1.2}
+        force_ax.plot(x, spring_force(scene, x), label=f"$k_2$ = {float(scene.right.stiffness):g}", **line_style)
+        phase_ax.plot(motion["x"], motion["v"], **line_style)
+        time_ax.plot(motion["time"] * float(scene.frequency) / (2.0 * np.pi), motion["x"], **line_style)
+    for wall in (motions[0][0].left, motions[0][0].right):
+        position = float(wall.position)
+        contact_range = sorted((position, np.sign(position) * MAX_POSITION))
+        for ax in (force_ax, phase_ax):
+            ax.axvspan(*contact_range, color=WALL_COLOUR, alpha=0.2, linewidth=0)
+        time_ax.axhspan(*contact_range, color=WALL_COLOUR, alpha=0.2, linewidth=0)
+    force_ax.set(xlim=(-MAX_POSITION, MAX_POSITION), xlabel=COORDINATE_LABELS["x"], ylabel=r"spring force$\,/\,(K d)$")
+    phase_ax.set(xlim=(-MAX_POSITION, MAX_POSITION), xlabel=COORDINATE_LABELS["x"], ylabel=COORDINATE_LABELS["v"])
+    time_ax.set(xlim=(0.0, 1.0), ylim=(-MAX_POSITION, MAX_POSITION), xlabel=TIME_LABEL, ylabel=COORDINATE_LABELS["x"])
+    add_legend(figure, axes_grid)
+    return png_bytes(figure)

@@ -8,86 +8,122 @@ import numpy as np
 from .. import plot
 from ..attractors.find import find_attractors
 from ..branches.explore import explore
-from ..studies.compute import study
-from ..studies.results_dataset import dataset
-from .claim import number, own, statement
-from .lasting import largest, onset, shares, stable_at
-from .located import ROUNDING, labelled, nearest, twice, value
-from .panels import Drawn, legend, png, sheet, styled, trim
+from ..studies.compute import run_studies
+from ..studies.results_dataset import results_dataset
+from .attractor_checks import chaos_onset, largest_exponent, shares_text, stable_labels_at
+from .claim import number_claim, own_claim, statement_claim
+from .panels import FigureResult, add_legend, figure_style, make_figure, png_bytes, trim_labels
+from .special_points import ROUNDING, explore_twice, nearest_special, neighbour_labels, special_value
 
-STARTS = 100
-LOOKS = 25  # amplitudes between two at which stable motions are counted
-BESIDE, LONGEST = 0.05, 8  # how far from an amplitude, and up to how many periods, grazings are looked for
-CROWD, EDGE = 2.0 / 3.0, 0.05  # of all special points; of their range, at its ends
+N_STARTS = 100
+N_AMPLITUDES = 25  # amplitudes between two at which stable motions are counted
+GRAZING_RANGE, MAX_PERIODS = 0.05, 8  # how far from an amplitude, and up to how many periods, grazings are looked for
+CROWD_SHARE, RANGE_MARGIN = 2.0 / 3.0, 0.05  # of all special points; of their range, at its ends
 CAPTION = (
     "x and v at phase 0 of the drive against its amplitude: swept down and up (dots), and all periodic motions; below, "
     "x where most special points are."
 )
-LATE = "No motion of this branch exists below the value beside: it turns there."
+TURN_NOTE = "No motion of this branch exists below the value beside: it turns there."
 
 
-def fourth(file, progress):
+def reproduce_figure_4(file, progress):
     """Figure 4 and its claims."""
-    found, pair = _found(file, progress)
-    first, born, doubled = pair.first, value(pair, "SN", "P112"), value(pair, "PD", "P112")
-    graze = value(pair, "GR", "P100")
-    claims = [
-        number("4", "SN1, where P111 begins", "0.5", value(pair, "SN", "P111")),
-        number("4", "GB1, where P100 grazes", "3.41", graze),
-        number("4", "SB, where P111 loses its symmetry", "3.45", value(pair, "SB"), _still(first, 3.45)),
-        number("4", "SN2, where P112 and P121 are born", "4.51", born, LATE),
-        number("4", "PD of P112 and P121", "4.735", doubled, _still(first, 4.735, "P112")),
-        _four(first, born[0], doubled[0]),
-        number(
-            "4", "asymmetric P111 ends by grazing", "5.215", value(pair, "GR", "P111", near=5.215), _still(first, 5.215)
-        ),
-        *_chaos("4", found.scene, "5.24", graze[0]),
-        _pair_grazes(found.scene, pair, "5.42", 3),
-    ]
-    return _drawn(found, claims)
-
-
-def _four(diagram, low, high):
-    """That four motions last from where P112 is born to where it doubles its period."""
-    seen = [stable_at(diagram.branches, one) for one in np.linspace(low, high, LOOKS + 2)[1:-1]]
-    counts = [len(one) for one in seen]
-    labels = " or ".join(sorted({", ".join(sorted(one)) for one in seen}))
-    middle = 0.5 * (max(counts) + min(counts)), 0.5 * (max(counts) - min(counts))
-    text = f"four motions last between SN2 and PD (stable ones at {LOOKS} amplitudes between: {labels})"
-    return statement("4", text, middle, low=4.0, high=4.0)
-
-
-def _pair_grazes(scene, pair, printed, periods):
-    """The grazing of orbits of so many periods nearest to a printed amplitude, and what else grazes there: of all
-    orbits of up to `LONGEST` periods the nearest."""
-    near = float(printed)
-    here = explore(scene, "amplitude", (near - BESIDE, near + BESIDE), LONGEST)
-    claimed = nearest(pair.first, "GR", near, periods=periods)
-    points = [one for one in (nearest(here, "GR", near), claimed) if one is not None]
-    touch = min(points, key=lambda one: abs(one.value - near))
-    twins = [one.label for one in here.points("GR") if abs(one.value - touch.value) <= ROUNDING * abs(touch.value)]
-    births = [one.value for one in here.points("SN") if one.label == touch.label and one.value < touch.value]
-    born = f", born in an SN at {max(births):.9g}," if births else ""
-    reason = (
-        f"Of all orbits of up to {LONGEST} periods the nearest to graze is {' and '.join(twins or [touch.label])}, of "
-        f"period {len(touch.itinerary)}{born} at {touch.value:.9g}."
+    results, diagrams = _run_study(file, progress)
+    diagram, birth, doubling = (
+        diagrams.first,
+        special_value(diagrams, "SN", "P112"),
+        special_value(diagrams, "PD", "P112"),
     )
-    if claimed is not None:
-        reason += f" Of period {periods} it is {claimed.label}, at {claimed.value:.9g}."
+    grazing = special_value(diagrams, "GR", "P100")
+    claims = [
+        number_claim("4", "SN1, where P111 begins", "0.5", special_value(diagrams, "SN", "P111")),
+        number_claim("4", "GB1, where P100 grazes", "3.41", grazing),
+        number_claim(
+            "4",
+            "SB, where P111 loses its symmetry",
+            "3.45",
+            special_value(diagrams, "SB"),
+            _stability_note(diagram, 3.45),
+        ),
+        number_claim("4", "SN2, where P112 and P121 are born", "4.51", birth, TURN_NOTE),
+        number_claim("4", "PD of P112 and P121", "4.735", doubling, _stability_note(diagram, 4.735, "P112")),
+        _four_motions_claim(diagram, birth[0], doubling[0]),
+        number_claim(
+            "4",
+            "asymmetric P111 ends by grazing",
+            "5.215",
+            special_value(diagrams, "GR", "P111", target=5.215),
+            _stability_note(diagram, 5.215),
+        ),
+        *_chaos_claims("4", results.scene, "5.24", grazing[0]),
+        _pair_grazing_claim(results.scene, diagrams, "5.42", 3),
+    ]
+    return _figure_result(results, claims)
+
+
+def _four_motions_claim(diagram, lower, upper):
+    """That four motions last from where P112 is born to where it doubles its period."""
+    stable_labels = [
+        stable_labels_at(diagram.branches, item) for item in np.linspace(lower, upper, N_AMPLITUDES + 2)[1:-1]
+    ]
+    counts = [len(item) for item in stable_labels]
+    labels_text = " or ".join(sorted({", ".join(sorted(item)) for item in stable_labels}))
+    count_range = 0.5 * (max(counts) + min(counts)), 0.5 * (max(counts) - min(counts))
+    text = f"four motions last between SN2 and PD (stable ones at {N_AMPLITUDES} amplitudes between: {labels_text})"
+    return statement_claim("4", text, count_range, low=4.0, high=4.0)
+
+
+def _pair_grazing_claim(scene, diagrams, printed, periods):
+    """The grazing of orbits of so many periods nearest to a printed amplitude, and what else grazes there: of all
+    orbits of up to `MAX_PERIODS` periods the nearest."""
+    printed_value = float(printed)
+    local_diagram = explore(
+        scene, "amplitude", (printed_value - GRAZING_RANGE, printed_value + GRAZING_RANGE), MAX_PERIODS
+    )
+    claimed_point = nearest_special(diagrams.first, "GR", printed_value, periods=periods)
+    points = [
+        special
+        for special in (nearest_special(local_diagram, "GR", printed_value), claimed_point)
+        if special is not None
+    ]
+    grazing_point = min(points, key=lambda special: abs(special.value - printed_value))
+    grazing_labels = [
+        special.label
+        for special in local_diagram.points("GR")
+        if abs(special.value - grazing_point.value) <= ROUNDING * abs(grazing_point.value)
+    ]
+    births = [
+        special.value
+        for special in local_diagram.points("SN")
+        if special.label == grazing_point.label and special.value < grazing_point.value
+    ]
+    birth_text = f", born in an SN at {max(births):.9g}," if births else ""
+    reason = (
+        f"Of all orbits of up to {MAX_PERIODS} periods the nearest to graze is"
+        f" {' and '.join(grazing_labels or [grazing_point.label])}, of "
+        f"period {len(grazing_point.itinerary)}{birth_text} at {grazing_point.value:.9g}."
+    )
+    if claimed_point is not None:
+        reason += f" Of period {periods} it is {claimed_point.label}, at {claimed_point.value:.9g}."
     text = f"GB2, where a period-{periods} pair grazes"
-    return number("4", text, printed, value(pair, "GR", near=near, periods=periods), reason)
+    return number_claim(
+        "4", text, printed, special_value(diagrams, "GR", target=printed_value, periods=periods), reason
+    )
 
 
-def _still(diagram, amplitude, label="P111"):
+def _stability_note(diagram, amplitude, label="P111"):
     """That a motion is stable at an amplitude, by its multipliers there."""
-    found = []
+    magnitudes = []
     for branch in diagram.branches:
-        for part in (one for one in branch.segments if one.label == label):
-            values, sizes = (each[part.first : part.last + 1] for each in (branch.values, branch.multipliers))
-            (places,) = np.nonzero((values[:-1] - amplitude) * (values[1:] - amplitude) <= 0)
-            found += [abs(sizes[k : k + 2]).max() for k in places]
+        for segment in (candidate for candidate in branch.segments if candidate.label == label):
+            values, multipliers = (
+                column[segment.first : segment.last + 1] for column in (branch.values, branch.multipliers)
+            )
+            (rows,) = np.nonzero((values[:-1] - amplitude) * (values[1:] - amplitude) <= 0)
+            magnitudes += [abs(multipliers[row : row + 2]).max() for row in rows]
     return (
-        f"At {amplitude:g} {label} is still stable: its multipliers there are at most {min(found, default=np.nan):.3f}."
+        f"At {amplitude:g} {label} is still stable: its multipliers there are at most"
+        f" {min(magnitudes, default=np.nan):.3f}."
     )
 
 
@@ -101,106 +137,122 @@ EVENTS = {
 }
 
 
-def sixth(file, slower, progress):
+def reproduce_figure_6(file, slower_file, progress):
     """Figure 6 and its claims, which compare it with figure 4, whose scene file is the other one."""
-    found, pair = _found(file, progress)
-    other = twice(slower.scene.make(), slower.explore)
-    here, there = ({name: value(one, *event) for name, event in EVENTS.items()} for one in (pair, other))
-    swapped = [
-        f"{one} and {two}"
-        for one, two in combinations(EVENTS, 2)
-        if (here[one][0] < here[two][0]) != (there[one][0] < there[two][0])
+    results, diagrams = _run_study(file, progress)
+    slower_diagrams = explore_twice(slower_file.scene.make(), slower_file.explore)
+    fast_values, slow_values = (
+        {name: special_value(item, *event) for name, event in EVENTS.items()} for item in (diagrams, slower_diagrams)
+    )
+    exchanges = [
+        f"{item} and {next_item}"
+        for item, next_item in combinations(EVENTS, 2)
+        if (fast_values[item][0] < fast_values[next_item][0]) != (slow_values[item][0] < slow_values[next_item][0])
     ]
-    order = " < ".join(sorted(here, key=lambda name: here[name][0]))
-    reason = f"Here {order}: exchanged are {'; '.join(swapped)}."
+    order_text = " < ".join(sorted(fast_values, key=lambda name: fast_values[name][0]))
+    reason = f"Here {order_text}: exchanged are {'; '.join(exchanges)}."
     text = "the same order of events as in figure 4 (number of pairs exchanged)"
-    least = min(here, key=lambda name: here[name][0] - there[name][0])
-    more = here[least][0] - there[least][0], here[least][1] + there[least][1]
+    least_event = min(fast_values, key=lambda name: fast_values[name][0] - slow_values[name][0])
+    difference = (
+        fast_values[least_event][0] - slow_values[least_event][0],
+        fast_values[least_event][1] + slow_values[least_event][1],
+    )
     claims = [
-        statement("6", text, (float(len(swapped)), 0.0), high=0.0, reason=reason),
-        statement("6", f"each at a larger A (the least difference, of {least})", more, low=0.0),
+        statement_claim("6", text, (float(len(exchanges)), 0.0), high=0.0, reason=reason),
+        statement_claim("6", f"each at a larger A (the least difference, of {least_event})", difference, low=0.0),
     ]
-    return _drawn(found, claims)
+    return _figure_result(results, claims)
 
 
-def seventh(file, progress):
+def reproduce_figure_7(file, progress):
     """Figure 7 and its claims."""
-    found, pair = _found(file, progress)
-    first, graze = pair.first, value(pair, "GR", "P100")
-    other = nearest(first, "SN", 5.51)
-    reason = f"The SN nearest to 5.51 is that of {other.label}, at {other.value:.9g}."
+    results, diagrams = _run_study(file, progress)
+    diagram, grazing = diagrams.first, special_value(diagrams, "GR", "P100")
+    nearest_fold = nearest_special(diagram, "SN", 5.51)
+    reason = f"The SN nearest to 5.51 is that of {nearest_fold.label}, at {nearest_fold.value:.9g}."
     claims = [
-        statement("7", "no SB (number of such points)", (float(len(first.points("SB"))), 0.0), high=0.0),
-        number("7", "P111 begins at an SN", "0.7", value(pair, "SN", "P111"), _still(first, 0.7)),
-        number("7", "GR, of P100", "3.41", graze),
-        number("7", "second SN, of P111", "5.51", value(pair, "SN", "P111", near=5.51), reason),
-        *_chaos("7", found.scene, "6.75", graze[0]),
-        *_then(pair, 6.75),
+        statement_claim("7", "no SB (number of such points)", (float(len(diagram.points("SB"))), 0.0), high=0.0),
+        number_claim(
+            "7", "P111 begins at an SN", "0.7", special_value(diagrams, "SN", "P111"), _stability_note(diagram, 0.7)
+        ),
+        number_claim("7", "GR, of P100", "3.41", grazing),
+        number_claim("7", "second SN, of P111", "5.51", special_value(diagrams, "SN", "P111", target=5.51), reason),
+        *_chaos_claims("7", results.scene, "6.75", grazing[0]),
+        *_period_two_claims(diagrams, 6.75),
     ]
-    return _drawn(found, claims)
+    return _figure_result(results, claims)
 
 
-def _then(pair, amplitude):
+def _period_two_claims(diagrams, amplitude):
     """That a motion of two periods follows the chaos, and where it grazes."""
-    values = np.linspace(amplitude, pair.first.bounds[1], LOOKS + 1)[1:]
-    branches = [one for one in pair.first.branches if one.data.sizes["period"] == 2]
-    seen = [stable_at(branches, one) for one in values]
-    labels = ", ".join(sorted({label for one in seen for label in one}))
-    text = f"then a period-2 pair (of {LOOKS} amplitudes from {amplitude:g} on those with a stable one: {labels})"
-    yield statement("7", text, (float(sum(map(bool, seen))), 0.0), low=1.0)
-    beyond = [one for one in pair.first.points("GR") if len(one.itinerary) == 2 and one.value > amplitude]
-    if beyond:
-        touch = min(beyond, key=lambda one: one.value)
-        text = f"that motion grazes: {' and '.join(sorted(labelled(touch)))} meet there (amplitude)"
-        yield own("7", text, value(pair, "GR", near=touch.value, periods=2), low=amplitude)
+    values = np.linspace(amplitude, diagrams.first.bounds[1], N_AMPLITUDES + 1)[1:]
+    branches = [item for item in diagrams.first.branches if item.data.sizes["period"] == 2]
+    stable_labels = [stable_labels_at(branches, item) for item in values]
+    labels = ", ".join(sorted({label for item in stable_labels for label in item}))
+    text = (
+        f"then a period-2 pair (of {N_AMPLITUDES} amplitudes from {amplitude:g} on those with a stable one: {labels})"
+    )
+    yield statement_claim("7", text, (float(sum(map(bool, stable_labels))), 0.0), low=1.0)
+    later_grazings = [
+        item for item in diagrams.first.points("GR") if len(item.itinerary) == 2 and item.value > amplitude
+    ]
+    if later_grazings:
+        grazing_point = min(later_grazings, key=lambda special: special.value)
+        text = f"that motion grazes: {' and '.join(sorted(neighbour_labels(grazing_point)))} meet there (amplitude)"
+        yield own_claim("7", text, special_value(diagrams, "GR", target=grazing_point.value, periods=2), low=amplitude)
 
 
-def _chaos(figure, scene, printed, low):
+def _chaos_claims(figure, scene, printed, lower):
     """That motion is chaotic at an amplitude: the largest exponent of all that lasts. And that chaos begins there:
     where the first is found, from an amplitude on below which the motions are known."""
     amplitude = float(printed)
-    there = scene.replace(amplitude=amplitude)
-    attractors = find_attractors(there, STARTS)
-    exponent, others = largest(there, attractors)
-    text = f"chaos at {printed} (largest exponent a period; what starts settle on: {shares(attractors)})"
-    yield statement(figure, text, exponent, low=0.0, more=others)
-    begins, doubt, count, rate = onset(scene, low, amplitude)
+    printed_scene = scene.replace(amplitude=amplitude)
+    attractors = find_attractors(printed_scene, N_STARTS)
+    exponent, excess = largest_exponent(printed_scene, attractors)
+    text = f"chaos at {printed} (largest exponent a period; what starts settle on: {shares_text(attractors)})"
+    yield statement_claim(figure, text, exponent, low=0.0, excess=excess)
+    onset_amplitude, onset_error, n_chaotic, onset_exponent = chaos_onset(scene, lower, amplitude)
     reason = (
-        f"There is chaos at {begins:.4g} already, from {count} starts, with an exponent of {rate:.3g} a period; looked "
-        f"at were amplitudes {doubt:g} apart."
+        f"There is chaos at {onset_amplitude:.4g} already, from {n_chaotic} starts, with an exponent of"
+        f" {onset_exponent:.3g} a period; looked "
+        f"at were amplitudes {onset_error:g} apart."
     )
-    yield number(figure, "chaos begins (the same number read as an onset)", printed, (begins, doubt), reason)
+    yield number_claim(
+        figure, "chaos begins (the same number read as an onset)", printed, (onset_amplitude, onset_error), reason
+    )
 
 
-def _found(file, progress):
-    found = study(file, progress=progress)
-    return found, twice(found.scene, file.explore, found.diagram)
+def _run_study(file, progress):
+    results = run_studies(file, progress=progress)
+    return results, explore_twice(results.scene, file.explore, results.diagram)
 
 
-def _drawn(found, claims):
-    with styled():
-        return Drawn(_picture(found), CAPTION, tuple(claims), {"": dataset(found)})
+def _figure_result(results, claims):
+    with figure_style():
+        return FigureResult(_picture(results), CAPTION, tuple(claims), {"": results_dataset(results)})
 
 
-def _picture(found):
-    figure, places = sheet(3, 1, 2.5)
-    for (ax,), variable in zip(places, "xvx", strict=True):
-        plot.diagram(found.swept, variable, ax, faint=True)
-        for branch in found.drawn:
+def _picture(results):
+    figure, axes_grid = make_figure(3, 1, 2.5)
+    for (ax,), variable in zip(axes_grid, "xvx", strict=True):
+        plot.diagram(results.swept, variable, ax, faint=True)
+        for branch in results.diagram_branches:
             plot.branch(branch, variable, ax)
-    places[2, 0].set_xlim(*_crowd([one.value for branch in found.drawn for one in branch.special]))
-    for some in (places[:2], places[2:]):
-        trim(some, ticks=9)
-        plot.mark_points(found.drawn, some[0, 0])
-        some[-1, 0].tick_params(labelbottom=True)
-    legend(figure, places, columns=2)
-    return png(figure)
+    axes_grid[2, 0].set_xlim(
+        *_crowded_range([special.value for branch in results.diagram_branches for special in branch.special])
+    )
+    for axes_rows in (axes_grid[:2], axes_grid[2:]):
+        trim_labels(axes_rows, max_ticks=9)
+        plot.mark_points(results.diagram_branches, axes_rows[0, 0])
+        axes_rows[-1, 0].tick_params(labelbottom=True)
+    add_legend(figure, axes_grid, columns=2)
+    return png_bytes(figure)
 
 
-def _crowd(values):
-    """The least range that holds `CROWD` of some values, and a little more."""
+def _crowded_range(values):
+    """The least range that holds `CROWD_SHARE` of some values, and a little more."""
     values = np.sort(values)
-    count = math.ceil(CROWD * len(values))
-    first = int(np.argmin(values[count - 1 :] - values[: len(values) - count + 1]))
-    low, high = values[[first, first + count - 1]]
-    return low - EDGE * (high - low), high + EDGE * (high - low)
+    count = math.ceil(CROWD_SHARE * len(values))
+    start = int(np.argmin(values[count - 1 :] - values[: len(values) - count + 1]))
+    lower, upper = values[[start, start + count - 1]]
+    return lower - RANGE_MARGIN * (upper - lower), upper + RANGE_MARGIN * (upper - lower)

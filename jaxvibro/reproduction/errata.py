@@ -2,82 +2,91 @@
 
 import numpy as np
 
-from ..flight.flow import responses
+from ..flight.flow import flight_responses
 from ..maps.monodromy import monodromy
 from ..orbits.find import find_orbit
 from ..scene.state import State
-from . import closed, matrices, method
-from .claim import number, own, statement
-from .located import ROUNDING, twice, value
-from .panels import Drawn
+from . import closed_forms, integration_method, matrices
+from .claim import number_claim, own_claim, statement_claim
+from .panels import FigureResult
+from .special_points import ROUNDING, explore_twice, special_value
 
-STEP = 1e-5  # in time, of a derivative by differences
-START = State(0.9, -1.1)  # settles on P111
-SAME = 1e-9
+TIME_STEP = 1e-5  # in time, of a derivative by differences
+START_STATE = State(0.9, -1.1)  # settles on P111
+TOLERANCE = 1e-9
 CAPTION = "Formulas, as our copy of the paper reads."
 
 
-def drawn(file, progress):
+def reproduce_formulas(file, progress):
     """The claims on formulas, in the scene of a file."""
     scene = file.scene.make()
-    pair = twice(scene, file.explore)
+    diagrams = explore_twice(scene, file.explore)
     claims = [
-        _ratio(),
-        _grazing(scene, pair),
-        _fold(scene, pair),
-        _corner(scene),
-        *matrices.claims(scene),
-        *_orbit(scene),
+        _damping_claim(),
+        _grazing_claim(scene, diagrams),
+        _fold_claim(scene, diagrams),
+        _flow_entry_claim(scene),
+        *matrices.matrix_claims(scene),
+        *_multiplier_claims(scene),
     ]
-    claims += method.claims(scene)
-    return Drawn(None, CAPTION, tuple(claims))
+    claims += integration_method.method_claims(scene)
+    return FigureResult(None, CAPTION, tuple(claims))
 
 
-def _ratio():
+def _damping_claim():
     """The damping, by how fast M X'' + C X' + K X = 0 decays for M = K = 1, C = 0.1."""
     decay = -float(np.roots([1.0, 0.1, 1.0]).real[0])
     reason = "Free oscillations decay like exp(-gamma t), so that gamma = C / (2 M w0)."
-    return number("(3)", "gamma = C / (M w0): M = K = 1, C = 0.1", "0.10", (decay, 1e-15), reason)
+    return number_claim("(3)", "gamma = C / (M w0): M = K = 1, C = 0.1", "0.10", (decay, 1e-15), reason)
 
 
-def _grazing(scene, pair):
+def _grazing_claim(scene, diagrams):
     """Where P100 grazes."""
-    exact = float(closed.grazing(float(scene.frequency), float(scene.damping)))
-    found, error = value(pair, "GR", "P100")
-    text = f"P100 grazes at A = s sqrt(D), {exact:.12g} at omega {float(scene.frequency):g} (located less that)"
-    return statement("(8)", text, (found - exact, error), low=-SAME, high=SAME)
-
-
-def _fold(scene, pair):
-    """The saddle-node of P111, located, beside the closed form as it reads."""
-    found = value(pair, "SN", "P111")
-    exact = float(
-        closed.symmetric_fold(*(float(getattr(scene, key)) for key in ("frequency", "damping", "restitution")))[0]
+    exact_amplitude = float(closed_forms.grazing_amplitude(float(scene.frequency), float(scene.damping)))
+    located_amplitude, error = special_value(diagrams, "GR", "P100")
+    text = (
+        f"P100 grazes at A = s sqrt(D), {exact_amplitude:.12g} at omega {float(scene.frequency):g} (located less that)"
     )
-    reason = f"A denominator is to be S sqrt(1 + C^2); our own derivation gives {exact:.12g}, and so says simulation."
-    return number("(19)", f"A_c at omega {float(scene.frequency):g}, as (12) to (19) read", "1.334", found, reason)
+    return statement_claim("(8)", text, (located_amplitude - exact_amplitude, error), low=-TOLERANCE, high=TOLERANCE)
 
 
-def _corner(scene):
+def _fold_claim(scene, diagrams):
+    """The saddle-node of P111, located, beside the closed form as it reads."""
+    located_fold = special_value(diagrams, "SN", "P111")
+    exact_amplitude = float(
+        closed_forms.symmetric_fold(*(float(getattr(scene, key)) for key in ("frequency", "damping", "restitution")))[0]
+    )
+    reason = (
+        f"A denominator is to be S sqrt(1 + C^2); our own derivation gives {exact_amplitude:.12g}, and so"
+        " says simulation."
+    )
+    return number_claim(
+        "(19)", f"A_c at omega {float(scene.frequency):g}, as (12) to (19) read", "1.334", located_fold, reason
+    )
+
+
+def _flow_entry_claim(scene):
     """The lower right entry of the free motion's matrix: the slope at time 0 of that entry of the flow."""
     damping = float(scene.damping)
-    (_, _, ahead), _ = responses(*(np.float64(each) for each in (scene.frequency, damping, STEP)))
-    slope = (float(ahead) - 1.0) / STEP
+    (_, _, entry), _ = flight_responses(*(np.float64(value) for value in (scene.frequency, damping, TIME_STEP)))
+    slope = (float(entry) - 1.0) / TIME_STEP
     reason = "x'' = -x - 2 gamma x' + ...: the entry is -2 gamma, else energy would grow."
     text = f"the lower right entry of (22) is +2 gamma, gamma {damping:g}"
-    return number("(22)", text, f"{2.0 * damping:.2f}", (slope, STEP), reason)
+    return number_claim("(22)", text, f"{2.0 * damping:.2f}", (slope, TIME_STEP), reason)
 
 
-def _orbit(scene):
+def _multiplier_claims(scene):
     """Whose eigenvalues the multipliers are, and the determinant of M, on the motion that lasts."""
-    orbit = find_orbit(scene, START)
-    length, damping = 2.0 * np.pi * orbit.periods / float(scene.frequency), float(scene.damping)
-    larger, free = abs(orbit.multipliers[0]), np.exp(-damping * length)
-    reason = f"They are those of M = Q P ... Q P; P alone has abs(eigenvalue) {free:.6g}."
+    orbit = find_orbit(scene, START_STATE)
+    duration, damping = 2.0 * np.pi * orbit.periods / float(scene.frequency), float(scene.damping)
+    larger_multiplier, flight_multiplier = abs(orbit.multipliers[0]), np.exp(-damping * duration)
+    reason = f"They are those of M = Q P ... Q P; P alone has abs(eigenvalue) {flight_multiplier:.6g}."
     text = f"multipliers are eigenvalues of P, {orbit.label} (the larger less that of P)"
-    yield statement("(37)", text, (float(larger - free), 1e-9), low=-1e-6, high=1e-6, reason=reason)
-    impacts = int(np.sum(np.asarray(orbit.impacts.side) != 0))
-    found = float(np.linalg.det(np.asarray(monodromy(scene, orbit.state, orbit.periods))))
-    exact = float(scene.restitution) ** (2 * impacts) * np.exp(-2.0 * damping * length)
+    yield statement_claim(
+        "(37)", text, (float(larger_multiplier - flight_multiplier), 1e-9), low=-1e-6, high=1e-6, reason=reason
+    )
+    n_impacts = int(np.sum(np.asarray(orbit.impacts.side) != 0))
+    determinant = float(np.linalg.det(np.asarray(monodromy(scene, orbit.state, orbit.periods))))
+    exact_determinant = float(scene.restitution) ** (2 * n_impacts) * np.exp(-2.0 * damping * duration)
     text = f"det M = R^(2 x impacts) exp(-2 gamma n T), {orbit.label} (difference)"
-    yield own("(37)", text, (abs(found - exact), ROUNDING), high=1e-12)
+    yield own_claim("(37)", text, (abs(determinant - exact_determinant), ROUNDING), high=1e-12)

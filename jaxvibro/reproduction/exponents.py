@@ -7,67 +7,69 @@ from .. import plot
 from ..attractors.spectrum import spectrum
 from ..orbits.find import find_orbit
 from ..scene.state import State
-from .claim import own
-from .located import ROUNDING
-from .panels import Drawn, png, sheet, styled
+from .claim import own_claim
+from .panels import FigureResult, figure_style, make_figure, png_bytes
+from .special_points import ROUNDING
 
-KNOWN = 2.0  # an amplitude at which the motion is P111
+PERIODIC_AMPLITUDE = 2.0  # an amplitude at which the motion is P111
 CAPTION = (
     "Both Lyapunov exponents, per drive period, against the drive's amplitude. Where the larger one is above 0 the "
     "motion is chaotic; their sum tells how fast areas shrink."
 )
 
 
-def drawn(file, progress):
+def reproduce_figure(file, progress):
     """Figure 8 and its claims."""
-    scene, asked = file.scene.make(), file.spectrum
-    start = State(asked.start.x, asked.start.v)
-    with tqdm(desc="spectrum", total=asked.count, unit=" values", disable=not progress) as bar:
-        found = spectrum(
+    scene, table = file.scene.make(), file.spectrum
+    start = State(table.start.x, table.start.v)
+    with tqdm(desc="spectrum", total=table.count, unit=" values", disable=not progress) as bar:
+        spectrum_data = spectrum(
             scene,
-            asked.parameter,
-            asked.values,
+            table.parameter,
+            table.values,
             start,
-            settle=asked.settle,
-            error=asked.error,
-            progress=lambda n: bar.update(n - bar.n),
+            settle=table.settle,
+            error=table.error,
+            progress=lambda n_done: bar.update(n_done - bar.n),
         )
-    with styled():
-        figure, ((ax,),) = sheet(1, 1, 3.2)
-        plot.spectrum(found, ax).legend(frameon=False, loc="lower left")
-        return Drawn(png(figure), CAPTION, tuple(_claims(scene, asked, found)), {"": found})
+    with figure_style():
+        figure, ((ax,),) = make_figure(1, 1, 3.2)
+        plot.spectrum(spectrum_data, ax).legend(frameon=False, loc="lower left")
+        return FigureResult(
+            png_bytes(figure), CAPTION, tuple(_claims(scene, table, spectrum_data)), {"": spectrum_data}
+        )
 
 
-def _claims(scene, asked, found):
-    yield _sum(scene, found)
-    yield _known(scene, asked, found)
-    largest, error = (found[key].values[:, 0] for key in ("exponent", "error"))
-    above = largest - 3.0 * error > 0
-    values = asked.values
-    told = (
-        f"{above.sum()} of {len(values)} values, from {values[above].min():g} to {values[above].max():g}"
-        if above.any()
+def _claims(scene, table, spectrum_data):
+    yield _sum_claim(scene, spectrum_data)
+    yield _periodic_claim(scene, table, spectrum_data)
+    largest_exponents, errors = (spectrum_data[key].values[:, 0] for key in ("exponent", "error"))
+    is_chaotic = largest_exponents - 3.0 * errors > 0
+    values = table.values
+    range_text = (
+        f"{is_chaotic.sum()} of {len(values)} values, from {values[is_chaotic].min():g} to {values[is_chaotic].max():g}"
+        if is_chaotic.any()
         else "none"
     )
-    best = int(np.nanargmax(largest))
-    text = f"there is chaos: {told} (largest exponent, at A = {values[best]:g})"
-    yield own("8", text, (float(largest[best]), float(error[best])), low=0.0)
+    row = int(np.nanargmax(largest_exponents))
+    text = f"there is chaos: {range_text} (largest exponent, at A = {values[row]:g})"
+    yield own_claim("8", text, (float(largest_exponents[row]), float(errors[row])), low=0.0)
 
 
-def _sum(scene, found):
+def _sum_claim(scene, spectrum_data):
     """The sum rule: areas shrink by damping and impacts alone."""
-    rule = -4.0 * np.pi * float(scene.damping) / float(scene.frequency)
-    rule = rule + 2.0 * np.log(float(scene.restitution)) * found["impacts"].values
-    largest = float(np.nanmax(abs(found["exponent"].values.sum(axis=1) - rule)))
+    expected_sum = -4.0 * np.pi * float(scene.damping) / float(scene.frequency)
+    expected_sum = expected_sum + 2.0 * np.log(float(scene.restitution)) * spectrum_data["impacts"].values
+    max_difference = float(np.nanmax(abs(spectrum_data["exponent"].values.sum(axis=1) - expected_sum)))
     text = "the exponents' sum is -2 gamma T + 2 ln R x (impacts a period) (largest difference)"
-    return own("8", text, (largest, ROUNDING), high=1e-12)
+    return own_claim("8", text, (max_difference, ROUNDING), high=1e-12)
 
 
-def _known(scene, asked, found):
+def _periodic_claim(scene, table, spectrum_data):
     """At a periodic motion the exponents are ln abs(multiplier) / n."""
-    place = int(np.argmin(abs(asked.values - KNOWN)))
-    here = scene.replace(**{asked.parameter: asked.values[place]})
-    orbit = find_orbit(here, State(asked.start.x, asked.start.v))
-    gap = found["exponent"].values[place] - np.log(abs(orbit.multipliers)) / orbit.periods
-    text = f"on {orbit.label} at A = {asked.values[place]:g} they are ln abs(multiplier) a period (difference)"
-    return own("8", text, (float(abs(gap).max()), ROUNDING), high=1e-9)
+    row = int(np.argmin(abs(table.values - PERIODIC_AMPLITUDE)))
+    periodic_scene = scene.replace(**{table.parameter: table.values[row]})
+    orbit = find_orbit(periodic_scene, State(table.start.x, table.start.v))
+    difference = spectrum_data["exponent"].values[row] - np.log(abs(orbit.multipliers)) / orbit.periods
+    text = f"on {orbit.label} at A = {table.values[row]:g} they are ln abs(multiplier) a period (difference)"
+    return own_claim("8", text, (float(abs(difference).max()), ROUNDING), high=1e-9)

@@ -6,72 +6,76 @@ import numpy as np
 import optax
 from jaxtyping import Float
 
-from ..loci.held_point import HeldPoint, move, slopes
+from ..loci.point_continuation import ContinuedPoint, continue_point, parameter_gradient
 
-RATE, CLOSE, LONG = 0.02, 0.03, 80  # of Adam's steps; a misfit so small ends them; so many at most
-ROUNDS, LEAST = 20, 1e-13  # of Newton's steps; one as short is the last
-WITHIN = 0.5  # of the way to where a point ends: nearer, its Newton's method may find another
+LEARNING_RATE, ADAM_TOLERANCE, MAX_ADAM_STEPS = (
+    0.02,
+    0.03,
+    80,
+)  # of Adam's steps; a misfit so small ends them; so many at most
+MAX_NEWTON_STEPS, NEWTON_TOLERANCE = 20, 1e-13  # of Newton's steps; one as short is the last
+EXISTENCE_FRACTION = 0.5  # of the way to where a point ends: nearer, its Newton's method may find another
 
 
 class Fit(NamedTuple):
-    """values: the numbers fitted; misfits: value less target of each point; by: d value / d number, (points, numbers);
-    met: whether the last step was rounding; points: the `held_point.HeldPoint` there."""
+    """values: the numbers fitted; misfits: value less target of each point; jacobian: d value / d number, (points,
+    numbers); converged: whether the last step was rounding; points: the `held_point.HeldPoint` there."""
 
     values: Float[np.ndarray, " numbers"]
     misfits: Float[np.ndarray, " points"]
-    by: Float[np.ndarray, "points numbers"]
-    met: bool
-    points: tuple[HeldPoint, ...]
+    jacobian: Float[np.ndarray, "points numbers"]
+    converged: bool
+    points: tuple[ContinuedPoint, ...]
 
     @property
     def condition(self) -> float:
         """Of the derivative: how much more one direction of the numbers is felt than another."""
-        return float(np.linalg.cond(self.by))
+        return float(np.linalg.cond(self.jacobian))
 
 
-def fitted(points, targets, start, low, high):
+def fit_values(points, targets, start, lower, upper):
     """The `Fit` of the least squares, from a start, within (low, high) of each number.
 
     points: `held_point.HeldPoint`, with the same numbers kept; targets: their values as they should be. Where a point
     does not exist with the start's numbers, it starts on the way there, from the points' own.
     """
-    points, values = there(points, start)
-    rule = optax.adam(RATE)
-    state = rule.init(values)
-    for _ in range(LONG):
-        misfits, by = _felt(points, targets)
-        if abs(misfits).max() < CLOSE:
+    points, values = move_points(points, start)
+    optimiser = optax.adam(LEARNING_RATE)
+    optimiser_state = optimiser.init(values)
+    for _ in range(MAX_ADAM_STEPS):
+        misfits, jacobian = _misfits_and_jacobian(points, targets)
+        if abs(misfits).max() < ADAM_TOLERANCE:
             break
-        step, state = rule.update(np.asarray(2.0 * by.T @ misfits), state)
-        points, values = there(points, np.clip(values + np.asarray(step), low, high))
-    return _finished(points, targets, low, high)
+        step, optimiser_state = optimiser.update(np.asarray(2.0 * jacobian.T @ misfits), optimiser_state)
+        points, values = move_points(points, np.clip(values + np.asarray(step), lower, upper))
+    return _newton_fit(points, targets, lower, upper)
 
 
-def there(points, values):
+def move_points(points, values):
     """(points, numbers): the points where their numbers are these, or as near on the way as all of them exist."""
-    start, values = np.array(points[0].kept), np.asarray(values, float)
-    found = [move(one, values) for one in points]
-    share = min(each for _, each in found)
-    if share < 1.0:
-        values = start + WITHIN * share * (values - start)
-        found = [move(one, values) for one in points]
-    return tuple(one for one, _ in found), values
+    start, values = np.array(points[0].parameter_values), np.asarray(values, float)
+    moves = [continue_point(point, values) for point in points]
+    fraction = min(move_fraction for _, move_fraction in moves)
+    if fraction < 1.0:
+        values = start + EXISTENCE_FRACTION * fraction * (values - start)
+        moves = [continue_point(point, values) for point in points]
+    return tuple(point for point, _ in moves), values
 
 
-def _felt(points, targets):
+def _misfits_and_jacobian(points, targets):
     """(misfits, their derivatives)."""
-    values = np.array([one.value for one in points])
-    return values - np.asarray(targets), np.stack([slopes(one) for one in points])
+    values = np.array([point.value for point in points])
+    return values - np.asarray(targets), np.stack([parameter_gradient(point) for point in points])
 
 
-def _finished(points, targets, low, high):
-    met = False
-    for _ in range(ROUNDS):
-        misfits, by = _felt(points, targets)
-        values = np.array(points[0].kept)
-        step = -np.linalg.lstsq(by, misfits, rcond=None)[0]
-        if met:
+def _newton_fit(points, targets, lower, upper):
+    converged = False
+    for _ in range(MAX_NEWTON_STEPS):
+        misfits, jacobian = _misfits_and_jacobian(points, targets)
+        values = np.array(points[0].parameter_values)
+        step = -np.linalg.lstsq(jacobian, misfits, rcond=None)[0]
+        if converged:
             break
-        points, _ = there(points, np.clip(values + step, low, high))
-        met = abs(step).max() < LEAST * (1.0 + abs(values).max())
-    return Fit(values, misfits, by, bool(met), points)
+        points, _ = move_points(points, np.clip(values + step, lower, upper))
+        converged = abs(step).max() < NEWTON_TOLERANCE * (1.0 + abs(values).max())
+    return Fit(values, misfits, jacobian, bool(converged), points)

@@ -3,16 +3,19 @@
 import numpy as np
 
 from .. import plot
-from ..studies.compute import study
-from .claim import number, statement
-from .closed import forced
-from .located import twice, value
-from .panels import Drawn, legend, panels, png, sheet, styled, trim
+from ..studies.compute import run_studies
+from .claim import number_claim, statement_claim
+from .closed_forms import forced_motion
+from .panels import FigureResult, add_legend, figure_style, make_figure, panel_files, png_bytes, trim_labels
+from .special_points import explore_twice, special_value
 
-NAMES = "abcd"
-JUMPS = (("2.615", "0.40"), ("4.33", "0.65"))  # up and down, as printed, at the two frequencies between walls at 1
-AWAY = 1e-6  # from the motion without impacts
-SEEN = 1e-3  # between two legs
+PANEL_LETTERS = "abcd"
+PRINTED_JUMPS = (
+    ("2.615", "0.40"),
+    ("4.33", "0.65"),
+)  # up and down, as printed, at the two frequencies between walls at 1
+MOTION_TOLERANCE = 1e-6  # from the motion without impacts
+LEG_TOLERANCE = 1e-3  # between two legs
 
 CAPTION = (
     "x at phase 0 of the drive against its amplitude, swept down and up, over the branches of periodic motions: "
@@ -20,83 +23,101 @@ CAPTION = (
 )
 
 
-def drawn(file, progress):
+def reproduce_figure(file, progress):
     """Figure 2 and its claims."""
-    found = [study(each, progress=progress) for each in panels(file)]
-    edges = [_edges(each) for each in found]
-    with styled():
-        picture = _picture(found)
-    claims = [claim for k, jumps in enumerate(JUMPS) for claim in _jumps(found[k], edges[k], jumps)]
-    claims += [_wider(found[k + 2], edges[k], edges[k + 2]) for k in range(2)]
-    return Drawn(
-        picture, CAPTION, tuple(claims), {f".{name}": each.swept for name, each in zip(NAMES, found, strict=True)}
+    results = [run_studies(item, progress=progress) for item in panel_files(file)]
+    loop_edges = [_loop_edges(item) for item in results]
+    with figure_style():
+        picture = _picture(results)
+    claims = [
+        claim
+        for index, printed_jumps in enumerate(PRINTED_JUMPS)
+        for claim in _jump_claims(results[index], loop_edges[index], printed_jumps)
+    ]
+    claims += [_wider_loop_claim(results[index + 2], loop_edges[index], loop_edges[index + 2]) for index in range(2)]
+    return FigureResult(
+        picture,
+        CAPTION,
+        tuple(claims),
+        {f".{letter}": item.swept for letter, item in zip(PANEL_LETTERS, results, strict=True)},
     )
 
 
-def _edges(found):
+def _loop_edges(results):
     """((value, error) of the grazing of P100, that of the first saddle-node of P111)."""
-    pair = twice(found.scene, found.file.explore, found.diagram)
-    return value(pair, "GR", "P100"), value(pair, "SN", "P111")
+    diagrams = explore_twice(results.scene, results.file.explore, results.diagram)
+    return special_value(diagrams, "GR", "P100"), special_value(diagrams, "SN", "P111")
 
 
-def _jumps(found, edges, printed):
-    scene = found.scene
-    told = f"frequency {float(scene.frequency):g}"
-    seen = [swept_jump(found, leg) for leg in ("up", "down")]
-    names = ("the grazing of P100", "the saddle-node of P111")
-    for way, edge, name, text, jump in zip(("up", "down"), edges, names, printed, seen, strict=True):
+def _jump_claims(results, loop_edges, printed_jumps):
+    scene = results.scene
+    frequency_text = f"frequency {float(scene.frequency):g}"
+    sweep_jumps = [sweep_jump(results, leg) for leg in ("up", "down")]
+    event_names = ("the grazing of P100", "the saddle-node of P111")
+    for direction, loop_edge, event, printed_text, jump in zip(
+        ("up", "down"), loop_edges, event_names, printed_jumps, sweep_jumps, strict=True
+    ):
         reason = (
-            f"It is {name}. Our own sweep, {found.file.sweep.count} values settled for {found.file.sweep.settle} "
+            f"It is {event}. Our own sweep, {results.file.sweep.count} values settled for {results.file.sweep.settle} "
             f"periods, jumps between {jump[0]:.5g} and {jump[1]:.5g}: that depends on its steps and how it settles."
         )
-        yield number("2a", f"jump {way} at {told}", text, edge, reason)
+        yield number_claim("2a", f"jump {direction} at {frequency_text}", printed_text, loop_edge, reason)
 
 
-def swept_jump(found, leg):
+def sweep_jump(results, leg):
     """Between which two values a leg changes from the motion without impacts to another, or back to it: the last of
     the one side and the first of the other, in the order of the sweep; nan where it does not."""
-    swept, scene = found.swept.sel(leg=leg), found.scene
-    values = swept[swept.attrs["swept"]].transpose("step", ...).values.ravel()
-    w, damping = float(scene.frequency), float(scene.damping)
-    states = zip("xv", forced(values, w, damping), strict=True)
-    gaps = np.stack([abs(swept[key].transpose("step", "period").values - one[:, None]) for key, one in states])
-    (places,) = np.nonzero(np.diff(gaps.max(axis=(0, 2)) > AWAY * (1.0 + values)))
-    return (values[places[0]], values[places[0] + 1]) if len(places) else (np.nan, np.nan)
+    sweep, scene = results.swept.sel(leg=leg), results.scene
+    values = sweep[sweep.attrs["swept"]].transpose("step", ...).values.ravel()
+    frequency, damping = float(scene.frequency), float(scene.damping)
+    coordinates = zip("xv", forced_motion(values, frequency, damping), strict=True)
+    differences = np.stack(
+        [abs(sweep[key].transpose("step", "period").values - reference[:, None]) for key, reference in coordinates]
+    )
+    (rows,) = np.nonzero(np.diff(differences.max(axis=(0, 2)) > MOTION_TOLERANCE * (1.0 + values)))
+    return (values[rows[0]], values[rows[0] + 1]) if len(rows) else (np.nan, np.nan)
 
 
-def apart(swept):
+def loop_ranges(sweep):
     """The (low, high) of each range of values at which the legs of a sweep, one the other's way back, differ."""
-    values = swept[swept.attrs["swept"]].transpose("step", "leg").values
-    down, up = swept["x"].transpose("leg", "step", "period").values
-    differ = abs(up - down[::-1]).max(axis=1) > SEEN
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], differ, [False]])))
-    return [(values[first, 1], values[last - 1, 1]) for first, last in edges.reshape(-1, 2)]
+    values = sweep[sweep.attrs["swept"]].transpose("step", "leg").values
+    down_leg, up_leg = sweep["x"].transpose("leg", "step", "period").values
+    differs = abs(up_leg - down_leg[::-1]).max(axis=1) > LEG_TOLERANCE
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], differs, [False]])))
+    return [(values[start, 1], values[stop - 1, 1]) for start, stop in edges.reshape(-1, 2)]
 
 
-def _wider(found, narrow, wide):
+def _wider_loop_claim(results, narrow_edges, wide_edges):
     """That the interval with two motions is wider between unequal walls."""
-    (up, rough), (down, coarse) = wide
-    (top, above), (bottom, below) = narrow
-    more = (up - down) - (top - bottom), rough + coarse + above + below
-    told = (
-        f"the loop of P100 and P111 at frequency {float(found.scene.frequency):g}: {up - down:.6g} here, "
-        f"{top - bottom:.6g} there"
+    (wide_upper, wide_upper_error), (wide_lower, wide_lower_error) = wide_edges
+    (narrow_upper, narrow_upper_error), (narrow_lower, narrow_lower_error) = narrow_edges
+    difference = (
+        (wide_upper - wide_lower) - (narrow_upper - narrow_lower),
+        wide_upper_error + wide_lower_error + narrow_upper_error + narrow_lower_error,
     )
-    again = " and ".join(f"{low:.4g} to {high:.4g}" for low, high in apart(found.swept))
+    loop_text = (
+        f"the loop of P100 and P111 at frequency {float(results.scene.frequency):g}:"
+        f" {wide_upper - wide_lower:.6g} here, "
+        f"{narrow_upper - narrow_lower:.6g} there"
+    )
+    ranges_text = " and ".join(f"{lower:.4g} to {upper:.4g}" for lower, upper in loop_ranges(results.swept))
     reason = (
-        f"P100 grazes at {up:.6g} here and {top:.6g} there, P111 begins at {down:.6g} and {bottom:.6g}. Our sweeps to "
-        f"and fro differ at {again}."
+        f"P100 grazes at {wide_upper:.6g} here and {narrow_upper:.6g} there, P111 begins at {wide_lower:.6g} and"
+        f" {narrow_lower:.6g}. Our sweeps to "
+        f"and fro differ at {ranges_text}."
     )
-    return statement("2b", f"hysteresis is wider than in 2a ({told}; the difference)", more, low=0.0, reason=reason)
+    return statement_claim(
+        "2b", f"hysteresis is wider than in 2a ({loop_text}; the difference)", difference, low=0.0, reason=reason
+    )
 
 
-def _picture(found):
-    figure, places = sheet(2, 2, 2.3)
-    for ax, one, name in zip(places.flat, found, NAMES, strict=True):
-        plot.diagram(one.swept, "x", ax)
-        for branch in one.drawn:
+def _picture(results):
+    figure, axes_grid = make_figure(2, 2, 2.3)
+    for ax, result, letter in zip(axes_grid.flat, results, PANEL_LETTERS, strict=True):
+        plot.diagram(result.swept, "x", ax)
+        for branch in result.diagram_branches:
             plot.branch(branch, "x", ax, "black")
-        ax.set_title(f"({name}) $\\omega$ = {float(one.scene.frequency):g}", loc="left")
-    trim(places)
-    legend(figure, places, without=("branch",))
-    return png(figure)
+        ax.set_title(f"({letter}) $\\omega$ = {float(result.scene.frequency):g}", loc="left")
+    trim_labels(axes_grid)
+    add_legend(figure, axes_grid, excluded_gids=("branch",))
+    return png_bytes(figure)

@@ -3,75 +3,91 @@
 import jax
 import numpy as np
 
-from ..maps.one_period import SLOTS
+from ..maps.one_period import REPLAY_SLOTS
 from ..maps.strobe import strobe
 from ..scene.scene import make_scene
 from ..scene.state import State
 from ..scene.wall import Motion, Wall
-from .claim import statement
-from .located import ROUNDING
+from .claim import statement_claim
+from .special_points import ROUNDING
 
 AMPLITUDE = 6.0  # at which a period has several impacts
-STARTS = (State(0.9, -1.1), State(0.0, 3.0), State(-0.5, -2.0))
-MOTION = (0.1, 0.5)  # amplitude and phase of the wall that moves
-SAME = 1e-9
+START_STATES = (State(0.9, -1.1), State(0.0, 3.0), State(-0.5, -2.0))
+WALL_MOTION = (0.1, 0.5)  # amplitude and phase of the wall that moves
+TOLERANCE = 1e-9
 
 
-def claims(scene):
+def matrix_claims(scene):
     """Q as the factor of an impact, and its determinant, between walls that rest and one that moves."""
-    numbers = [AMPLITUDE, *(float(getattr(scene, key)) for key in ("frequency", "damping", "restitution"))]
-    right = Wall(float(scene.right.position), motion=Motion(*MOTION))
-    moving = make_scene(*numbers, (float(scene.left.position), right))
-    gaps, roots, count = [], [], 0
-    for one, motion in ((scene.replace(amplitude=AMPLITUDE), (0.0, 0.0)), (moving, MOTION)):
-        for start in STARTS:
-            exact = _derivative(one, start)
-            frees, hits = _factors(numbers, one, start, motion)
-            product = frees[0]
-            for hit, free in zip(hits, frees[1:], strict=True):
-                product = free @ hit @ product
-            gaps.append(abs(product - exact).max() / abs(exact).max())
-            inside = np.linalg.det(exact) / np.prod([np.linalg.det(free) for free in frees])
-            roots.append(abs(inside ** (1.0 / len(hits)) - numbers[-1] ** 2))
-            count += len(hits)
-    told = f"{count} impacts, on walls that rest and one that moves"
-    text = f"Q as in (35), in M = P Q P ... P: {told} (largest relative difference to the derivative of the strobe)"
-    yield statement("(35)", text, (float(max(gaps)), ROUNDING), high=SAME)
-    text = f"det Q = R^2: {told} (from the determinants of the strobe's derivative and of P; largest difference)"
-    yield statement("(35)", text, (float(max(roots)), ROUNDING), high=SAME)
+    params = [AMPLITUDE, *(float(getattr(scene, key)) for key in ("frequency", "damping", "restitution"))]
+    moving_wall = Wall(float(scene.right.position), motion=Motion(*WALL_MOTION))
+    moving_scene = make_scene(*params, (float(scene.left.position), moving_wall))
+    differences, determinant_errors, n_impacts = [], [], 0
+    for tested_scene, motion in ((scene.replace(amplitude=AMPLITUDE), (0.0, 0.0)), (moving_scene, WALL_MOTION)):
+        for start in START_STATES:
+            jacobian = _strobe_jacobian(tested_scene, start)
+            flight_matrices, impact_matrices = _matrix_factors(params, tested_scene, start, motion)
+            product = flight_matrices[0]
+            for impact_matrix, flight_matrix in zip(impact_matrices, flight_matrices[1:], strict=True):
+                product = flight_matrix @ impact_matrix @ product
+            differences.append(abs(product - jacobian).max() / abs(jacobian).max())
+            impact_determinant = np.linalg.det(jacobian) / np.prod(
+                [np.linalg.det(flight_matrix) for flight_matrix in flight_matrices]
+            )
+            determinant_errors.append(abs(impact_determinant ** (1.0 / len(impact_matrices)) - params[-1] ** 2))
+            n_impacts += len(impact_matrices)
+    impacts_text = f"{n_impacts} impacts, on walls that rest and one that moves"
+    text = (
+        f"Q as in (35), in M = P Q P ... P: {impacts_text} (largest relative difference to the derivative of"
+        " the strobe)"
+    )
+    yield statement_claim("(35)", text, (float(max(differences)), ROUNDING), high=TOLERANCE)
+    text = (
+        f"det Q = R^2: {impacts_text} (from the determinants of the strobe's derivative and of P; largest difference)"
+    )
+    yield statement_claim("(35)", text, (float(max(determinant_errors)), ROUNDING), high=TOLERANCE)
 
 
-def _derivative(scene, start):
+def _strobe_jacobian(scene, start):
     """The derivative of the strobe by x and v, by forward mode, (2, 2)."""
-    found = jax.jacfwd(lambda x, v: strobe(scene, State(x, v))[0], (0, 1))(start.x, start.v)
-    return np.array([[float(each) for each in part] for part in (found.x, found.v)])
+    derivative = jax.jacfwd(lambda x, v: strobe(scene, State(x, v))[0], (0, 1))(start.x, start.v)
+    return np.array([[float(entry) for entry in row] for row in (derivative.x, derivative.v)])
 
 
-def _factors(numbers, scene, start, motion):
+def _matrix_factors(params, scene, start, motion):
     """(the P of each flight of a drive period, the Q of each impact between)."""
-    _, w, damping, _ = numbers
-    _, impacts = strobe(scene, start, slots=SLOTS)
-    hit = np.asarray(impacts.side) != 0
-    times, speeds, sides = (np.asarray(part)[hit] for part in (impacts.time, impacts.speed, impacts.side))
-    spans = np.diff(np.concatenate([[0.0], times, [2.0 * np.pi / w]]))
-    frees = [_free(damping, span) for span in spans]
-    return frees, [_hit(numbers, *one, motion) for one in zip(times, speeds, sides.astype(float), strict=True)]
+    _, frequency, damping, _ = params
+    _, impacts = strobe(scene, start, slots=REPLAY_SLOTS)
+    is_impact = np.asarray(impacts.side) != 0
+    times, speeds, sides = (np.asarray(column)[is_impact] for column in (impacts.time, impacts.speed, impacts.side))
+    durations = np.diff(np.concatenate([[0.0], times, [2.0 * np.pi / frequency]]))
+    flight_matrices = [_flight_matrix(damping, duration) for duration in durations]
+    return flight_matrices, [
+        _impact_matrix(params, *impact, motion) for impact in zip(times, speeds, sides.astype(float), strict=True)
+    ]
 
 
-def _free(damping, span):
+def _flight_matrix(damping, duration):
     """P of (24)."""
-    root = np.sqrt(1.0 - damping**2)
-    sine, cosine = np.sin(root * span), root * np.cos(root * span)
-    whole = [[damping * sine + cosine, sine], [-sine, cosine - damping * sine]]
-    return np.exp(-damping * span) / root * np.array(whole)
+    damped_frequency = np.sqrt(1.0 - damping**2)
+    sine, cosine = np.sin(damped_frequency * duration), damped_frequency * np.cos(damped_frequency * duration)
+    matrix = [[damping * sine + cosine, sine], [-sine, cosine - damping * sine]]
+    return np.exp(-damping * duration) / damped_frequency * np.array(matrix)
 
 
-def _hit(numbers, time, speed, side, motion):
+def _impact_matrix(params, time, speed, side, motion):
     """Q of (35); the right wall stands at 1 + B cos(omega t + phase), the left one at -1."""
-    (force, w, damping, bounce), (swing, phase) = numbers, motion
-    swing, angle = swing * (side > 0), w * time + phase
-    place, pace, pull = swing * np.array([np.cos(angle), -w * np.sin(angle), -(w**2) * np.cos(angle)])
-    drive = force * np.cos(w * time) - (side + place)
-    before, after = (drive - 2.0 * damping * (pace + side * each) for each in (speed, -bounce * speed))
-    lower = (after + bounce * before - (1.0 + bounce) * pull) / (side * speed)
-    return np.array([[-bounce, 0.0], [lower, -bounce]])
+    (amplitude, frequency, damping, restitution), (wall_amplitude, phase) = params, motion
+    wall_amplitude, angle = wall_amplitude * (side > 0), frequency * time + phase
+    displacement, wall_velocity, wall_acceleration = wall_amplitude * np.array(
+        [np.cos(angle), -frequency * np.sin(angle), -(frequency**2) * np.cos(angle)]
+    )
+    driving_force = amplitude * np.cos(frequency * time) - (side + displacement)
+    acceleration_before, acceleration_after = (
+        driving_force - 2.0 * damping * (wall_velocity + side * contact_speed)
+        for contact_speed in (speed, -restitution * speed)
+    )
+    lower_left = (acceleration_after + restitution * acceleration_before - (1.0 + restitution) * wall_acceleration) / (
+        side * speed
+    )
+    return np.array([[-restitution, 0.0], [lower_left, -restitution]])

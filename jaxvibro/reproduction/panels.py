@@ -9,16 +9,16 @@ import xarray as xr
 from matplotlib import rc_context
 from matplotlib.figure import Figure
 
-from ..scene.scene_table import table_of
+from ..scene.scene_table import make_scene_table
 from .claim import Claim
 
-DOTS = 300  # per inch
-WIDE = 5.0  # inches: at a column's width, 8.6 cm, texts are of 6 points; on a slide they are large enough
-STYLE = {"font.size": 9.5, "axes.titlesize": 9.5, "legend.fontsize": 8.5, "axes.linewidth": 0.8}
+DPI = 300  # per inch
+FIGURE_WIDTH = 5.0  # inches: at a column's width, 8.6 cm, texts are of 6 points; on a slide they are large enough
+RC_STYLE = {"font.size": 9.5, "axes.titlesize": 9.5, "legend.fontsize": 8.5, "axes.linewidth": 0.8}
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class FigureResult:
     """A figure computed. picture: a PNG's bytes, None where there is none; caption; claims; data: by an ending."""
 
     picture: bytes | None
@@ -27,51 +27,51 @@ class Drawn:
     data: dict[str, xr.Dataset] = field(default_factory=dict)
 
 
-def panels(file):
+def panel_files(file):
     """The scene file of each of its panels."""
     scene = file.scene.make()
     return [
-        msgspec.structs.replace(file, scene=table_of(scene.replace(**values)), panels={})
+        msgspec.structs.replace(file, scene=make_scene_table(scene.replace(**values)), panels={})
         for values in file.panel_values
     ]
 
 
-def sheet(rows, columns, height):
+def make_figure(rows, columns, height):
     """(Figure, Axes in an array) for panels; height: of one of them, inches."""
-    figure = Figure(figsize=(WIDE, height * rows), layout="constrained")
+    figure = Figure(figsize=(FIGURE_WIDTH, height * rows), layout="constrained")
     return figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def trim(places, shared=True, ticks=5):
+def trim_labels(axes_grid, shared=True, max_ticks=5):
     """Labels at the sheet's edge alone, their symbols and units; numbers too where all panels have the same ranges.
 
-    ticks: numbers along each panel, at most."""
-    for (row, column), ax in np.ndenumerate(places):
-        across, up = (label[label.find("$") :] for label in (ax.get_xlabel(), ax.get_ylabel()))
-        is_last = row + 1 == len(places) or not places[row + 1, column].axison
-        ax.set(xlabel=across if is_last else "", ylabel="" if column else up)
-        ax.locator_params(axis="x", nbins=ticks)
+    max_ticks: numbers along each panel, at most."""
+    for (row, column), ax in np.ndenumerate(axes_grid):
+        x_label, y_label = (label[label.find("$") :] for label in (ax.get_xlabel(), ax.get_ylabel()))
+        is_last = row + 1 == len(axes_grid) or not axes_grid[row + 1, column].axison
+        ax.set(xlabel=x_label if is_last else "", ylabel="" if column else y_label)
+        ax.locator_params(axis="x", nbins=max_ticks)
         if shared:
             ax.label_outer()
 
 
-def legend(figure, places, columns=3, without=()):
-    """One legend below all panels, each entry once; without: group ids of what is left out."""
-    told = {}
-    for ax in places.flat:
+def add_legend(figure, axes_grid, columns=3, excluded_gids=()):
+    """One legend below all panels, each entry once; excluded_gids: group ids of what is left out."""
+    entries = {}
+    for ax in axes_grid.flat:
         for handle, text in zip(*ax.get_legend_handles_labels(), strict=True):
-            if handle.get_gid() not in without:
-                told.setdefault(text, handle)
-    figure.legend(told.values(), told.keys(), loc="outside lower center", ncols=columns, frameon=False)
+            if handle.get_gid() not in excluded_gids:
+                entries.setdefault(text, handle)
+    figure.legend(entries.values(), entries.keys(), loc="outside lower center", ncols=columns, frameon=False)
 
 
-def png(figure):
+def png_bytes(figure):
     """A figure as a PNG's bytes."""
-    held = BytesIO()
-    figure.savefig(held, format="png", dpi=DOTS)
-    return held.getvalue()
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=DPI)
+    return buffer.getvalue()
 
 
-def styled():
+def figure_style():
     """The style that all figures share, for a `with` block in which they are drawn and saved."""
-    return rc_context(STYLE)
+    return rc_context(RC_STYLE)

@@ -11,16 +11,16 @@ from ..maps.simulate import simulate
 from ..orbits.find import find_orbit
 from ..orbits.orbit import Orbit
 from ..scene.state import State
-from .claim import statement
-from .closed import forced, grazing
-from .lasting import more, shares
-from .panels import Drawn, panels, png, sheet, styled, trim
+from .attractor_checks import shares_text, unresolved_excess
+from .claim import statement_claim
+from .closed_forms import forced_motion, grazing_amplitude
+from .panels import FigureResult, figure_style, make_figure, panel_files, png_bytes, trim_labels
 
-NAMES = "abcde"
-CLAIMED = ("P100", "P111", "P111", "P112", "P121")  # in the order of the panels
-SYMMETRIC, LOPSIDED = 1, 2  # the panel said to be symmetric, the one said not to be
-SAMPLES, ROAMED = 400, 60  # of a drive period; periods drawn of a chaotic motion
-ROUNDING, APART = 1e-9, 1e-6  # of an attractor's speeds; as different they are two
+PANEL_LETTERS = "abcde"
+CLAIMED_LABELS = ("P100", "P111", "P111", "P112", "P121")  # in the order of the panels
+SYMMETRIC_PANEL, ASYMMETRIC_PANEL = 1, 2  # the panel said to be symmetric, the one said not to be
+SAMPLES_PER_PERIOD, CHAOTIC_PERIODS = 400, 60  # of a drive period; periods drawn of a chaotic motion
+ROUNDING, ASYMMETRY_TOLERANCE = 1e-9, 1e-6  # of an attractor's speeds; as different they are two
 
 CAPTION = (
     "Phase portraits at five amplitudes: the motion that the paper names where it lasts, else that which most starts "
@@ -28,21 +28,21 @@ CAPTION = (
 )
 
 
-def drawn(file, progress):
+def reproduce_figure(file, progress):
     """Figure 3 and its claims."""
-    found = []
-    for each in tqdm(panels(file), "portraits", disable=not progress):
-        scene, asked = each.scene.make(), each.attractors
-        attractors = find_attractors(scene, asked.starts, asked.seed)
-        found.append((scene, _lasting(scene, attractors), more(attractors)))
-    claims = [_there(k, *one) for k, one in enumerate(found)]
-    claims.insert(SYMMETRIC + 1, _symmetric(*found[SYMMETRIC][:2]))
-    claims.insert(LOPSIDED + 2, _lopsided(*found[LOPSIDED][:2]))
-    with styled():
-        return Drawn(_picture(found), CAPTION, tuple(claims))
+    results = []
+    for panel_file in tqdm(panel_files(file), "portraits", disable=not progress):
+        scene, table = panel_file.scene.make(), panel_file.attractors
+        attractors = find_attractors(scene, table.starts, table.seed)
+        results.append((scene, _stable_motions(scene, attractors), unresolved_excess(attractors)))
+    claims = [_existence_claim(panel, *result) for panel, result in enumerate(results)]
+    claims.insert(SYMMETRIC_PANEL + 1, _symmetry_claim(*results[SYMMETRIC_PANEL][:2]))
+    claims.insert(ASYMMETRIC_PANEL + 2, _asymmetry_claim(*results[ASYMMETRIC_PANEL][:2]))
+    with figure_style():
+        return FigureResult(_picture(results), CAPTION, tuple(claims))
 
 
-class Motion(NamedTuple):
+class StableMotion(NamedTuple):
     """What lasts: its label, a state on it, its drive periods (0: chaotic), its `Orbit` or None, share of starts."""
 
     label: str
@@ -52,64 +52,68 @@ class Motion(NamedTuple):
     share: float
 
 
-def _lasting(scene, attractors):
-    """The `Motion`s that last: the attractors that starts settle on, and P100 where it is stable, as its basin may be
-    too small for them."""
-    found = [
-        Motion(one.label, one.state, one.periods, one.orbit, one.share)
-        for one in attractors
-        if one.kind != "unresolved"
+def _stable_motions(scene, attractors):
+    """The `StableMotion`s that last: the attractors that starts settle on, and P100 where it is stable, as its basin
+    may be too small for them."""
+    motions = [
+        StableMotion(motion.label, motion.state, motion.periods, motion.orbit, motion.share)
+        for motion in attractors
+        if motion.kind != "unresolved"
     ]
-    w = float(scene.frequency)
+    frequency = float(scene.frequency)
     amplitude, damping = float(scene.amplitude), float(scene.damping)
-    if amplitude < grazing(w, damping) and not any(one.label == "P100" for one in found):
-        orbit = find_orbit(scene, State(*forced(amplitude, w, damping)), periods=1, settle=0)
-        found.append(Motion(orbit.label, orbit.state, 1, orbit, 0.0))
-    return found
+    if amplitude < grazing_amplitude(frequency, damping) and not any(motion.label == "P100" for motion in motions):
+        orbit = find_orbit(scene, State(*forced_motion(amplitude, frequency, damping)), periods=1, settle=0)
+        motions.append(StableMotion(orbit.label, orbit.state, 1, orbit, 0.0))
+    return motions
 
 
-def _there(k, scene, motions, others):
-    """That the motion claimed lasts; others: how many unresolved ones there may be."""
-    text = f"{CLAIMED[k]} at A = {float(scene.amplitude):g} (number of such attractors)"
-    alike = float(sum(_is_meant(k, one) for one in motions))
-    reason = f"What lasts there, and the share of starts that settle on it: {shares(motions)}."
-    return statement(f"3{NAMES[k]}", text, (alike, 0.0), low=1.0, reason=reason, more=others)
+def _existence_claim(panel, scene, motions, excess):
+    """That the motion claimed lasts; excess: how many unresolved ones there may be."""
+    text = f"{CLAIMED_LABELS[panel]} at A = {float(scene.amplitude):g} (number of such attractors)"
+    n_matching = float(sum(_matches_claim(panel, motion) for motion in motions))
+    reason = f"What lasts there, and the share of starts that settle on it: {shares_text(motions)}."
+    return statement_claim(f"3{PANEL_LETTERS[panel]}", text, (n_matching, 0.0), low=1.0, reason=reason, excess=excess)
 
 
-def _is_meant(k, motion):
-    label = CLAIMED[k]
+def _matches_claim(panel, motion):
+    label = CLAIMED_LABELS[panel]
     return motion.label in (label, f"P{label[1]}{label[3]}{label[2]}")
 
 
-def _symmetric(scene, motions):
+def _symmetry_claim(scene, motions):
     """That a motion of those is symmetric: both walls are hit at one speed."""
     reason = "The symmetry is broken before: see SB in figure 4."
     text = f"symmetric at A = {float(scene.amplitude):g} (least difference of the impacts' speeds at the walls)"
-    gap = min(_gaps(SYMMETRIC, motions), default=np.nan)
-    return statement(f"3{NAMES[SYMMETRIC]}", text, (gap, ROUNDING), high=APART, reason=reason)
+    difference = min(_speed_differences(SYMMETRIC_PANEL, motions), default=np.nan)
+    return statement_claim(
+        f"3{PANEL_LETTERS[SYMMETRIC_PANEL]}", text, (difference, ROUNDING), high=ASYMMETRY_TOLERANCE, reason=reason
+    )
 
 
-def _lopsided(scene, motions):
+def _asymmetry_claim(scene, motions):
     """That the motion is not symmetric."""
     text = f"asymmetric at A = {float(scene.amplitude):g} (least difference of the impacts' speeds at the walls)"
-    gap = min(_gaps(LOPSIDED, motions), default=np.nan)
-    return statement(f"3{NAMES[LOPSIDED]}", text, (gap, ROUNDING), low=APART)
+    difference = min(_speed_differences(ASYMMETRIC_PANEL, motions), default=np.nan)
+    return statement_claim(f"3{PANEL_LETTERS[ASYMMETRIC_PANEL]}", text, (difference, ROUNDING), low=ASYMMETRY_TOLERANCE)
 
 
-def _gaps(k, motions):
+def _speed_differences(panel, motions):
     """The difference of the speeds at both walls of each motion that is meant."""
-    for one in (each for each in motions if each.orbit is not None and _is_meant(k, each)):
-        speed, side = np.asarray(one.orbit.impacts.speed), np.asarray(one.orbit.impacts.side)
+    for motion in (
+        candidate for candidate in motions if candidate.orbit is not None and _matches_claim(panel, candidate)
+    ):
+        speed, side = np.asarray(motion.orbit.impacts.speed), np.asarray(motion.orbit.impacts.side)
         yield abs(float(speed[side == -1].mean() - speed[side == 1].mean()))
 
 
-def _picture(found):
-    figure, places = sheet(2, 3, 2.2)
-    for k, (ax, (scene, motions, _)) in enumerate(zip(places.flat, found, strict=False)):
-        one = next((each for each in motions if _is_meant(k, each)), motions[0])
-        plot.portrait(simulate(scene, one.state, one.periods or ROAMED, SAMPLES), scene, ax)
-        ax.set_title(f"({NAMES[k]}) $A$ = {float(scene.amplitude):g}: {one.label}", loc="left")
-    for ax in places.flat[len(found) :]:
+def _picture(results):
+    figure, axes_grid = make_figure(2, 3, 2.2)
+    for panel, (ax, (scene, motions, _)) in enumerate(zip(axes_grid.flat, results, strict=False)):
+        motion = next((candidate for candidate in motions if _matches_claim(panel, candidate)), motions[0])
+        plot.portrait(simulate(scene, motion.state, motion.periods or CHAOTIC_PERIODS, SAMPLES_PER_PERIOD), scene, ax)
+        ax.set_title(f"({PANEL_LETTERS[panel]}) $A$ = {float(scene.amplitude):g}: {motion.label}", loc="left")
+    for ax in axes_grid.flat[len(results) :]:
         ax.set_axis_off()
-    trim(places, shared=False, ticks=4)
-    return png(figure)
+    trim_labels(axes_grid, shared=False, max_ticks=4)
+    return png_bytes(figure)

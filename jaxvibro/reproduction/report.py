@@ -3,9 +3,9 @@
 import base64
 import html
 
-from .claim import judged
+from .claim import computed_text
 
-HEAD = ("figure", "claim", "printed", "computed", "verdict", "reason")
+COLUMN_TITLES = ("figure", "claim", "printed", "computed", "verdict", "reason")
 INTRODUCTION = (
     "Cheng and Xu, Periodic Motions, Bifurcation, and Hysteresis of the Vibro-Impact System, Mechanics Based Design of "
     "Structures and Machines 35(2), 2007, 179-203: figures and claims, recomputed. A verdict follows from the numbers "
@@ -13,8 +13,8 @@ INTRODUCTION = (
     "words holds where the number that it speaks of lies where it says. What the paper says is as our copy reads, a "
     "scan, and in our own words."
 )
-TITLES = (("The paper's claims", False), ("Our own rows", True))
-STYLE = """
+TABLE_TITLES = (("The paper's claims", False), ("Our own rows", True))
+CSS = """
 body { font: 16px/1.5 sans-serif; max-width: 60em; margin: 2em auto; padding: 0 1em; color: #111; background: #fff; }
 img { max-width: 100%; }
 figure { margin: 2em 0; }
@@ -25,39 +25,47 @@ td.verdict { font-weight: bold; white-space: nowrap; }
 """
 
 
-def rows(claims):
+def claim_rows(claims):
     """The claims as rows of texts, see HEAD; a reason only where the claim is not right."""
     return [
-        (one.figure, one.text, one.printed, judged(one), one.verdict, "" if one.is_right else one.reason.strip())
-        for one in claims
+        (
+            claim.figure,
+            claim.text,
+            claim.printed,
+            computed_text(claim),
+            claim.verdict,
+            "" if claim.is_right else claim.reason.strip(),
+        )
+        for claim in claims
     ]
 
 
-def counts(claims):
+def verdict_counts(claims):
     """How many claims got which verdict, in a sentence on the paper's and one on our own."""
-    parts = [(told, [one.verdict for one in claims if one.ours == ours]) for told, ours in TITLES]
+    parts = [(title, [claim.verdict for claim in claims if claim.ours == ours]) for title, ours in TABLE_TITLES]
     return " ".join(
-        f"{told}: {len(found)} ({', '.join(f'{kind}: {found.count(kind)}' for kind in dict.fromkeys(found))})."
-        for told, found in parts
-        if found
+        f"{title}: {len(verdicts)}"
+        f" ({', '.join(f'{verdict}: {verdicts.count(verdict)}' for verdict in dict.fromkeys(verdicts))})."
+        for title, verdicts in parts
+        if verdicts
     )
 
 
-def _tables(claims):
+def _claim_tables(claims):
     """(title, claims) of each table that has any."""
-    parts = [(title, [one for one in claims if one.ours == ours]) for title, ours in TITLES]
-    return [(title, found) for title, found in parts if found]
+    parts = [(title, [claim for claim in claims if claim.ours == ours]) for title, ours in TABLE_TITLES]
+    return [(title, table_claims) for title, table_claims in parts if table_claims]
 
 
-def page(parts):
-    """The report as HTML. parts: (title, `panels.Drawn`) of each job."""
-    claims = [claim for _, one in parts for claim in one.claims]
-    tables = [_table(title, found) for title, found in _tables(claims)]
-    figures = [_figure(title, one) for title, one in parts if one.picture]
+def html_page(entries):
+    """The report as HTML. entries: (title, `panels.Drawn`) of each job."""
+    claims = [claim for _, result in entries for claim in result.claims]
+    tables = [_html_table(title, table_claims) for title, table_claims in _claim_tables(claims)]
+    figures = [_html_figure(title, result) for title, result in entries if result.picture]
     return "\n".join(
         [
             '<!doctype html>\n<html lang="en">\n<meta charset="utf-8">\n<title>The paper, recomputed</title>',
-            f"<style>{STYLE}</style>\n<h1>The paper, recomputed</h1>\n<p>{html.escape(INTRODUCTION)}</p>",
+            f"<style>{CSS}</style>\n<h1>The paper, recomputed</h1>\n<p>{html.escape(INTRODUCTION)}</p>",
             *tables,
             "<h2>Figures</h2>",
             *figures,
@@ -66,39 +74,51 @@ def page(parts):
     )
 
 
-def _table(title, claims):
-    cells = [_row("th", HEAD), *(_row("td", row) for row in rows(claims))]
-    head = f"<h2>{html.escape(title)}</h2>\n<p>{html.escape(counts(claims))}</p>"
-    return "\n".join([head, "<table>", *cells, "</table>"])
+def _html_table(title, claims):
+    html_rows = [_html_row("th", COLUMN_TITLES), *(_html_row("td", row) for row in claim_rows(claims))]
+    heading = f"<h2>{html.escape(title)}</h2>\n<p>{html.escape(verdict_counts(claims))}</p>"
+    return "\n".join([heading, "<table>", *html_rows, "</table>"])
 
 
-def _row(kind, texts):
-    marks = [f' class="{name}"' if name == "verdict" else "" for name in HEAD]
+def _html_row(tag, cells):
+    attributes = [f' class="{column}"' if column == "verdict" else "" for column in COLUMN_TITLES]
     return (
-        "<tr>" + "".join(f"<{kind}{m}>{html.escape(t)}</{kind}>" for m, t in zip(marks, texts, strict=True)) + "</tr>"
+        "<tr>"
+        + "".join(
+            f"<{tag}{attribute}>{html.escape(cell)}</{tag}>" for attribute, cell in zip(attributes, cells, strict=True)
+        )
+        + "</tr>"
     )
 
 
-def _figure(title, one):
-    picture = base64.b64encode(one.picture).decode()
-    title, caption = html.escape(title), html.escape(one.caption)
+def _html_figure(title, result):
+    picture = base64.b64encode(result.picture).decode()
+    title, caption = html.escape(title), html.escape(result.caption)
     image = f'<img alt="{title}" src="data:image/png;base64,{picture}">'
     return f"<figure>\n<h3>{title}</h3>\n{image}\n<figcaption>{caption}</figcaption>\n</figure>"
 
 
-def text(parts):
-    """The report as Markdown. parts: (title, name of the picture's file or None, `panels.Drawn`) of each job."""
-    claims = [claim for *_, one in parts for claim in one.claims]
+def markdown_text(entries):
+    """The report as Markdown. entries: (title, name of the picture's file or None, `panels.Drawn`) of each job."""
+    claims = [claim for *_, result in entries for claim in result.claims]
     lines = ["# The paper, recomputed", "", INTRODUCTION]
-    for title, found in _tables(claims):
-        lines += ["", f"## {title}", "", counts(found), "", _line(HEAD), _line(["---"] * len(HEAD))]
-        lines += map(_line, rows(found))
+    for title, table_claims in _claim_tables(claims):
+        lines += [
+            "",
+            f"## {title}",
+            "",
+            verdict_counts(table_claims),
+            "",
+            _markdown_row(COLUMN_TITLES),
+            _markdown_row(["---"] * len(COLUMN_TITLES)),
+        ]
+        lines += map(_markdown_row, claim_rows(table_claims))
     lines += ["", "## Figures"]
-    for title, name, one in parts:
-        if name:
-            lines += ["", f"### {title}", "", f"![{title}]({name})", "", one.caption]
+    for title, picture_name, result in entries:
+        if picture_name:
+            lines += ["", f"### {title}", "", f"![{title}]({picture_name})", "", result.caption]
     return "\n".join(lines) + "\n"
 
 
-def _line(texts):
-    return "| " + " | ".join(each.replace("|", "\\|") for each in texts) + " |"
+def _markdown_row(cells):
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

@@ -11,32 +11,35 @@ from .. import plot
 from ..branches.branch import Branch, Special
 from ..branches.follow import follow
 from ..branches.peaks import peak, peaks
-from ..loci.held_point import hold, slopes
+from ..loci.point_continuation import parameter_gradient, prepare_point
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
 from ..plot.style import COLOURS
 from ..scene.state import State
 from . import fitting
-from .claim import number, own, statement
-from .closed import forced
-from .lasting import stable_at
-from .located import ROUNDING
-from .panels import Drawn, legend, panels, png, sheet, styled, trim
+from .attractor_checks import stable_labels_at
+from .claim import number_claim, own_claim, statement_claim
+from .closed_forms import forced_motion
+from .panels import FigureResult, add_legend, figure_style, make_figure, panel_files, png_bytes, trim_labels
+from .special_points import ROUNDING
 
-STIFF = (10, 50)
-FOLDS, GRAZING = ("1.48", "1.74"), "1.18"  # as printed
-BOTH = ("left.damping", "right.damping")  # gamma2
-NAMES = ("amplitude", "damping", BOTH)
-LOW, HIGH = (0.05, 0.0, 0.0), (2.0, 0.5, 1.0)  # of A, gamma, gamma2
-STARTS = tuple(product((0.3, 0.6), (0.05, 0.2), (0.05, 0.4)))
-LOOKS = 12  # values of gamma on either side of the fitted one at which an SN's slope is looked at
-NEAR = 0.95  # of the gamma beyond which P100 grazes nowhere: the SN ends there too
-HALF = 0.005  # of a unit of the last digit printed
-SAME = 1e-8  # between solutions
-ASIDE = 0.05  # of a jump's frequency: where but one motion lasts
-STIFFER, BETWEEN = (10.0, 50.0, 250.0), (1.2, 1.4)  # stiffnesses, and frequencies on the top of all of their curves
+STIFFNESSES = (10, 50)
+PRINTED_FOLDS, PRINTED_GRAZING = ("1.48", "1.74"), "1.18"  # as printed
+CONTACT_DAMPINGS = ("left.damping", "right.damping")  # gamma2
+FIT_NAMES = ("amplitude", "damping", CONTACT_DAMPINGS)
+LOWER_BOUNDS, UPPER_BOUNDS = (0.05, 0.0, 0.0), (2.0, 0.5, 1.0)  # of A, gamma, gamma2
+FIT_STARTS = tuple(product((0.3, 0.6), (0.05, 0.2), (0.05, 0.4)))
+N_SAMPLES = 12  # values of gamma on either side of the fitted one at which an SN's slope is looked at
+GRAZING_FRACTION = 0.95  # of the gamma beyond which P100 grazes nowhere: the SN ends there too
+HALF_DIGIT = 0.005  # of a unit of the last digit printed
+SOLUTION_TOLERANCE = 1e-8  # between solutions
+FREQUENCY_OFFSET = 0.05  # of a jump's frequency: where but one motion lasts
+STIFFNESS_SERIES, TOP_FREQUENCIES = (
+    (10.0, 50.0, 250.0),
+    (1.2, 1.4),
+)  # stiffnesses, and frequencies on the top of all of their curves
 
-SHORT = r"$\max|X|\,/\,d$"
+PEAK_LABEL = r"$\max|X|\,/\,d$"
 
 CAPTION = (
     "The largest x on the orbits against the drive's frequency, A = {0:g}, gamma2 = {1:g}, gamma = {2:.6f} fitted to "
@@ -54,166 +57,210 @@ class FrequencyResponse(NamedTuple):
     grazing: Special | None
 
 
-def drawn(file, progress):
+def reproduce_figure(file, progress):
     """Figure 10 and its claims."""
-    scenes, asked = [each.scene.make() for each in panels(file)], file.branch
-    first = [response(scene, asked) for scene in scenes]
-    printed = [float(one) for one in FOLDS]
-    ones = [hold(one.fold, ("damping",)) for one in first]
-    both = fitting.fitted(ones, printed, [float(scenes[0].damping)], LOW[1], HIGH[1])
-    gamma = float(both.values[0])
-    found = [response(scene.replace(damping=gamma), asked) for scene in scenes]
-    claims = [*_numbers(found, both), *_alone(ones, printed), _apart(scenes[0]), *_three(first, printed)]
-    claims += [*_jumps(found), _flat(scenes[0].replace(damping=gamma), asked)]
+    scenes, table = [panel_file.scene.make() for panel_file in panel_files(file)], file.branch
+    initial_responses = [frequency_response(scene, table) for scene in scenes]
+    printed_folds = [float(item) for item in PRINTED_FOLDS]
+    fold_points = [prepare_point(item.fold, ("damping",)) for item in initial_responses]
+    joint_fit = fitting.fit_values(
+        fold_points, printed_folds, [float(scenes[0].damping)], LOWER_BOUNDS[1], UPPER_BOUNDS[1]
+    )
+    gamma = float(joint_fit.values[0])
+    responses = [frequency_response(scene.replace(damping=gamma), table) for scene in scenes]
+    claims = [
+        *_fit_claims(responses, joint_fit),
+        *_single_fit_claims(fold_points, printed_folds),
+        _grazing_claim(scenes[0]),
+        *_three_parameter_claims(initial_responses, printed_folds),
+    ]
+    claims += [*_coexistence_claims(responses), _flat_top_claim(scenes[0].replace(damping=gamma), table)]
     caption = CAPTION.format(float(scenes[0].amplitude), float(scenes[0].left.damping), gamma)
-    with styled():
-        return Drawn(_picture(scenes, found), caption, tuple(claims))
+    with figure_style():
+        return FigureResult(_picture(scenes, responses), caption, tuple(claims))
 
 
-def response(scene, asked):
+def frequency_response(scene, table):
     """The `FrequencyResponse` of a scene as a scene file's [branch] asks, each branch up to its grazings.
 
     P100 is followed from both ends of the range, P111 from the scene's own frequency."""
-    low, high = asked.bounds
-    branches = [_still(scene, w, asked) for w in (low, high)]
-    branches.append(_hitting(scene, asked))
-    branches = tuple(one for one in branches if one is not None)
-    hit = [one for one in branches if one.segments[0].label != "P100"]
-    folds = [point for one in hit for point in one.points("SN")]
-    touches = [point for one in branches if one not in hit for point in one.points("GR")]
-    highest = [max(each, key=lambda point: point.value, default=None) for each in (folds, touches)]
-    return FrequencyResponse(branches, *highest)
+    lower, upper = table.bounds
+    branches = [_follow_p100(scene, frequency, table) for frequency in (lower, upper)]
+    branches.append(_follow_p111(scene, table))
+    branches = tuple(branch for branch in branches if branch is not None)
+    impacting_branches = [branch for branch in branches if branch.segments[0].label != "P100"]
+    folds = [point for branch in impacting_branches for point in branch.points("SN")]
+    grazings = [point for branch in branches if branch not in impacting_branches for point in branch.points("GR")]
+    highest_points = [max(points, key=lambda point: point.value, default=None) for points in (folds, grazings)]
+    return FrequencyResponse(branches, *highest_points)
 
 
-def _still(scene, frequency, asked):
+def _follow_p100(scene, frequency, table):
     """The branch of P100 from one frequency on."""
     scene = scene.replace(frequency=frequency)
-    start = State(*forced(float(scene.amplitude), frequency, float(scene.damping)))
+    start = State(*forced_motion(float(scene.amplitude), frequency, float(scene.damping)))
     orbit = find_orbit(scene, start, periods=1, settle=0)
-    return follow(orbit, asked.parameter, asked.bounds, stop="GR", largest_step=asked.largest_step)
+    return follow(orbit, table.parameter, table.bounds, stop="GR", largest_step=table.largest_step)
 
 
-def _hitting(scene, asked):
+def _follow_p111(scene, table):
     """The branch of P111, None where the mass settles on none."""
-    start = State(asked.start.x, asked.start.v)
+    start = State(table.start.x, table.start.v)
     try:
-        orbit = find_orbit(scene, start, periods=1, itinerary=("RL",), settle=asked.settle)
+        orbit = find_orbit(scene, start, periods=1, itinerary=("RL",), settle=table.settle)
     except OrbitError:
         return None
-    return follow(orbit, asked.parameter, asked.bounds, stop="GR", largest_step=asked.largest_step)
+    return follow(orbit, table.parameter, table.bounds, stop="GR", largest_step=table.largest_step)
 
 
-def _numbers(found, both):
+def _fit_claims(responses, joint_fit):
     """The three numbers at the gamma that suits both saddle-nodes best."""
-    gamma = float(both.values[0])
-    told = f"gamma {gamma:.6f}, the least squares of both SN"
-    for k2, printed, one, there in zip(STIFF, FOLDS, both.points, found, strict=True):
-        value = one.value, abs(one.value - there.fold.value) + ROUNDING
-        yield number("10", f"SN at k2 = {k2} ({told})", printed, value)
-    value = found[0].grazing.value, abs(found[0].grazing.value - found[1].grazing.value) + ROUNDING
+    gamma = float(joint_fit.values[0])
+    gamma_text = f"gamma {gamma:.6f}, the least squares of both SN"
+    for stiffness, printed, point, response in zip(
+        STIFFNESSES, PRINTED_FOLDS, joint_fit.points, responses, strict=True
+    ):
+        value = point.value, abs(point.value - response.fold.value) + ROUNDING
+        yield number_claim("10", f"SN at k2 = {stiffness} ({gamma_text})", printed, value)
+    value = responses[0].grazing.value, abs(responses[0].grazing.value - responses[1].grazing.value) + ROUNDING
     reason = "It depends on A and gamma alone, and no gamma brings it to 1.18: see below."
-    yield number("10", f"GR, of P100 ({told})", GRAZING, value, reason)
+    yield number_claim("10", f"GR, of P100 ({gamma_text})", PRINTED_GRAZING, value, reason)
 
 
-def _alone(ones, printed):
+def _single_fit_claims(fold_points, printed_folds):
     """What each saddle-node alone says of gamma."""
-    fits = [fitting.fitted([one], [value], one.kept, LOW[1], HIGH[1]) for one, value in zip(ones, printed, strict=True)]
-    (one, other), (first, second) = ([float(fit.values[0]) for fit in fits], [fit.by.item() for fit in fits])
-    allowed = HALF / abs(first) + HALF / abs(second)
-    text = f"one gamma suits both SN: {one:.6f} from k2 = {STIFF[0]}, {other:.6f} from k2 = {STIFF[1]} (difference)"
-    yield own("10", text, (abs(one - other), ROUNDING), high=allowed)
-    for k2, point in zip(STIFF, ones, strict=True):
-        steepest, (low, high) = _slopes(point)
-        text = f"no other gamma from {low:g} to {high:.3f} does: the SN falls all the way, k2 = {k2} (greatest slope)"
-        yield own("10", text, (steepest, 1e-9), high=0.0)
+    fits = [
+        fitting.fit_values([estimate], [value], estimate.parameter_values, LOWER_BOUNDS[1], UPPER_BOUNDS[1])
+        for estimate, value in zip(fold_points, printed_folds, strict=True)
+    ]
+    (estimate, other_estimate), (first_slope, second_slope) = (
+        [float(fit.values[0]) for fit in fits],
+        [fit.jacobian.item() for fit in fits],
+    )
+    tolerance = HALF_DIGIT / abs(first_slope) + HALF_DIGIT / abs(second_slope)
+    text = (
+        f"one gamma suits both SN: {estimate:.6f} from k2 = {STIFFNESSES[0]}, {other_estimate:.6f} from k2 ="
+        f" {STIFFNESSES[1]} (difference)"
+    )
+    yield own_claim("10", text, (abs(estimate - other_estimate), ROUNDING), high=tolerance)
+    for stiffness, point in zip(STIFFNESSES, fold_points, strict=True):
+        max_slope, (lower, upper) = _slope_range(point)
+        text = (
+            f"no other gamma from {lower:g} to {upper:.3f} does: the SN falls all the way, k2 = {stiffness}"
+            " (greatest slope)"
+        )
+        yield own_claim("10", text, (max_slope, 1e-9), high=0.0)
 
 
-def _slopes(point):
+def _slope_range(point):
     """(the greatest d value / d gamma, (low, high)) over the gammas at which both P100 grazes and the point exists."""
-    amplitude = float(point.along.scene.amplitude)
-    end = NEAR * np.sqrt(0.5 * (1.0 - np.sqrt(1.0 - amplitude**2)))  # 2 gamma sqrt(1 - gamma^2) = A
-    found = [(float(slopes(point)[0]), float(point.kept[0]))]
-    for last in (LOW[1], end):
-        one = point
-        for gamma in np.linspace(float(point.kept[0]), last, LOOKS + 1)[1:]:
-            (one,), _ = fitting.there([one], [gamma])
-            found.append((float(slopes(one)[0]), float(one.kept[0])))
-    gammas = [gamma for _, gamma in found]
-    return max(found)[0], (min(gammas), max(gammas))
+    amplitude = float(point.problem.scene.amplitude)
+    max_gamma = GRAZING_FRACTION * np.sqrt(0.5 * (1.0 - np.sqrt(1.0 - amplitude**2)))  # 2 gamma sqrt(1 - gamma^2) = A
+    slope_points = [(float(parameter_gradient(point)[0]), float(point.parameter_values[0]))]
+    for end_gamma in (LOWER_BOUNDS[1], max_gamma):
+        current_point = point
+        for gamma in np.linspace(float(point.parameter_values[0]), end_gamma, N_SAMPLES + 1)[1:]:
+            (current_point,), _ = fitting.move_points([current_point], [gamma])
+            slope_points.append((float(parameter_gradient(current_point)[0]), float(current_point.parameter_values[0])))
+    gammas = [gamma for _, gamma in slope_points]
+    return max(slope_points)[0], (min(gammas), max(gammas))
 
 
-def _apart(scene):
+def _grazing_claim(scene):
     """That some gamma gives the GR printed, with A as captioned: it is at most sqrt(1 + A), at gamma = 0."""
     amplitude = float(scene.amplitude)
-    text = f"a GR at {GRAZING} is possible at A = {amplitude:g} (the highest that any gamma leads to)"
-    reason = f"It would need A of at least {float(GRAZING) ** 2 - 1.0:.4f}, were gamma zero."
-    return statement("10", text, (np.sqrt(1.0 + amplitude), ROUNDING), low=float(GRAZING) - HALF, reason=reason)
-
-
-def _three(found, printed):
-    """A, gamma and gamma2 from the three numbers printed."""
-    points = [*(hold(one.fold, NAMES) for one in found), hold(found[0].grazing, NAMES)]
-    targets = [*printed, float(GRAZING)]
-    fits = [fitting.fitted(points, targets, start, LOW, HIGH) for start in STARTS]
-    best = min(fits, key=lambda fit: abs(fit.misfits).max())
-    spread = abs(np.linalg.inv(best.by)) @ np.full(3, HALF)
-    named = zip(("A", "gamma", "gamma2"), best.values, spread, strict=True)
-    told = ", ".join(f"{name} = {value:.6f} (digits: ± {more:.2g})" for name, value, more in named)
-    text = (
-        f"all three numbers are reproduced by {told} (largest misfit; condition of the derivative {best.condition:.3g})"
+    text = f"a GR at {PRINTED_GRAZING} is possible at A = {amplitude:g} (the highest that any gamma leads to)"
+    reason = f"It would need A of at least {float(PRINTED_GRAZING) ** 2 - 1.0:.4f}, were gamma zero."
+    return statement_claim(
+        "10", text, (np.sqrt(1.0 + amplitude), ROUNDING), low=float(PRINTED_GRAZING) - HALF_DIGIT, reason=reason
     )
-    yield own("10", text, (float(abs(best.misfits).max()), ROUNDING), high=1e-10)
-    good = [fit.values for fit in fits if fit.met and abs(fit.misfits).max() < SAME]
-    different = [one for k, one in enumerate(good) if all(abs(one - other).max() > SAME for other in good[:k])]
-    text = f"no other three do: {len(good)} of {len(fits)} starts lead to a solution (number of different ones)"
-    yield own("10", text, (float(len(different)), 0.0), low=1.0, high=1.0)
 
 
-def _jumps(found):
+def _three_parameter_claims(responses, printed_folds):
+    """A, gamma and gamma2 from the three numbers printed."""
+    points = [
+        *(prepare_point(item.fold, FIT_NAMES) for item in responses),
+        prepare_point(responses[0].grazing, FIT_NAMES),
+    ]
+    targets = [*printed_folds, float(PRINTED_GRAZING)]
+    fits = [fitting.fit_values(points, targets, start, LOWER_BOUNDS, UPPER_BOUNDS) for start in FIT_STARTS]
+    best_fit = min(fits, key=lambda fit: abs(fit.misfits).max())
+    uncertainties = abs(np.linalg.inv(best_fit.jacobian)) @ np.full(3, HALF_DIGIT)
+    result_rows = zip(("A", "gamma", "gamma2"), best_fit.values, uncertainties, strict=True)
+    values_text = ", ".join(
+        f"{name} = {value:.6f} (digits: ± {uncertainty:.2g})" for name, value, uncertainty in result_rows
+    )
+    text = (
+        f"all three numbers are reproduced by {values_text} (largest misfit; condition of the derivative"
+        f" {best_fit.condition:.3g})"
+    )
+    yield own_claim("10", text, (float(abs(best_fit.misfits).max()), ROUNDING), high=1e-10)
+    solutions = [fit.values for fit in fits if fit.converged and abs(fit.misfits).max() < SOLUTION_TOLERANCE]
+    distinct_solutions = [
+        item
+        for index, item in enumerate(solutions)
+        if all(abs(item - earlier).max() > SOLUTION_TOLERANCE for earlier in solutions[:index])
+    ]
+    text = f"no other three do: {len(solutions)} of {len(fits)} starts lead to a solution (number of different ones)"
+    yield own_claim("10", text, (float(len(distinct_solutions)), 0.0), low=1.0, high=1.0)
+
+
+def _coexistence_claims(responses):
     """That two motions last between the grazing of P100 and the saddle-node of P111, and one on either side."""
-    for k2, one in zip(STIFF, found, strict=True):
-        low, high = one.grazing.value, one.fold.value
-        seen = [(w, ["P100", "P111"]) for w in np.linspace(low, high, LOOKS + 2)[1:-1]]
-        seen += [(low - ASIDE, ["P111"]), (high + ASIDE, ["P100"])]
-        wrong = sum(sorted(stable_at(one.branches, w)) != labels for w, labels in seen)
+    for stiffness, response in zip(STIFFNESSES, responses, strict=True):
+        lower, upper = response.grazing.value, response.fold.value
+        expected_labels = [
+            (frequency, ["P100", "P111"]) for frequency in np.linspace(lower, upper, N_SAMPLES + 2)[1:-1]
+        ]
+        expected_labels += [(lower - FREQUENCY_OFFSET, ["P111"]), (upper + FREQUENCY_OFFSET, ["P100"])]
+        n_wrong = sum(
+            sorted(stable_labels_at(response.branches, frequency)) != labels for frequency, labels in expected_labels
+        )
         text = (
-            f"k2 = {k2}: P100 and P111 last from omega {low:.6g}, where a sweep down jumps, to {high:.6g}, where one "
-            f"up falls from x = {peak(one.fold.orbit):.4g}; one of them beside (of {len(seen)} frequencies those "
+            f"k2 = {stiffness}: P100 and P111 last from omega {lower:.6g}, where a sweep down jumps, to"
+            f" {upper:.6g}, where one "
+            f"up falls from x = {peak(response.fold.orbit):.4g}; one of them beside (of {len(expected_labels)}"
+            " frequencies those "
             "where not)"
         )
-        yield own("10", text, (float(wrong), 0.0), high=0.0)
+        yield own_claim("10", text, (float(n_wrong), 0.0), high=0.0)
 
 
-def _flat(scene, asked):
+def _flat_top_claim(scene, table):
     """That the top of the curve is the flatter the stiffer the walls are."""
-    asked, rises = msgspec.structs.replace(asked, bounds=BETWEEN), []
-    for k2 in STIFFER:
-        stiff = scene.replace(**{"left.stiffness": k2, "right.stiffness": k2})
-        tops = peaks(_hitting(stiff, asked))
-        rises.append(abs(float(tops[-1] - tops[0])))
-    told = ", ".join(f"{rise:.4g} at k2 = {k2:g}" for rise, k2 in zip(rises, STIFFER, strict=True))
-    low, high = BETWEEN
+    table, rises = msgspec.structs.replace(table, bounds=TOP_FREQUENCIES), []
+    for stiffness in STIFFNESS_SERIES:
+        stiff_scene = scene.replace(**{"left.stiffness": stiffness, "right.stiffness": stiffness})
+        peak_values = peaks(_follow_p111(stiff_scene, table))
+        rises.append(abs(float(peak_values[-1] - peak_values[0])))
+    rises_text = ", ".join(
+        f"{rise:.4g} at k2 = {stiffness:g}" for rise, stiffness in zip(rises, STIFFNESS_SERIES, strict=True)
+    )
+    lower, upper = TOP_FREQUENCIES
     text = (
-        f"the top gets flat as k2 grows: from omega {low:g} to {high:g} the largest x rises by {told} (largest ratio)"
+        f"the top gets flat as k2 grows: from omega {lower:g} to {upper:g} the largest x rises by {rises_text}"
+        " (largest ratio)"
     )
     ratios = [after / before for before, after in pairwise(rises)]
-    return own("10", text, (max(ratios), SAME), high=1.0)
+    return own_claim("10", text, (max(ratios), SOLUTION_TOLERANCE), high=1.0)
 
 
-def marked(branch):
+def select_special_points(branch):
     """A branch with its SN and GR alone, for a picture in which nothing else is asked for."""
-    return replace(branch, special=tuple(one for one in branch.special if one.kind in ("SN", "GR")))
+    return replace(branch, special=tuple(special for special in branch.special if special.kind in ("SN", "GR")))
 
 
-def _picture(scenes, found):
-    figure, places = sheet(2, 1, 2.7)
-    for (ax,), scene, one in zip(places, scenes, found, strict=True):
-        for each in reversed(one.branches):  # P100 last: its GR hides an SN that is as good as there
-            plot.branch(marked(each), "peak", ax, COLOURS[2 if each.segments[0].label == "P100" else 7])
+def _picture(scenes, responses):
+    figure, axes_grid = make_figure(2, 1, 2.7)
+    for (ax,), scene, response in zip(axes_grid, scenes, responses, strict=True):
+        for branch in reversed(response.branches):  # P100 last: its GR hides an SN that is as good as there
+            plot.branch(
+                select_special_points(branch), "peak", ax, COLOURS[2 if branch.segments[0].label == "P100" else 7]
+            )
         ax.set_title(f"$k_2$ = {float(scene.left.stiffness):g}", loc="left")
         ax.set_ylim(0.0)
-    trim(places, ticks=9)
-    for (ax,) in places:
-        ax.set_ylabel(SHORT)
-    legend(figure, places, columns=3)
-    return png(figure)
+    trim_labels(axes_grid, max_ticks=9)
+    for (ax,) in axes_grid:
+        ax.set_ylabel(PEAK_LABEL)
+    add_legend(figure, axes_grid, columns=3)
+    return png_bytes(figure)

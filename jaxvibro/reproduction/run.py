@@ -14,17 +14,17 @@ from pathlib import Path
 import jax
 
 from .. import __version__
-from ..output.atomic_write import refuse_folder, whole
-from ..output.checksums import MARKS, digest, is_sealed, netcdf, sealed
+from ..output.atomic_write import atomic_file, require_writable_folder
+from ..output.checksums import HEADER_ATTRIBUTES, has_valid_checksum, netcdf_bytes, seal, sha256_hex
 from ..scene import check
 from ..studies import scene_file
 from .claim import Claim
 from .figures import JOBS
-from .panels import Drawn
-from .report import counts, page, text
+from .panels import FigureResult
+from .report import html_page, markdown_text, verdict_counts
 
 ROOT = Path(__file__).parents[1]
-REPORT = "report"
+REPORT_NAME = "report"
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Report:
     told: str
 
 
-@check.typed
+@check.check_types
 def paper(
     names: str | Sequence[str] = (),
     out: str | PathLike[str] = "out/paper",
@@ -58,116 +58,120 @@ def paper(
     Raises ArgumentError for a name that is none, workers that are no whole number from 1 on and scene files that break
     a rule, OSError where a file cannot be read or written.
     """
-    workers = check.whole("workers", workers, 1)
-    out, folder = Path(out), _scenes() if scenes is None else Path(scenes)
-    names = check.sequence("names", names) or tuple(JOBS)
+    workers = check.whole_number("workers", workers, 1)
+    out, folder = Path(out), _default_folder() if scenes is None else Path(scenes)
+    names = check.name_tuple("names", names) or tuple(JOBS)
     for name in names:
         if name not in JOBS:
-            raise check.ArgumentError("figure", f"must be one of those known{check.among(name, JOBS)}", name)
+            raise check.ArgumentError("figure", f"must be one of those known{check.describe_choices(name, JOBS)}", name)
     for name in names:
-        _files(folder, name)
-    keys = {name: _key(folder, JOBS[name].files) for name in JOBS if _exist(folder, JOBS[name].files)}
-    refuse_folder(out)
+        _read_files(folder, name)
+    keys = {name: _content_key(folder, JOBS[name].files) for name in JOBS if _files_exist(folder, JOBS[name].files)}
+    require_writable_folder(out)
     out.mkdir(parents=True, exist_ok=True)
-    due = [name for name in names if force or _kept(out, name, keys[name]) is None]
-    tasks = [(name, folder, out, keys[name], progress and workers == 1) for name in due]
-    for place, (name, seconds) in enumerate(_each(tasks, workers), 1):
+    due_names = [name for name in names if force or _load_result(out, name, keys[name]) is None]
+    tasks = [(name, folder, out, keys[name], progress and workers == 1) for name in due_names]
+    for position, (name, seconds) in enumerate(_run_tasks(tasks, workers), 1):
         if progress:
-            print(f"{name}: {seconds:.1f} s ({place} of {len(due)})", file=sys.stderr, flush=True)
-    return _report(out, keys)
+            print(f"{name}: {seconds:.1f} s ({position} of {len(due_names)})", file=sys.stderr, flush=True)
+    return _write_report(out, keys)
 
 
-def _files(folder, name):
-    return [scene_file.read(folder / f"{one}.toml") for one in JOBS[name].files]
+def _read_files(folder, name):
+    return [scene_file.read(folder / f"{file_name}.toml") for file_name in JOBS[name].files]
 
 
-def _each(tasks, workers):
-    """What `_computed` gives of each task, in this process or, as they are done, in some of their own."""
+def _run_tasks(tasks, workers):
+    """What `_compute_figure` gives of each task, in this process or, as they are done, in some of their own."""
     if workers == 1 or len(tasks) < 2:
-        yield from (_computed(*task) for task in tasks)
+        yield from (_compute_figure(*task) for task in tasks)
         return
-    fresh = multiprocessing.get_context("spawn")  # jax's threads do not live through a fork
-    with ProcessPoolExecutor(workers, fresh, _prepare, (jax.config.jax_enable_x64,)) as pool:
-        running = [pool.submit(_computed, *task) for task in tasks]
+    context = multiprocessing.get_context("spawn")  # jax's threads do not live through a fork
+    with ProcessPoolExecutor(workers, context, _set_precision, (jax.config.jax_enable_x64,)) as pool:
+        futures = [pool.submit(_compute_figure, *task) for task in tasks]
         try:
-            yield from (one.result() for one in as_completed(running))
+            yield from (future.result() for future in as_completed(futures))
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
 
 
-def _prepare(double):
+def _set_precision(double_precision):
     """A new process computes in the precision of this one."""
-    jax.config.update("jax_enable_x64", double)
+    jax.config.update("jax_enable_x64", double_precision)
 
 
-def _computed(name, folder, out, key, progress):
+def _compute_figure(name, folder, out, key, progress):
     """(the name of a figure, how long it took), its files written."""
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     if progress:
         print(name, file=sys.stderr, flush=True)
-    _keep(out, name, key, JOBS[name].drawn(*_files(folder, name), progress=progress))
-    return name, time.perf_counter() - began
+    _save_result(out, name, key, JOBS[name].reproduce(*_read_files(folder, name), progress=progress))
+    return name, time.perf_counter() - start_time
 
 
-def _scenes():
+def _default_folder():
     """The folder of the scene files: in the package where it was installed, beside it in a checkout."""
-    inside = ROOT / "scenes"
-    return inside if inside.is_dir() else ROOT.parent / "scenes"
+    package_folder = ROOT / "scenes"
+    return package_folder if package_folder.is_dir() else ROOT.parent / "scenes"
 
 
-def _exist(folder, names):
+def _files_exist(folder, names):
     return all((folder / f"{name}.toml").is_file() for name in names)
 
 
-def _key(folder, names):
+def _content_key(folder, names):
     """What tells one computation from another: the scene files' and the program's text."""
-    whole = hashlib.sha256(__version__.encode())
-    sources = [one for package in (ROOT, ROOT.parent / "continuation") for one in sorted(package.rglob("*.py"))]
+    sha256 = hashlib.sha256(__version__.encode())
+    sources = [source for package in (ROOT, ROOT.parent / "continuation") for source in sorted(package.rglob("*.py"))]
     for path in [*(folder / f"{name}.toml" for name in names), *sources]:
-        whole.update(path.read_bytes())
-    return whole.hexdigest()
+        sha256.update(path.read_bytes())
+    return sha256.hexdigest()
 
 
-def _keep(out, name, key, drawn):
+def _save_result(out, name, key, result):
     """Writes what was computed, its claims last: they tell that all is there, by the SHA-256 of each other file."""
-    files = {f"{name}{ending}.nc": netcdf(data) for ending, data in drawn.data.items()}
-    if drawn.picture is not None:
-        files[f"{name}.png"] = drawn.picture
-    claims = [asdict(one) | {"verdict": one.verdict} for one in drawn.claims]
-    digests = {each: digest(content) for each, content in files.items()}
-    told = MARKS | {"key": key, "caption": drawn.caption, "files": digests, "claims": claims}
-    files[f"{name}.json"] = sealed(json.dumps(told, indent=1).encode())
-    for each, content in files.items():
-        with whole(out / each, force=True) as file:
+    files = {f"{name}{suffix}.nc": netcdf_bytes(data) for suffix, data in result.data.items()}
+    if result.picture is not None:
+        files[f"{name}.png"] = result.picture
+    claims = [asdict(claim) | {"verdict": claim.verdict} for claim in result.claims]
+    digests = {file_name: sha256_hex(content) for file_name, content in files.items()}
+    record = HEADER_ATTRIBUTES | {"key": key, "caption": result.caption, "files": digests, "claims": claims}
+    files[f"{name}.json"] = seal(json.dumps(record, indent=1).encode())
+    for file_name, content in files.items():
+        with atomic_file(out / file_name, overwrite=True) as file:
             file.write(content)
 
 
-def _kept(out, name, key):
-    """The `Drawn` of an earlier run with the same key, without its data; None where there is none, or a file is not as
-    it was written."""
+def _load_result(out, name, key):
+    """The `FigureResult` of an earlier run with the same key, without its data; None where there is none, or a file is
+    not as it was written."""
     try:
         content = (out / f"{name}.json").read_bytes()
-        told = json.loads(content) if is_sealed(content, name) else {"key": None}
-        if told["key"] != key:
+        record = json.loads(content) if has_valid_checksum(content, name) else {"key": None}
+        if record["key"] != key:
             return None
-        files = {each: (out / each).read_bytes() for each in told["files"]}
-        if any(digest(files[each]) != written for each, written in told["files"].items()):
+        files = {file_name: (out / file_name).read_bytes() for file_name in record["files"]}
+        if any(
+            sha256_hex(files[file_name]) != expected_digest for file_name, expected_digest in record["files"].items()
+        ):
             return None
-        claims = [Claim(**{key: value for key, value in one.items() if key != "verdict"}) for one in told["claims"]]
-        return Drawn(files.get(f"{name}.png"), told["caption"], tuple(claims))
+        claims = [
+            Claim(**{key: value for key, value in claim.items() if key != "verdict"}) for claim in record["claims"]
+        ]
+        return FigureResult(files.get(f"{name}.png"), record["caption"], tuple(claims))
     except (OSError, ValueError, LookupError, TypeError):
         return None
 
 
-def _report(out, keys):
+def _write_report(out, keys):
     """Writes the report of all that is there: the `Report`."""
-    kept = {name: _kept(out, name, key) for name, key in keys.items()}
-    parts = [(name, one) for name, one in kept.items() if one is not None]
-    titled = [(JOBS[name].title, one) for name, one in parts]
-    named = [(JOBS[name].title, f"{name}.png" if one.picture else None, one) for name, one in parts]
-    for ending, content in ((".html", page(titled)), (".md", text(named))):
-        with whole(out / f"{REPORT}{ending}", force=True) as file:
+    results = {name: _load_result(out, name, key) for name, key in keys.items()}
+    entries = [(name, result) for name, result in results.items() if result is not None]
+    titled_results = [(JOBS[name].title, result) for name, result in entries]
+    named_results = [(JOBS[name].title, f"{name}.png" if result.picture else None, result) for name, result in entries]
+    for suffix, content in ((".html", html_page(titled_results)), (".md", markdown_text(named_results))):
+        with atomic_file(out / f"{REPORT_NAME}{suffix}", overwrite=True) as file:
             file.write(content.encode())
-    claims = [claim for _, one in parts for claim in one.claims]
-    return Report(out / f"{REPORT}.html", out / f"{REPORT}.md", tuple(claims), counts(claims))
+    claims = [claim for _, result in entries for claim in result.claims]
+    return Report(out / f"{REPORT_NAME}.html", out / f"{REPORT_NAME}.md", tuple(claims), verdict_counts(claims))

@@ -16,189 +16,241 @@ import numpy as np
 from jax.extend import core
 
 from . import check
-from .force import of_row
-from .force_trace import inner_of, traced
-from .intervals import ENTIRE, FLAG, JUMPS, RULES, Interval, minus, of, plus, times
+from .force import flat_function
+from .force_trace import cached_jaxpr, find_inner_jaxpr
+from .intervals import (
+    BOOLEAN,
+    DISCONTINUOUS,
+    ENTIRE,
+    OPERATION_RULES,
+    Interval,
+    add,
+    multiply,
+    point_interval,
+    subtract,
+)
 
-MOST = 4096  # lanes, and cells, at once
-ROUNDS = 40  # of halving
-ONE = of(1.0)
-SUMS = {"add": plus, "add_any": plus, "sub": minus}
+MAX_CELLS = 4096  # lanes, and cells, at once
+MAX_HALVINGS = 40  # of halving
+UNIT = point_interval(1.0)
+SUM_RULES = {"add": add, "add_any": add, "sub": subtract}
 
 
-def never_grow(*scenes):
+def areas_never_grow(*scenes):
     """True where it is proved that no area grows, in flight or at an impact, of any scene whose numbers lie between
     those of these, of which each lane differs in one number at the most; else None."""
     if check.is_traced(*jax.tree.leaves(scenes)):
         return None
-    passive = all(bool(np.all(np.abs(scene.bounce(side)) <= 1.0)) for scene in scenes for side in scene.walls)
-    if not passive:
+    is_passive = all(bool(np.all(np.abs(scene.bounce(side)) <= 1.0)) for scene in scenes for side in scene.walls)
+    if not is_passive:
         return None
     if scenes[0].force is None:
-        damped = [name for name in scenes[0].names if name.endswith("damping")]
-        return all(bool(np.all(scene.parameter(name) >= 0.0)) for scene in scenes for name in damped) or None
+        damping_names = [name for name in scenes[0].names if name.endswith("damping")]
+        return all(bool(np.all(scene.parameter(name) >= 0.0)) for scene in scenes for name in damping_names) or None
     if scenes[0].soft_sides:
         return None
-    return _never_feeds(scenes) or None
+    return _force_never_expands(scenes) or None
 
 
-def _never_feeds(scenes):
+def _force_never_expands(scenes):
     """Whether d force / d v is proved not to be positive: of all the lanes at once, or else of each."""
     names, dtype = tuple(scenes[0].force.numbers), np.dtype(scenes[0].dtype)
-    slope = _slope(scenes[0].force.function, names, dtype)
-    lanes = [_between([scene.force.numbers[name] for scene in scenes]) for name in names]
-    lanes.append(_between([end for scene in scenes for end in _reach(scene)]))
-    shape = np.broadcast_shapes(*(np.shape(each.low) for each in lanes))
-    lanes = [Interval(*(np.broadcast_to(end, shape).reshape(-1) for end in each)) for each in lanes]
-    if slope is None:
+    derivative = _velocity_derivative(scenes[0].force.function, names, dtype)
+    intervals = [_hull_of_arrays([scene.force.numbers[name] for scene in scenes]) for name in names]
+    intervals.append(_hull_of_arrays([bound for scene in scenes for bound in _position_range(scene)]))
+    shape = np.broadcast_shapes(*(np.shape(interval.lower) for interval in intervals))
+    intervals = [Interval(*(np.broadcast_to(bound, shape).reshape(-1) for bound in interval)) for interval in intervals]
+    if derivative is None:
         return False
-    together = [Interval(each.low.min()[None], each.high.max()[None]) for each in lanes]
-    count = len(lanes[-1].low)
-    some = ([Interval(*(end[k : k + MOST] for end in each)) for each in lanes] for k in range(0, count, MOST))
-    return _proved(slope, together) or (count > 1 and all(_proved(slope, each) for each in some))
+    hull = [Interval(interval.lower.min()[None], interval.upper.max()[None]) for interval in intervals]
+    n_lanes = len(intervals[-1].lower)
+    batches = (
+        [Interval(*(bound[start : start + MAX_CELLS] for bound in interval)) for interval in intervals]
+        for start in range(0, n_lanes, MAX_CELLS)
+    )
+    return _is_proved(derivative, hull) or (
+        n_lanes > 1 and all(_is_proved(derivative, interval) for interval in batches)
+    )
 
 
-def _between(values):
+def _hull_of_arrays(values):
     """From the least to the largest of some arrays, lane by lane."""
-    values = np.stack(np.broadcast_arrays(*(np.asarray(each, float) for each in values)))
+    values = np.stack(np.broadcast_arrays(*(np.asarray(array, float) for array in values)))
     return Interval(values.min(axis=0), values.max(axis=0))
 
 
-def _reach(scene):
+def _position_range(scene):
     """(the least, the largest) x that the walls of a scene allow."""
-    ends = {"left": -np.inf, "right": np.inf}
+    bounds = {"left": -np.inf, "right": np.inf}
     for side, wall in scene.walls.items():
-        swing = 0.0 if wall.motion is None else np.abs(np.asarray(wall.motion.amplitude, float))
-        where = np.asarray(wall.position, float)
-        ends[side] = where if wall.motion is None else np.nextafter(where + np.copysign(swing, ends[side]), ends[side])
-    return ends["left"], ends["right"]
+        wall_amplitude = 0.0 if wall.motion is None else np.abs(np.asarray(wall.motion.amplitude, float))
+        position = np.asarray(wall.position, float)
+        bounds[side] = (
+            position
+            if wall.motion is None
+            else np.nextafter(position + np.copysign(wall_amplitude, bounds[side]), bounds[side])
+        )
+    return bounds["left"], bounds["right"]
 
 
-def _proved(slope, lanes):
-    """Whether d force / d v is nowhere positive; lanes: the intervals of the force's numbers and, the last, of x."""
-    none = np.zeros(len(lanes[-1].low))
-    cells = [Interval(*(np.tile(end, 2) for end in each)) for each in lanes]
-    cells.append(Interval(np.append(none - np.inf, none), np.append(none, none + np.inf)))
-    for _ in range(ROUNDS):
-        left = ~(_evaluated(slope, cells).high <= 0.0)
-        if not left.any():
+def _is_proved(derivative, intervals):
+    """Whether d force / d v is nowhere positive; intervals: the intervals of the force's numbers and, the last, of
+    x."""
+    zeros = np.zeros(len(intervals[-1].lower))
+    cells = [Interval(*(np.tile(bound, 2) for bound in interval)) for interval in intervals]
+    cells.append(Interval(np.append(zeros - np.inf, zeros), np.append(zeros, zeros + np.inf)))
+    for _ in range(MAX_HALVINGS):
+        unproved = ~(_evaluate_cells(derivative, cells).upper <= 0.0)
+        if not unproved.any():
             return True
-        cells = [Interval(low[left], high[left]) for low, high in cells]
-        *numbers, x, v = cells
-        at = [*numbers, *(of(_middle(each)) for each in (x, v))]
-        if 4 * len(x.low) > MOST + 4 * len(none) or (_evaluated(slope, at).low > 0.0).any():
+        cells = [Interval(lower[unproved], upper[unproved]) for lower, upper in cells]
+        *params, x, v = cells
+        midpoints = [*params, *(point_interval(_midpoint(interval)) for interval in (x, v))]
+        if 4 * len(x.lower) > MAX_CELLS + 4 * len(zeros) or (_evaluate_cells(derivative, midpoints).lower > 0.0).any():
             return False
-        cells = _halved(_halved(cells, -1), -2)
+        cells = _halve_cells(_halve_cells(cells, -1), -2)
     return False
 
 
-def _halved(cells, place):
+def _halve_cells(cells, index):
     """Cells cut in two along one of their intervals."""
-    low, high = cells[place]
-    middle = _middle(cells[place])
-    found = [Interval(*(np.tile(end, 2) for end in each)) for each in cells]
-    found[place] = Interval(np.append(low, middle), np.append(middle, high))
-    return found
+    lower, upper = cells[index]
+    midpoint = _midpoint(cells[index])
+    halves = [Interval(*(np.tile(bound, 2) for bound in interval)) for interval in cells]
+    halves[index] = Interval(np.append(lower, midpoint), np.append(midpoint, upper))
+    return halves
 
 
-def _middle(interval):
+def _midpoint(interval):
     """A number within an interval, which may be unbounded."""
-    low, high = interval
+    lower, upper = interval
     with np.errstate(invalid="ignore", over="ignore"):
-        far = np.where(low >= 0.0, np.maximum(2.0 * low, 1.0), np.where(high <= 0.0, np.minimum(2.0 * high, -1.0), 0.0))
-        return np.where(np.isfinite(low) & np.isfinite(high), 0.5 * low + 0.5 * high, far)
+        half_line_point = np.where(
+            lower >= 0.0, np.maximum(2.0 * lower, 1.0), np.where(upper <= 0.0, np.minimum(2.0 * upper, -1.0), 0.0)
+        )
+        return np.where(np.isfinite(lower) & np.isfinite(upper), 0.5 * lower + 0.5 * upper, half_line_point)
 
 
 @lru_cache(256)
-def _slope(function, names, dtype):
+def _velocity_derivative(function, names, dtype):
     """The `ClosedJaxpr` of d force / d v, of t, x, v and the numbers; None of a force that may jump where v changes."""
-    if not _continuous(traced(function, names, dtype).jaxpr, [False, False, True, *[False] * len(names)])[0]:
+    if not _trace_continuity(cached_jaxpr(function, names, dtype).jaxpr, [False, False, True, *[False] * len(names)])[
+        0
+    ]:
         return None
-    force = of_row(function, names)
+    force = flat_function(function, names)
 
-    def slope(t, x, v, *numbers):
-        return jax.jvp(lambda v: force(t, x, v, *numbers), (v,), (jnp.ones_like(v),))[1]
+    def derivative(t, x, v, *params):
+        return jax.jvp(lambda v: force(t, x, v, *params), (v,), (jnp.ones_like(v),))[1]
 
-    return jax.make_jaxpr(slope)(*[jax.ShapeDtypeStruct((), dtype)] * (3 + len(names)))
+    return jax.make_jaxpr(derivative)(*[jax.ShapeDtypeStruct((), dtype)] * (3 + len(names)))
 
 
-def _continuous(jaxpr, moving):
+def _trace_continuity(jaxpr, depends_on_v):
     """(whether what is done to numbers that move with v is known to be continuous, whether each result moves)."""
-    known = dict(zip(jaxpr.invars, moving, strict=True))
-    sure = True
+    dependence = dict(zip(jaxpr.invars, depends_on_v, strict=True))
+    is_continuous = True
     for eqn in jaxpr.eqns:
-        given = [not isinstance(each, core.Literal) and known.get(each, False) for each in eqn.invars]
-        own, results = inner_of(eqn), [any(given)] * len(eqn.outvars)
-        if own is not None:
-            smooth, results = _continuous(own.jaxpr, given)
+        input_dependence = [
+            not isinstance(variable, core.Literal) and dependence.get(variable, False) for variable in eqn.invars
+        ]
+        inner_jaxpr, output_dependence = find_inner_jaxpr(eqn), [any(input_dependence)] * len(eqn.outvars)
+        if inner_jaxpr is not None:
+            is_smooth, output_dependence = _trace_continuity(inner_jaxpr.jaxpr, input_dependence)
         else:
             name = eqn.primitive.name
-            chosen = name == "select_n" and not given[0]
-            smooth = not any(given) or chosen or _kept(eqn) or (name in RULES and name not in JUMPS)
-        sure = sure and smooth
-        known.update(zip(eqn.outvars, results, strict=True))
-    return sure, [not isinstance(each, core.Literal) and known.get(each, False) for each in jaxpr.outvars]
+            is_selection = name == "select_n" and not input_dependence[0]
+            is_smooth = (
+                not any(input_dependence)
+                or is_selection
+                or _keeps_type(eqn)
+                or (name in OPERATION_RULES and name not in DISCONTINUOUS)
+            )
+        is_continuous = is_continuous and is_smooth
+        dependence.update(zip(eqn.outvars, output_dependence, strict=True))
+    return is_continuous, [
+        not isinstance(variable, core.Literal) and dependence.get(variable, False) for variable in jaxpr.outvars
+    ]
 
 
-def _kept(eqn):
+def _keeps_type(eqn):
     """Whether an operation turns a number into one of the same type."""
     return eqn.primitive.name == "convert_element_type" and eqn.invars[0].aval.dtype == eqn.outvars[0].aval.dtype
 
 
-def _evaluated(slope, cells):
+def _evaluate_cells(derivative, cells):
     """The interval of d force / d v in each cell, of the numbers', x's and v's intervals."""
-    *numbers, x, v = cells
-    (found,) = _run(slope, [ENTIRE, x, v, *numbers])
-    return Interval(*(np.broadcast_to(np.asarray(end, float), np.shape(x.low)) for end in found))
+    *params, x, v = cells
+    (interval,) = _evaluate_jaxpr(derivative, [ENTIRE, x, v, *params])
+    return Interval(*(np.broadcast_to(np.asarray(bound, float), np.shape(x.lower)) for bound in interval))
 
 
-def _run(closed, given):
+def _evaluate_jaxpr(closed_jaxpr, inputs):
     """The intervals of what a `ClosedJaxpr` gives."""
-    known = dict(zip(closed.jaxpr.invars, given, strict=True))
-    known |= {name: _constant(value) for name, value in zip(closed.jaxpr.constvars, closed.consts, strict=True)}
-    made: dict[Any, Any] = {}
+    environment = dict(zip(closed_jaxpr.jaxpr.invars, inputs, strict=True))
+    environment |= {
+        name: _constant_interval(value)
+        for name, value in zip(closed_jaxpr.jaxpr.constvars, closed_jaxpr.consts, strict=True)
+    }
+    producers: dict[Any, Any] = {}
 
-    def read(variable):
-        return _constant(variable.val) if isinstance(variable, core.Literal) else known[variable]
+    def read_interval(variable):
+        return _constant_interval(variable.val) if isinstance(variable, core.Literal) else environment[variable]
 
-    for eqn in closed.jaxpr.eqns:
-        of_its_own = inner_of(eqn)
-        if of_its_own is not None:
-            results = _run(of_its_own, [read(each) for each in eqn.invars])
+    for eqn in closed_jaxpr.jaxpr.eqns:
+        inner_jaxpr = find_inner_jaxpr(eqn)
+        if inner_jaxpr is not None:
+            results = _evaluate_jaxpr(inner_jaxpr, [read_interval(variable) for variable in eqn.invars])
         else:
-            results = [_result(eqn, made, read)] if len(eqn.outvars) == 1 else [ENTIRE] * len(eqn.outvars)
-        known.update(zip(eqn.outvars, results, strict=True))
-        made.update(dict.fromkeys(eqn.outvars, eqn))
-    return [read(each) for each in closed.jaxpr.outvars]
+            results = (
+                [_evaluate_operation(eqn, producers, read_interval)]
+                if len(eqn.outvars) == 1
+                else [ENTIRE] * len(eqn.outvars)
+            )
+        environment.update(zip(eqn.outvars, results, strict=True))
+        producers.update(dict.fromkeys(eqn.outvars, eqn))
+    return [read_interval(variable) for variable in closed_jaxpr.jaxpr.outvars]
 
 
-def _constant(value):
-    return of(float(value)) if np.ndim(value) == 0 and np.isfinite(value) else ENTIRE
+def _constant_interval(value):
+    return point_interval(float(value)) if np.ndim(value) == 0 and np.isfinite(value) else ENTIRE
 
 
-def _result(eqn, made, read):
+def _evaluate_operation(eqn, producers, read_interval):
     """The interval of what one operation gives: anything where no rule is known."""
-    name, (out,) = eqn.primitive.name, eqn.outvars
-    whatever = FLAG if out.aval.dtype == bool else ENTIRE
-    known = name in RULES and (name != "convert_element_type" or _kept(eqn) or eqn.invars[0].aval.dtype == bool)
-    plain = not any(each.aval.shape for each in (*eqn.invars, out)) and not np.issubdtype(out.aval.dtype, np.integer)
-    if not known or not plain:
-        return whatever
-    return _once(eqn, made, read) or RULES[name](*map(read, eqn.invars), **eqn.params)
+    name, (output,) = eqn.primitive.name, eqn.outvars
+    unbounded = BOOLEAN if output.aval.dtype == bool else ENTIRE
+    has_rule = name in OPERATION_RULES and (
+        name != "convert_element_type" or _keeps_type(eqn) or eqn.invars[0].aval.dtype == bool
+    )
+    is_real_scalar = not any(variable.aval.shape for variable in (*eqn.invars, output)) and not np.issubdtype(
+        output.aval.dtype, np.integer
+    )
+    if not has_rule or not is_real_scalar:
+        return unbounded
+    return _repeated_operand(eqn, producers, read_interval) or OPERATION_RULES[name](
+        *map(read_interval, eqn.invars), **eqn.params
+    )
 
 
-def _once(eqn, made, read):
+def _repeated_operand(eqn, producers, read_interval):
     """A square of one number, and a + a b, a - a b as a (1 + b), a (1 - b): what stands there twice is one number. None
     of other operations."""
     name = eqn.primitive.name
-    if name not in ("mul", *SUMS) or any(isinstance(each, core.Literal) for each in eqn.invars):
+    if name not in ("mul", *SUM_RULES) or any(isinstance(variable, core.Literal) for variable in eqn.invars):
         return None
-    first, second = eqn.invars
+    left_operand, right_operand = eqn.invars
     if name == "mul":
-        return RULES["square"](read(first)) if first is second else None
-    for lone, other in ((first, second), (second, first))[: 1 if name == "sub" else 2]:
-        product = made.get(other)
-        if product is not None and product.primitive.name == "mul" and any(each is lone for each in product.invars):
-            rest = product.invars[0 if product.invars[1] is lone else 1]
-            return times(read(lone), SUMS[name](ONE, read(rest)))
+        return OPERATION_RULES["square"](read_interval(left_operand)) if left_operand is right_operand else None
+    for single_operand, product_operand in ((left_operand, right_operand), (right_operand, left_operand))[
+        : 1 if name == "sub" else 2
+    ]:
+        product = producers.get(product_operand)
+        if (
+            product is not None
+            and product.primitive.name == "mul"
+            and any(variable is single_operand for variable in product.invars)
+        ):
+            factor = product.invars[0 if product.invars[1] is single_operand else 1]
+            return multiply(read_interval(single_operand), SUM_RULES[name](UNIT, read_interval(factor)))
     return None

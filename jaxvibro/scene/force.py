@@ -7,8 +7,8 @@ from typing import Any
 import jax
 from jaxtyping import ArrayLike, Real
 
-TOLERANCE = 1e-13
-TIGHTEST, LOOSEST = 1e-15, 1e-3
+DEFAULT_TOLERANCE = 1e-13
+MIN_TOLERANCE, MAX_TOLERANCE = 1e-15, 1e-3
 
 
 @jax.tree_util.register_dataclass
@@ -28,19 +28,21 @@ class Force:
 
     function: Callable[..., Any] | str = field(metadata={"static": True})
     numbers: Mapping[str, Real[ArrayLike, "..."]] = field(default_factory=dict)
-    tolerance: float = field(default=TOLERANCE, metadata={"static": True})
+    tolerance: float = field(default=DEFAULT_TOLERANCE, metadata={"static": True})
     solver: Any = field(default=None, metadata={"static": True})
 
 
-def of_row(function, names, given=3):
-    """function(t, x, v, *numbers), the numbers of these names in a row; given: how many it takes besides."""
+def flat_function(function, names, n_arguments=3):
+    """function(t, x, v, *numbers), the numbers of these names in a row; n_arguments: how many it takes besides."""
 
-    def plain(*row):
-        return function(*row[:given], dict(zip(names, row[given:], strict=True)))
+    def call_flat(*arguments):
+        return function(*arguments[:n_arguments], dict(zip(names, arguments[n_arguments:], strict=True)))
 
-    return plain
+    return call_flat
 
 
-def trace(function, names, dtype, given=3):
-    """The `ClosedJaxpr` of a force, traced anew, of scalars of a type; given: as of `of_row`."""
-    return jax.make_jaxpr(of_row(function, names, given))(*[jax.ShapeDtypeStruct((), dtype)] * (given + len(names)))
+def trace_jaxpr(function, names, dtype, n_arguments=3):
+    """The `ClosedJaxpr` of a force, traced anew, of scalars of a type; n_arguments: as of `flat_function`."""
+    return jax.make_jaxpr(flat_function(function, names, n_arguments))(
+        *[jax.ShapeDtypeStruct((), dtype)] * (n_arguments + len(names))
+    )

@@ -11,205 +11,223 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-ULPS = 8.0  # by so many a function of NumPy's may be off, of its size
-FAR = 1e6  # beyond, sin and cos may be anything between -1 and 1
-SLACK = 1e-9  # from a peak of sin and cos: as near it counts as in the interval
+ERROR_ULPS = 8.0  # by so many a function of NumPy's may be off, of its size
+MAX_TRIG_ARGUMENT = 1e6  # beyond, sin and cos may be anything between -1 and 1
+PEAK_SLACK = 1e-9  # from a peak of sin and cos: as near it counts as in the interval
 
 
 class Interval(NamedTuple):
     """All real numbers from low to high, which are lanes or numbers."""
 
-    low: Any
-    high: Any
+    lower: Any
+    upper: Any
 
 
 ENTIRE = Interval(-np.inf, np.inf)
-FLAG = Interval(0.0, 1.0)
+BOOLEAN = Interval(0.0, 1.0)
 
 
-def of(number):
+def point_interval(value):
     """The interval of one number, or of each of many."""
-    return Interval(number, number)
+    return Interval(value, value)
 
 
 def hull(intervals):
     """All from the least to the largest of some intervals."""
-    lows, highs = zip(*intervals, strict=True)
-    low, high = lows[0], highs[0]
-    for other in lows[1:]:
-        low = np.minimum(low, other)
-    for other in highs[1:]:
-        high = np.maximum(high, other)
-    return Interval(low, high)
+    lowers, uppers = zip(*intervals, strict=True)
+    lower, upper = lowers[0], uppers[0]
+    for bound in lowers[1:]:
+        lower = np.minimum(lower, bound)
+    for bound in uppers[1:]:
+        upper = np.maximum(upper, bound)
+    return Interval(lower, upper)
 
 
-def _down(value, exact):
-    return np.where(exact, value, np.nextafter(value, -np.inf))
+def _round_down(value, is_exact):
+    return np.where(is_exact, value, np.nextafter(value, -np.inf))
 
 
-def _up(value, exact):
-    return np.where(exact, value, np.nextafter(value, np.inf))
+def _round_up(value, is_exact):
+    return np.where(is_exact, value, np.nextafter(value, np.inf))
 
 
-def plus(a, b):
+def add(a, b):
     with np.errstate(over="ignore"):
-        low, high = np.add(a.low, b.low), np.add(a.high, b.high)
-    clean = [(one == 0) | (two == 0) | (end == 0) for one, two, end in ((a.low, b.low, low), (a.high, b.high, high))]
-    return Interval(_down(low, clean[0]), _up(high, clean[1]))
+        lower, upper = np.add(a.lower, b.lower), np.add(a.upper, b.upper)
+    is_exact = [
+        (first == 0) | (second == 0) | (result == 0)
+        for first, second, result in ((a.lower, b.lower, lower), (a.upper, b.upper, upper))
+    ]
+    return Interval(_round_down(lower, is_exact[0]), _round_up(upper, is_exact[1]))
 
 
-def minus(a, b):
-    return plus(a, negative(b))
+def subtract(a, b):
+    return add(a, negate(b))
 
 
-def negative(a):
-    return Interval(-a.high, -a.low)
+def negate(a):
+    return Interval(-a.upper, -a.lower)
 
 
-def times(a, b):
-    ends = []
-    for one in a:
-        for two in b:
+def multiply(a, b):
+    products = []
+    for first in a:
+        for second in b:
             with np.errstate(invalid="ignore", over="ignore"):
-                value = np.where((one == 0) | (two == 0), 0.0, np.multiply(one, two))
-            exact = (one == 0) | (two == 0) | (np.abs(one) == 1) | (np.abs(two) == 1)
-            ends.append(Interval(_down(value, exact), _up(value, exact)))
-    return hull(ends)
+                value = np.where((first == 0) | (second == 0), 0.0, np.multiply(first, second))
+            is_exact = (first == 0) | (second == 0) | (np.abs(first) == 1) | (np.abs(second) == 1)
+            products.append(Interval(_round_down(value, is_exact), _round_up(value, is_exact)))
+    return hull(products)
 
 
-def inverse(a):
+def reciprocal(a):
     """1 / a."""
-    low, high = np.asarray(a.low, float), np.asarray(a.high, float)
+    lower, upper = np.asarray(a.lower, float), np.asarray(a.upper, float)
     with np.errstate(divide="ignore", over="ignore"):
-        first, last = 1.0 / np.where(high == 0, -0.0, high), 1.0 / np.where(low == 0, 0.0, low)
-    across = (low < 0) & (high > 0) | (low == 0) & (high == 0)
-    first = _down(first, (np.abs(high) == 1) | np.isinf(high))
-    last = _up(last, (np.abs(low) == 1) | np.isinf(low))
-    return Interval(np.where(across, -np.inf, first), np.where(across, np.inf, last))
+        new_lower, new_upper = 1.0 / np.where(upper == 0, -0.0, upper), 1.0 / np.where(lower == 0, 0.0, lower)
+    contains_zero = (lower < 0) & (upper > 0) | (lower == 0) & (upper == 0)
+    new_lower = _round_down(new_lower, (np.abs(upper) == 1) | np.isinf(upper))
+    new_upper = _round_up(new_upper, (np.abs(lower) == 1) | np.isinf(lower))
+    return Interval(np.where(contains_zero, -np.inf, new_lower), np.where(contains_zero, np.inf, new_upper))
 
 
-def over(a, b):
-    return times(a, inverse(b))
+def divide(a, b):
+    return multiply(a, reciprocal(b))
 
 
-def size(a):
+def absolute(a):
     """abs a."""
-    least = np.where((a.low <= 0) & (a.high >= 0), 0.0, np.minimum(np.abs(a.low), np.abs(a.high)))
-    return Interval(least, np.maximum(np.abs(a.low), np.abs(a.high)))
+    lower = np.where((a.lower <= 0) & (a.upper >= 0), 0.0, np.minimum(np.abs(a.lower), np.abs(a.upper)))
+    return Interval(lower, np.maximum(np.abs(a.lower), np.abs(a.upper)))
 
 
-def whole_power(a, exponent):
+def integer_power(a, exponent):
     """a to a whole number."""
     if exponent < 0:
-        return inverse(whole_power(a, -exponent))
+        return reciprocal(integer_power(a, -exponent))
     if exponent == 0:
-        return of(1.0)
-    return _rising(lambda u: u**exponent)(size(a) if exponent % 2 == 0 else a)
+        return point_interval(1.0)
+    return _monotone_rule(lambda u: u**exponent)(absolute(a) if exponent % 2 == 0 else a)
 
 
 def power(a, b):
     """a^b; of what may be negative only to a power that is the same whole number in all lanes."""
-    once = np.unique(np.stack(np.broadcast_arrays(*b)))
-    if once.size == 1 and float(once[0]).is_integer() and abs(once[0]) < 2**31:
-        return whole_power(a, int(once[0]))
-    found, sure = _exp(times(b, _log(a))), np.asarray(a.low) >= 0
-    return Interval(np.where(sure, found.low, -np.inf), np.where(sure, found.high, np.inf))
+    exponents = np.unique(np.stack(np.broadcast_arrays(*b)))
+    if exponents.size == 1 and float(exponents[0]).is_integer() and abs(exponents[0]) < 2**31:
+        return integer_power(a, int(exponents[0]))
+    result, is_nonnegative = _exp_rule(multiply(b, _log_rule(a))), np.asarray(a.lower) >= 0
+    return Interval(np.where(is_nonnegative, result.lower, -np.inf), np.where(is_nonnegative, result.upper, np.inf))
 
 
-def _rising(function, least=-np.inf, largest=np.inf, start=-np.inf):
+def _monotone_rule(function, minimum=-np.inf, maximum=np.inf, domain_start=-np.inf):
     """The rule of a function that grows: between these values, from a start on."""
 
     def rule(a, **_):
         with np.errstate(all="ignore"):
-            low, high = (_padded(function, np.maximum(end, start), sign) for end, sign in zip(a, (-1, 1), strict=True))
-        return Interval(np.clip(low, least, largest), np.clip(high, least, largest))
+            lower, upper = (
+                _widen_value(function, np.maximum(bound, domain_start), sign)
+                for bound, sign in zip(a, (-1, 1), strict=True)
+            )
+        return Interval(np.clip(lower, minimum, maximum), np.clip(upper, minimum, maximum))
 
     return rule
 
 
-def _padded(function, end, sign):
+def _widen_value(function, bound, sign):
     """The value at an end, moved outwards by what NumPy may be off: not where it is 0 or 1 at 0, 1 or without bound."""
-    value, last = np.asarray(function(np.asarray(end, float))), np.finfo(float).max
-    exact = ((value == 0) | (np.abs(value) == 1)) & ((value == end) | np.isinf(end)) | (np.isinf(value) & np.isinf(end))
-    within = np.clip(value, -last, last)
-    return np.where(exact | (value == sign * np.inf), value, within + sign * ULPS * np.spacing(np.abs(within)))
+    value, max_float = np.asarray(function(np.asarray(bound, float))), np.finfo(float).max
+    is_exact = ((value == 0) | (np.abs(value) == 1)) & ((value == bound) | np.isinf(bound)) | (
+        np.isinf(value) & np.isinf(bound)
+    )
+    finite_value = np.clip(value, -max_float, max_float)
+    return np.where(
+        is_exact | (value == sign * np.inf), value, finite_value + sign * ERROR_ULPS * np.spacing(np.abs(finite_value))
+    )
 
 
-def _turning(function, peak, trough):
+def _trig_rule(function, peak_phase, trough_phase):
     """The rule of sin or cos, whose peaks and troughs are at these phases."""
 
     def rule(a, **_):
-        low, high = (np.clip(np.asarray(end, float), -2.0 * FAR, 2.0 * FAR) for end in a)
-        ends = function(low), function(high)
-        found = []
-        for place, sign in ((trough, -1.0), (peak, 1.0)):
-            turn = 2.0 * np.pi * np.ceil((low - place - SLACK) / (2.0 * np.pi)) + place
-            best = np.maximum(*(sign * end for end in ends)) + ULPS * np.finfo(float).eps
-            inside = (turn <= high + SLACK) | (np.abs(low) > FAR) | (np.abs(high) > FAR)
-            found.append(sign * np.where(inside, 1.0, np.minimum(best, 1.0)))
-        return Interval(*found)
+        lower, upper = (
+            np.clip(np.asarray(bound, float), -2.0 * MAX_TRIG_ARGUMENT, 2.0 * MAX_TRIG_ARGUMENT) for bound in a
+        )
+        bound_values = function(lower), function(upper)
+        bounds = []
+        for phase, sign in ((trough_phase, -1.0), (peak_phase, 1.0)):
+            extremum = 2.0 * np.pi * np.ceil((lower - phase - PEAK_SLACK) / (2.0 * np.pi)) + phase
+            end_extreme = np.maximum(*(sign * bound for bound in bound_values)) + ERROR_ULPS * np.finfo(float).eps
+            has_extremum = (
+                (extremum <= upper + PEAK_SLACK)
+                | (np.abs(lower) > MAX_TRIG_ARGUMENT)
+                | (np.abs(upper) > MAX_TRIG_ARGUMENT)
+            )
+            bounds.append(sign * np.where(has_extremum, 1.0, np.minimum(end_extreme, 1.0)))
+        return Interval(*bounds)
 
     return rule
 
 
-def _above(a, b):
+def _greater(a, b):
     """Whether a > b within, 1 or 0, whatever it is where both are equal."""
-    over, under = a.low >= b.high, a.high <= b.low
-    return Interval(np.where(over & ~under, 1.0, 0.0), np.where(under & ~over, 0.0, 1.0))
+    always, never = a.lower >= b.upper, a.upper <= b.lower
+    return Interval(np.where(always & ~never, 1.0, 0.0), np.where(never & ~always, 0.0, 1.0))
 
 
-def _chosen(which, cases):
+def _select(selector, cases):
     """One of some cases, by a flag where there are two."""
-    low, high = hull(cases)
-    for flag, case in ((which.high == 0, cases[0]), (which.low == 1, cases[1])) if len(cases) == 2 else ():
-        low, high = np.where(flag, case.low, low), np.where(flag, case.high, high)
-    return Interval(low, high)
+    lower, upper = hull(cases)
+    for condition, case in (
+        ((selector.upper == 0, cases[0]), (selector.lower == 1, cases[1])) if len(cases) == 2 else ()
+    ):
+        lower, upper = np.where(condition, case.lower, lower), np.where(condition, case.upper, upper)
+    return Interval(lower, upper)
 
 
 def _logistic(u):
     return 1.0 / (1.0 + np.exp(-u))
 
 
-_exp, _log = _rising(np.exp, 0.0), _rising(np.log, start=0.0)
-_root, _even = _rising(np.sqrt, 0.0, start=0.0), _rising(np.cosh, 1.0)
-RIGHT = np.nextafter(np.pi / 2.0, 2.0)
-RULES: dict[str, Callable[..., Interval]] = {  # of an operation's inputs, and its parameters by name
-    "add": lambda a, b, **_: plus(a, b),
-    "add_any": lambda a, b, **_: plus(a, b),
-    "sub": lambda a, b, **_: minus(a, b),
-    "mul": lambda a, b, **_: times(a, b),
-    "div": lambda a, b, **_: over(a, b),
-    "neg": lambda a, **_: negative(a),
-    "square": lambda a, **_: whole_power(a, 2),
-    "integer_pow": lambda a, y, **_: whole_power(a, y),
+_exp_rule, _log_rule = _monotone_rule(np.exp, 0.0), _monotone_rule(np.log, domain_start=0.0)
+_sqrt_rule, _cosh_rule = _monotone_rule(np.sqrt, 0.0, domain_start=0.0), _monotone_rule(np.cosh, 1.0)
+HALF_PI_UP = np.nextafter(np.pi / 2.0, 2.0)
+OPERATION_RULES: dict[str, Callable[..., Interval]] = {  # of an operation's inputs, and its parameters by name
+    "add": lambda a, b, **_: add(a, b),
+    "add_any": lambda a, b, **_: add(a, b),
+    "sub": lambda a, b, **_: subtract(a, b),
+    "mul": lambda a, b, **_: multiply(a, b),
+    "div": lambda a, b, **_: divide(a, b),
+    "neg": lambda a, **_: negate(a),
+    "square": lambda a, **_: integer_power(a, 2),
+    "integer_pow": lambda a, y, **_: integer_power(a, y),
     "pow": lambda a, b, **_: power(a, b),
-    "sqrt": _root,
-    "rsqrt": lambda a, **_: inverse(_root(a)),
-    "cbrt": _rising(np.cbrt),
-    "exp": _exp,
-    "exp2": _rising(np.exp2, 0.0),
-    "expm1": _rising(np.expm1, -1.0),
-    "log": _log,
-    "log1p": _rising(np.log1p, start=-1.0),
-    "sin": _turning(np.sin, np.pi / 2.0, -np.pi / 2.0),
-    "cos": _turning(np.cos, 0.0, np.pi),
-    "sinh": _rising(np.sinh),
-    "cosh": lambda a, **_: _even(size(a)),
-    "tanh": _rising(np.tanh, -1.0, 1.0),
-    "asinh": _rising(np.arcsinh),
-    "atan": _rising(np.arctan, -RIGHT, RIGHT),
-    "erf": _rising(np.vectorize(math.erf, otypes=[float]), -1.0, 1.0),
-    "logistic": _rising(_logistic, 0.0, 1.0),
-    "abs": lambda a, **_: size(a),
-    "sign": lambda a, **_: Interval(np.sign(a.low), np.sign(a.high)),
-    "max": lambda a, b, **_: Interval(np.maximum(a.low, b.low), np.maximum(a.high, b.high)),
-    "min": lambda a, b, **_: Interval(np.minimum(a.low, b.low), np.minimum(a.high, b.high)),
-    "select_n": lambda which, *cases, **_: _chosen(which, cases),
+    "sqrt": _sqrt_rule,
+    "rsqrt": lambda a, **_: reciprocal(_sqrt_rule(a)),
+    "cbrt": _monotone_rule(np.cbrt),
+    "exp": _exp_rule,
+    "exp2": _monotone_rule(np.exp2, 0.0),
+    "expm1": _monotone_rule(np.expm1, -1.0),
+    "log": _log_rule,
+    "log1p": _monotone_rule(np.log1p, domain_start=-1.0),
+    "sin": _trig_rule(np.sin, np.pi / 2.0, -np.pi / 2.0),
+    "cos": _trig_rule(np.cos, 0.0, np.pi),
+    "sinh": _monotone_rule(np.sinh),
+    "cosh": lambda a, **_: _cosh_rule(absolute(a)),
+    "tanh": _monotone_rule(np.tanh, -1.0, 1.0),
+    "asinh": _monotone_rule(np.arcsinh),
+    "atan": _monotone_rule(np.arctan, -HALF_PI_UP, HALF_PI_UP),
+    "erf": _monotone_rule(np.vectorize(math.erf, otypes=[float]), -1.0, 1.0),
+    "logistic": _monotone_rule(_logistic, 0.0, 1.0),
+    "abs": lambda a, **_: absolute(a),
+    "sign": lambda a, **_: Interval(np.sign(a.lower), np.sign(a.upper)),
+    "max": lambda a, b, **_: Interval(np.maximum(a.lower, b.lower), np.maximum(a.upper, b.upper)),
+    "min": lambda a, b, **_: Interval(np.minimum(a.lower, b.lower), np.minimum(a.upper, b.upper)),
+    "select_n": lambda selector, *cases, **_: _select(selector, cases),
     "copy": lambda a, **_: a,
-    "gt": lambda a, b, **_: _above(a, b),
-    "ge": lambda a, b, **_: _above(a, b),
-    "lt": lambda a, b, **_: _above(b, a),
-    "le": lambda a, b, **_: _above(b, a),
+    "gt": lambda a, b, **_: _greater(a, b),
+    "ge": lambda a, b, **_: _greater(a, b),
+    "lt": lambda a, b, **_: _greater(b, a),
+    "le": lambda a, b, **_: _greater(b, a),
     "convert_element_type": lambda a, **_: a,
 }
-JUMPS = frozenset(["sign", "gt", "ge", "lt", "le", "select_n", "convert_element_type"])  # not continuous
+DISCONTINUOUS = frozenset(["sign", "gt", "ge", "lt", "le", "select_n", "convert_element_type"])  # not continuous

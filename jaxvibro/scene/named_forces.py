@@ -12,8 +12,8 @@ def duffing(t, x, v, p):
 
 def polynomial(t, x, v, p):
     """A spring that is a polynomial: -(c0 + c1 x + c2 x^2 + ...) - 2 damping v, of the c that are given."""
-    pull = sum((p[name] * x ** int(name[1:]) for name in sorted(p) if name != "damping"), 0.0 * x)
-    return -pull - 2.0 * p["damping"] * v
+    spring_force = sum((p[name] * x ** int(name[1:]) for name in sorted(p) if name != "damping"), 0.0 * x)
+    return -spring_force - 2.0 * p["damping"] * v
 
 
 def pendulum(t, x, v, p):
@@ -25,8 +25,8 @@ def stribeck(t, x, v, p):
     """A block on a belt, with dry friction that is smoothed: -x - (low + (high - low) exp(-(u / slip)^2)) tanh(u /
     smooth), u = v - belt."""
     u = v - p["belt"]
-    size = p["low"] + (p["high"] - p["low"]) * jnp.exp(-((u / p["slip"]) ** 2))
-    return -x - size * jnp.tanh(u / p["smooth"])
+    friction = p["low"] + (p["high"] - p["low"]) * jnp.exp(-((u / p["slip"]) ** 2))
+    return -x - friction * jnp.tanh(u / p["smooth"])
 
 
 def van_der_pol(t, x, v, p):
@@ -37,48 +37,61 @@ def van_der_pol(t, x, v, p):
 def tabulated(t, x, v, p):
     """A spring that was measured: minus the pull f0, f1, ... at the places x0 < x1 < ..., three or more, less 2 damping
     v. Between places a cubic with the slopes of parabolas through three of them; beyond the ends straight on."""
-    places, pulls = (jnp.stack([p[f"{letter}{k}"] for k in range(knots(p))]) for letter in "xf")
-    gaps, rises = jnp.diff(places), jnp.diff(pulls) / jnp.diff(places)
-    inner = (gaps[1:] * rises[:-1] + gaps[:-1] * rises[1:]) / (gaps[1:] + gaps[:-1])
-    slopes = jnp.concatenate([2.0 * rises[:1] - inner[:1], inner, 2.0 * rises[-1:] - inner[-1:]])
-    k = jnp.sum(x >= places[1:-1])
-    gap, rise, low, high = gaps[k], rises[k], slopes[k], slopes[k + 1]
-    s = jnp.clip((x - places[k]) / gap, 0.0, 1.0)
-    pull = pulls[k] + gap * s * (low + s * (3.0 * rise - 2.0 * low - high + s * (low + high - 2.0 * rise)))
-    beyond = slopes[0] * jnp.minimum(x - places[0], 0.0) + slopes[-1] * jnp.maximum(x - places[-1], 0.0)
-    return -(pull + beyond) - 2.0 * p["damping"] * v
+    positions, forces = (jnp.stack([p[f"{letter}{interval}"] for interval in range(count_knots(p))]) for letter in "xf")
+    widths, secants = jnp.diff(positions), jnp.diff(forces) / jnp.diff(positions)
+    inner_slopes = (widths[1:] * secants[:-1] + widths[:-1] * secants[1:]) / (widths[1:] + widths[:-1])
+    knot_slopes = jnp.concatenate(
+        [2.0 * secants[:1] - inner_slopes[:1], inner_slopes, 2.0 * secants[-1:] - inner_slopes[-1:]]
+    )
+    interval = jnp.sum(x >= positions[1:-1])
+    width, secant, left_slope, right_slope = (
+        widths[interval],
+        secants[interval],
+        knot_slopes[interval],
+        knot_slopes[interval + 1],
+    )
+    fraction = jnp.clip((x - positions[interval]) / width, 0.0, 1.0)
+    spring_force = forces[interval] + width * fraction * (
+        left_slope
+        + fraction
+        * (3.0 * secant - 2.0 * left_slope - right_slope + fraction * (left_slope + right_slope - 2.0 * secant))
+    )
+    extrapolation = knot_slopes[0] * jnp.minimum(x - positions[0], 0.0) + knot_slopes[-1] * jnp.maximum(
+        x - positions[-1], 0.0
+    )
+    return -(spring_force + extrapolation) - 2.0 * p["damping"] * v
 
 
-def knots(numbers):
+def count_knots(params):
     """How many places a `tabulated` force has."""
-    return sum(name[0] == "x" for name in numbers)
+    return sum(name[0] == "x" for name in params)
 
 
-NAMED = {each.__name__: each for each in (duffing, polynomial, pendulum, stribeck, van_der_pol, tabulated)}
+NAMED_FORCES = {force.__name__: force for force in (duffing, polynomial, pendulum, stribeck, van_der_pol, tabulated)}
 
-NUMBERS = {
+PARAMETER_NAMES = {
     duffing: ("cubic", "damping"),
     pendulum: ("damping",),
     stribeck: ("belt", "low", "high", "slip", "smooth"),
     van_der_pol: ("gain",),
 }
-COEFFICIENT = re.compile(r"c(0|[1-9]\d?)")
+COEFFICIENT_PATTERN = re.compile(r"c(0|[1-9]\d?)")
 
 
-def takes(function, names):
+def expected_parameters(function, names):
     """None where a force of ours takes numbers of these names, and where it is none of ours; else which it takes."""
     if function is polynomial:
-        others = [name for name in names if not COEFFICIENT.fullmatch(name)]
-        return None if others == ["damping"] else "c0, c1, c2, ... c99, those that are to be, and damping"
-    known = NUMBERS.get(function)
-    return None if known is None or set(names) == set(known) else ", ".join(known)
+        other_names = [name for name in names if not COEFFICIENT_PATTERN.fullmatch(name)]
+        return None if other_names == ["damping"] else "c0, c1, c2, ... c99, those that are to be, and damping"
+    expected = PARAMETER_NAMES.get(function)
+    return None if expected is None or set(names) == set(expected) else ", ".join(expected)
 
 
-def name_of(function):
+def registered_name(function):
     """The name of a force, None where it has none."""
-    return next((name for name, named in NAMED.items() if named is function), None)
+    return next((name for name, force in NAMED_FORCES.items() if force is function), None)
 
 
-def named(function):
+def force_name(function):
     """What a force is called: by its name, or as its function is."""
-    return name_of(function) or getattr(function, "__name__", "force")
+    return registered_name(function) or getattr(function, "__name__", "force")

@@ -10,16 +10,16 @@ from jax import numpy as jnp
 from jaxtyping import ArrayLike, Real
 from numpy.typing import DTypeLike
 
-from . import check, questions
+from . import check, input_warnings
 from .scales import Scales
-from .scene import SIDES, Scene, Walls, make_scene, shared_restitution, terms_of
-from .scene_rules import obey
+from .scene import SIDES, Scene, Walls, drive_terms, make_scene, resolve_restitution
+from .scene_rules import check_value
 from .wall import Motion, Wall
 
-RECORD = 100  # values of a force: so many look like a record in time
+RECORD_LENGTH = 100  # values of a force: so many look like a record in time
 
 
-@check.of_scene
+@check.raise_scene_errors
 def scene_from_physical(
     mass: Real[ArrayLike, "..."],
     damping: Real[ArrayLike, "..."] | None = None,
@@ -55,62 +55,72 @@ def scene_from_physical(
     Raises SceneError for a quantity that breaks its rule; the scene itself is then checked as in `make_scene`. Warns
     where a frequency looks like Hz, or positions like mm.
     """
-    kind = check.float_type(dtype)
-    walls = check.pair(_one_of("walls", walls, "gap", _around(gap)))
-    given = {"mass": mass, "stiffness": stiffness, "force": force}
-    for key, value in given.items():
-        _require(key, value)
-    given |= {
-        "restitution": shared_restitution(restitution, walls),
-        "damping": _one_of("damping", damping, "damping_ratio", damping_ratio),
-        "frequency": _one_of("frequency", frequency, "frequency_hz", frequency_hz),
-        "length": _length(walls, kind) if length is None else length,
+    float_dtype = check.float_type(dtype)
+    walls = check.wall_pair(_choose_alternative("walls", walls, "gap", _gap_positions(gap)))
+    arguments = {"mass": mass, "stiffness": stiffness, "force": force}
+    for key, value in arguments.items():
+        _require_given(key, value)
+    arguments |= {
+        "restitution": resolve_restitution(restitution, walls),
+        "damping": _choose_alternative("damping", damping, "damping_ratio", damping_ratio),
+        "frequency": _choose_alternative("frequency", frequency, "frequency_hz", frequency_hz),
+        "length": _default_length(walls, float_dtype) if length is None else length,
     }
-    of = {key: check.quantity(key, value, kind) for key, value in given.items()}
-    check.shapes_agree(of.items())
-    for key, value in of.items():
+    quantities = {key: check.scene_quantity(key, value, float_dtype) for key, value in arguments.items()}
+    check.require_broadcast(quantities.items())
+    for key, value in quantities.items():
         if key == "stiffness" and not check.is_traced(value) and np.any(value == 0):
             rule = "must be greater than 0: times are measured in sqrt(mass / stiffness)"
             raise check.SceneError(key, f"{rule}; for a mass without a spring use make_scene with a Force", 0.0)
-        obey(key, value)
-    _require_amplitude(of["force"])
-    xp = jnp if check.is_traced(*of.values()) else np
-    natural = xp.sqrt(of["stiffness"] / of["mass"])
+        check_value(key, value)
+    _require_amplitude(quantities["force"])
+    xp = jnp if check.is_traced(*quantities.values()) else np
+    natural_frequency = xp.sqrt(quantities["stiffness"] / quantities["mass"])
     scene = make_scene(
-        amplitude=of["force"] / (of["stiffness"] * of["length"]),
-        frequency=(of["frequency"] if frequency_hz is None else 2.0 * np.pi * of["frequency"]) / natural,
-        damping=of["damping"] / (2 * of["mass"] * natural) if damping_ratio is None else of["damping"],
-        restitution=of["restitution"],
-        walls=tuple(_scaled(side, wall, of, natural, kind) for side, wall in zip(SIDES, walls, strict=True)),
-        dtype=kind,
-        drive=[_weighed(f"drive.{k}", of, kind, *term) for k, term in enumerate(terms_of(drive))],
+        amplitude=quantities["force"] / (quantities["stiffness"] * quantities["length"]),
+        frequency=(quantities["frequency"] if frequency_hz is None else 2.0 * np.pi * quantities["frequency"])
+        / natural_frequency,
+        damping=quantities["damping"] / (2 * quantities["mass"] * natural_frequency)
+        if damping_ratio is None
+        else quantities["damping"],
+        restitution=quantities["restitution"],
+        walls=tuple(
+            _scale_wall(side, wall, quantities, natural_frequency, float_dtype)
+            for side, wall in zip(SIDES, walls, strict=True)
+        ),
+        dtype=float_dtype,
+        drive=[
+            _scale_drive_term(f"drive.{k}", quantities, float_dtype, *term) for k, term in enumerate(drive_terms(drive))
+        ],
     )
     if not check.is_traced(*jax.tree.leaves(scene)) and not scene.shape:
-        questions.ask(scene, frequency_hz is None, damping_ratio, gap)
-    return replace(scene, scales=_scales(of))
+        input_warnings.warn_about_scene(scene, frequency_hz is None, damping_ratio, gap)
+    return replace(scene, scales=_make_scales(quantities))
 
 
-def _require(key, value):
+def _require_given(key, value):
     if value is None:
         raise check.SceneError(key, "must be given", None)
 
 
-def _one_of(key, value, other, instead):
+def _choose_alternative(key, value, other_key, other_value):
     """The one of two ways to give a quantity that is given."""
-    if (value is None) == (instead is None):
-        raise check.SceneError(key, f"must be given, or {other}, and not both", value)
-    return instead if value is None else value
+    if (value is None) == (other_value is None):
+        raise check.SceneError(key, f"must be given, or {other_key}, and not both", value)
+    return other_value if value is None else value
 
 
-def _around(gap):
+def _gap_positions(gap):
     """(left, right), the walls' positions that a gap means; None without."""
     if gap is None:
         return None
     left, right = gap if isinstance(gap, tuple | list) and len(gap) == 2 else (gap, gap)
-    for one in (left, right):
-        if isinstance(one, Wall | list | tuple) or (one is not None and check.real("gap", one, np.float64).ndim):
+    for distance in (left, right):
+        if isinstance(distance, Wall | list | tuple) or (
+            distance is not None and check.real_array("gap", distance, np.float64).ndim
+        ):
             raise check.SceneError("gap", "must be a number, or (left, right), each a number or None", gap)
-    return None if left is None else -check.quantity("gap", left, np.float64), right
+    return None if left is None else -check.scene_quantity("gap", left, np.float64), right
 
 
 def _require_amplitude(force):
@@ -121,26 +131,26 @@ def _require_amplitude(force):
     if force.min() < 0 < force.max():
         rule = "is the drive's amplitude, not a force in time: give a number, or further harmonics as drive; an array "
         raise check.SceneError("force", rule + "makes a batch of scenes and must not change its sign", force)
-    if force.size >= RECORD:
-        told = f"force is the drive's amplitude: its {force.size} values make as many scenes, one each"
-        warnings.warn(f"{told}; a force in time is given by its harmonics, drive=", UserWarning, stacklevel=4)
+    if force.size >= RECORD_LENGTH:
+        message = f"force is the drive's amplitude: its {force.size} values make as many scenes, one each"
+        warnings.warn(f"{message}; a force in time is given by its harmonics, drive=", UserWarning, stacklevel=4)
 
 
-def _scales(of):
+def _make_scales(quantities):
     """The `Scales` of single numbers that are known, else None."""
-    found = {key: of[key] for key in ("mass", "stiffness", "length")}
-    if check.is_traced(*found.values()) or any(np.ndim(each) for each in found.values()):
+    values = {key: quantities[key] for key in ("mass", "stiffness", "length")}
+    if check.is_traced(*values.values()) or any(np.ndim(value) for value in values.values()):
         return None
-    return Scales(**{key: float(each) for key, each in found.items()})
+    return Scales(**{key: float(value) for key, value in values.items()})
 
 
-def _length(walls, kind):
+def _default_length(walls, float_dtype):
     """Return the right wall's position, the default unit of length."""
     right = walls[1]
     position = right.position if isinstance(right, Wall) else right
     if position is None:
         raise check.SceneError("length", "must be given where there is no right wall", None)
-    position = check.real("right.position", position, kind)
+    position = check.real_array("right.position", position, float_dtype)
     if not check.is_traced(position) and np.any(position == 0):
         rule = "must be given where the gap, or the right wall's position, is 0: lengths are measured in it otherwise"
         raise check.SceneError("length", rule, None)
@@ -150,22 +160,31 @@ def _length(walls, kind):
     return position
 
 
-def _weighed(key, of, kind, amplitude, harmonic, phase):
+def _scale_drive_term(key, quantities, float_dtype, amplitude, harmonic, phase):
     """A term of the drive in the unit K d."""
-    amplitude = check.quantity(f"{key}.amplitude", amplitude, kind)
-    return amplitude / (of["stiffness"] * of["length"]), harmonic, phase
+    amplitude = check.scene_quantity(f"{key}.amplitude", amplitude, float_dtype)
+    return amplitude / (quantities["stiffness"] * quantities["length"]), harmonic, phase
 
 
-def _scaled(side, wall, of, natural, kind):
+def _scale_wall(side, wall, quantities, natural_frequency, float_dtype):
     """The wall with its lengths in the unit of length, its stiffness in K, its damping in 2 M w0."""
     if wall is None:
         return None
     if not isinstance(wall, Wall):
-        return Wall(check.quantity(f"{side}.position", wall, kind) / of["length"])
-    units = {"position": of["length"], "stiffness": of["stiffness"], "damping": 2 * of["mass"] * natural}
-    given = {name: getattr(wall, name) for name in units if getattr(wall, name) is not None}
-    scaled = {name: check.quantity(f"{side}.{name}", value, kind) / units[name] for name, value in given.items()}
+        return Wall(check.scene_quantity(f"{side}.position", wall, float_dtype) / quantities["length"])
+    units = {
+        "position": quantities["length"],
+        "stiffness": quantities["stiffness"],
+        "damping": 2 * quantities["mass"] * natural_frequency,
+    }
+    arguments = {name: getattr(wall, name) for name in units if getattr(wall, name) is not None}
+    scaled_values = {
+        name: check.scene_quantity(f"{side}.{name}", value, float_dtype) / units[name]
+        for name, value in arguments.items()
+    }
     if isinstance(wall.motion, Motion):
-        amplitude = check.quantity(f"{side}.motion.amplitude", wall.motion.amplitude, kind) / of["length"]
-        scaled["motion"] = replace(wall.motion, amplitude=amplitude)
-    return replace(wall, **scaled)
+        amplitude = (
+            check.scene_quantity(f"{side}.motion.amplitude", wall.motion.amplitude, float_dtype) / quantities["length"]
+        )
+        scaled_values["motion"] = replace(wall.motion, amplitude=amplitude)
+    return replace(wall, **scaled_values)

@@ -35,9 +35,9 @@ def hunt_crossley(depth, rate, p):
     return p["stiffness"] * depth**1.5 * (1.0 + p["dissipation"] * rate)
 
 
-NAMED_PUSHES = {each.__name__: each for each in (hertz, hunt_crossley)}
+NAMED_PUSHES = {law.__name__: law for law in (hertz, hunt_crossley)}
 
 
-def name_of_push(function):
+def registered_push_name(function):
     """The name of a push, None where it has none."""
-    return next((name for name, named in NAMED_PUSHES.items() if named is function), None)
+    return next((name for name, law in NAMED_PUSHES.items() if law is function), None)

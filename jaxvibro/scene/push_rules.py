@@ -7,69 +7,69 @@ import jax
 import numpy as np
 
 from . import check
-from .force import of_row, trace
-from .force_rules import called
+from .force import flat_function, trace_jaxpr
+from .force_rules import check_callable
 from .push import NAMED_PUSHES, Push, hertz, hunt_crossley
 
-GIVEN = 2  # depth and rate
-RULES = {
+N_ARGUMENTS = 2  # depth and rate
+PARAMETER_RULES = {
     "stiffness": (lambda value: value > 0, "must be greater than 0"),
     "dissipation": (lambda value: value >= 0, "must not be negative"),
 }
-OURS = {hertz: ("stiffness",), hunt_crossley: ("stiffness", "dissipation")}
+LAW_PARAMETERS = {hertz: ("stiffness",), hunt_crossley: ("stiffness", "dissipation")}
 
 
-def check_push(side, wall, number, dtype, force):
-    """The law of a wall with its numbers as arrays, once it breaks no rule. number: (key, value) -> the array."""
+def check_push(side, wall, to_array, dtype, force):
+    """The law of a wall with its numbers as arrays, once it breaks no rule. to_array: (key, value) -> the array."""
     key, law = f"{side}.law", wall.law
     if not isinstance(law, Push):
         raise check.ArgumentError(key, "must be a Push or None", law)
     if force is None:
         rule = "needs a force beside it; the spring is jv.Force('polynomial', {'c1': 1.0, 'damping': ...})"
         raise check.ArgumentError(key, rule, law.function)
-    function = called(key, law, NAMED_PUSHES, "depth, rate, numbers")
-    numbers = {name: number(f"{key}.{name}", value) for name, value in law.numbers.items()}
-    _obey(key, function, numbers)
-    names = tuple(numbers)
-    _traced(key, function, names, np.dtype(dtype))
-    if not check.is_traced(*numbers.values()):
-        _look(key, function, numbers, dtype)
-    return replace(law, function=function, numbers=numbers)
+    function = check_callable(key, law, NAMED_PUSHES, "depth, rate, numbers")
+    params = {name: to_array(f"{key}.{name}", value) for name, value in law.numbers.items()}
+    _check_params(key, function, params)
+    names = tuple(params)
+    _check_traceable(key, function, names, np.dtype(dtype))
+    if not check.is_traced(*params.values()):
+        _check_zero_push(key, function, params, dtype)
+    return replace(law, function=function, numbers=params)
 
 
-def _obey(key, function, numbers):
+def _check_params(key, function, params):
     """Refuse numbers that one of our laws does not take, or that break its rules."""
-    if function not in OURS:
+    if function not in LAW_PARAMETERS:
         return
-    if set(numbers) != set(OURS[function]):
-        raise check.ArgumentError(f"{key}.numbers", f"must be {', '.join(OURS[function])}", tuple(numbers))
-    for name, value in numbers.items():
+    if set(params) != set(LAW_PARAMETERS[function]):
+        raise check.ArgumentError(f"{key}.numbers", f"must be {', '.join(LAW_PARAMETERS[function])}", tuple(params))
+    for name, value in params.items():
         if not check.is_traced(value):
-            holds, rule = RULES[name]
+            holds, rule = PARAMETER_RULES[name]
             check.require(f"{key}.{name}", rule, value, holds(value))
 
 
 @lru_cache(256)
-def _traced(key, function, names, dtype):
+def _check_traceable(key, function, names, dtype):
     """Refuse a law that JAX cannot trace, or that returns no number."""
     try:
-        results = trace(function, names, dtype, GIVEN).out_avals
+        results = trace_jaxpr(function, names, dtype, N_ARGUMENTS).out_avals
     except Exception as error:
-        reason = check.short(f"{type(error).__name__}: {error}", 160)
+        reason = check.shorten(f"{type(error).__name__}: {error}", 160)
         raise check.ArgumentError(key, f"cannot be traced by JAX ({reason})", function) from None
     if len(results) != 1 or results[0].shape != () or results[0].dtype != dtype:
-        told = ", ".join(f"{one.dtype}{list(one.shape)}" for one in results)
-        raise check.ArgumentError(key, f"must return one number of type {dtype}, of numbers", told)
+        outputs_text = ", ".join(f"{output.dtype}{list(output.shape)}" for output in results)
+        raise check.ArgumentError(key, f"must return one number of type {dtype}, of numbers", outputs_text)
 
 
-def _look(key, function, numbers, dtype):
+def _check_zero_push(key, function, params, dtype):
     """Refuse a law that pushes a mass which only touches the wall."""
     zero = np.zeros((), dtype)
     with jax.ensure_compile_time_eval():
-        push = np.asarray(_compiled(function, tuple(numbers))(zero, zero, *numbers.values()))
+        push = np.asarray(_compile_law(function, tuple(params))(zero, zero, *params.values()))
     check.require(key, "must be 0 where depth and rate are 0", push, push == 0)
 
 
 @lru_cache(256)
-def _compiled(function, names):
-    return jax.jit(of_row(function, names, GIVEN))
+def _compile_law(function, names):
+    return jax.jit(flat_function(function, names, N_ARGUMENTS))

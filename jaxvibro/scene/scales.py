@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from . import check
-from .scene_rules import obey
+from .scene_rules import check_value
 
 
 @dataclass(frozen=True)
@@ -22,10 +22,10 @@ class Scales:
 
     def __post_init__(self) -> None:
         for key, value in self.numbers.items():
-            number = check.number(key, value, np.dtype(float))
+            number = check.finite_array(key, value, np.dtype(float))
             if np.ndim(number):
                 raise check.ArgumentError(key, "must be one number", value)
-            obey(key, number)
+            check_value(key, number)
             object.__setattr__(self, key, float(number))
 
     @property

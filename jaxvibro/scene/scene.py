@@ -11,12 +11,12 @@ import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 from numpy.typing import DTypeLike
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 
 from . import check
-from .dissipation import never_grow
+from .dissipation import areas_never_grow
 from .force import Force
-from .force_rules import check_force, check_force_values, flow_of
+from .force_rules import check_force, check_force_values, flow_text
 from .push import Push
 from .push_rules import check_push
 from .scales import Scales
@@ -24,7 +24,7 @@ from .scene_rules import check_scene
 from .wall import Motion, Wall
 
 SIDES = ("left", "right")
-MOST_TERMS = 32  # of the drive, beside its first: each is compiled for
+MAX_DRIVE_TERMS = 32  # of the drive, beside its first: each is compiled for
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Scene:
         steps, Taylor's or those of a solver."""
         if self.force is None:
             return "exact: the flow of spring, damper and drive is known in closed form"
-        return flow_of(self.force, self.dtype)
+        return flow_text(self.force, self.dtype)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -77,16 +77,16 @@ class Scene:
         left one's where there are two. Naming it multiplies the stiffness of all soft walls by one number, and changes
         the damping of each so that its R_eff stays (`effective_restitution`).
         """
-        found = ["amplitude", "frequency", "restitution"]
+        names = ["amplitude", "frequency", "restitution"]
         if self.force is None:
-            found.insert(2, "damping")
+            names.insert(2, "damping")
         else:
-            found += [f"force.{name}" for name in self.force.numbers]
-        found += [f"drive.{k}.{name}" for k in range(len(self.drive)) for name in ("amplitude", "phase")]
+            names += [f"force.{name}" for name in self.force.numbers]
+        names += [f"drive.{k}.{name}" for k in range(len(self.drive)) for name in ("amplitude", "phase")]
         for side, wall in self.walls.items():
-            found += [f"{side}.{name}" for name in ("position", *wall.own)]
-            found += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
-        return (*found, "hardness") if self.hardens else tuple(found)
+            names += [f"{side}.{name}" for name in ("position", *wall.own)]
+            names += [f"{side}.motion.{name}" for name in ("amplitude", "phase") if wall.motion is not None]
+        return (*names, "hardness") if self.hardens else tuple(names)
 
     @property
     def shares_restitution(self) -> bool:
@@ -113,11 +113,11 @@ class Scene:
 
         Raises ArgumentError where the scene has no parameter of this name.
         """
-        check.require_known(name, self.names, name)
+        check.require_parameter(name, self.names, name)
         if name == "hardness":
             stiffness = getattr(self, self.soft_sides[0]).stiffness
             return (jnp if check.is_traced(stiffness) else np).log10(stiffness)
-        value: Any = reduce(_of, name.split(".", 1) if name.startswith("force.") else name.split("."), self)
+        value: Any = reduce(_child_node, name.split(".", 1) if name.startswith("force.") else name.split("."), self)
         return getattr(self, name.split(".")[-1]) if value is None else value
 
     @property
@@ -139,25 +139,25 @@ class Scene:
         without damping and with R = 1, count as such that do not grow. Of spring and damper it is always so; of a force
         d force / d v is bounded by interval arithmetic, at all t and v and all x between the walls (docs/force.md).
         """
-        return never_grow(self)
+        return areas_never_grow(self)
 
-    @check.of_scene
+    @check.raise_scene_errors
     def replace(self, **changes: Real[ArrayLike, "..."]) -> "Scene":
         """The same scene with other values: `scene.replace(**{"amplitude": 3.0, "right.restitution": 0.5})`.
 
         Naming a wall's restitution, or damping, gives that wall its own; so does naming the hardness, which is changed
         before the others. Raises SceneError, as the new scene is checked like any other.
         """
-        return _checked(vars(changed(self, changes)), self.dtype)
+        return _make_checked(vars(replace_unchecked(self, changes)), self.dtype)
 
 
-_LEAVES = [one.name for one in fields(Scene) if one.name != "scales"]
-jax.tree_util.register_dataclass(Scene, _LEAVES, [], ("scales",))  # so no scales make another program
+_LEAF_NAMES = [entry.name for entry in fields(Scene) if entry.name != "scales"]
+jax.tree_util.register_dataclass(Scene, _LEAF_NAMES, [], ("scales",))  # so no scales make another program
 
 Walls = Sequence[Wall | Real[ArrayLike, "..."] | None] | Real[Array, " walls"]  # left and right
 
 
-@check.of_scene
+@check.raise_scene_errors
 def make_scene(
     amplitude: Real[ArrayLike, "..."],
     frequency: Real[ArrayLike, "..."],
@@ -182,82 +182,84 @@ def make_scene(
     Raises SceneError, which names the argument, the rule and the first offending value. Under tracing only types and
     shapes are checked.
     """
-    given: dict[str, Any] = dict(zip(SIDES, check.pair(walls), strict=True))
-    for side, wall in given.items():
+    wall_fields: dict[str, Any] = dict(zip(SIDES, check.wall_pair(walls), strict=True))
+    for side, wall in wall_fields.items():
         if isinstance(wall, Motion):
             raise check.SceneError(side, "must be a position, None or a Wall", wall)
-    plain = {"amplitude": amplitude, "frequency": frequency, "damping": damping}
-    plain["restitution"] = shared_restitution(restitution, given.values())
-    return _checked({**plain, **given, "harder": None, "force": force, "drive": drive}, dtype)
+    number_fields = {"amplitude": amplitude, "frequency": frequency, "damping": damping}
+    number_fields["restitution"] = resolve_restitution(restitution, wall_fields.values())
+    return _make_checked({**number_fields, **wall_fields, "harder": None, "force": force, "drive": drive}, dtype)
 
 
-def shared_restitution(restitution, walls):
+def resolve_restitution(restitution, walls):
     """The scene's R as given, or 1 where it is left out and no wall would have it. Raises SceneError."""
     if restitution is not None:
         return restitution
-    own = (wall is None or (isinstance(wall, Wall) and (wall.soft or wall.restitution is not None)) for wall in walls)
-    if not all(own):
+    has_value = (
+        wall is None or (isinstance(wall, Wall) and (wall.soft or wall.restitution is not None)) for wall in walls
+    )
+    if not all(has_value):
         raise check.SceneError("restitution", "must be given, or one of its own for each rigid wall", None)
     return 1.0
 
 
-def changed(scene, changes):
+def replace_unchecked(scene, changes):
     """The scene with other values put in by name, not yet checked beyond the names."""
     for name, value in sorted(changes.items(), key=lambda change: change[0] != "hardness"):
-        check.require_known(name, scene.names, value)
-        scene = _of_hardness(scene, value) if name == "hardness" else _put(scene, name.split("."), value)
+        check.require_parameter(name, scene.names, value)
+        scene = _replace_hardness(scene, value) if name == "hardness" else _set_leaf(scene, name.split("."), value)
     return scene
 
 
-def _of_hardness(scene, value):
+def _replace_hardness(scene, value):
     if not check.is_traced(value):
-        value = check.quantity("hardness", value, np.float64)
-    harder, walls = value - scene.parameter("hardness"), {}
+        value = check.scene_quantity("hardness", value, np.float64)
+    log_factor, walls = value - scene.parameter("hardness"), {}
     for side in scene.soft_sides:
         wall = getattr(scene, side)
-        stiffness, damping = hardened(wall.stiffness, scene.parameter(f"{side}.damping"), harder)
+        stiffness, damping = harden_wall(wall.stiffness, scene.parameter(f"{side}.damping"), log_factor)
         walls[side] = replace(wall, stiffness=stiffness, damping=damping)
     return replace(scene, **walls)
 
 
-def hardened(stiffness, damping, harder):
+def harden_wall(stiffness, damping, log_factor):
     """(k2, gamma2) of a wall 10^harder times as stiff that has the same z, and with it the same R_eff."""
-    xp = jnp if check.is_traced(stiffness, damping, harder) else np
+    xp = jnp if check.is_traced(stiffness, damping, log_factor) else np
     with np.errstate(over="ignore", under="ignore"):  # a wall's own rules refuse what comes of it
-        found = stiffness * 10.0**harder
-        return found, damping * xp.sqrt((1.0 + found) / (1.0 + stiffness))
+        new_stiffness = stiffness * 10.0**log_factor
+        return new_stiffness, damping * xp.sqrt((1.0 + new_stiffness) / (1.0 + stiffness))
 
 
-def _of(node, name):
+def _child_node(node, name):
     if isinstance(node, tuple):
         return node[int(name)]
     return node.numbers[name] if isinstance(node, Force | Push) else getattr(node, name)
 
 
-def _put(node, path, value):
-    head, *rest = path
+def _set_leaf(node, path, value):
+    head, *subpath = path
     if isinstance(node, tuple):
-        return tuple(_put(each, rest, value) if k == int(head) else each for k, each in enumerate(node))
+        return tuple(_set_leaf(child, subpath, value) if k == int(head) else child for k, child in enumerate(node))
     if isinstance(node, Force | Push):
         return replace(node, numbers={**node.numbers, ".".join(path): value})
-    return replace(node, **{head: _put(getattr(node, head), rest, value) if rest else value})
+    return replace(node, **{head: _set_leaf(getattr(node, head), subpath, value) if subpath else value})
 
 
-def _checked(given, dtype):
-    return mapped(jnp.asarray, _sound(_numbers(given, check.float_type(dtype))))
+def _make_checked(field_values, dtype):
+    return map_numbers(jnp.asarray, _check_sound(_scene_from_fields(field_values, check.float_type(dtype))))
 
 
-def mapped(function, scene):
+def map_numbers(function, scene):
     """The scene with a function of each of its numbers, its scales as they were."""
     return replace(jax.tree.map(function, scene), scales=scene.scales)
 
 
-def known(scene, dtype):
+def validate_scene(scene, dtype):
     """The scene once it breaks no rule, its numbers NumPy arrays of this type (tracers where they are traced)."""
-    return _sound(_numbers(vars(scene), dtype))
+    return _check_sound(_scene_from_fields(vars(scene), dtype))
 
 
-def _sound(scene):
+def _check_sound(scene):
     """The scene itself, once it breaks no rule."""
     check_scene(scene)
     if scene.force is not None:
@@ -265,55 +267,59 @@ def _sound(scene):
     return scene
 
 
-def _numbers(given, dtype):
+def _scene_from_fields(field_values, dtype):
     """The scene of {field: value}, every number an array of this type, refused where it is no finite real number."""
 
-    def number(key, value):
-        return check.quantity(key, value, dtype)
+    def to_array(key, value):
+        return check.scene_quantity(key, value, dtype)
 
-    def wave(key, lowest, amplitude, harmonic, phase):
+    def make_motion(key, min_harmonic, amplitude, harmonic, phase):
         return Motion(
-            number(f"{key}.amplitude", amplitude),
-            number(f"{key}.phase", phase),
-            check.harmonic(f"{key}.harmonic", harmonic, lowest),
+            to_array(f"{key}.amplitude", amplitude),
+            to_array(f"{key}.phase", phase),
+            check.harmonic_number(f"{key}.harmonic", harmonic, min_harmonic),
         )
 
-    def moving(side, motion):
+    def make_wall_motion(side, motion):
         if motion is not None and not isinstance(motion, Motion):
             raise check.SceneError(f"{side}.motion", "must be a Motion or None", motion)
-        return motion and wave(f"{side}.motion", 1, motion.amplitude, motion.harmonic, motion.phase)
+        return motion and make_motion(f"{side}.motion", 1, motion.amplitude, motion.harmonic, motion.phase)
 
-    def standing(side, wall):
+    def make_wall(side, wall):
         if wall is None:
             return None
         if not isinstance(wall, Wall):
-            return Wall(number(f"{side}.position", wall))
-        check.require_one_kind(side, wall)
-        check.require_own_damping(side, wall, given["force"])
-        own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
-        own = {name: number(f"{side}.{name}", value) for name, value in own.items() if value is not None}
-        law = None if wall.law is None else check_push(side, wall, number, dtype, given["force"])
-        return Wall(number(f"{side}.position", wall.position), **own, motion=moving(side, wall.motion), law=law)
+            return Wall(to_array(f"{side}.position", wall))
+        check.require_one_wall_kind(side, wall)
+        check.require_own_damping(side, wall, field_values["force"])
+        numbers = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
+        numbers = {name: to_array(f"{side}.{name}", value) for name, value in numbers.items() if value is not None}
+        law = None if wall.law is None else check_push(side, wall, to_array, dtype, field_values["force"])
+        return Wall(
+            to_array(f"{side}.position", wall.position), **numbers, motion=make_wall_motion(side, wall.motion), law=law
+        )
 
-    force = given["force"]
-    check.require_spring_or_force(force, given["damping"])
-    kept = ("amplitude", "frequency", "restitution") + (("damping",) if force is None else ())
-    plain = {"damping": None} | {key: number(key, given[key]) for key in kept}
-    if given["harder"] is not None:
-        plain["harder"] = number("harder", given["harder"])
+    force = field_values["force"]
+    check.require_spring_or_force(force, field_values["damping"])
+    number_names = ("amplitude", "frequency", "restitution") + (("damping",) if force is None else ())
+    number_fields = {"damping": None} | {key: to_array(key, field_values[key]) for key in number_names}
+    if field_values["harder"] is not None:
+        number_fields["harder"] = to_array("harder", field_values["harder"])
     if force is not None:
-        plain["force"] = check_force(force, number, dtype)
-    plain["drive"] = tuple(wave(f"drive.{k}", 0, *term) for k, term in enumerate(terms_of(given["drive"])))
-    sides = {side: standing(side, given[side]) for side in SIDES}
-    return Scene(**plain, **sides, scales=given.get("scales"))
+        number_fields["force"] = check_force(force, to_array, dtype)
+    number_fields["drive"] = tuple(
+        make_motion(f"drive.{k}", 0, *term) for k, term in enumerate(drive_terms(field_values["drive"]))
+    )
+    wall_fields = {side: make_wall(side, field_values[side]) for side in SIDES}
+    return Scene(**number_fields, **wall_fields, scales=field_values.get("scales"))
 
 
-def terms_of(drive):
+def drive_terms(drive):
     """(amplitude, harmonic, phase) of the further terms of a drive, not yet checked."""
     if not isinstance(drive, tuple | list):
         raise check.SceneError("drive", "must be a list of terms, each (amplitude, harmonic, phase) or a Motion", drive)
-    if len(drive) > MOST_TERMS:
-        raise check.SceneError("drive", f"must have at most {MOST_TERMS} terms", len(drive))
+    if len(drive) > MAX_DRIVE_TERMS:
+        raise check.SceneError("drive", f"must have at most {MAX_DRIVE_TERMS} terms", len(drive))
     for k, term in enumerate(drive):
         if isinstance(term, Motion):
             yield term.amplitude, term.harmonic, term.phase
@@ -323,20 +329,22 @@ def terms_of(drive):
             raise check.SceneError(f"drive.{k}", "must be (amplitude, harmonic, phase) or a Motion", term)
 
 
-def between(scene, phase):
+def wall_positions(scene, phase):
     """Where the walls of a known scene are at a phase of the drive, NumPy's: (left, right), infinite where there is
     none."""
-    places = [-np.inf, np.inf]
+    positions = [-np.inf, np.inf]
     for k, side in enumerate(SIDES):
         if (wall := getattr(scene, side)) is not None:
-            move = wall.motion
-            swing = 0.0 if move is None else move.amplitude * np.cos(move.harmonic * np.asarray(phase) + move.phase)
-            places[k] = np.asarray(wall.position) + swing
-    return tuple(places)
+            motion = wall.motion
+            offset = (
+                0.0 if motion is None else motion.amplitude * np.cos(motion.harmonic * np.asarray(phase) + motion.phase)
+            )
+            positions[k] = np.asarray(wall.position) + offset
+    return tuple(positions)
 
 
-def free_between(scene, phase):
-    """As `between`, of rigid walls alone: past a soft one a mass is within it."""
-    places = between(scene, phase)
-    ends = zip(SIDES, places, (-np.inf, np.inf), strict=True)
-    return tuple(far if side in scene.soft_sides else place for side, place, far in ends)
+def rigid_wall_positions(scene, phase):
+    """As `wall_positions`, of rigid walls alone: past a soft one a mass is within it."""
+    positions = wall_positions(scene, phase)
+    entries = zip(SIDES, positions, (-np.inf, np.inf), strict=True)
+    return tuple(no_wall if side in scene.soft_sides else position for side, position, no_wall in entries)

@@ -3,7 +3,7 @@
 import jax
 
 from . import check
-from .wall_gap import least_gap
+from .wall_gap import minimum_gap
 
 FRACTION = ("must lie between 0 and 1", lambda value: (value >= 0) & (value <= 1))
 POSITIVE = ("must be greater than 0", lambda value: value > 0)
@@ -22,33 +22,33 @@ RULES = {
     "stiffness": POSITIVE,
     "length": POSITIVE,
 }
-STEPS = ("name", "key", "idx")  # of a dataclass, a dict, a tuple
+PATH_KEYS = ("name", "key", "idx")  # of a dataclass, a dict, a tuple
 
 
 def check_scene(scene):
     """The scene itself, once it breaks no rule: shapes always, values where they are known."""
-    leaves = [(path_name(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(scene)]
-    check.shapes_agree(leaves)
+    leaves = [(leaf_name(path), leaf) for path, leaf in jax.tree_util.tree_leaves_with_path(scene)]
+    check.require_broadcast(leaves)
     for key, leaf in leaves:
-        obey(key, leaf)
+        check_value(key, leaf)
     if scene.left is not None and scene.right is not None:
-        walls_apart(scene.left, scene.right)
+        require_walls_apart(scene.left, scene.right)
     return scene
 
 
-def obey(key, value):
+def check_value(key, value):
     """Refuse a known value that breaks the rule of its key; without a rule any real number will do."""
     if key in RULES and not check.is_traced(value):
         rule, holds = RULES[key]
         check.require(key, rule, value, holds(value))
 
 
-def path_name(path):
+def leaf_name(path):
     """The dotted name of a leaf from its path in the tree."""
-    return ".".join(str(next(getattr(step, key) for key in STEPS if hasattr(step, key))) for step in path)
+    return ".".join(str(next(getattr(step, key) for key in PATH_KEYS if hasattr(step, key))) for step in path)
 
 
-def walls_apart(left, right):
+def require_walls_apart(left, right):
     """Refuse walls out of order, and walls that touch or cross at some phase of their motion."""
     if check.is_traced(left.position, right.position):
         return
@@ -57,7 +57,7 @@ def walls_apart(left, right):
     if check.is_traced(*jax.tree.leaves((left.motion, right.motion))):
         return
     if left.motion is not None or right.motion is not None:
-        gap = least_gap(left, right)
+        gap = minimum_gap(left, right)
         side = "left" if right.motion is None else "right"
         check.require(
             f"{side}.motion", "walls may not touch or cross as they move: the least gap must exceed 0", gap, gap > 0

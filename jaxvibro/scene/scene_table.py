@@ -6,15 +6,15 @@ import msgspec
 from msgspec import Struct, field
 
 from . import check
-from .force import TOLERANCE, Force
+from .force import DEFAULT_TOLERANCE, Force
 from .force_rules import solver_name
-from .named_forces import NAMED, name_of
-from .push import NAMED_PUSHES, Push, name_of_push
+from .named_forces import NAMED_FORCES, registered_name
+from .push import NAMED_PUSHES, Push, registered_push_name
 from .scales import Scales
 from .scene import make_scene
 from .wall import Motion, Wall
 
-PLAIN = ("amplitude", "frequency", "damping", "restitution")
+NUMBER_KEYS = ("amplitude", "frequency", "damping", "restitution")
 
 
 class Table(Struct, frozen=True, forbid_unknown_fields=True, omit_defaults=True):
@@ -62,7 +62,7 @@ class ForceTable(Table, frozen=True):
 
     name: str
     numbers: dict[str, float] = field(default_factory=dict)
-    tolerance: float = TOLERANCE
+    tolerance: float = DEFAULT_TOLERANCE
     solver: str | None = None
 
     def force(self):
@@ -96,57 +96,57 @@ class SceneTable(Table, frozen=True, kw_only=True):
         """The scene described, made by `make_scene`: ArgumentError where it breaks a rule."""
         walls = tuple(table and table.wall() for table in (self.left, self.right))
         force = self.force and self.force.force()
-        drive = [each.motion() for each in self.drive]
+        drive = [term.motion() for term in self.drive]
         scene = make_scene(self.amplitude, self.frequency, self.damping, self.restitution, walls, dtype, force, drive)
-        return replace(scene, scales=self.scales and _scales(self.scales))
+        return replace(scene, scales=self.scales and _make_scales(self.scales))
 
 
-def _scales(table):
+def _make_scales(table):
     try:
         return Scales(table.mass, table.stiffness, table.length)
     except check.ArgumentError as error:
         raise check.SceneError(f"scales.{error.key}", error.rule, error.value) from None
 
 
-def table_of(scene):
+def make_scene_table(scene):
     """The `SceneTable` that describes one scene. Raises ArgumentError for a batch, and for a force without a name."""
     if scene.shape:
         raise check.ArgumentError("scene", "only a single scene can be written, not a batch", f"shape {scene.shape}")
 
-    def wave(motion):
+    def motion_table(motion):
         return MotionTable(float(motion.amplitude), float(motion.phase), motion.harmonic)
 
-    def table(wall):
+    def wall_table(wall):
         if wall is None:
             return None
-        moving = wall.motion and wave(wall.motion)
-        own = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
-        own = {name: float(value) for name, value in own.items() if value is not None}
-        return WallTable(position=float(wall.position), **own, motion=moving, law=_push_table(wall.law))
+        motion = wall.motion and motion_table(wall.motion)
+        numbers = {name: getattr(wall, name) for name in ("restitution", "stiffness", "damping")}
+        numbers = {name: float(value) for name, value in numbers.items() if value is not None}
+        return WallTable(position=float(wall.position), **numbers, motion=motion, law=_push_table(wall.law))
 
-    plain = {key: float(scene.parameter(key)) for key in PLAIN if key in scene.names}
-    sides = {"left": table(scene.left), "right": table(scene.right)}
+    numbers = {key: float(scene.parameter(key)) for key in NUMBER_KEYS if key in scene.names}
+    wall_tables = {"left": wall_table(scene.left), "right": wall_table(scene.right)}
     scales = scene.scales and ScalesTable(**scene.scales.numbers)
-    drive = [wave(term) for term in scene.drive]
-    return SceneTable(**plain, **sides, force=_force_table(scene.force), drive=drive, scales=scales)
+    drive = [motion_table(term) for term in scene.drive]
+    return SceneTable(**numbers, **wall_tables, force=_force_table(scene.force), drive=drive, scales=scales)
 
 
-def scene_text(scene):
-    """One scene as the TOML of its table. Raises ArgumentError as `table_of`."""
-    return msgspec.toml.encode(table_of(scene)).decode()
+def scene_toml(scene):
+    """One scene as the TOML of its table. Raises ArgumentError as `make_scene_table`."""
+    return msgspec.toml.encode(make_scene_table(scene)).decode()
 
 
-def scene_text_or_none(scene):
+def scene_toml_or_empty(scene):
     """The same, "" of a scene that has a force without a name."""
-    named = name_of(scene.force.function) if scene.force else True
+    is_named = registered_name(scene.force.function) if scene.force else True
     laws = (wall.law for wall in scene.walls.values() if wall.law)
-    return scene_text(scene) if named and all(name_of_push(law.function) for law in laws) else ""
+    return scene_toml(scene) if is_named and all(registered_push_name(law.function) for law in laws) else ""
 
 
 def _push_table(law):
     if law is None:
         return None
-    name = name_of_push(law.function)
+    name = registered_push_name(law.function)
     if name is None:
         rule = f"must be one of ours ({', '.join(NAMED_PUSHES)}) to be written"
         raise check.ArgumentError("law.function", rule, law.function)
@@ -156,9 +156,9 @@ def _push_table(law):
 def _force_table(force):
     if force is None:
         return None
-    name = name_of(force.function)
+    name = registered_name(force.function)
     if name is None:
-        rule = f"must be one of ours ({', '.join(NAMED)}) to be written"
+        rule = f"must be one of ours ({', '.join(NAMED_FORCES)}) to be written"
         raise check.ArgumentError("force.function", rule, force.function)
     solver = force.solver and solver_name(force.solver)
     if force.solver is not None and solver is None:

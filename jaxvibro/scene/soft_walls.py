@@ -12,14 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import ArrayLike, Float, Real
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 
 from . import check
 from .scene import Scene
-from .scene_rules import obey
+from .scene_rules import check_value
 
 
-@check.typed
+@check.check_types
 def effective_restitution(
     stiffness: Real[ArrayLike, "..."], damping: Real[ArrayLike, "..."]
 ) -> Float[Array, "..."] | np.floating:
@@ -28,14 +28,14 @@ def effective_restitution(
     stiffness k2 > 0, damping gamma2 >= 0, as of a `Wall`: numbers or arrays that broadcast. From critical damping on
     (z >= 1) the mass never comes back by itself: 0. Raises ArgumentError for a number that breaks its rule.
     """
-    xp, k2, gamma2 = _numbers(stiffness=stiffness, damping=damping)
-    spare = 1.0 + k2 - gamma2 * gamma2
-    swings = spare > 0
-    found = xp.exp(-np.pi * gamma2 / xp.sqrt(xp.where(swings, spare, 1.0)))
-    return xp.where(swings, found, 0.0)
+    xp, k2, gamma2 = _check_numbers(stiffness=stiffness, damping=damping)
+    squared_frequency = 1.0 + k2 - gamma2 * gamma2
+    is_oscillatory = squared_frequency > 0
+    restitution = xp.exp(-np.pi * gamma2 / xp.sqrt(xp.where(is_oscillatory, squared_frequency, 1.0)))
+    return xp.where(is_oscillatory, restitution, 0.0)
 
 
-@check.typed
+@check.check_types
 def contact_damping(
     stiffness: Real[ArrayLike, "..."], restitution: Real[ArrayLike, "..."]
 ) -> Float[Array, "..."] | np.floating:
@@ -46,14 +46,14 @@ def contact_damping(
     stiffness k2 > 0, 0 <= restitution R <= 1: numbers or arrays that broadcast. R = 0 takes critical damping, z = 1,
     the least that has it. Raises ArgumentError for a number that breaks its rule.
     """
-    xp, k2, r = _numbers(stiffness=stiffness, restitution=restitution)
-    bounces = r > 0
-    loss = -xp.log(xp.where(bounces, r, 1.0))
-    return xp.where(bounces, loss / xp.hypot(np.pi, loss), 1.0) * xp.sqrt(1.0 + k2)
+    xp, k2, r = _check_numbers(stiffness=stiffness, restitution=restitution)
+    is_positive = r > 0
+    log_decrement = -xp.log(xp.where(is_positive, r, 1.0))
+    return xp.where(is_positive, log_decrement / xp.hypot(np.pi, log_decrement), 1.0) * xp.sqrt(1.0 + k2)
 
 
-@check.of_scene
-@check.typed
+@check.raise_scene_errors
+@check.check_types
 def soften(scene: Scene, stiffness: Real[ArrayLike, "..."]) -> Scene:
     """The scene with each rigid wall replaced by a soft one that gives back the same part of the speed.
 
@@ -63,23 +63,23 @@ def soften(scene: Scene, stiffness: Real[ArrayLike, "..."]) -> Scene:
 
     Raises SceneError for a stiffness that breaks its rule, and where no wall is rigid.
     """
-    rigid = {side: wall for side, wall in scene.walls.items() if not wall.soft}
-    if not rigid:
+    rigid_walls = {side: wall for side, wall in scene.walls.items() if not wall.soft}
+    if not rigid_walls:
         raise check.SceneError("scene", "must have a rigid wall", "none")
     changes: dict[str, Any] = {}
-    stiffness = check.quantity("stiffness", stiffness, scene.dtype)
-    for side, wall in rigid.items():
+    stiffness = check.scene_quantity("stiffness", stiffness, scene.dtype)
+    for side, wall in rigid_walls.items():
         damping = contact_damping(stiffness, scene.bounce(side))
         changes[side] = replace(wall, restitution=None, stiffness=stiffness, damping=damping)
     return replace(scene, **changes).replace()
 
 
-def _numbers(**given):
+def _check_numbers(**arguments):
     """(jnp where a number is traced, else np; the numbers), checked."""
     numbers = []
-    for key, value in given.items():
+    for key, value in arguments.items():
         if not check.is_traced(value):
-            value = check.number(key, value, np.float64)
-            obey(key, value)
+            value = check.finite_array(key, value, np.float64)
+            check_value(key, value)
         numbers.append(value)
     return (jnp if check.is_traced(*numbers) else np), *numbers

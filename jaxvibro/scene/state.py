@@ -6,10 +6,10 @@ import jax
 import numpy as np
 from jaxtyping import ArrayLike, Float, Int, Real
 
-from continuation.arrays import Array
+from continuation.array_type import Array
 
 from . import check
-from .scene import Scene, free_between
+from .scene import Scene, rigid_wall_positions
 
 
 @jax.tree_util.register_dataclass
@@ -55,19 +55,23 @@ class Impacts:
     status: Int[Array, "*lanes"] | int
 
 
-def real_state(scene, state):
+def state_arrays(scene, state):
     """The state with every number an array of the scene's type, NumPy's but where it is traced; refused where it is
     none, or fits no batch."""
-    for key, given, kind in (("scene", scene, Scene), ("state", state, State)):
-        if not isinstance(given, kind):
-            raise check.ArgumentError(key, f"must be a {kind.__name__}", given)
+    for key, argument, expected_class in (("scene", scene, Scene), ("state", state, State)):
+        if not isinstance(argument, expected_class):
+            raise check.ArgumentError(key, f"must be a {expected_class.__name__}", argument)
     dtype = scene.dtype
-    found = {key: check.real(f"state.{key}", getattr(state, key), dtype) for key in ("x", "v", "phase", "contact")}
-    check.shapes_agree([("scene", np.empty(scene.shape)), *((f"state.{key}", each) for key, each in found.items())])
-    return State(**found)
+    arrays = {
+        key: check.real_array(f"state.{key}", getattr(state, key), dtype) for key in ("x", "v", "phase", "contact")
+    }
+    check.require_broadcast(
+        [("scene", np.empty(scene.shape)), *((f"state.{key}", array) for key, array in arrays.items())]
+    )
+    return State(**arrays)
 
 
-def check_start(scene, state, when="at its phase"):
+def check_start(scene, state, when_text="at its phase"):
     """Refuse a known start that is not finite, or is free and beyond a rigid wall, before anything is compiled.
 
     One in contact with a wall is that wall's. Raises ArgumentError.
@@ -75,9 +79,9 @@ def check_start(scene, state, when="at its phase"):
     for key in ("x", "v", "phase", "contact"):
         value = np.asarray(getattr(state, key))
         check.require(f"state.{key}", "must be finite", value, np.isfinite(value))
-    low, high = free_between(scene, state.phase)
-    size = np.maximum(*(np.where(np.isfinite(place), abs(place), 0.0) for place in (low, high)))
-    slack = 8.0 * np.finfo(scene.dtype).eps * size
+    x_min, x_max = rigid_wall_positions(scene, state.phase)
+    wall_scale = np.maximum(*(np.where(np.isfinite(position), abs(position), 0.0) for position in (x_min, x_max)))
+    slack = 8.0 * np.finfo(scene.dtype).eps * wall_scale
     x = np.asarray(state.x)
-    inside = ((x >= low - slack) & (x <= high + slack)) | (np.asarray(state.contact) != 0)
-    check.require("state.x", f"must lie between the walls {when}", x, inside)
+    is_inside = ((x >= x_min - slack) & (x <= x_max + slack)) | (np.asarray(state.contact) != 0)
+    check.require("state.x", f"must lie between the walls {when_text}", x, is_inside)

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .force_rules import is_odd
-from .scene import changed
+from .scene import replace_unchecked
 
 
 def is_symmetric(scene):
@@ -32,26 +32,30 @@ def is_symmetric(scene):
         return False
     if any(scene.parameter(f"left.{name}") != scene.parameter(f"right.{name}") for name in left.own):
         return False
-    (m, swing), (k, opposite) = (_swing(wall.motion) for wall in (left, right))
-    if swing == 0 or opposite == 0:
-        return bool(swing == opposite)
-    near = 8.0 * np.finfo(scene.dtype).eps * abs(swing)
-    return m == k and bool(abs(swing + opposite * (-1) ** k) <= near)
+    (left_harmonic, left_phasor), (right_harmonic, right_phasor) = (
+        _motion_phasor(wall.motion) for wall in (left, right)
+    )
+    if left_phasor == 0 or right_phasor == 0:
+        return bool(left_phasor == right_phasor)
+    tolerance = 8.0 * np.finfo(scene.dtype).eps * abs(left_phasor)
+    return left_harmonic == right_harmonic and bool(
+        abs(left_phasor + right_phasor * (-1) ** right_harmonic) <= tolerance
+    )
 
 
 def stays_symmetric(scene, *names):
     """Whether a scene is symmetric, and stays so whatever the parameters of these names are."""
-    other = {name: float(scene.parameter(name)) * 0.99 + 0.001 for name in names}
-    return is_symmetric(scene) and is_symmetric(changed(scene, other))
+    shifted_values = {name: float(scene.parameter(name)) * 0.99 + 0.001 for name in names}
+    return is_symmetric(scene) and is_symmetric(replace_unchecked(scene, shifted_values))
 
 
-def _swing(motion):
+def _motion_phasor(motion):
     if motion is None:
         return 1, 0.0
     return motion.harmonic, complex(motion.amplitude * np.exp(1j * float(motion.phase)))
 
 
-def symmetric_part(scene):
+def symmetrise_scene(scene):
     """The scene whose walls are the means of its walls and of their mirror images, itself where it is symmetric.
 
     Both walls are of one kind; each gets its own numbers. Smooth in all of them, except where walls cease to swing. Of
@@ -60,24 +64,24 @@ def symmetric_part(scene):
     left, right = scene.left, scene.right
     for name in left.own:
         mean = 0.5 * (scene.parameter(f"left.{name}") + scene.parameter(f"right.{name}"))
-        scene = changed(scene, {f"left.{name}": mean, f"right.{name}": mean})
-    away = 0.5 * (right.position - left.position)
-    motions = _opposite(left.motion, right.motion)
-    sides = zip(("left", "right"), (scene.left, scene.right), (-away, away), motions, strict=True)
+        scene = replace_unchecked(scene, {f"left.{name}": mean, f"right.{name}": mean})
+    half_distance = 0.5 * (right.position - left.position)
+    motions = _opposite_motions(left.motion, right.motion)
+    sides = zip(("left", "right"), (scene.left, scene.right), (-half_distance, half_distance), motions, strict=True)
     drive = (term if term.harmonic % 2 else replace(term, amplitude=0.0 * term.amplitude) for term in scene.drive)
-    walls = {side: replace(wall, position=where, motion=motion) for side, wall, where, motion in sides}
+    walls = {side: replace(wall, position=position, motion=motion) for side, wall, position, motion in sides}
     return replace(scene, drive=tuple(drive), **walls)
 
 
-def _opposite(left, right):
+def _opposite_motions(left, right):
     """The motions of two walls with which they swing oppositely, half a period apart: the means; none where one has
     none, or another harmonic: then a symmetric scene has no swing."""
     if left is None or right is None or left.harmonic != right.harmonic:
         return None, None
-    late, sign = left.phase - right.phase, -((-1.0) ** right.harmonic)
-    along = 0.5 * (right.amplitude + sign * left.amplitude * jnp.cos(late))
-    across = 0.5 * sign * left.amplitude * jnp.sin(late)
-    share = across / jnp.where(along == 0, 1.0, along)
-    amplitude, turned = along * jnp.sqrt(1.0 + share * share), jnp.arctan(share)
-    phase = right.phase + turned
+    phase_difference, sign = left.phase - right.phase, -((-1.0) ** right.harmonic)
+    cosine_part = 0.5 * (right.amplitude + sign * left.amplitude * jnp.cos(phase_difference))
+    sine_part = 0.5 * sign * left.amplitude * jnp.sin(phase_difference)
+    ratio = sine_part / jnp.where(cosine_part == 0, 1.0, cosine_part)
+    amplitude, phase_shift = cosine_part * jnp.sqrt(1.0 + ratio * ratio), jnp.arctan(ratio)
+    phase = right.phase + phase_shift
     return replace(left, amplitude=sign * amplitude, phase=phase), replace(right, amplitude=amplitude, phase=phase)

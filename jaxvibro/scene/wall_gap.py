@@ -4,76 +4,87 @@ from math import gcd
 
 import numpy as np
 
-POINTS_AT_ONCE = 1 << 20  # bounds the memory of one search: 8 MB an array
+MAX_BATCH_POINTS = 1 << 20  # bounds the memory of one search: 8 MB an array
 
 
-def least_gap(left, right):
+def minimum_gap(left, right):
     """How near two walls come over the cycle: one number a scene of the batch, float64, in the walls' unit.
 
     Its sign is certain: above 0 they never touch. It is the least gap itself, except where the walls' harmonics differ:
     there it is a bound that shows the gap to stay open, or the least value that a search met.
     left, right: `Wall`s whose numbers are known.
     """
-    (low_cos, low_sin, low_harmonic), (high_cos, high_sin, high_harmonic) = _wave(left), _wave(right)
-    mean = np.float64(right.position) - np.float64(left.position)
-    if low_harmonic == high_harmonic:
-        return mean - np.hypot(high_cos - low_cos, high_sin - low_sin)
-    gap = mean - np.hypot(low_cos, low_sin) - np.hypot(high_cos, high_sin)
-    waves = np.stack([np.ravel(one) for one in np.broadcast_arrays(mean, low_cos, low_sin, high_cos, high_sin)])
-    common = gcd(low_harmonic, high_harmonic)
-    return _searched(gap, waves, low_harmonic // common, high_harmonic // common)
+    (left_cos, left_sin, left_harmonic), (right_cos, right_sin, right_harmonic) = (
+        _motion_components(left),
+        _motion_components(right),
+    )
+    mean_gap = np.float64(right.position) - np.float64(left.position)
+    if left_harmonic == right_harmonic:
+        return mean_gap - np.hypot(right_cos - left_cos, right_sin - left_sin)
+    gap = mean_gap - np.hypot(left_cos, left_sin) - np.hypot(right_cos, right_sin)
+    lane_waves = np.stack(
+        [np.ravel(array) for array in np.broadcast_arrays(mean_gap, left_cos, left_sin, right_cos, right_sin)]
+    )
+    common_factor = gcd(left_harmonic, right_harmonic)
+    return _search_doubtful(gap, lane_waves, left_harmonic // common_factor, right_harmonic // common_factor)
 
 
-def _wave(wall):
+def _motion_components(wall):
     """B cos p, B sin p and m of a wall's motion B cos(m theta + p)."""
     if wall.motion is None:
         return np.float64(0.0), np.float64(0.0), 1
-    size, phase = np.float64(wall.motion.amplitude), np.float64(wall.motion.phase)
-    return size * np.cos(phase), size * np.sin(phase), wall.motion.harmonic
+    amplitude, phase = np.float64(wall.motion.amplitude), np.float64(wall.motion.phase)
+    return amplitude * np.cos(phase), amplitude * np.sin(phase), wall.motion.harmonic
 
 
-def _searched(gap, waves, low_harmonic, high_harmonic):
+def _search_doubtful(gap, waves, left_harmonic, right_harmonic):
     """The gaps with those that the sum of the amplitudes leaves in doubt replaced by what a search finds."""
-    flat = np.array(gap).ravel()
-    doubtful = np.flatnonzero(flat <= 0)
-    block = max(1, POINTS_AT_ONCE // (8 * max(low_harmonic, high_harmonic)))
-    for start in range(0, doubtful.size, block):
-        lanes = doubtful[start : start + block]
-        flat[lanes] = _search(waves[:, lanes], low_harmonic, high_harmonic)
-    return flat.reshape(np.shape(gap))
+    flat_gaps = np.array(gap).ravel()
+    doubtful_lanes = np.flatnonzero(flat_gaps <= 0)
+    block_size = max(1, MAX_BATCH_POINTS // (8 * max(left_harmonic, right_harmonic)))
+    for start in range(0, doubtful_lanes.size, block_size):
+        lanes = doubtful_lanes[start : start + block_size]
+        flat_gaps[lanes] = _branch_and_bound(waves[:, lanes], left_harmonic, right_harmonic)
+    return flat_gaps.reshape(np.shape(gap))
 
 
-def _search(waves, low_harmonic, high_harmonic):
+def _branch_and_bound(waves, left_harmonic, right_harmonic):
     """The least gap met in each lane, 0 at most where the walls touch.
 
     Branch and bound: within h of c a gap f is at least f(c) - h abs f'(c) - h^2 max abs f'' / 2. Where that is above 0
     an interval is done, else it is halved; one in which f can vary by rounding alone counts as a touch.
     """
-    sizes = np.hypot(waves[1], waves[2]), np.hypot(waves[3], waves[4])
-    bend = sizes[0] * low_harmonic**2 + sizes[1] * high_harmonic**2
-    noise = 4 * np.finfo(np.float64).eps * (abs(waves[0]) + sizes[0] + sizes[1])
-    points = 8 * max(low_harmonic, high_harmonic)
-    half = np.pi / points
-    least = np.full(waves.shape[1], np.inf)
-    lane = np.repeat(np.arange(least.size), points)
-    centre = np.tile((2 * np.arange(points) + 1) * half, least.size)
+    amplitudes = np.hypot(waves[1], waves[2]), np.hypot(waves[3], waves[4])
+    max_curvature = amplitudes[0] * left_harmonic**2 + amplitudes[1] * right_harmonic**2
+    rounding = 4 * np.finfo(np.float64).eps * (abs(waves[0]) + amplitudes[0] + amplitudes[1])
+    n_points = 8 * max(left_harmonic, right_harmonic)
+    half_width = np.pi / n_points
+    min_gap = np.full(waves.shape[1], np.inf)
+    lane = np.repeat(np.arange(min_gap.size), n_points)
+    centre = np.tile((2 * np.arange(n_points) + 1) * half_width, min_gap.size)
     while lane.size:
-        value, slope = _gap_and_slope(waves[:, lane], centre, low_harmonic, high_harmonic)
-        fall = half * abs(slope) + half**2 * bend[lane] / 2
-        open_here = value > fall
-        touch = ~open_here & (fall < noise[lane])
-        np.minimum.at(least, lane, np.where(touch, np.minimum(value, 0.0), value))
-        half /= 2
-        keep = ~open_here & (least[lane] > 0)
-        lane = np.repeat(lane[keep], 2)
-        centre = (centre[keep, None] + np.array([-half, half])).ravel()
-    return least
+        gap, slope = _gap_and_slope(waves[:, lane], centre, left_harmonic, right_harmonic)
+        max_decrease = half_width * abs(slope) + half_width**2 * max_curvature[lane] / 2
+        is_open = gap > max_decrease
+        is_touching = ~is_open & (max_decrease < rounding[lane])
+        np.minimum.at(min_gap, lane, np.where(is_touching, np.minimum(gap, 0.0), gap))
+        half_width /= 2
+        is_unresolved = ~is_open & (min_gap[lane] > 0)
+        lane = np.repeat(lane[is_unresolved], 2)
+        centre = (centre[is_unresolved, None] + np.array([-half_width, half_width])).ravel()
+    return min_gap
 
 
-def _gap_and_slope(waves, theta, low_harmonic, high_harmonic):
-    mean, low_cos, low_sin, high_cos, high_sin = waves
-    low, high = low_harmonic * theta, high_harmonic * theta
-    value = mean + high_cos * np.cos(high) - high_sin * np.sin(high) - low_cos * np.cos(low) + low_sin * np.sin(low)
-    slope = low_harmonic * (low_cos * np.sin(low) + low_sin * np.cos(low))
-    slope = slope - high_harmonic * (high_cos * np.sin(high) + high_sin * np.cos(high))
-    return value, slope
+def _gap_and_slope(waves, theta, left_harmonic, right_harmonic):
+    mean_gap, left_cos, left_sin, right_cos, right_sin = waves
+    left_angle, right_angle = left_harmonic * theta, right_harmonic * theta
+    gap = (
+        mean_gap
+        + right_cos * np.cos(right_angle)
+        - right_sin * np.sin(right_angle)
+        - left_cos * np.cos(left_angle)
+        + left_sin * np.sin(left_angle)
+    )
+    slope = left_harmonic * (left_cos * np.sin(left_angle) + left_sin * np.cos(left_angle))
+    slope = slope - right_harmonic * (right_cos * np.sin(right_angle) + right_sin * np.cos(right_angle))
+    return gap, slope

@@ -17,15 +17,15 @@ import jax
 
 from ..scene import check
 
-Found = TypeVar("Found")
-AHEAD = 2  # chunks of a thread that are handed out before the first is back
+Result = TypeVar("Result")
+CHUNKS_PER_THREAD = 2  # chunks of a thread that are handed out before the first is back
 
 
 @runtime_checkable
 class Engine(Protocol):
     """Works chunks out, in the precision of whoever asks for them."""
 
-    def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
+    def each(self, work: Callable[[int], Result], numbers: Iterable[int]) -> Iterator[Result]:
         """What work(number) returns for each of some numbers, as it comes in; the first error ends it, once what has
         been begun is done."""
 
@@ -45,48 +45,50 @@ class LocalEngine:
     def __post_init__(self) -> None:
         for name in ("workers", "devices"):
             if getattr(self, name) is not None:
-                check.whole(name, getattr(self, name), 1)
+                check.whole_number(name, getattr(self, name), 1)
 
-    def each(self, work: Callable[[int], Found], numbers: Iterable[int]) -> Iterator[Found]:
+    def each(self, work: Callable[[int], Result], numbers: Iterable[int]) -> Iterator[Result]:
         """What work(number) returns for each of some numbers, as it comes in."""
-        named, double = default_device(), jax.config.read("jax_enable_x64")
-        devices = [named] if isinstance(named, jax.Device) else jax.local_devices(backend=named)[: self.devices]
-        workers = self.workers or max(len(devices), 3 * cores() // 2 if devices[0].platform == "cpu" else 1)
-        free: SimpleQueue = SimpleQueue()
+        default, use_x64 = default_device(), jax.config.read("jax_enable_x64")
+        devices = [default] if isinstance(default, jax.Device) else jax.local_devices(backend=default)[: self.devices]
+        workers = self.workers or max(len(devices), 3 * n_usable_cores() // 2 if devices[0].platform == "cpu" else 1)
+        free_devices: SimpleQueue = SimpleQueue()
         for device in islice(cycle(devices), workers):
-            free.put(device if len(devices) > 1 else named)
+            free_devices.put(device if len(devices) > 1 else default)
 
         def on_device(number):
-            device = free.get()
+            device = free_devices.get()
             try:
-                with jax.enable_x64(double), nullcontext() if device is None else jax.default_device(device):
+                with jax.enable_x64(use_x64), nullcontext() if device is None else jax.default_device(device):
                     return work(number)
             finally:
-                free.put(device)
+                free_devices.put(device)
 
         with ThreadPoolExecutor(workers) as pool:
-            yield from in_flight(lambda number: pool.submit(on_device, number), numbers, workers * AHEAD)
+            yield from run_in_flight(
+                lambda number: pool.submit(on_device, number), numbers, workers * CHUNKS_PER_THREAD
+            )
 
 
-class ThisThread:
+class SerialPool:
     """In place of a pool of threads: what holds in this thread alone, as the precision that is asked for, holds."""
 
     map = staticmethod(map)
 
 
-def in_flight(begin, numbers, most):
+def run_in_flight(submit, numbers, max_in_flight):
     """The results of begin(number), a future each, as they come in, so many at a time; the first error cancels the
     rest."""
-    left, going = iter(numbers), set()
+    pending_numbers, running = iter(numbers), set()
     try:
-        going.update(begin(number) for number in islice(left, most))
-        while going:
-            done, going = wait(going, return_when=FIRST_COMPLETED)
+        running.update(submit(number) for number in islice(pending_numbers, max_in_flight))
+        while running:
+            done, running = wait(running, return_when=FIRST_COMPLETED)
             for future in done:
                 yield future.result()
-            going.update(begin(number) for number in islice(left, most - len(going)))
+            running.update(submit(number) for number in islice(pending_numbers, max_in_flight - len(running)))
     finally:
-        for future in going:
+        for future in running:
             future.cancel()
 
 
@@ -95,6 +97,6 @@ def default_device():
     return jax.config.jax_default_device
 
 
-def cores():
+def n_usable_cores():
     """How many of the machine's cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -13,10 +13,10 @@ from continuation.limits import UNLIMITED, Limits
 
 from ..scene import check
 from .engines import Engine, LocalEngine
-from .study import Study, blank, size_in_bytes
+from .study import Study, blank_columns, study_bytes
 
-MOST_BYTES = 4 << 30  # of a study that is kept in memory alone
-GOLDEN = (5.0**0.5 - 1.0) / 2.0
+MAX_BYTES = 4 << 30  # of a study that is kept in memory alone
+GOLDEN_RATIO = (5.0**0.5 - 1.0) / 2.0
 
 
 class Progress(NamedTuple):
@@ -31,19 +31,19 @@ class Progress(NamedTuple):
 
 
 @runtime_checkable
-class Kept(Protocol):
+class OpenStore(Protocol):
     """A store that is open for a study."""
 
     @property
     def frame(self) -> xr.Dataset: ...
 
-    def undecided(self) -> dict[int, int]:
+    def undecided_counts(self) -> dict[int, int]:
         """{number: undecided cells} of the chunks that are done."""
 
-    def undecided_of(self, number: int) -> int | None:
+    def undecided_count(self, number: int) -> int | None:
         """Undecided cells of a chunk that is done, None of another."""
 
-    def put(self, number: int, parts: dict[str, np.ndarray], undecided: int) -> None:
+    def put(self, number: int, parts: dict[str, np.ndarray], n_undecided: int) -> None:
         """Keeps a chunk, once."""
 
     def data(self) -> xr.Dataset:
@@ -56,68 +56,72 @@ class Store(Protocol):
 
     @property
     def engine(self) -> Engine: ...
-    def open(self, study: Study) -> Kept: ...
+    def open(self, study: Study) -> OpenStore: ...
 
 
 class InMemory:
     """A study that is kept in memory."""
 
     def __init__(self, study: Study) -> None:
-        size = size_in_bytes(study)
-        if size > MOST_BYTES:
-            rule = f"must be given for results of more than {MOST_BYTES >> 30} GiB"
+        size = study_bytes(study)
+        if size > MAX_BYTES:
+            rule = f"must be given for results of more than {MAX_BYTES >> 30} GiB"
             raise check.ArgumentError("store", rule, f"{size / 2**30:.3g} GiB in memory")
-        self.study, self.columns, self.done = study, blank(study.columns, study.grid.shape), dict[int, int]()
+        self.study, self.columns, self.count_of_chunk = (
+            study,
+            blank_columns(study.columns, study.grid.shape),
+            dict[int, int](),
+        )
 
     @property
     def frame(self) -> xr.Dataset:
         return self.study.frame
 
-    def undecided(self) -> dict[int, int]:
-        return self.done
+    def undecided_counts(self) -> dict[int, int]:
+        return self.count_of_chunk
 
-    def undecided_of(self, number: int) -> int | None:
-        return self.done.get(number)
+    def undecided_count(self, number: int) -> int | None:
+        return self.count_of_chunk.get(number)
 
-    def put(self, number: int, parts: dict[str, np.ndarray], undecided: int) -> None:
+    def put(self, number: int, parts: dict[str, np.ndarray], n_undecided: int) -> None:
         for name, part in parts.items():
-            self.columns[name][self.study.grid.cut(number)] = part
-        self.done[number] = undecided
+            self.columns[name][self.study.grid.chunk_slices(number)] = part
+        self.count_of_chunk[number] = n_undecided
 
     def data(self) -> xr.Dataset:
         variables = {
-            name: ((*self.study.grid.sizes, *one.more), self.columns[name], dict(one.attrs))
-            for name, one in self.study.columns.items()
+            name: ((*self.study.grid.sizes, *column.more), self.columns[name], dict(column.attrs))
+            for name, column in self.study.columns.items()
         }
         return self.study.frame.assign(variables)
 
 
 @dataclass(frozen=True)
-class Work:
+class ChunkTask:
     """What an engine calls: chunk number -> how many of its cells are undecided, once it is kept.
 
-    kept: a store open for the study, which may be sent to another process.
+    store: a store open for the study, which may be sent to another process.
     """
 
     study: Study
-    kept: Kept
+    store: OpenStore
 
     def __call__(self, number: int) -> tuple[int, int]:
-        known = self.kept.undecided_of(number)
-        if known is not None:  # a worker that was lost had done it
-            return number, known
-        parts, undecided = self.study.compute(number, self.kept.frame)
-        self.kept.put(number, parts, undecided)
-        return number, undecided
+        known_count = self.store.undecided_count(number)
+        if known_count is not None:  # a worker that was lost had done it
+            return number, known_count
+        parts, n_undecided = self.study.compute(number, self.store.frame)
+        self.store.put(number, parts, n_undecided)
+        return number, n_undecided
 
 
-def spread(chunks: int) -> list[int]:
+def spread_chunks(n_chunks: int) -> list[int]:
     """All numbers of chunks, in an order whose beginnings are spread evenly over the grid: what is done is a sample of
     it, whose rate tells the time left, and the last ones are not all from where cells take longest."""
-    return np.argsort(np.arange(chunks) * GOLDEN % 1.0).tolist()
+    return np.argsort(np.arange(n_chunks) * GOLDEN_RATIO % 1.0).tolist()
 
 
-def done(
+def complete_study(
     study: Study, store: Store | None, progress: Callable[[Progress], object] | None, limits: Limits = UNLIMITED
 ) -> xr.Dataset:
     """All of a study: what a store has of it already is not done again.
@@ -127,23 +131,27 @@ def done(
 
     Raises what the store's `open` raises, and ArgumentError for what is too large for memory.
     """
-    kept, engine = (InMemory(study), LocalEngine()) if store is None else (store.open(study), store.engine)
-    grid, known = study.grid, dict(kept.undecided())
-    total, count = int(np.prod(grid.shape)), sum(grid.cells(number) for number in known)
-    undecided, before, began = sum(known.values()), count, time.monotonic()
-    wanted = (number for number in spread(grid.chunks) if number not in known)
-    missing = takewhile(lambda number: not limits.expired, wanted)
+    open_store, engine = (InMemory(study), LocalEngine()) if store is None else (store.open(study), store.engine)
+    grid, done_chunks = study.grid, dict(open_store.undecided_counts())
+    n_cells, n_done = int(np.prod(grid.shape)), sum(grid.n_cells(number) for number in done_chunks)
+    n_undecided, n_done_before, start_time = sum(done_chunks.values()), n_done, time.monotonic()
+    missing_chunks = (number for number in spread_chunks(grid.n_chunks) if number not in done_chunks)
+    chunk_queue = takewhile(lambda number: not limits.expired, missing_chunks)
 
     def report():
         if progress is not None:
-            rate = (count - before) / max(time.monotonic() - began, 1e-9)
-            progress(Progress(count, total, undecided, rate, (total - count) / rate if rate else float("nan")))
+            rate = (n_done - n_done_before) / max(time.monotonic() - start_time, 1e-9)
+            progress(Progress(n_done, n_cells, n_undecided, rate, (n_cells - n_done) / rate if rate else float("nan")))
 
     report()
-    for number, more in engine.each(Work(study, kept), missing) if len(known) < grid.chunks else ():
-        count, undecided = count + grid.cells(number), undecided + more
+    for number, n_new_undecided in (
+        engine.each(ChunkTask(study, open_store), chunk_queue) if len(done_chunks) < grid.n_chunks else ()
+    ):
+        n_done, n_undecided = n_done + grid.n_cells(number), n_undecided + n_new_undecided
         report()
-    found = kept.data()
+    dataset = open_store.data()
     return (
-        found if count == total else found.assign_attrs(stopped=f"max_seconds reached: {count} of {total} cells done")
+        dataset
+        if n_done == n_cells
+        else dataset.assign_attrs(stopped=f"max_seconds reached: {n_done} of {n_cells} cells done")
     )

@@ -19,13 +19,14 @@ class Column(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """The cells. sizes: {dimension: cells along it}; chunk: how many of them along each a chunk has, fewer at an end.
+    """The cells. sizes: {dimension: cells along it}; chunk_shape: how many of them along each a chunk has, fewer at an
+    end.
 
     Chunks are numbered row by row, the last dimension fastest.
     """
 
     sizes: Mapping[str, int]
-    chunk: tuple[int, ...]
+    chunk_shape: tuple[int, ...]
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -33,24 +34,26 @@ class Grid(NamedTuple):
         return tuple(self.sizes.values())
 
     @property
-    def counts(self) -> tuple[int, ...]:
+    def chunk_counts(self) -> tuple[int, ...]:
         """Chunks along each dimension."""
-        return tuple(-(-size // part) for size, part in zip(self.shape, self.chunk, strict=True))
+        return tuple(-(-size // chunk_size) for size, chunk_size in zip(self.shape, self.chunk_shape, strict=True))
 
     @property
-    def chunks(self) -> int:
+    def n_chunks(self) -> int:
         """How many there are."""
-        return math.prod(self.counts)
+        return math.prod(self.chunk_counts)
 
-    def cut(self, number: int) -> tuple[slice, ...]:
+    def chunk_slices(self, number: int) -> tuple[slice, ...]:
         """Which cells a chunk has, along each dimension."""
-        places = np.unravel_index(number, self.counts)
-        edges = zip(places, self.chunk, self.shape, strict=True)
-        return tuple(slice(int(k) * part, min((int(k) + 1) * part, size)) for k, part, size in edges)
+        indices = np.unravel_index(number, self.chunk_counts)
+        axes = zip(indices, self.chunk_shape, self.shape, strict=True)
+        return tuple(
+            slice(int(index) * chunk_size, min((int(index) + 1) * chunk_size, size)) for index, chunk_size, size in axes
+        )
 
-    def cells(self, number: int) -> int:
+    def n_cells(self, number: int) -> int:
         """How many cells a chunk has."""
-        return math.prod(part.stop - part.start for part in self.cut(number))
+        return math.prod(axis_slice.stop - axis_slice.start for axis_slice in self.chunk_slices(number))
 
 
 @runtime_checkable
@@ -75,18 +78,22 @@ class Study(Protocol):
         """(what each cell of a chunk gets, how many of them are undecided): the same bits each time it is asked."""
 
 
-def axis_text(values: np.ndarray) -> str:
+def fingerprint_axis(values: np.ndarray) -> str:
     """Numbers as a text that tells them from others: how many there are, the ends, a digest."""
     ends = f"{values.flat[0].item()!r} to {values.flat[-1].item()!r}" if values.size else "none"
     return f"{values.size}, {ends}, {hashlib.sha256(values.tobytes()).hexdigest()[:16]}"
 
 
-def size_in_bytes(study: Study) -> int:
+def study_bytes(study: Study) -> int:
     """Of all columns together."""
-    cells = math.prod(study.grid.shape)
-    return sum(cells * math.prod(one.more.values()) * np.dtype(one.dtype).itemsize for one in study.columns.values())
+    n_cells = math.prod(study.grid.shape)
+    return sum(
+        n_cells * math.prod(column.more.values()) * np.dtype(column.dtype).itemsize for column in study.columns.values()
+    )
 
 
-def blank(columns: Mapping[str, Column], shape: tuple[int, ...]) -> dict[str, np.ndarray]:
+def blank_columns(columns: Mapping[str, Column], shape: tuple[int, ...]) -> dict[str, np.ndarray]:
     """The columns of so many cells of which none is done."""
-    return {name: np.full((*shape, *one.more.values()), one.blank, one.dtype) for name, one in columns.items()}
+    return {
+        name: np.full((*shape, *column.more.values()), column.blank, column.dtype) for name, column in columns.items()
+    }

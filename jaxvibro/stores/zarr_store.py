@@ -30,21 +30,24 @@ import zarr
 
 from .. import __version__
 from ..output.atomic_folder import complete_folder, remove_abandoned
-from ..output.checksums import BLANK, is_sealed, sealed
+from ..output.checksums import BLANK_CHECKSUM, has_valid_checksum, seal
 from ..output.file_lock import exclusive_lock, shared_lock
 from ..scene import check
 from .engines import Engine, LocalEngine
-from .study import Grid, Study, size_in_bytes
+from .study import Grid, Study, study_bytes
 
-FORMAT = 1
-DONE, UNDECIDED = "done", "undecided"  # arrays beside the columns, an entry a chunk
+FORMAT_NUMBER = 1
+DONE_ARRAY, UNDECIDED_ARRAY = "done", "undecided"  # arrays beside the columns, an entry a chunk
 NOT_DONE = 0
-CHUNK = "chunk"  # their dimension
-OURS = "jaxvibro_store"  # the attribute that tells such a store
-SEAL, BASE = "checksum", "base"  # attributes: of the file that holds them; of all others that do not change
-METADATA, CHUNKS = "zarr.json", "c"  # as Zarr names an array's description, and the folder of its chunks
-PARTS = ".partial"  # how the names of Zarr's unfinished files end
-VERSIONS = ("jax", "numpy", "scipy")  # whose results are only alike to rounding from one version to another
+CHUNK_DIMENSION = "chunk"  # their dimension
+STORE_ATTRIBUTE = "jaxvibro_store"  # the attribute that tells such a store
+CHECKSUM_ATTRIBUTE, DIGEST_ATTRIBUTE = (
+    "checksum",
+    "base",
+)  # attributes: of the file that holds them; of all others that do not change
+METADATA_FILE, CHUNK_FOLDER = "zarr.json", "c"  # as Zarr names an array's description, and the folder of its chunks
+PARTIAL_SUFFIX = ".partial"  # how the names of Zarr's unfinished files end
+VERSIONED_PACKAGES = ("jax", "numpy", "scipy")  # whose results are only alike to rounding from one version to another
 
 
 @dataclass(frozen=True)
@@ -62,169 +65,188 @@ class Store:
     path: str | PathLike[str]
     engine: Engine = field(default_factory=LocalEngine)
 
-    def open(self, study: Study) -> "Kept":
+    def open(self, study: Study) -> "OpenStore":
         """The store, open for a study; made where it is not there. Raises ArgumentError and OSError."""
         path = Path(self.path)
         remove_abandoned(path)
         if not os.path.lexists(path):
-            _make(path, study)
-        kept = Kept(str(path))
-        kept.require(study)
-        kept.sweep_up()
-        for number in kept.damaged():
+            _create_store(path, study)
+        store = OpenStore(str(path))
+        store.require_study(study)
+        store.remove_unfinished()
+        for number in store.damaged_chunks():
             warnings.warn(f"{path}: chunk {number} is not what was written, and is done anew", stacklevel=2)
-            kept.forget(number)
-        return kept
+            store.mark_not_done(number)
+        return store
 
 
 @dataclass(frozen=True)
-class Kept:
+class OpenStore:
     """A store that is there, as any process opens it. path: of the folder."""
 
     path: str
 
     def __reduce__(self):
-        return Kept, (self.path,)
+        return OpenStore, (self.path,)
 
     @cached_property
     def group(self) -> zarr.Group:
         """Of Zarr, for reading and writing. Raises ArgumentError for what is no store of ours, or no longer what was
         written, OSError where it cannot be read."""
-        place = Path(self.path)
-        if not place.is_dir():
+        folder = Path(self.path)
+        if not folder.is_dir():
             raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), self.path)
-        os.listdir(place)
+        os.listdir(folder)
         try:
             group = zarr.open_group(self.path, mode="r+", zarr_format=3)
-            told = json.loads(str(group.attrs[OURS]))
-            number, base = told["format"], group.attrs[BASE]
+            description = json.loads(str(group.attrs[STORE_ATTRIBUTE]))
+            format_number, digest = description["format"], group.attrs[DIGEST_ATTRIBUTE]
         except Exception as error:  # whatever Zarr falls over
-            raise _refused(f"must be a store of jaxvibro ({type(error).__name__})", place) from None
-        if number != FORMAT:
-            raise _refused(f"must be of format {FORMAT}", f"format {number} in {place}")
-        if not is_sealed((place / METADATA).read_bytes(), place) or base != _base(place, told["columns"]):
-            raise _refused("must be as it was written, which its checksum says it is not", place)
+            raise _store_error(f"must be a store of jaxvibro ({type(error).__name__})", folder) from None
+        if format_number != FORMAT_NUMBER:
+            raise _store_error(f"must be of format {FORMAT_NUMBER}", f"format {format_number} in {folder}")
+        if not has_valid_checksum((folder / METADATA_FILE).read_bytes(), folder) or digest != _constant_files_digest(
+            folder, description["columns"]
+        ):
+            raise _store_error("must be as it was written, which its checksum says it is not", folder)
         return group
 
     @cached_property
     def arrays(self) -> dict[str, zarr.Array]:
         """Those that are filled, by name."""
-        return {name: array for name, array in self.group.arrays() if name in (*self.told["columns"], DONE, UNDECIDED)}
+        return {
+            name: array
+            for name, array in self.group.arrays()
+            if name in (*self.description["columns"], DONE_ARRAY, UNDECIDED_ARRAY)
+        }
 
     @cached_property
-    def told(self) -> dict[str, Any]:
+    def description(self) -> dict[str, Any]:
         """What the store says of itself: format, identity, versions, columns, sizes, chunk."""
-        return json.loads(str(self.group.attrs[OURS]))
+        return json.loads(str(self.group.attrs[STORE_ATTRIBUTE]))
 
     @cached_property
     def frame(self) -> xr.Dataset:
         """The study's frame, as it was when the store was made."""
-        data = self._opened().drop_vars([*self.told["columns"], DONE, UNDECIDED]).load()
-        data.attrs = {name: one for name, one in data.attrs.items() if name not in (OURS, SEAL, BASE)}
+        data = self._open_dataset().drop_vars([*self.description["columns"], DONE_ARRAY, UNDECIDED_ARRAY]).load()
+        data.attrs = {
+            name: value
+            for name, value in data.attrs.items()
+            if name not in (STORE_ATTRIBUTE, CHECKSUM_ATTRIBUTE, DIGEST_ATTRIBUTE)
+        }
         return data
 
-    def _opened(self):
-        return xr.open_zarr(self.path, consolidated=False, chunks=None, decode_cf=False).set_coords(self.told["coords"])
+    def _open_dataset(self):
+        return xr.open_zarr(self.path, consolidated=False, chunks=None, decode_cf=False).set_coords(
+            self.description["coords"]
+        )
 
-    def require(self, study: Study) -> None:
+    def require_study(self, study: Study) -> None:
         """Refuse another study's store, and one of other versions. Raises ArgumentError."""
-        there, here = self.told, _told(study)
-        for name, mine in here["identity"].items():
-            theirs = there["identity"].get(name)
-            if theirs != mine:
-                raise _refused(f"must hold this study: {name} is another there", _difference(theirs, mine))
+        old_description, new_description = self.description, _describe_store(study)
+        for name, new_value in new_description["identity"].items():
+            old_value = old_description["identity"].get(name)
+            if old_value != new_value:
+                raise _store_error(
+                    f"must hold this study: {name} is another there", _first_difference(old_value, new_value)
+                )
         for name in ("identity", "columns", "sizes", "chunk"):
-            if there[name] != here[name]:
-                raise _refused(f"must hold this study: its {name} are others", there[name])
+            if old_description[name] != new_description[name]:
+                raise _store_error(f"must hold this study: its {name} are others", old_description[name])
         self._require_versions()
 
     def _require_versions(self):
-        there = self.told["versions"]
-        for name, mine in _versions().items():
-            if there.get(name) != mine:
+        old_versions = self.description["versions"]
+        for name, new_version in _current_versions().items():
+            if old_versions.get(name) != new_version:
                 rule = "must be gone on with by the versions that began it, whose bits it has"
-                raise _refused(rule, f"{name} {there.get(name)}, here {mine}")
+                raise _store_error(rule, f"{name} {old_versions.get(name)}, here {new_version}")
 
-    def sweep_up(self) -> None:
+    def remove_unfinished(self) -> None:
         """Remove what a killed worker left unfinished, unless another process is writing a chunk at this moment."""
-        with exclusive_lock(Path(self.path, METADATA)) as alone:
-            for part in Path(self.path).rglob(f"*{PARTS}") if alone else ():
-                part.unlink(missing_ok=True)
+        with exclusive_lock(Path(self.path, METADATA_FILE)) as has_lock:
+            for partial_file in Path(self.path).rglob(f"*{PARTIAL_SUFFIX}") if has_lock else ():
+                partial_file.unlink(missing_ok=True)
 
-    def undecided(self) -> dict[int, int]:
+    def undecided_counts(self) -> dict[int, int]:
         """{number: undecided cells} of the chunks that are done."""
-        there, counts = np.flatnonzero(self._entries(DONE) != NOT_DONE), self._entries(UNDECIDED)
-        return {number: int(counts[number]) for number in there.tolist()}
+        done_numbers, counts = (
+            np.flatnonzero(self._read_entries(DONE_ARRAY) != NOT_DONE),
+            self._read_entries(UNDECIDED_ARRAY),
+        )
+        return {number: int(counts[number]) for number in done_numbers.tolist()}
 
-    def _entries(self, name):
+    def _read_entries(self, name):
         """An array with an entry a chunk, looked for where there is a file; what cannot be read is not there either."""
-        entries, folder = self.arrays[name], Path(self.path, name, CHUNKS)
-        found = np.full(entries.shape, NOT_DONE, entries.dtype)
-        files = [int(file) for file in os.listdir(folder) if file.isdecimal()] if folder.is_dir() else []
-        there = sorted(number for number in files if number < len(found))
+        array, folder = self.arrays[name], Path(self.path, name, CHUNK_FOLDER)
+        entries = np.full(array.shape, NOT_DONE, array.dtype)
+        file_numbers = [int(file) for file in os.listdir(folder) if file.isdecimal()] if folder.is_dir() else []
+        readable_numbers = sorted(number for number in file_numbers if number < len(entries))
         try:
-            found[there] = entries.get_orthogonal_selection(there) if there else []
+            entries[readable_numbers] = array.get_orthogonal_selection(readable_numbers) if readable_numbers else []
         except Exception:  # a damaged file, whatever Zarr's codecs fall over
-            found[there] = [self._entry(name, number) for number in there]
-        return found
+            entries[readable_numbers] = [self._read_entry(name, number) for number in readable_numbers]
+        return entries
 
-    def _entry(self, name, number):
+    def _read_entry(self, name, number):
         try:
             return np.asarray(self.arrays[name][number : number + 1])[0]
         except Exception:  # as above
             return NOT_DONE
 
-    def undecided_of(self, number: int) -> int | None:
+    def undecided_count(self, number: int) -> int | None:
         """Undecided cells of a chunk that is done, None of another."""
-        return int(self._entry(UNDECIDED, number)) if self._entry(DONE, number) != NOT_DONE else None
+        return (
+            int(self._read_entry(UNDECIDED_ARRAY, number)) if self._read_entry(DONE_ARRAY, number) != NOT_DONE else None
+        )
 
-    def put(self, number: int, parts: dict[str, np.ndarray], undecided: int) -> None:
+    def put(self, number: int, parts: dict[str, np.ndarray], n_undecided: int) -> None:
         """Keeps a chunk; its entry in `done` is written last. Raises ArgumentError in a process of other versions."""
         self._require_versions()
-        cut = self.grid.cut(number)
-        with shared_lock(Path(self.path, METADATA)):
-            for name in self.told["columns"]:
-                self.arrays[name][cut] = parts[name]
-            self.arrays[UNDECIDED][number : number + 1] = undecided
-            self.arrays[DONE][number : number + 1] = self._digest(number)
+        chunk_slices = self.grid.chunk_slices(number)
+        with shared_lock(Path(self.path, METADATA_FILE)):
+            for name in self.description["columns"]:
+                self.arrays[name][chunk_slices] = parts[name]
+            self.arrays[UNDECIDED_ARRAY][number : number + 1] = n_undecided
+            self.arrays[DONE_ARRAY][number : number + 1] = self._chunk_digest(number)
 
-    def forget(self, number: int) -> None:
+    def mark_not_done(self, number: int) -> None:
         """The chunk is not done."""
-        with shared_lock(Path(self.path, METADATA)):
-            self.arrays[DONE][number : number + 1] = NOT_DONE
+        with shared_lock(Path(self.path, METADATA_FILE)):
+            self.arrays[DONE_ARRAY][number : number + 1] = NOT_DONE
 
     @cached_property
     def grid(self) -> Grid:
         """The cells."""
-        return Grid(self.told["sizes"], tuple(self.told["chunk"]))
+        return Grid(self.description["sizes"], tuple(self.description["chunk"]))
 
-    def damaged(self) -> list[int]:
+    def damaged_chunks(self) -> list[int]:
         """Which of the chunks that are said to be done are not what was written."""
-        marks = self._entries(DONE)
-        return [number for number in np.flatnonzero(marks).tolist() if self._digest(number) != marks[number]]
+        digests = self._read_entries(DONE_ARRAY)
+        return [number for number in np.flatnonzero(digests).tolist() if self._chunk_digest(number) != digests[number]]
 
-    def _digest(self, number):
+    def _chunk_digest(self, number):
         """Of a chunk's files, those that there are."""
-        place, whole = np.unravel_index(number, self.grid.counts), hashlib.sha256()
-        for name, more in self.told["columns"].items():
-            path = Path(self.path, name, CHUNKS, *map(str, place), *["0"] * more)
+        indices, sha = np.unravel_index(number, self.grid.chunk_counts), hashlib.sha256()
+        for name, n_extra_axes in self.description["columns"].items():
+            path = Path(self.path, name, CHUNK_FOLDER, *map(str, indices), *["0"] * n_extra_axes)
             content = path.read_bytes() if path.exists() else b""
-            whole.update(f"{name} {number} {len(content)} ".encode() + content)
-        whole.update(f"{self._entry(UNDECIDED, number)}".encode())
-        return np.frombuffer(whole.digest()[:8], "<u8")[0] | np.uint64(1)
+            sha.update(f"{name} {number} {len(content)} ".encode() + content)
+        sha.update(f"{self._read_entry(UNDECIDED_ARRAY, number)}".encode())
+        return np.frombuffer(sha.digest()[:8], "<u8")[0] | np.uint64(1)
 
     def data(self) -> xr.Dataset:
         """The frame, and the columns of all cells: blank where they are not done. Raises ArgumentError for damage."""
-        bad = self.damaged()
-        if bad:
-            many = f" and {len(bad) - 1} more" if len(bad) > 1 else ""
+        bad_chunks = self.damaged_chunks()
+        if bad_chunks:
+            count_text = f" and {len(bad_chunks) - 1} more" if len(bad_chunks) > 1 else ""
             rule = "must be as it was written; run it again, and what is damaged is done anew"
-            raise _refused(rule, f"chunk {bad[0]}{many} of {self.path}")
-        data = self._opened()[list(self.told["columns"])].load()
-        return self.frame.assign({name: data[name].variable for name in self.told["columns"]})
+            raise _store_error(rule, f"chunk {bad_chunks[0]}{count_text} of {self.path}")
+        data = self._open_dataset()[list(self.description["columns"])].load()
+        return self.frame.assign({name: data[name].variable for name in self.description["columns"]})
 
 
-@check.host("use what was loaded before")
+@check.host_only("use what was loaded before")
 def load_store(path: str | PathLike[str]) -> xr.Dataset:
     """What a study's store holds, once its checksums are right: an xarray.Dataset, of a study half done too.
 
@@ -234,69 +256,79 @@ def load_store(path: str | PathLike[str]) -> xr.Dataset:
 
     Raises ArgumentError for what is no such store, or damaged, OSError where it cannot be read.
     """
-    kept = Kept(str(path))
-    return kept.data().assign_attrs(chunks=kept.grid.chunks, chunks_done=len(kept.undecided()))
+    store = OpenStore(str(path))
+    return store.data().assign_attrs(chunks=store.grid.n_chunks, chunks_done=len(store.undecided_counts()))
 
 
-def _told(study):
+def _describe_store(study):
     """What a store of a study says of itself."""
-    columns = {name: len(one.more) for name, one in study.columns.items()}
-    found = {"format": FORMAT, "identity": dict(study.identity), "columns": columns}
-    found |= {"versions": _versions(), "sizes": dict(study.grid.sizes), "chunk": list(study.grid.chunk)}
-    return found | {"coords": [str(name) for name in study.frame.coords]}
+    columns = {name: len(column.more) for name, column in study.columns.items()}
+    description = {"format": FORMAT_NUMBER, "identity": dict(study.identity), "columns": columns}
+    description |= {
+        "versions": _current_versions(),
+        "sizes": dict(study.grid.sizes),
+        "chunk": list(study.grid.chunk_shape),
+    }
+    return description | {"coords": [str(name) for name in study.frame.coords]}
 
 
 @lru_cache
-def _versions():
-    return {"jaxvibro": __version__} | {name: version(name) for name in VERSIONS}
+def _current_versions():
+    return {"jaxvibro": __version__} | {name: version(name) for name in VERSIONED_PACKAGES}
 
 
-def _make(path, study):
+def _create_store(path, study):
     """A store in which nothing is done, put into its place when it is whole."""
     if not path.parent.is_dir():
         raise NotADirectoryError(errno.ENOTDIR, os.strerror(errno.ENOTDIR), str(path.parent))
-    size, free = size_in_bytes(study), shutil.disk_usage(path.parent).free
-    if size > free:
-        told = f"no room for up to {size / 2**30:.3g} GiB, {free / 2**30:.3g} GiB are free"
-        raise OSError(errno.ENOSPC, told, str(path))
-    with complete_folder(path) as part:
-        plain = {name: {"_FillValue": None} for name in study.frame.variables}
-        study.frame.to_zarr(part, mode="w-", consolidated=False, zarr_format=3, encoding=plain)
-        group, grid = zarr.open_group(str(part), mode="r+", zarr_format=3), study.grid
-        for name, one in study.columns.items():
+    size, free_bytes = study_bytes(study), shutil.disk_usage(path.parent).free
+    if size > free_bytes:
+        description = f"no room for up to {size / 2**30:.3g} GiB, {free_bytes / 2**30:.3g} GiB are free"
+        raise OSError(errno.ENOSPC, description, str(path))
+    with complete_folder(path) as temporary:
+        encoding = {name: {"_FillValue": None} for name in study.frame.variables}
+        study.frame.to_zarr(temporary, mode="w-", consolidated=False, zarr_format=3, encoding=encoding)
+        group, grid = zarr.open_group(str(temporary), mode="r+", zarr_format=3), study.grid
+        for name, column in study.columns.items():
             group.create_array(
                 name,
-                shape=(*grid.shape, *one.more.values()),
-                chunks=(*grid.chunk, *one.more.values()),
-                dtype=one.dtype,
-                fill_value=one.blank,
-                dimension_names=(*grid.sizes, *one.more),
-                attributes=dict(one.attrs),
+                shape=(*grid.shape, *column.more.values()),
+                chunks=(*grid.chunk_shape, *column.more.values()),
+                dtype=column.dtype,
+                fill_value=column.blank,
+                dimension_names=(*grid.sizes, *column.more),
+                attributes=dict(column.attrs),
             )
-        for name, dtype in ((DONE, np.uint64), (UNDECIDED, np.int32)):
-            shape = {"shape": (grid.chunks,), "chunks": (1,), "dimension_names": (CHUNK,)}
-            group.create_array(name, dtype=dtype, fill_value=NOT_DONE, compressors=None, **shape)
-        told = _told(study)
-        group.attrs.update({OURS: json.dumps(told), BASE: _base(part, told["columns"]), SEAL: BLANK})
-        (part / METADATA).write_bytes(sealed((part / METADATA).read_bytes()))
+        for name, dtype in ((DONE_ARRAY, np.uint64), (UNDECIDED_ARRAY, np.int32)):
+            array_options = {"shape": (grid.n_chunks,), "chunks": (1,), "dimension_names": (CHUNK_DIMENSION,)}
+            group.create_array(name, dtype=dtype, fill_value=NOT_DONE, compressors=None, **array_options)
+        description = _describe_store(study)
+        group.attrs.update(
+            {
+                STORE_ATTRIBUTE: json.dumps(description),
+                DIGEST_ATTRIBUTE: _constant_files_digest(temporary, description["columns"]),
+                CHECKSUM_ATTRIBUTE: BLANK_CHECKSUM,
+            }
+        )
+        (temporary / METADATA_FILE).write_bytes(seal((temporary / METADATA_FILE).read_bytes()))
 
 
-def _base(place, columns):
+def _constant_files_digest(folder, columns):
     """A digest of the files in a store that do not change."""
-    whole, changing = hashlib.sha256(), {*columns, DONE, UNDECIDED}
-    for folder in sorted(one for one in place.iterdir() if one.is_dir()):
-        all_of_it = sorted(one for one in folder.rglob("*") if one.is_file())
-        for file in [folder / METADATA] if folder.name in changing else all_of_it:
-            whole.update(f"{file.relative_to(place)} {file.stat().st_size} ".encode() + file.read_bytes())
-    return whole.hexdigest()
+    sha, mutable_arrays = hashlib.sha256(), {*columns, DONE_ARRAY, UNDECIDED_ARRAY}
+    for subfolder in sorted(entry for entry in folder.iterdir() if entry.is_dir()):
+        all_files = sorted(entry for entry in subfolder.rglob("*") if entry.is_file())
+        for file in [subfolder / METADATA_FILE] if subfolder.name in mutable_arrays else all_files:
+            sha.update(f"{file.relative_to(folder)} {file.stat().st_size} ".encode() + file.read_bytes())
+    return sha.hexdigest()
 
 
-def _difference(theirs, mine):
+def _first_difference(old_text, new_text):
     """The first line in which two texts differ, for a complaint."""
-    pairs = zip_longest(str(theirs).splitlines(), str(mine).splitlines())
-    old, new = next((pair for pair in pairs if pair[0] != pair[1]), (theirs, mine))
-    return f"{check.short(old)} there, {check.short(new)} here"
+    pairs = zip_longest(str(old_text).splitlines(), str(new_text).splitlines())
+    old_line, new_line = next((pair for pair in pairs if pair[0] != pair[1]), (old_text, new_text))
+    return f"{check.shorten(old_line)} there, {check.shorten(new_line)} here"
 
 
-def _refused(rule, value):
-    return check.ArgumentError("store", rule, check.short(value))
+def _store_error(rule, value):
+    return check.ArgumentError("store", rule, check.shorten(value))

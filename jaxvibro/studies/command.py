@@ -12,16 +12,16 @@ from importlib import import_module
 import jaxvibro as jv
 
 from .. import __version__
-from ..output.atomic_write import whole
+from ..output.atomic_write import atomic_file
 from . import jax_settings, scene_template
 
-BAD, INTERRUPTED = 2, 130
-LONGEST = 300  # characters of a complaint
-EXTRAS = {"distributed": "cluster", "cloudpickle": "cluster", "tornado": "view"}  # modules: what brings them
-ENVIRONMENT = "jaxvibro.studies.environment"
-MOST_WORKERS = 4  # of `paper`: each takes a gigabyte and more
+EXIT_BAD_INPUT, EXIT_INTERRUPTED = 2, 130
+MAX_MESSAGE_LENGTH = 300  # characters of a complaint
+EXTRA_OF_MODULE = {"distributed": "cluster", "cloudpickle": "cluster", "tornado": "view"}  # modules: what brings them
+ENVIRONMENT_MODULE = "jaxvibro.studies.environment"
+MAX_WORKERS = 4  # of `paper`: each takes a gigabyte and more
 
-_RUN = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
+_RUN_HELP = """Does what a scene file asks: a [sweep] is drawn, [attractors] are looked for from many starts, and so are
 periodic [orbits], stable and unstable; a [branch] of them is followed along a parameter, with the branches that leave
 it, or all branches are found by themselves ([explore]); a [locus] follows their special points in two parameters; a
 [margin] tells how far the nearest bifurcations of an orbit are; a [fit] which numbers made a record of impacts, a CSV
@@ -30,20 +30,24 @@ scene with none of these is followed from rest. Walls are rigid or soft. Writes 
 a scene file NAME.toml, with a [locus] NAME.loci.png, with a [margin] NAME.margin.png, with a [map] NAME.map.png and
 NAME.zarr, for a [map] alone no other picture. The tables [spectrum], [basins] and [panels] are for paper,
 [[view]] for view."""
-_PAPER = """Recomputes figures 2 to 12 of Cheng and Xu (2007), its formulas and what it says of one wall and of walls
+_PAPER_HELP = """\
+Recomputes figures 2 to 12 of Cheng and Xu (2007), its formulas and what it says of one wall and of walls
 that move, and judges every claim by numbers. Writes DIR/report.html, DIR/report.md and, for each NAME, NAME.json (the
 claims) and, where there are such, NAME.png and NAME.nc. What an earlier run has done is kept: an interrupted one goes
 on where it stopped."""
-_SHOW = """Shows a [map] that is kept, as far as it is done: prints its table and draws its picture."""
-_VIEW = """Shows a scene on a page in the browser: its branches, what is clicked, the attractor as sliders move. What
+_SHOW_HELP = """Shows a [map] that is kept, as far as it is done: prints its table and draws its picture."""
+_VIEW_HELP = """\
+Shows a scene on a page in the browser: its branches, what is clicked, the attractor as sliders move. What
 the file asks for is looked at first; a scene file that the page gave is gone on with. The page is served to this
 machine alone, to whoever has the address that is printed; ends with Ctrl-C."""
-_WARM = """Asks of a scene what is asked first (a strobe, an orbit, its branch, those that leave it, loci), all of it
+_WARM_HELP = """\
+Asks of a scene what is asked first (a strobe, an orbit, its branch, those that leave it, loci), all of it
 compiled, so that later processes compile nothing for scenes with the same kinds of walls. It takes half a minute and
 more, a minute and more with soft walls; a session in Python finds what is kept with the settings that are printed."""
-_REPORT = """Prints versions, processor, settings of JAX, compiler hints and the cache folder, as the commands use them.
+_REPORT_HELP = """\
+Prints versions, processor, settings of JAX, compiler hints and the cache folder, as the commands use them.
 Add it to a report of a fault."""
-_SET = """another value for this run, both as in the scene file: --set sweep.count=201. The "scene." may go:
+_SET_HELP = """another value for this run, both as in the scene file: --set sweep.count=201. The "scene." may go:
 --set amplitude=3. A text keeps its quotes: --set 'sweep.parameter="frequency"'. May be given more than once."""
 
 
@@ -51,29 +55,31 @@ class _Parser(argparse.ArgumentParser):
     """A parser whose complaints are one line."""
 
     def error(self, message):
-        self.exit(BAD, f"{self.prog}: {_line(message)}\n")
+        self.exit(EXIT_BAD_INPUT, f"{self.prog}: {_single_line(message)}\n")
 
 
 def main(arguments=None):
     """Runs the command line; the exit code: 0, 2 on bad input, with one line on stderr, or 130 when interrupted."""
     try:
-        given = _parser().parse_args(arguments)
-    except SystemExit as end:
-        return end.code
+        options = _parser().parse_args(arguments)
+    except SystemExit as system_exit:
+        return system_exit.code
     try:
-        given.does(given)
+        options.does(options)
     except ModuleNotFoundError as error:
-        if error.name not in EXTRAS:
+        if error.name not in EXTRA_OF_MODULE:
             raise
-        return _told(f"{error.name} is not installed: pip install 'jaxvibro[{EXTRAS[error.name]}]'", BAD)
+        return _report_error(
+            f"{error.name} is not installed: pip install 'jaxvibro[{EXTRA_OF_MODULE[error.name]}]'", EXIT_BAD_INPUT
+        )
     except KeyboardInterrupt:
-        return _told("interrupted", INTERRUPTED)
+        return _report_error("interrupted", EXIT_INTERRUPTED)
     except MemoryError:
-        return _told("there is not enough memory for this", BAD)
+        return _report_error("there is not enough memory for this", EXIT_BAD_INPUT)
     except OSError as error:
-        return _told(_complaint(error), BAD)
+        return _report_error(_os_error_text(error), EXIT_BAD_INPUT)
     except jv.ArgumentError as error:  # last: looking it up loads jax
-        return _told(error, BAD)
+        return _report_error(error, EXIT_BAD_INPUT)
     return 0
 
 
@@ -88,24 +94,24 @@ def _parser():
     init.add_argument("--force", action="store_true", help="overwrite what is there")
     init.set_defaults(does=_init)
 
-    run = commands.add_parser("run", help="do what a scene file asks", description=_RUN, allow_abbrev=False)
+    run = commands.add_parser("run", help="do what a scene file asks", description=_RUN_HELP, allow_abbrev=False)
     run.add_argument("scene", metavar="SCENE", help="a scene file")
-    run.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET)
+    run.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET_HELP)
     run.add_argument("--out", metavar="DIR", default="out", help="folder to write into; default: out")
     run.add_argument("--force", action="store_true", help="overwrite what is there")
     run.add_argument("--json", action="store_true", help="print a summary for machines, and only that, on stdout")
     run.add_argument("--csv", action="store_true", help="write tables for spreadsheets too, a row a point")
-    told = (
+    help_text = (
         "of tables and pictures: those of the scene, or N, Hz, mm, m/s, W where it has [scene.scales]; default: scene"
     )
-    run.add_argument("--units", choices=("scene", "physical"), default="scene", help=told)
+    run.add_argument("--units", choices=("scene", "physical"), default="scene", help=help_text)
     run.add_argument("--engine", choices=("local", "dask"), help="who works out a [map]; default: local, this process")
     run.add_argument("--scheduler", metavar="ADDRESS", help="of a Dask cluster that is there, as tcp://host:8786")
-    told = "chunks of a [map] at a time; default: one for each processor core"
-    run.add_argument("--workers", metavar="N", type=int, help=told)
+    help_text = "chunks of a [map] at a time; default: one for each processor core"
+    run.add_argument("--workers", metavar="N", type=int, help=help_text)
     run.set_defaults(does=_run)
 
-    show = commands.add_parser("show", help="show a map that is kept", description=_SHOW, allow_abbrev=False)
+    show = commands.add_parser("show", help="show a map that is kept", description=_SHOW_HELP, allow_abbrev=False)
     show.add_argument("path", metavar="STORE", help="the folder of a map, NAME.zarr")
     show.add_argument("--picture", metavar="FILE", help="default: NAME.png beside it")
     show.add_argument("--data", metavar="FILE", help="write all of it as a NetCDF file too")
@@ -113,77 +119,81 @@ def _parser():
     show.add_argument("--units", choices=("scene", "physical"), default="scene", help="of the table and the picture")
     show.set_defaults(does=_show)
 
-    paper = commands.add_parser("paper", help="recompute the paper", description=_PAPER, allow_abbrev=False)
+    paper = commands.add_parser("paper", help="recompute the paper", description=_PAPER_HELP, allow_abbrev=False)
     paper.add_argument("names", metavar="NAME", nargs="*", help="fig2 to fig12, walls, formulas; default: all")
     paper.add_argument("--scenes", metavar="DIR", help="folder of the scene files; default: those of the package")
     paper.add_argument("--out", metavar="DIR", default="out/paper", help="folder to write into; default: out/paper")
     paper.add_argument("--force", action="store_true", help="compute again what is there already")
-    told = f"figures at once; default: one for each processor core, at most {MOST_WORKERS}"
-    paper.add_argument("--workers", metavar="N", type=int, default=min(MOST_WORKERS, os.cpu_count() or 1), help=told)
+    help_text = f"figures at once; default: one for each processor core, at most {MAX_WORKERS}"
+    paper.add_argument(
+        "--workers", metavar="N", type=int, default=min(MAX_WORKERS, os.cpu_count() or 1), help=help_text
+    )
     paper.set_defaults(does=_paper)
 
-    view = commands.add_parser("view", help="explore a scene in the browser", description=_VIEW, allow_abbrev=False)
+    view = commands.add_parser(
+        "view", help="explore a scene in the browser", description=_VIEW_HELP, allow_abbrev=False
+    )
     view.add_argument("scene", metavar="SCENE", help="a scene file")
-    view.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET)
-    told = "of this machine's own, default: 127.0.0.1"
-    view.add_argument("--address", metavar="ADDRESS", default="127.0.0.1", help=told)
-    told = "default: the first free one of 8420 to 8439; the same one again lets a page of before go on"
-    view.add_argument("--port", metavar="N", type=int, help=told)
+    view.add_argument("--set", metavar="KEY=VALUE", action="append", default=[], dest="changes", help=_SET_HELP)
+    help_text = "of this machine's own, default: 127.0.0.1"
+    view.add_argument("--address", metavar="ADDRESS", default="127.0.0.1", help=help_text)
+    help_text = "default: the first free one of 8420 to 8439; the same one again lets a page of before go on"
+    view.add_argument("--port", metavar="N", type=int, help=help_text)
     view.add_argument("--no-browser", action="store_true", help="print the address, and open nothing")
     view.set_defaults(does=_view)
 
-    warm = commands.add_parser("warm", help="fill the compile cache", description=_WARM, allow_abbrev=False)
+    warm = commands.add_parser("warm", help="fill the compile cache", description=_WARM_HELP, allow_abbrev=False)
     warm.add_argument("scene", metavar="SCENE", nargs="?", help="a scene file; default: the README's scene")
     warm.set_defaults(does=_warm)
 
-    told = "print versions, processor and settings, for reports of faults"
-    report = commands.add_parser("report", help=told, description=_REPORT, allow_abbrev=False)
+    help_text = "print versions, processor and settings, for reports of faults"
+    report = commands.add_parser("report", help=help_text, description=_REPORT_HELP, allow_abbrev=False)
     report.add_argument("--json", action="store_true", help="print it for machines")
     report.set_defaults(does=_report)
     return parser
 
 
-def _init(given):
-    with whole(given.path, given.force) as file:
-        file.write(scene_template.SCENE.encode())
-    print(f"wrote {given.path}; next: jaxvibro run {given.path}")
+def _init(options):
+    with atomic_file(options.path, options.force) as file:
+        file.write(scene_template.SCENE_TEMPLATE.encode())
+    print(f"wrote {options.path}; next: jaxvibro run {options.path}")
 
 
-def _run(given):
-    jax_settings.prepare()
-    asked = {"csv": given.csv, "units": given.units, "engine": _engine(given)}
-    done = _loaded("run")(given.scene, given.out, given.changes, given.force, progress=True, **asked)
-    if given.json:
-        print(json.dumps(done.summary, indent=2, allow_nan=False))
+def _run(options):
+    jax_settings.prepare_environment()
+    settings = {"csv": options.csv, "units": options.units, "engine": _map_engine(options)}
+    result = _load("run")(options.scene, options.out, options.changes, options.force, progress=True, **settings)
+    if options.json:
+        print(json.dumps(result.summary, indent=2, allow_nan=False))
         return
-    print(done.table)
-    for kind, path in done.summary["files"].items():
+    print(result.table)
+    for kind, path in result.summary["files"].items():
         print(f"{kind:17}{path}" if len(kind) > 7 else f"{kind:8}{path}")
 
 
-def _engine(given):
+def _map_engine(options):
     """Who works out a map, None for this process with all of its cores."""
-    if given.engine == "dask" or (given.scheduler is not None and given.engine is None):
-        return _loaded("DaskEngine")(given.scheduler, given.workers)
-    if given.scheduler is not None:
-        raise jv.ArgumentError("scheduler", "must not be given with the engine local", given.scheduler)
-    return None if given.workers is None else _loaded("LocalEngine")(given.workers)
+    if options.engine == "dask" or (options.scheduler is not None and options.engine is None):
+        return _load("DaskEngine")(options.scheduler, options.workers)
+    if options.scheduler is not None:
+        raise jv.ArgumentError("scheduler", "must not be given with the engine local", options.scheduler)
+    return None if options.workers is None else _load("LocalEngine")(options.workers)
 
 
-def _show(given):
-    jax_settings.prepare()
-    picture = given.picture or os.path.splitext(given.path.rstrip(os.sep))[0] + ".png"
-    print(_loaded("show")(given.path, picture, given.data, given.force, given.units))
-    for kind, path in (("picture", picture), ("data", given.data)):
+def _show(options):
+    jax_settings.prepare_environment()
+    picture = options.picture or os.path.splitext(options.path.rstrip(os.sep))[0] + ".png"
+    print(_load("show")(options.path, picture, options.data, options.force, options.units))
+    for kind, path in (("picture", picture), ("data", options.data)):
         if path:
             print(f"{kind:8}{path}")
 
 
-def _view(given):
-    jax_settings.prepare()
-    page = _loaded("view")(given.scene, given.port, given.address, given.changes, jax_settings.token())
+def _view(options):
+    jax_settings.prepare_environment()
+    page = _load("view")(options.scene, options.port, options.address, options.changes, jax_settings.page_token())
     print(page.url, flush=True)
-    if not given.no_browser:
+    if not options.no_browser:
         webbrowser.open(page.url)
     try:
         page.wait()
@@ -191,57 +201,65 @@ def _view(given):
         page.stop()
 
 
-def _paper(given):
-    jax_settings.prepare()
-    done = _loaded("paper")(given.names, given.out, given.scenes, given.force, progress=True, workers=given.workers)
-    print(done.told)
-    for kind, path in (("page", done.page), ("text", done.text)):
+def _paper(options):
+    jax_settings.prepare_environment()
+    report = _load("paper")(
+        options.names, options.out, options.scenes, options.force, progress=True, workers=options.workers
+    )
+    print(report.told)
+    for kind, path in (("page", report.page), ("text", report.text)):
         print(f"{kind:8}{path}")
 
 
-def _warm(given):
-    kept = jax_settings.prepare()
-    scene = _loaded("load_scene")(given.scene) if given.scene else None
-    done = _loaded("warm")(scene, lambda what: print(f"{what} ...", file=sys.stderr))
-    for what, seconds in done.done:
-        print(f"{what:16}{seconds:6.1f} s of processor time")
-    for what in done.left:
-        print(f"left out: {_line(what)}")
+def _warm(options):
+    settings = jax_settings.prepare_environment()
+    scene = _load("load_scene")(options.scene) if options.scene else None
+    result = _load("warm")(scene, lambda step: print(f"{step} ...", file=sys.stderr))
+    for step, seconds in result.done:
+        print(f"{step:16}{seconds:6.1f} s of processor time")
+    for step in result.left:
+        print(f"left out: {_single_line(step)}")
     print("kept; for a session in Python:")
-    for name, value in kept.items():
+    for name, value in settings.items():
         print(f"export {name}={value}")
 
 
-def _report(given):
-    jax_settings.prepare()
-    described = _loaded("describe_environment", ENVIRONMENT)()
-    print(json.dumps(described, indent=2) if given.json else _loaded("format_environment", ENVIRONMENT)(described))
+def _report(options):
+    jax_settings.prepare_environment()
+    environment = _load("describe_environment", ENVIRONMENT_MODULE)()
+    print(
+        json.dumps(environment, indent=2)
+        if options.json
+        else _load("format_environment", ENVIRONMENT_MODULE)(environment)
+    )
 
 
-def _loaded(name, home=None):
+def _load(name, module_name=None):
     """A function of the package, or of a module of it, once all that it needs is loaded. Until then an interrupt ends
     the process at once: one in the middle of loading compiled modules would end in a crash. What is loaded stays:
     Python's collector of circles need not look at it, now or later."""
-    before = signal.signal(signal.SIGINT, signal.SIG_DFL)
+    previous_handler = signal.signal(signal.SIGINT, signal.SIG_DFL)
     gc.disable()
     try:
-        return getattr(import_module(home) if home else jv, name)
+        return getattr(import_module(module_name) if module_name else jv, name)
     finally:
         gc.freeze()
         gc.enable()
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous_handler)
 
 
-def _complaint(error):
+def _os_error_text(error):
     if error.strerror:
-        return f"{str(error.filename)[-LONGEST // 2 :]}: {error.strerror}" if error.filename else error.strerror
+        return (
+            f"{str(error.filename)[-MAX_MESSAGE_LENGTH // 2 :]}: {error.strerror}" if error.filename else error.strerror
+        )
     return str(error)
 
 
-def _told(message, code):
-    print(f"jaxvibro: {_line(message)}", file=sys.stderr)
-    return code
+def _report_error(message, exit_code):
+    print(f"jaxvibro: {_single_line(message)}", file=sys.stderr)
+    return exit_code
 
 
-def _line(text):
-    return " ".join(str(text)[: 10 * LONGEST].split())[:LONGEST]
+def _single_line(text):
+    return " ".join(str(text)[: 10 * MAX_MESSAGE_LENGTH].split())[:MAX_MESSAGE_LENGTH]

@@ -3,76 +3,76 @@
 import numpy as np
 import pandas as pd
 
-from ..branches.diagram import frame_of
-from ..maps.wall_loads import COLUMNS, wall_loads
-from ..output.frames import frame
+from ..branches.diagram import branches_dataframe
+from ..maps.wall_loads import LOAD_COLUMNS, wall_loads
+from ..output.dataframes import make_dataframe
 from ..output.units import LENGTH, SPEED, unit_of
 
 
-def asked_for(file):
+def requested_tables(file):
     """Of what a `SceneFile` asks for tables."""
-    asked = {"sweep": file.sweep, "attractors": file.attractors, "branches": file.followed, "loci": file.locus}
-    return [what for what, table in asked.items() if table is not None]
+    tables = {"sweep": file.sweep, "attractors": file.attractors, "branches": file.branch_table, "loci": file.locus}
+    return [name for name, table in tables.items() if table is not None]
 
 
-def csv_tables(found, units):
+def csv_tables(results, units):
     """A table each of the sweep, the attractors, the branches and the loci that were `Found`, a row a point.
 
     Raises ArgumentError for units that the scene cannot be told in.
     """
     tables = {}
-    if found.file.sweep is not None:
-        tables["sweep"] = _sweep(found, units)
-    if found.attractors is not None:
-        tables["attractors"] = _attractors(found, units)
-    if found.branches:
-        tables["branches"] = frame_of(found.branches, units)
-    if found.loci:
-        tables["loci"] = _loci(found.loci, units)
-    return {name: each.to_csv(index=False, lineterminator="\n").encode() for name, each in tables.items()}
+    if results.file.sweep is not None:
+        tables["sweep"] = _sweep_table(results, units)
+    if results.attractors is not None:
+        tables["attractors"] = _attractor_table(results, units)
+    if results.branches:
+        tables["branches"] = branches_dataframe(results.branches, units)
+    if results.loci:
+        tables["loci"] = _locus_table(results.loci, units)
+    return {name: table.to_csv(index=False, lineterminator="\n").encode() for name, table in tables.items()}
 
 
-def _sweep(found, units):
-    name, swept = found.file.sweep.parameter, found.swept
-    x, v, status = (swept[key].values for key in ("x", "v", "status"))
-    steps, legs, periods = x.shape
-    places = np.broadcast_to(swept["leg"].values[None, :, None], x.shape)
-    values = np.broadcast_to(swept[name].values.reshape(steps, -1, 1), x.shape)
+def _sweep_table(results, units):
+    parameter, sweep_data = results.file.sweep.parameter, results.swept
+    x, v, status = (sweep_data[key].values for key in ("x", "v", "status"))
+    n_steps, n_legs, n_periods = x.shape
+    leg_names = np.broadcast_to(sweep_data["leg"].values[None, :, None], x.shape)
+    values = np.broadcast_to(sweep_data[parameter].values.reshape(n_steps, -1, 1), x.shape)
     columns = {
-        "leg": ("", places.ravel()),
-        name: (unit_of(name), values.ravel()),
-        "period": ("", np.tile(np.arange(periods), steps * legs)),
+        "leg": ("", leg_names.ravel()),
+        parameter: (unit_of(parameter), values.ravel()),
+        "period": ("", np.tile(np.arange(n_periods), n_steps * n_legs)),
         "x": (LENGTH, x.ravel()),
         "v": (SPEED, v.ravel()),
-        "status": ("", np.repeat(status.ravel(), periods)),
+        "status": ("", np.repeat(status.ravel(), n_periods)),
     }
-    borne = wall_loads(found.scene, swept)
-    for side in borne["wall"].values:
-        for what in COLUMNS:
-            one = borne[what].sel(wall=side)
-            columns[f"{side} {what}"] = (one.attrs["units"], one.values.ravel())
-    return frame(found.scene, columns, units)
+    loads = wall_loads(results.scene, sweep_data)
+    for side in loads["wall"].values:
+        for load_name in LOAD_COLUMNS:
+            load = loads[load_name].sel(wall=side)
+            columns[f"{side} {load_name}"] = (load.attrs["units"], load.values.ravel())
+    return make_dataframe(results.scene, columns, units)
 
 
-def _attractors(found, units):
-    attractors = found.attractors
+def _attractor_table(results, units):
+    attractors = results.attractors
     columns = {
-        "label": ("", [one.label for one in attractors]),
-        "kind": ("", [one.kind for one in attractors]),
-        "share": ("1", np.array([one.share for one in attractors])),
-        "share_low": ("1", np.array([one.share_bounds[0] for one in attractors])),
-        "share_high": ("1", np.array([one.share_bounds[1] for one in attractors])),
-        "periods": ("", [one.periods for one in attractors]),
-        "x": (LENGTH, np.array([one.state.x for one in attractors], float)),
-        "v": (SPEED, np.array([one.state.v for one in attractors], float)),
-        "exponent": ("1", np.array([one.exponent for one in attractors], float)),
+        "label": ("", [attractor.label for attractor in attractors]),
+        "kind": ("", [attractor.kind for attractor in attractors]),
+        "share": ("1", np.array([attractor.share for attractor in attractors])),
+        "share_low": ("1", np.array([attractor.share_bounds[0] for attractor in attractors])),
+        "share_high": ("1", np.array([attractor.share_bounds[1] for attractor in attractors])),
+        "periods": ("", [attractor.periods for attractor in attractors]),
+        "x": (LENGTH, np.array([attractor.state.x for attractor in attractors], float)),
+        "v": (SPEED, np.array([attractor.state.v for attractor in attractors], float)),
+        "exponent": ("1", np.array([attractor.exponent for attractor in attractors], float)),
     }
-    return frame(found.scene, columns, units)
+    return make_dataframe(results.scene, columns, units)
 
 
-def _loci(loci, units):
-    frames = [one.to_frame(units) for one in loci]
-    for place, (each, one) in enumerate(zip(frames, loci, strict=True), 1):
-        each.insert(0, "locus", place)
-        each.insert(1, "of", one.kind)
+def _locus_table(loci, units):
+    frames = [locus.to_frame(units) for locus in loci]
+    for number, (locus_frame, locus) in enumerate(zip(frames, loci, strict=True), 1):
+        locus_frame.insert(0, "locus", number)
+        locus_frame.insert(1, "of", locus.kind)
     return pd.concat(frames, ignore_index=True)

@@ -15,9 +15,13 @@ from ..compiled.hints_in_use import describe_hints
 from . import jax_settings
 
 PACKAGES = ("jax", "jaxlib", "numpy", "scipy", "xarray", "zarr", "matplotlib", "msgspec", "optax", "diffrax")
-EXTRAS = ("distributed", "tornado")
-INSTRUCTIONS = ("sse4_2", "avx", "avx2", "fma", "f16c", "avx512", "avx_vnni", "amx", "asimd", "sve", "neon")
-SETTINGS = ("jax_compilation_cache_dir", "jax_persistent_cache_min_compile_time_secs", "jax_default_matmul_precision")
+OPTIONAL_PACKAGES = ("distributed", "tornado")
+INSTRUCTION_PREFIXES = ("sse4_2", "avx", "avx2", "fma", "f16c", "avx512", "avx_vnni", "amx", "asimd", "sve", "neon")
+JAX_SETTINGS = (
+    "jax_compilation_cache_dir",
+    "jax_persistent_cache_min_compile_time_secs",
+    "jax_default_matmul_precision",
+)
 UNKNOWN = "unknown"
 
 
@@ -32,93 +36,93 @@ def describe_environment() -> dict[str, Any]:
     return {
         "versions": _versions(),
         "system": platform.platform(),
-        "processor": _processor(),
-        "jax": _jax(),
+        "processor": _processor_info(),
+        "jax": _jax_info(),
         "hints": describe_hints(),
-        "cache": _cache(),
+        "cache": _cache_info(),
     }
 
 
-def format_environment(found: dict[str, Any]) -> str:
+def format_environment(environment: dict[str, Any]) -> str:
     """Lay out the result of `describe_environment` as lines of text, a heading for each group."""
     lines: list[str] = []
-    for group, values in found.items():
+    for group, values in environment.items():
         if not isinstance(values, dict):
-            lines.append(f"{group}: {_text(values)}")
+            lines.append(f"{group}: {_value_text(values)}")
             continue
         lines.append(f"{group}:")
         width = max(map(len, values))
-        lines += [f"  {name:{width}}  {_text(value)}" for name, value in values.items()]
+        lines += [f"  {name:{width}}  {_value_text(value)}" for name, value in values.items()]
     return "\n".join(lines)
 
 
-def _text(value):
+def _value_text(value):
     if value is None:
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, dict):
-        return ", ".join(f"{name} {_text(each)}" for name, each in value.items()) or "-"
+        return ", ".join(f"{name} {_value_text(item)}" for name, item in value.items()) or "-"
     if isinstance(value, list):
         return " ".join(map(str, value)) or "-"
     return str(value)
 
 
 def _versions():
-    found = {"jaxvibro": __version__, "python": f"{platform.python_version()} ({platform.python_implementation()})"}
-    return found | {name: _version_of(name) for name in (*PACKAGES, *EXTRAS)}
+    versions = {"jaxvibro": __version__, "python": f"{platform.python_version()} ({platform.python_implementation()})"}
+    return versions | {name: _installed_version(name) for name in (*PACKAGES, *OPTIONAL_PACKAGES)}
 
 
-def _version_of(package):
+def _installed_version(package):
     try:
         return version(package)
     except PackageNotFoundError:
         return None
 
 
-def _processor():
+def _processor_info():
     """Of the first core: all are alike in what matters here."""
-    first, cores = _cpuinfo()
-    flags = (first.get("flags") or first.get("Features") or "").split()
+    fields, cores = _read_cpuinfo()
+    flags = (fields.get("flags") or fields.get("Features") or "").split()
     affinity = getattr(os, "sched_getaffinity", None)
     return {
-        "model": first.get("model name") or platform.processor() or platform.machine() or UNKNOWN,
+        "model": fields.get("model name") or platform.processor() or platform.machine() or UNKNOWN,
         "architecture": platform.machine(),
-        "instruction_sets": [one for one in sorted(flags) if one.startswith(INSTRUCTIONS)],
+        "instruction_sets": [flag for flag in sorted(flags) if flag.startswith(INSTRUCTION_PREFIXES)],
         "cores": cores,
         "logical_cores": os.cpu_count(),
         "usable_logical_cores": len(affinity(0)) if affinity else os.cpu_count(),
-        "kind": jax_settings.processor(),
+        "kind": jax_settings.processor_fingerprint(),
     }
 
 
-def _cpuinfo():
+def _read_cpuinfo():
     """(fields of the first processor in /proc/cpuinfo, number of physical cores or None)."""
     try:
         blocks = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").strip().split("\n\n")
     except OSError:
         return {}, None
-    pairs = [[line.partition(":") for line in block.splitlines()] for block in blocks]
-    fields = [{name.strip(): value.strip() for name, _, value in block} for block in pairs]
-    cores = {(one.get("physical id"), one["core id"]) for one in fields if "core id" in one}
+    key_values = [[line.partition(":") for line in block.splitlines()] for block in blocks]
+    fields = [{name.strip(): value.strip() for name, _, value in block} for block in key_values]
+    cores = {(record.get("physical id"), record["core id"]) for record in fields if "core id" in record}
     return fields[0], len(cores) or None
 
 
-def _jax():
-    environment = {name: each for name, each in sorted(os.environ.items()) if name.startswith(("JAX_", "XLA_"))}
-    found: dict[str, Any] = {"platform": jax.default_backend()}
-    found["devices"] = [f"{one} ({one.device_kind})" for one in jax.devices()]
-    found["x64"] = bool(jax.config.jax_enable_x64)
-    return found | {name: getattr(jax.config, name) for name in SETTINGS} | {"environment": environment}
+def _jax_info():
+    environment = {name: value for name, value in sorted(os.environ.items()) if name.startswith(("JAX_", "XLA_"))}
+    info: dict[str, Any] = {"platform": jax.default_backend()}
+    info["devices"] = [f"{device} ({device.device_kind})" for device in jax.devices()]
+    info["x64"] = bool(jax.config.jax_enable_x64)
+    return info | {name: getattr(jax.config, name) for name in JAX_SETTINGS} | {"environment": environment}
 
 
-def _cache():
+def _cache_info():
     """The cache folder, and whether JAX keeps compiled code in it and this package traced functions."""
-    place, reason = cache_folder() or None, reason_without_cache()
+    folder, reason = cache_folder() or None, reason_without_cache()
     return {
-        "folder": place,
-        "writable": None if place is None else _is_writable(Path(place)),
-        "used_by_jax": place is not None and bool(jax.config.jax_enable_compilation_cache),
+        "folder": folder,
+        "writable": None if folder is None else _is_writable(Path(folder)),
+        "used_by_jax": folder is not None and bool(jax.config.jax_enable_compilation_cache),
         "used_for_traced_functions": reason is None,
         "reason_if_not": reason,
     }
@@ -126,5 +130,5 @@ def _cache():
 
 def _is_writable(folder):
     """Return True if files can be put into a folder, which may be still to be made."""
-    nearest = next(one for one in (folder, *folder.absolute().parents) if os.path.lexists(one))
-    return nearest.is_dir() and os.access(nearest, os.W_OK | os.X_OK)
+    ancestor = next(candidate for candidate in (folder, *folder.absolute().parents) if os.path.lexists(candidate))
+    return ancestor.is_dir() and os.access(ancestor, os.W_OK | os.X_OK)

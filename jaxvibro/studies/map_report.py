@@ -6,30 +6,34 @@ from matplotlib.figure import Figure
 
 from .. import plot
 from ..output import label_codes
-from ..output.table_text import columns, headed
-from ..output.units import scales_from, told
+from ..output.table_text import align_columns, column_header
+from ..output.units import display_unit, read_scales
 from ..scene.check import ArgumentError
 from ..scene.scene_table import SceneTable
-from .figures import described, png
+from .figures import describe_scene, png_bytes
 
-MOST = 20  # labels in the table
-WAYS = {1: "up", -1: "down"}
-NUMBERS = {"exponent": "largest exponent", "attractors": "attractors of a cell", "work_rate": "work rate of the walls"}
+MAX_LABELS = 20  # labels in the table
+DIRECTIONS = {1: "up", -1: "down"}
+QUANTITY_TITLES = {
+    "exponent": "largest exponent",
+    "attractors": "attractors of a cell",
+    "work_rate": "work rate of the walls",
+}
 
 
-def grid_of(data):
+def parameter_names(data):
     """The names of a map's parameters, in order."""
     return [str(name) for name in data["status"].dims if name != "way"]
 
 
-def counts(data):
+def label_counts(data):
     """{label: cells} of a map, the most frequent first; of random starts attractors in place of cells."""
-    found, many = np.unique(_labels(data), return_counts=True)
-    order = np.lexsort((found, -many))
-    return {label_codes.label_of(int(found[k])): int(many[k]) for k in order}
+    codes, frequencies = np.unique(_cell_labels(data), return_counts=True)
+    order = np.lexsort((codes, -frequencies))
+    return {label_codes.label_of(int(codes[k])): int(frequencies[k]) for k in order}
 
 
-def _labels(data):
+def _cell_labels(data):
     """Of cells; or with random starts of attractors, and an undecided one for each cell that has undecided starts."""
     codes = data["label"].values
     if "attractor" not in data["label"].dims:
@@ -38,51 +42,58 @@ def _labels(data):
     return np.concatenate([codes[data["share"].values > 0], codes[codes == label_codes.NOT_DONE], undecided])
 
 
-def lines(data, units="scene"):
+def map_lines(data, units="scene"):
     """The table of a map, line by line."""
-    scales = scales_from(data) if units == "physical" else None
-    names = grid_of(data)
+    scales = read_scales(data) if units == "physical" else None
+    names = parameter_names(data)
     yield f"map over {' and '.join(names)}: {' x '.join(str(data.sizes[name]) for name in names)} cells"
     rows = [("parameter", "from", "to", "values")]
     for name in names:
-        unit, size = told(data[name].attrs.get("units", ""), scales)
-        values = size * data[name].values
-        rows.append((headed(name, unit, units), float(values[0]), float(values[-1]), len(values)))
-    yield columns(rows)
-    found = counts(data)
-    total = sum(found.values())
+        unit, factor = display_unit(data[name].attrs.get("units", ""), scales)
+        values = factor * data[name].values
+        rows.append((column_header(name, unit, units), float(values[0]), float(values[-1]), len(values)))
+    yield align_columns(rows)
+    cells_by_label = label_counts(data)
+    total = sum(cells_by_label.values())
     yield ""
-    more = {"way": ", each going up and down", "attractor": ", of their attractors"}
-    yield "share: of the cells" + "".join(text for name, text in more.items() if name in data.dims)
-    listed = [(name, count, f"{100.0 * count / total:.2f} %") for name, count in found.items()]
-    rest = [(f"{len(listed) - MOST} more", sum(row[1] for row in listed[MOST:]), "")] if len(listed) > MOST else []
-    yield columns([("label", "count", "share"), *listed[:MOST], *rest])
-    for name, text in NUMBERS.items():
+    notes = {"way": ", each going up and down", "attractor": ", of their attractors"}
+    yield "share: of the cells" + "".join(text for name, text in notes.items() if name in data.dims)
+    entries = [(name, count, f"{100.0 * count / total:.2f} %") for name, count in cells_by_label.items()]
+    remainder = (
+        [(f"{len(entries) - MAX_LABELS} more", sum(row[1] for row in entries[MAX_LABELS:]), "")]
+        if len(entries) > MAX_LABELS
+        else []
+    )
+    yield align_columns([("label", "count", "share"), *entries[:MAX_LABELS], *remainder])
+    for name, text in QUANTITY_TITLES.items():
         if name in data and np.isfinite(data[name].values).any():
-            unit, size = told(data[name].attrs.get("units", ""), scales)
-            low, high = (size * float(edge(data[name].values)) for edge in (np.nanmin, np.nanmax))
-            yield f"{headed(text, unit, units)}: {low:.6g} to {high:.6g}"
+            unit, factor = display_unit(data[name].attrs.get("units", ""), scales)
+            lower, upper = (factor * float(extremum(data[name].values)) for extremum in (np.nanmin, np.nanmax))
+            yield f"{column_header(text, unit, units)}: {lower:.6g} to {upper:.6g}"
     if "stopped" in data.attrs:
         yield data.attrs["stopped"]
 
 
-def picture(data, units="scene"):
+def map_picture(data, units="scene"):
     """The picture of a map over two parameters, a panel for each way that it was carried, or, of random starts, for the
     largest share and for the number of attractors; a PNG's bytes. Raises ArgumentError for another number of them."""
-    names = grid_of(data)
+    names = parameter_names(data)
     if len(names) != 2:
         rule = "must be of two parameters to be drawn: open the store with xarray and choose"
         raise ArgumentError("map", rule, ", ".join(names))
     panels = [("", data, "label")]
     if "way" in data.dims:
-        panels = [(f"{data.attrs['along']} {WAYS[way]}", data.sel(way=way), "label") for way in WAYS]
+        panels = [
+            (f"{data.attrs['along']} {DIRECTIONS[direction]}", data.sel(way=direction), "label")
+            for direction in DIRECTIONS
+        ]
     if "attractor" in data.dims:
         panels = [("largest share", data.isel(attractor=0), "label")]
         panels += [("attractors", data, "attractors")] if "attractors" in data else []
     figure = Figure(figsize=(6.5 * len(panels), 6.5), layout="constrained")
-    for ax, (title, part, quantity) in zip(np.ravel(figure.subplots(1, len(panels))), panels, strict=True):
-        plot.map(part, ax, quantity, units=units)
+    for ax, (title, panel_data, quantity) in zip(np.ravel(figure.subplots(1, len(panels))), panels, strict=True):
+        plot.map(panel_data, ax, quantity, units=units)
         ax.set_title(title, fontsize="medium")
     scene = msgspec.toml.decode(data.attrs["scene_file"], type=SceneTable).make()
-    figure.suptitle(described(scene, names, units), fontsize="medium")
-    return png(figure)
+    figure.suptitle(describe_scene(scene, names, units), fontsize="medium")
+    return png_bytes(figure)

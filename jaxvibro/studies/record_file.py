@@ -7,18 +7,18 @@ import numpy as np
 from ..design.records import ImpactRecord, SampleRecord, record_from_physical
 from ..scene.check import ArgumentError, SceneError
 from ..scene.scene import SIDES
-from .text_limits import content
+from .text_limits import read_content
 
-IMPACTS = ("time", "side")
-HEADERS = (IMPACTS, ("time", "x"), ("time", "x", "v"))
+IMPACT_HEADER = ("time", "side")
+HEADERS = (IMPACT_HEADER, ("time", "x"), ("time", "x", "v"))
 MILLI = 1e-3
 # In physical units: of a scene that has scales.
-PHYSICAL = (("time (s)", "side"), ("time (s)", "x (mm)"), ("time (s)", "x (mm)", "v (m/s)"))
-CODES = dict(zip(SIDES, (-1.0, 1.0), strict=True)) | {"-1": -1.0, "1": 1.0, "+1": 1.0}
-OF_TABLE = ("sigma", "sigma_v", "phase")
+PHYSICAL_HEADERS = (("time (s)", "side"), ("time (s)", "x (mm)"), ("time (s)", "x (mm)", "v (m/s)"))
+SIDE_CODES = dict(zip(SIDES, (-1.0, 1.0), strict=True)) | {"-1": -1.0, "1": 1.0, "+1": 1.0}
+TABLE_KEYS = ("sigma", "sigma_v", "phase")
 
 
-def record(folder, table, scene):
+def load_record(folder, table, scene):
     """The `ImpactRecord` or `SampleRecord` of a `FitTable`, whose file's name counts from a folder, as the scene
     measures it; its first line says which it is, and whether it is in s, mm and m/s, as the errors in the table are
     then.
@@ -27,51 +27,51 @@ def record(folder, table, scene):
     """
     path = folder / table.record
     try:
-        lines = list(csv.reader(content(path).decode("utf-8-sig").splitlines()))
+        lines = list(csv.reader(read_content(path).decode("utf-8-sig").splitlines()))
     except UnicodeDecodeError as error:
         raise SceneError(path.name, "must be a CSV file", str(error)) from None
-    header = tuple(one.strip() for one in lines[0]) if lines else ()
-    measured = header in PHYSICAL
-    if header not in HEADERS and not measured:
-        rule = "must be " + " or ".join(map(",".join, (*HEADERS, *PHYSICAL)))
+    header = tuple(item.strip() for item in lines[0]) if lines else ()
+    is_physical = header in PHYSICAL_HEADERS
+    if header not in HEADERS and not is_physical:
+        rule = "must be " + " or ".join(map(",".join, (*HEADERS, *PHYSICAL_HEADERS)))
         raise SceneError(f"{path.name}, line 1", rule, ",".join(header))
-    if measured and scene.scales is None:
-        rule = f"must be {','.join(HEADERS[PHYSICAL.index(header)])}, as the scene has no [scene.scales]"
+    if is_physical and scene.scales is None:
+        rule = f"must be {','.join(HEADERS[PHYSICAL_HEADERS.index(header)])}, as the scene has no [scene.scales]"
         raise SceneError(f"{path.name}, line 1", rule, ",".join(header))
-    header = HEADERS[PHYSICAL.index(header)] if measured else header
-    rows = [_row(path.name, k, header, line) for k, line in enumerate(lines[1:], 2) if line]
-    columns = [list(one) for one in zip(*rows, strict=True)] or [[] for _ in header]
+    header = HEADERS[PHYSICAL_HEADERS.index(header)] if is_physical else header
+    rows = [_row(path.name, line_number, header, line) for line_number, line in enumerate(lines[1:], 2) if line]
+    columns = [list(item) for item in zip(*rows, strict=True)] or [[] for _ in header]
     phase = None if table.phase == "unknown" else float(table.phase)
     try:
-        if header == IMPACTS:
+        if header == IMPACT_HEADER:
             if table.sigma_v is not None:
                 raise ArgumentError("sigma_v", "must be left out of impacts", table.sigma_v)
-            found = ImpactRecord(*columns, table.sigma, phase, table.flawed)
-            return record_from_physical(found, scene) if measured else found
+            result = ImpactRecord(*columns, table.sigma, phase, table.flawed)
+            return record_from_physical(result, scene) if is_physical else result
         times, x, v = [*columns, None][:3]
-        if not measured:
+        if not is_physical:
             return SampleRecord(times, x, table.sigma, v, table.sigma_v, phase)
-        found = SampleRecord(times, MILLI * np.array(x), MILLI * table.sigma, v, table.sigma_v, phase)
-        return record_from_physical(found, scene)
+        result = SampleRecord(times, MILLI * np.array(x), MILLI * table.sigma, v, table.sigma_v, phase)
+        return record_from_physical(result, scene)
     except ArgumentError as error:
-        key = f"fit.{error.key}" if error.key in OF_TABLE else f"{path.name}, {error.key}"
+        key = f"fit.{error.key}" if error.key in TABLE_KEYS else f"{path.name}, {error.key}"
         raise SceneError(key, error.rule, error.value, error.index) from None
 
 
-def _row(name, k, header, line):
+def _row(file_name, line_number, header, line):
     """The numbers of a line."""
-    place = f"{name}, line {k}"
+    location = f"{file_name}, line {line_number}"
     if len(line) != len(header):
-        raise SceneError(place, f"must be {', '.join(header)}", ",".join(line))
-    return [_number(place, key, one.strip()) for key, one in zip(header, line, strict=True)]
+        raise SceneError(location, f"must be {', '.join(header)}", ",".join(line))
+    return [_parse_number(location, key, text.strip()) for key, text in zip(header, line, strict=True)]
 
 
-def _number(place, key, text):
+def _parse_number(location, key, text):
     if key == "side":
-        if text not in CODES:
-            raise SceneError(place, f"must have a side {', '.join(CODES)}", text)
-        return CODES[text]
+        if text not in SIDE_CODES:
+            raise SceneError(location, f"must have a side {', '.join(SIDE_CODES)}", text)
+        return SIDE_CODES[text]
     try:
         return float(text)
     except ValueError:
-        raise SceneError(place, f"must have a number for {key}", text) from None
+        raise SceneError(location, f"must have a number for {key}", text) from None

@@ -6,319 +6,345 @@ import msgspec
 
 from .. import __version__
 from ..attractors.shares import share_text
-from ..branches.branch import MEANINGS, extent, labels_of
+from ..branches.branch import KIND_NAMES, describe_extent, neighbour_labels
 from ..branches.branch_tree import mirror_images
 from ..design.records import ImpactRecord
 from ..loci.locus import MEANINGS as ON_LOCI
-from ..maps.initial_conditions import box, box_text
-from ..output.table_text import columns, pair
-from ..output.units import LENGTH, SPEED, amount_text, unit_in, unit_of
+from ..maps.initial_conditions import box_text, initial_box
+from ..output.table_text import align_columns, multipliers_text
+from ..output.units import LENGTH, SPEED, quantity_text, unit_in_system, unit_of
 from ..problem.end import End
 from . import map_report, sweep_report
-from .sweep_report import plane
+from .sweep_report import state_headings
 
-RESTS = "inf: the mass comes to rest by infinitely many hops, of which impacts has those before they are sure to end"
+CHATTER_NOTE = (
+    "inf: the mass comes to rest by infinitely many hops, of which impacts has those before they are sure to end"
+)
 
 
-def table(found, name, units="scene"):
+def results_table(results, name, units="scene"):
     """A text: the scene, the stretches of the sweep, the attractors, the orbits, the branches, the loci. units: "scene"
     or "physical"."""
-    parts = [f"jaxvibro {__version__}, {name}\n", columns(_numbers(found.scene, units))]
-    asked = [
-        (found.swept, sweep_report.lines),
-        (found.attractors, _attractors),
-        (found.orbits, _orbits),
-        (found.branches, _branches),
+    lines = [f"jaxvibro {__version__}, {name}\n", align_columns(_parameter_rows(results.scene, units))]
+    sections = [
+        (results.swept, sweep_report.sweep_lines),
+        (results.attractors, _attractor_lines),
+        (results.orbits, _orbit_lines),
+        (results.branches, _branch_lines),
     ]
-    asked += [(found.loci, _loci), (found.margin, _margin), (found.fit, _fit)]
-    for one, told in asked:
-        if one is not None:
-            parts += ["", *told(found, units)]
-    if found.map is not None:
-        parts += ["", *map_report.lines(found.map, units)]
-    return "\n".join(parts) + "\n"
+    sections += [(results.loci, _locus_lines), (results.margin, _margin_lines), (results.fit, _fit_lines)]
+    for value, section_lines in sections:
+        if value is not None:
+            lines += ["", *section_lines(results, units)]
+    if results.map is not None:
+        lines += ["", *map_report.map_lines(results.map, units)]
+    return "\n".join(lines) + "\n"
 
 
-def _numbers(scene, units):
+def _parameter_rows(scene, units):
     """The scene's parameters, in physical units with these."""
-    numbers = {name: each for name, each in scene.numbers.items() if name != "restitution" or scene.shares_restitution}
+    values = {name: value for name, value in scene.numbers.items() if name != "restitution" or scene.shares_restitution}
     if units == "scene":
-        return list(numbers.items())
-    known = {name: unit_in(scene, unit_of(name), units) for name in scene.names}
-    return [(name, value * known[name][1], known[name][0]) for name, value in numbers.items()]
+        return list(values.items())
+    conversions = {name: unit_in_system(scene, unit_of(name), units) for name in scene.names}
+    return [(name, value * conversions[name][1], conversions[name][0]) for name, value in values.items()]
 
 
-def _attractors(found, units):
-    asked, ((x, wide), (v, high)) = found.file.attractors, plane(found, units)
-    where = _at(found, asked, units)
-    yield f"attractors at {where}, from {asked.starts} starts (seed {asked.seed}); x and v at phase 0"
-    area = box_text(found.there(asked), _scales(found, units))
-    yield f"starts: random at phase 0, {area}; their shares with bounds at 95 %"
-    rows = [("", "label", "share", "periods", x, v, "impacts", "exponent", "rests", "mirror image")]
-    for place, one in enumerate(found.attractors, 1):
-        state = (f"{wide * one.state.x:.12f}", f"{high * one.state.v:.12f}")
-        share, rate = share_text(one), f"{one.exponent:.4f}"
-        walls, twin = _walls(one.itinerary), _mirror(place, one.mirror_of)
-        rows.append((place, one.label, share, one.periods or "-", *state, walls, rate, _yes(one.rests), twin))
-    yield columns(rows)
+def _attractor_lines(results, units):
+    table, ((x_heading, x_factor), (v_heading, v_factor)) = results.file.attractors, state_headings(results, units)
+    location = _values_text(results, table, units)
+    yield f"attractors at {location}, from {table.starts} starts (seed {table.seed}); x and v at phase 0"
+    starts_text = box_text(results.scene_of_table(table), _scales(results, units))
+    yield f"starts: random at phase 0, {starts_text}; their shares with bounds at 95 %"
+    rows = [("", "label", "share", "periods", x_heading, v_heading, "impacts", "exponent", "rests", "mirror image")]
+    for number, attractor in enumerate(results.attractors, 1):
+        state = (f"{x_factor * attractor.state.x:.12f}", f"{v_factor * attractor.state.v:.12f}")
+        share, exponent = share_text(attractor), f"{attractor.exponent:.4f}"
+        itinerary, mirror = _itinerary(attractor.itinerary), _mirror(number, attractor.mirror_of)
+        rows.append(
+            (
+                number,
+                attractor.label,
+                share,
+                attractor.periods or "-",
+                *state,
+                itinerary,
+                exponent,
+                _yes_or_dash(attractor.rests),
+                mirror,
+            )
+        )
+    yield align_columns(rows)
     yield "impacts: L left, R right, a word a period; exponent: the largest, per drive period"
-    if any(one.rests for one in found.attractors):
-        yield RESTS
-    for place, one in enumerate(found.attractors, 1):
-        yield f"{place}: {one.note}"
+    if any(attractor.rests for attractor in results.attractors):
+        yield CHATTER_NOTE
+    for number, attractor in enumerate(results.attractors, 1):
+        yield f"{number}: {attractor.note}"
 
 
-def _scales(found, units):
-    return found.scene.scales if units == "physical" else None
+def _scales(results, units):
+    return results.scene.scales if units == "physical" else None
 
 
-def _span(found, units, name, low, high):
-    one, other = (amount_text(_scales(found, units), unit_of(name), value) for value in (low, high))
-    return f"from {one} to {other}"
+def _range_text(results, units, name, lower, upper):
+    lower_text, upper_text = (quantity_text(_scales(results, units), unit_of(name), value) for value in (lower, upper))
+    return f"from {lower_text} to {upper_text}"
 
 
-def _start(found, asked, units):
-    scales = _scales(found, units)
-    x, v = amount_text(scales, LENGTH, asked.start.x), amount_text(scales, SPEED, asked.start.v)
-    return f"x = {x}, v = {v} at {_at(found, asked, units)}"
+def _start_text(results, table, units):
+    scales = _scales(results, units)
+    x_text, v_text = quantity_text(scales, LENGTH, table.start.x), quantity_text(scales, SPEED, table.start.v)
+    return f"x = {x_text}, v = {v_text} at {_values_text(results, table, units)}"
 
 
-def _at(found, asked, units):
-    scales = _scales(found, units)
-    told = (f"{key} = {amount_text(scales, unit_of(key), value)}" for key, value in asked.at.items())
-    return ", ".join(told) or "the scene's own values"
+def _values_text(results, table, units):
+    scales = _scales(results, units)
+    assignments = (f"{key} = {quantity_text(scales, unit_of(key), value)}" for key, value in table.at.items())
+    return ", ".join(assignments) or "the scene's own values"
 
 
-def _yes(rests):
+def _yes_or_dash(rests):
     return "yes" if rests else "-"
 
 
-def _walls(itinerary):
+def _itinerary(itinerary):
     return " ".join(word or "." for word in itinerary) or "-"
 
 
-def _orbits(found, units):
-    asked, ((x, wide), (v, high)) = found.file.orbits, plane(found, units)
-    told = f"max_period {asked.max_period}, near trajectories from {asked.starts} starts (seed {asked.seed})"
-    yield f"periodic orbits at {_at(found, asked, units)}, {told}: {len(found.orbits) or 'none'} found"
-    if not found.orbits:
+def _orbit_lines(results, units):
+    table, ((x_heading, x_factor), (v_heading, v_factor)) = results.file.orbits, state_headings(results, units)
+    details = f"max_period {table.max_period}, near trajectories from {table.starts} starts (seed {table.seed})"
+    yield f"periodic orbits at {_values_text(results, table, units)}, {details}: {len(results.orbits) or 'none'} found"
+    if not results.orbits:
         return
-    turned = any(one.state.phase for one in found.orbits)
-    names = ("", "label", "", "multipliers", x, v, "phase", "impacts")
-    rows = [(*names, f"least speed{v[1:]}", f"least clearance{x[1:]}", "residual", "mirror image")]
-    for place, one in enumerate(found.orbits, 1):
-        parts = wide * one.state.x, high * one.state.v, one.state.phase
-        state = [f"{each:.12f}" for each in parts]
-        least = (high * float(one.least_speed), wide * float(one.least_clearance), f"{one.residual:.1e}")
-        kind = "stable" if one.stable else "unstable"
-        told = (one.label, kind + ", rests" if one.rests else kind, pair(one.multipliers, 7))
-        rows.append((place, *told, *state, _walls(one.itinerary), *least, _mirror(place, one.mirror_of)))
-    yield columns(rows if turned else [row[:6] + row[7:] for row in rows])
-    where = "at the phase (rad) given" if turned else "at phase 0"
-    yield f"x and v {where}; impacts: L left, R right, a word a period; multipliers: Floquet's, the larger first"
-    if any(one.rests for one in found.orbits):
-        yield RESTS
+    has_phases = any(orbit.state.phase for orbit in results.orbits)
+    headings = ("", "label", "", "multipliers", x_heading, v_heading, "phase", "impacts")
+    rows = [(*headings, f"least speed{v_heading[1:]}", f"least clearance{x_heading[1:]}", "residual", "mirror image")]
+    for number, orbit in enumerate(results.orbits, 1):
+        coordinates = x_factor * orbit.state.x, v_factor * orbit.state.v, orbit.state.phase
+        state = [f"{coordinate:.12f}" for coordinate in coordinates]
+        minima = (v_factor * float(orbit.least_speed), x_factor * float(orbit.least_clearance), f"{orbit.residual:.1e}")
+        stability = "stable" if orbit.stable else "unstable"
+        details = (
+            orbit.label,
+            stability + ", rests" if orbit.rests else stability,
+            multipliers_text(orbit.multipliers, 7),
+        )
+        rows.append((number, *details, *state, _itinerary(orbit.itinerary), *minima, _mirror(number, orbit.mirror_of)))
+    yield align_columns(rows if has_phases else [row[:6] + row[7:] for row in rows])
+    phase_text = "at the phase (rad) given" if has_phases else "at phase 0"
+    yield f"x and v {phase_text}; impacts: L left, R right, a word a period; multipliers: Floquet's, the larger first"
+    if any(orbit.rests for orbit in results.orbits):
+        yield CHATTER_NOTE
 
 
-def _branches(found, units):
-    asked, (low, high) = found.file.followed, found.file.followed.bounds
-    if found.diagram is None:
-        start = f"from {_start(found, asked, units)}, max_period {asked.max_period}"
+def _branch_lines(results, units):
+    table, (lower, upper) = results.file.branch_table, results.file.branch_table.bounds
+    if results.diagram is None:
+        origin_text = f"from {_start_text(results, table, units)}, max_period {table.max_period}"
     else:
-        start = f"from many starts at {_at(found, asked, units)}, max_period {asked.max_period} (seed {asked.seed})"
-    span = _span(found, units, asked.parameter, low, high)
-    yield f"branches of periodic orbits for {asked.parameter} {span}, {start}: {len(found.branches)}"
-    if found.diagram is not None:
-        yield found.diagram.reason
-    images = mirror_images(found.branches)
-    twins = {j: (k, found.branches[k]) for k, j in images.items()}
-    for place, one in ((k + 1, one) for k, one in enumerate(found.branches) if k not in images):
-        between = extent(one, unit_in(one.scene, unit_of(one.name), units)[1])
-        yield f"\n{place}: {one.segments[0].label} {between}, {len(one)} points"
-        if place - 1 in twins:
-            twin, image = twins[place - 1]
-            yield f"its mirror image is {twin + 1}: {image.segments[0].label}, with the same values"
-        yield one.table(units)
-    yield f"\n{_meanings(MEANINGS)}"
+        origin_text = (
+            f"from many starts at {_values_text(results, table, units)}, max_period {table.max_period}"
+            f" (seed {table.seed})"
+        )
+    range_text = _range_text(results, units, table.parameter, lower, upper)
+    yield f"branches of periodic orbits for {table.parameter} {range_text}, {origin_text}: {len(results.branches)}"
+    if results.diagram is not None:
+        yield results.diagram.reason
+    mirror_of = mirror_images(results.branches)
+    mirror_branches = {j: (k, results.branches[k]) for k, j in mirror_of.items()}
+    for number, branch in ((k + 1, branch) for k, branch in enumerate(results.branches) if k not in mirror_of):
+        extent_text = describe_extent(branch, unit_in_system(branch.scene, unit_of(branch.name), units)[1])
+        yield f"\n{number}: {branch.segments[0].label} {extent_text}, {len(branch)} points"
+        if number - 1 in mirror_branches:
+            twin_index, mirror_branch = mirror_branches[number - 1]
+            yield f"its mirror image is {twin_index + 1}: {mirror_branch.segments[0].label}, with the same values"
+        yield branch.table(units)
+    yield f"\n{_meanings_text(KIND_NAMES)}"
     yield "multipliers: Floquet's, the larger first; meets: orbits that meet there, on which side of the value"
 
 
-def _loci(found, units):
-    bounds = found.file.locus.bounds
-    where = " and ".join(f"{name} {_span(found, units, name, *pair)}" for name, pair in bounds.items())
-    yield f"loci of special points in {where}: {len(found.loci)}"
-    for place, one in enumerate(found.loci, 1):
-        yield f"\n{place}: {one.kind} of {one.label}, {len(one)} points"
-        yield one.table(units)
-    for one, why in found.refused:
-        yield f"\nnot followed: {one.kind} of {one.label} at {one.name} = {one.value:.12g}: {why}"
-    yield f"\n{_meanings(ON_LOCI)}; SN, PD, SB on a GR: such a locus ends there"
+def _locus_lines(results, units):
+    bounds = results.file.locus.bounds
+    bounds_text = " and ".join(
+        f"{name} {_range_text(results, units, name, *limits)}" for name, limits in bounds.items()
+    )
+    yield f"loci of special points in {bounds_text}: {len(results.loci)}"
+    for number, item in enumerate(results.loci, 1):
+        yield f"\n{number}: {item.kind} of {item.label}, {len(item)} points"
+        yield item.table(units)
+    for item, reason in results.refused_points:
+        yield f"\nnot followed: {item.kind} of {item.label} at {item.name} = {item.value:.12g}: {reason}"
+    yield f"\n{_meanings_text(ON_LOCI)}; SN, PD, SB on a GR: such a locus ends there"
 
 
-def _margin(found, units):
-    asked = found.file.margin
-    yield f"nearest bifurcations of the orbit that is settled on from {_start(found, asked, units)}"
-    yield found.margin.table(units)
-    yield _meanings({kind: MEANINGS[kind] for kind in asked.kinds})
+def _margin_lines(results, units):
+    table = results.file.margin
+    yield f"nearest bifurcations of the orbit that is settled on from {_start_text(results, table, units)}"
+    yield results.margin.table(units)
+    yield _meanings_text({kind: KIND_NAMES[kind] for kind in table.kinds})
 
 
-def _fit(found, units):
-    what = "impacts" if isinstance(found.record, ImpactRecord) else "samples"
-    yield f"numbers fitted to the {len(found.record.times)} {what} of {found.file.fit.record}"
-    yield found.fit.table(units)
+def _fit_lines(results, units):
+    record_kind = "impacts" if isinstance(results.record, ImpactRecord) else "samples"
+    yield f"numbers fitted to the {len(results.record.times)} {record_kind} of {results.file.fit.record}"
+    yield results.fit.table(units)
 
 
-def _meanings(meanings):
+def _meanings_text(meanings):
     return ", ".join(f"{kind} {meaning}" for kind, meaning in meanings.items())
 
 
-def _mirror(place, twin):
-    if twin is None:
+def _mirror(number, mirror_index):
+    if mirror_index is None:
         return "-"
-    return "itself" if twin + 1 == place else f"{twin + 1}"
+    return "itself" if mirror_index + 1 == number else f"{mirror_index + 1}"
 
 
-def summary(found, files):
+def summary(results, files):
     """The same as plain dicts, lists, texts and numbers; what is not finite is None."""
-    told = {"version": __version__, "files": files, "job": msgspec.to_builtins(found.file)}
-    if found.swept is not None:
-        told["stretches"] = [msgspec.to_builtins(one) for one in found.stretches]
-    if found.attractors is not None:
-        told["starts"] = dict(zip(("left", "right", "fast"), _box(found), strict=True))
-        told["attractors"] = [_attractor(one) for one in found.attractors]
-    if found.orbits is not None:
-        told["orbits"] = [_orbit(one) for one in found.orbits]
-    if found.branches is not None:
-        images = mirror_images(found.branches)
-        told["branches"] = [_branch(one) | {"mirror_of": images.get(k)} for k, one in enumerate(found.branches)]
-    if found.diagram is not None:
-        told["explored"] = {"complete": found.diagram.complete, "reason": found.diagram.reason}
-    if found.loci is not None:
-        told["loci"] = [_locus(one) for one in found.loci]
-        told["not_followed"] = [
-            {"kind": one.kind, "label": one.label, "value": one.value, "reason": why} for one, why in found.refused
+    record = {"version": __version__, "files": files, "job": msgspec.to_builtins(results.file)}
+    if results.swept is not None:
+        record["stretches"] = [msgspec.to_builtins(item) for item in results.stretches]
+    if results.attractors is not None:
+        record["starts"] = dict(zip(("left", "right", "fast"), _start_box(results), strict=True))
+        record["attractors"] = [_attractor_record(item) for item in results.attractors]
+    if results.orbits is not None:
+        record["orbits"] = [_orbit_record(item) for item in results.orbits]
+    if results.branches is not None:
+        mirror_of = mirror_images(results.branches)
+        record["branches"] = [
+            _branch_record(item) | {"mirror_of": mirror_of.get(k)} for k, item in enumerate(results.branches)
         ]
-    if found.margin is not None:
-        told["margin"] = [_near(one) for one in found.margin.points]
-    if found.fit is not None:
-        told["fit"] = _fitted(found.fit)
-    if found.map is not None:
-        told["map"] = map_report.counts(found.map)
-    return told
+    if results.diagram is not None:
+        record["explored"] = {"complete": results.diagram.complete, "reason": results.diagram.reason}
+    if results.loci is not None:
+        record["loci"] = [_locus_record(item) for item in results.loci]
+        record["not_followed"] = [
+            {"kind": item.kind, "label": item.label, "value": item.value, "reason": reason}
+            for item, reason in results.refused_points
+        ]
+    if results.margin is not None:
+        record["margin"] = [_near_point_record(item) for item in results.margin.points]
+    if results.fit is not None:
+        record["fit"] = _fit_record(results.fit)
+    if results.map is not None:
+        record["map"] = map_report.label_counts(results.map)
+    return record
 
 
-def _box(found):
-    return (float(edge) for edge in box(found.there(found.file.attractors)))
+def _start_box(results):
+    return (float(limit) for limit in initial_box(results.scene_of_table(results.file.attractors)))
 
 
-def _attractor(one):
+def _attractor_record(attractor):
     return {
-        "kind": one.kind,
-        "share_bounds": list(one.share_bounds),
-        "starts": one.starts,
-        "rests": one.rests,
-        "points": one.points.tolist() if one.periods else [],
-        "note": one.note,
-        **_plain(one, ("share", "least_speed", "exponent")),
+        "kind": attractor.kind,
+        "share_bounds": list(attractor.share_bounds),
+        "starts": attractor.starts,
+        "rests": attractor.rests,
+        "points": attractor.points.tolist() if attractor.periods else [],
+        "note": attractor.note,
+        **_motion_fields(attractor, ("share", "least_speed", "exponent")),
     }
 
 
-def _orbit(one):
+def _orbit_record(orbit):
     """Multipliers are pairs, real and imaginary part."""
     return {
-        "stable": one.stable,
-        "rests": one.rests,
-        "unknowns": one.unknowns,
-        "multipliers": _pairs(one.multipliers),
-        **_plain(one, ("residual", "least_speed", "least_clearance")),
+        "stable": orbit.stable,
+        "rests": orbit.rests,
+        "unknowns": orbit.unknowns,
+        "multipliers": _complex_pairs(orbit.multipliers),
+        **_motion_fields(orbit, ("residual", "least_speed", "least_clearance")),
     }
 
 
-def _pairs(multipliers):
-    return [[_finite(root.real), _finite(root.imag)] for root in multipliers]
+def _complex_pairs(multipliers):
+    return [[_finite_or_none(multiplier.real), _finite_or_none(multiplier.imag)] for multiplier in multipliers]
 
 
-def _branch(one):
-    first, last = one.values[[0, -1]]
+def _branch_record(branch):
+    first_value, last_value = branch.values[[0, -1]]
     return {
-        "label": one.segments[0].label,
-        "parameter": one.name,
-        "from": float(first),
-        "to": float(last),
-        "range": [float(one.values.min()), float(one.values.max())],
-        "closed": End.CLOSED in one.ends,
-        "points": len(one),
-        "reasons": list(one.reasons),
+        "label": branch.segments[0].label,
+        "parameter": branch.name,
+        "from": float(first_value),
+        "to": float(last_value),
+        "range": [float(branch.values.min()), float(branch.values.max())],
+        "closed": End.CLOSED in branch.ends,
+        "points": len(branch),
+        "reasons": list(branch.reasons),
         "segments": [
-            {"label": part.label, "itinerary": list(part.itinerary), "first": part.first, "last": part.last}
-            for part in one.segments
+            {"label": segment.label, "itinerary": list(segment.itinerary), "first": segment.first, "last": segment.last}
+            for segment in branch.segments
         ],
-        "special": [_point(each) for each in one.special],
+        "special": [_special_record(special) for special in branch.special],
     }
 
 
-def _locus(one):
+def _locus_record(locus):
     return {
-        "kind": one.kind,
-        "label": one.label,
-        "parameters": list(one.names),
-        "points": len(one),
-        "reasons": list(one.reasons),
-        "special": [{"values": each.values, **_place(each)} for each in one.special],
+        "kind": locus.kind,
+        "label": locus.label,
+        "parameters": list(locus.names),
+        "points": len(locus),
+        "reasons": list(locus.reasons),
+        "special": [{"values": special.values, **_special_fields(special)} for special in locus.special],
     }
 
 
-def _point(one):
-    return {"value": one.value, **_place(one), "meets": labels_of(one)}
+def _special_record(special):
+    return {"value": special.value, **_special_fields(special), "meets": neighbour_labels(special)}
 
 
-def _place(one):
+def _special_fields(special):
     """What special points of branches and of loci have in common."""
     return {
-        "kind": one.kind,
-        "label": one.label,
-        "itinerary": list(one.itinerary),
-        "multipliers": _pairs(one.multipliers),
-        "residual": _finite(one.residual),
-        "place": int(one.place),
+        "kind": special.kind,
+        "label": special.label,
+        "itinerary": list(special.itinerary),
+        "multipliers": _complex_pairs(special.multipliers),
+        "residual": _finite_or_none(special.residual),
+        "place": int(special.place),
     }
 
 
-def _near(one):
+def _near_point_record(point):
     return {
-        "kind": one.kind,
-        "distance": one.distance,
-        "change": one.change,
-        "status": one.status,
-        "edge": one.edge,
-        "at_bound": list(one.at_bound),
-        "residual": _finite(one.residual),
+        "kind": point.kind,
+        "distance": point.distance,
+        "change": point.change,
+        "status": point.status,
+        "edge": point.edge,
+        "at_bound": list(point.at_bound),
+        "residual": _finite_or_none(point.residual),
     }
 
 
-def _fitted(one):
+def _fit_record(fit):
     return {
-        "status": one.status.name,
-        "values": one.values,
-        "sigma": {name: _finite(sigma) for name, sigma in one.sigma.items()},
-        "chi2": _finite(one.chi2),
-        "dof": one.dof,
-        "not_in_the_record": [each.shares for each in one.unidentifiable],
-        "missed": [list(each) for each in one.missed],
-        "spurious": list(one.spurious),
+        "status": fit.status.name,
+        "values": fit.values,
+        "sigma": {name: _finite_or_none(sigma) for name, sigma in fit.sigma.items()},
+        "chi2": _finite_or_none(fit.chi2),
+        "dof": fit.dof,
+        "not_in_the_record": [item.shares for item in fit.unidentifiable],
+        "missed": [list(item) for item in fit.missed],
+        "spurious": list(fit.spurious),
     }
 
 
-def _plain(one, numbers):
+def _motion_fields(motion, field_names):
     """What attractors and orbits have in common, and some numbers of theirs."""
     return {
-        "label": one.label,
-        "periods": one.periods,
-        "itinerary": list(one.itinerary),
-        "state": {key: _finite(getattr(one.state, key)) for key in ("x", "v", "phase", "contact")},
-        "mirror_of": one.mirror_of,
-    } | {key: _finite(getattr(one, key)) for key in numbers}
+        "label": motion.label,
+        "periods": motion.periods,
+        "itinerary": list(motion.itinerary),
+        "state": {key: _finite_or_none(getattr(motion.state, key)) for key in ("x", "v", "phase", "contact")},
+        "mirror_of": motion.mirror_of,
+    } | {key: _finite_or_none(getattr(motion, key)) for key in field_names}
 
 
-def _finite(number):
-    return float(number) if math.isfinite(number) else None
+def _finite_or_none(value):
+    return float(value) if math.isfinite(value) else None

@@ -5,218 +5,296 @@ import numpy as np
 import xarray as xr
 
 from .. import __version__
-from ..branches.branch import labels_of
-from ..maps.initial_conditions import box
-from ..output.units import ANGLE, LENGTH, ONE, SPEED
+from ..branches.branch import neighbour_labels
+from ..maps.initial_conditions import initial_box
+from ..output.units import ANGLE, DIMENSIONLESS, LENGTH, SPEED
 
-NONE = -1  # in `attractor_mirror` and `orbit_mirror`, where no mirror image was found
+NO_MIRROR = -1  # in `attractor_mirror` and `orbit_mirror`, where no mirror image was found
 
 
-def dataset(found):
+def results_dataset(results):
     """An xarray.Dataset of all that was `Found`, with the job as TOML in its attribute `job`."""
-    parts = [found.swept] if found.swept is not None else []
-    parts += [_attractors(found), _box(found)] if found.attractors is not None else []
-    parts += [_orbits(found.orbits)] if found.orbits else []
-    parts += [_branches(found.branches), _special(found.branches)] if found.branches else []
-    parts += [_loci(found.loci), _codim2(found.loci)] if found.loci else []
-    parts += [_margin(found.margin)] if found.margin is not None else []
-    parts += [_fit(found.fit)] if found.fit is not None else []
-    whole = xr.merge(parts, combine_attrs="drop_conflicts")
+    parts = [results.swept] if results.swept is not None else []
+    parts += [_attractor_dataset(results), _start_dataset(results)] if results.attractors is not None else []
+    parts += [_orbit_dataset(results.orbits)] if results.orbits else []
+    parts += [_branch_dataset(results.branches), _special_dataset(results.branches)] if results.branches else []
+    parts += [_locus_dataset(results.loci), _codim2_dataset(results.loci)] if results.loci else []
+    parts += [_margin_dataset(results.margin)] if results.margin is not None else []
+    parts += [_fit_dataset(results.fit)] if results.fit is not None else []
+    full_dataset = xr.merge(parts, combine_attrs="drop_conflicts")
     attrs = {
         "title": "jaxvibro run",
         "source": f"jaxvibro {__version__}",
-        "job": msgspec.toml.encode(found.file).decode(),
+        "job": msgspec.toml.encode(results.file).decode(),
     }
-    return whole.assign_attrs(attrs)
+    return full_dataset.assign_attrs(attrs)
 
 
-def _attractors(found):
-    attractors = found.attractors
+def _attractor_dataset(results):
+    attractors = results.attractors
 
-    def column(meaning, values, **attrs):
+    def make_variable(meaning, values, **attrs):
         return "attractor", np.array(values), {"long_name": meaning, **attrs}
 
-    states, bounds = [one.state for one in attractors], np.array([one.share_bounds for one in attractors])
+    states, share_bounds = (
+        [attractor.state for attractor in attractors],
+        np.array([attractor.share_bounds for attractor in attractors]),
+    )
     return xr.Dataset(
         {
-            "attractor_label": column("P n p q: periods, impacts left, right", [one.label for one in attractors]),
-            "attractor_share": column("share of the starts", [one.share for one in attractors]),
-            "attractor_share_low": column("lowest share that the starts speak for, at 95 %", bounds[:, 0], units="1"),
-            "attractor_share_high": column("highest share that the starts speak for, at 95 %", bounds[:, 1], units="1"),
-            "attractor_periods": column("least number of drive periods, 0: none", [one.periods for one in attractors]),
-            "attractor_x": column("position of a state on it, at phase 0", [one.x for one in states], units=LENGTH),
-            "attractor_v": column("velocity of that state", [one.v for one in states], units=SPEED),
-            "attractor_contact": column("contact of that state", [one.contact for one in states]),
-            "attractor_rests": column("1: the mass rests on a wall", [int(one.rests) for one in attractors], units="1"),
-            "attractor_exponent": column("largest Lyapunov exponent per period", [one.exponent for one in attractors]),
-            "attractor_mirror": column(f"place of its mirror image, {NONE}: none", _images(attractors)),
+            "attractor_label": make_variable(
+                "P n p q: periods, impacts left, right", [attractor.label for attractor in attractors]
+            ),
+            "attractor_share": make_variable("share of the starts", [attractor.share for attractor in attractors]),
+            "attractor_share_low": make_variable(
+                "lowest share that the starts speak for, at 95 %", share_bounds[:, 0], units="1"
+            ),
+            "attractor_share_high": make_variable(
+                "highest share that the starts speak for, at 95 %", share_bounds[:, 1], units="1"
+            ),
+            "attractor_periods": make_variable(
+                "least number of drive periods, 0: none", [attractor.periods for attractor in attractors]
+            ),
+            "attractor_x": make_variable(
+                "position of a state on it, at phase 0", [attractor.x for attractor in states], units=LENGTH
+            ),
+            "attractor_v": make_variable("velocity of that state", [attractor.v for attractor in states], units=SPEED),
+            "attractor_contact": make_variable("contact of that state", [attractor.contact for attractor in states]),
+            "attractor_rests": make_variable(
+                "1: the mass rests on a wall", [int(attractor.rests) for attractor in attractors], units="1"
+            ),
+            "attractor_exponent": make_variable(
+                "largest Lyapunov exponent per period", [attractor.exponent for attractor in attractors]
+            ),
+            "attractor_mirror": make_variable(
+                f"place of its mirror image, {NO_MIRROR}: none", _mirror_indices(attractors)
+            ),
         }
     )
 
 
-def _box(found):
+def _start_dataset(results):
     """The box of the random starts."""
-    left, right, fast = box(found.there(found.file.attractors))
+    x_lower, x_upper, max_speed = initial_box(results.scene_of_table(results.file.attractors))
     return xr.Dataset(
         {
             "start_x": (
                 "start_bound",
-                [left, right],
+                [x_lower, x_upper],
                 {"long_name": "of random starts, phase 0: x from, to", "units": LENGTH},
             ),
             "start_v": (
                 "start_bound",
-                [-fast, fast],
+                [-max_speed, max_speed],
                 {"long_name": "of random starts, phase 0: v from, to", "units": SPEED},
             ),
-            "start_count": ((), found.file.attractors.starts, {"long_name": "random starts", "units": ONE}),
+            "start_count": ((), results.file.attractors.starts, {"long_name": "random starts", "units": DIMENSIONLESS}),
         }
     )
 
 
-def _orbits(orbits):
-    def column(meaning, values, **attrs):
+def _orbit_dataset(orbits):
+    def make_variable(meaning, values, **attrs):
         return "orbit", np.array(values), {"long_name": meaning, **attrs}
 
-    states, roots = [one.state for one in orbits], np.array([one.multipliers for one in orbits])
-    larger = ("orbit", "multiplier"), {"long_name": "Floquet multipliers, the larger first"}
+    states, multipliers = [orbit.state for orbit in orbits], np.array([orbit.multipliers for orbit in orbits])
+    multiplier_header = ("orbit", "multiplier"), {"long_name": "Floquet multipliers, the larger first"}
     return xr.Dataset(
         {
-            "orbit_label": column("P n p q: periods, impacts left, right", [one.label for one in orbits]),
-            "orbit_periods": column("least number of drive periods", [one.periods for one in orbits], units="1"),
-            "orbit_itinerary": column("walls hit, a word a period", [" ".join(one.itinerary) for one in orbits]),
-            "orbit_x": column("position of a state on it", [one.x for one in states], units=LENGTH),
-            "orbit_v": column("velocity of that state", [one.v for one in states], units=SPEED),
-            "orbit_phase": column("phase of the drive of that state", [one.phase for one in states], units=ANGLE),
-            "orbit_contact": column("contact of that state", [one.contact for one in states]),
-            "orbit_stable": column("1: both multipliers are smaller than 1", [int(one.stable) for one in orbits]),
-            "orbit_rests": column("1: the mass rests on a wall", [int(one.rests) for one in orbits], units="1"),
-            "orbit_multiplier_real": (larger[0], roots.real, {**larger[1], "units": ONE}),
-            "orbit_multiplier_imag": (larger[0], roots.imag, {**larger[1], "units": ONE}),
-            "orbit_least_speed": column("least speed of its impacts", [one.least_speed for one in orbits], units=SPEED),
-            "orbit_least_clearance": column(
+            "orbit_label": make_variable("P n p q: periods, impacts left, right", [orbit.label for orbit in orbits]),
+            "orbit_periods": make_variable(
+                "least number of drive periods", [orbit.periods for orbit in orbits], units="1"
+            ),
+            "orbit_itinerary": make_variable(
+                "walls hit, a word a period", [" ".join(orbit.itinerary) for orbit in orbits]
+            ),
+            "orbit_x": make_variable("position of a state on it", [orbit.x for orbit in states], units=LENGTH),
+            "orbit_v": make_variable("velocity of that state", [orbit.v for orbit in states], units=SPEED),
+            "orbit_phase": make_variable(
+                "phase of the drive of that state", [orbit.phase for orbit in states], units=ANGLE
+            ),
+            "orbit_contact": make_variable("contact of that state", [orbit.contact for orbit in states]),
+            "orbit_stable": make_variable(
+                "1: both multipliers are smaller than 1", [int(orbit.stable) for orbit in orbits]
+            ),
+            "orbit_rests": make_variable(
+                "1: the mass rests on a wall", [int(orbit.rests) for orbit in orbits], units="1"
+            ),
+            "orbit_multiplier_real": (
+                multiplier_header[0],
+                multipliers.real,
+                {**multiplier_header[1], "units": DIMENSIONLESS},
+            ),
+            "orbit_multiplier_imag": (
+                multiplier_header[0],
+                multipliers.imag,
+                {**multiplier_header[1], "units": DIMENSIONLESS},
+            ),
+            "orbit_least_speed": make_variable(
+                "least speed of its impacts", [orbit.least_speed for orbit in orbits], units=SPEED
+            ),
+            "orbit_least_clearance": make_variable(
                 "least distance to a wall at a turning point towards it",
-                [one.least_clearance for one in orbits],
+                [orbit.least_clearance for orbit in orbits],
                 units=LENGTH,
             ),
-            "orbit_residual": column("largest error left in its equations", [one.residual for one in orbits]),
-            "orbit_mirror": column(f"place of its mirror image, {NONE}: none", _images(orbits)),
+            "orbit_residual": make_variable(
+                "largest error left in its equations", [orbit.residual for orbit in orbits]
+            ),
+            "orbit_mirror": make_variable(f"place of its mirror image, {NO_MIRROR}: none", _mirror_indices(orbits)),
         }
     )
 
 
-def _branches(branches):
+def _branch_dataset(branches):
     """All branches' points, one after the other, in the variables that a branch's data have."""
-    name, data = branches[0].name, [one.data for one in branches]
+    parameter, datasets = branches[0].name, [branch.data for branch in branches]
 
-    def column(key):
-        dims, attrs = data[0][key].dims, data[0][key].attrs
-        parts = [each[key].values for each in data]
+    def concatenate(key):
+        dims, attrs = datasets[0][key].dims, datasets[0][key].attrs
+        parts = [dataset[key].values for dataset in datasets]
         if len(dims) > 1:
-            widest = max(part.shape[1] for part in parts)
+            max_width = max(part.shape[1] for part in parts)
             fill = 0 if parts[0].dtype.kind == "i" else np.nan
-            parts = [np.pad(part, ((0, 0), (0, widest - part.shape[1])), constant_values=fill) for part in parts]
-        named = [dim if dim == "multiplier" else f"branch_{dim}" for dim in dims]
-        return named, np.concatenate(parts), attrs
+            parts = [np.pad(part, ((0, 0), (0, max_width - part.shape[1])), constant_values=fill) for part in parts]
+        dim_names = [dim if dim == "multiplier" else f"branch_{dim}" for dim in dims]
+        return dim_names, np.concatenate(parts), attrs
 
-    number = np.repeat(np.arange(len(branches)), [len(one) for one in branches])
-    found = {f"branch_{'value' if key == name else key}": column(key) for key in data[0]}
-    found["branch_value"][2]["parameter"] = name
-    found["branch_number"] = "branch_point", number, {"long_name": "place of the branch among the branches, from 0"}
-    for place, end in enumerate(("first", "last")):
-        why = [one.reasons[place] for one in branches]
-        found[f"branch_{end}_reason"] = "branch", why, {"long_name": f"why the branch ends at its {end} point"}
-    return xr.Dataset(found)
+    branch_numbers = np.repeat(np.arange(len(branches)), [len(branch) for branch in branches])
+    variables = {f"branch_{'value' if key == parameter else key}": concatenate(key) for key in datasets[0]}
+    variables["branch_value"][2]["parameter"] = parameter
+    variables["branch_number"] = (
+        "branch_point",
+        branch_numbers,
+        {"long_name": "place of the branch among the branches, from 0"},
+    )
+    for end_index, end in enumerate(("first", "last")):
+        reasons = [branch.reasons[end_index] for branch in branches]
+        variables[f"branch_{end}_reason"] = "branch", reasons, {"long_name": f"why the branch ends at its {end} point"}
+    return xr.Dataset(variables)
 
 
-def _special(branches):
+def _special_dataset(branches):
     """The special points of all branches, ends included."""
-    firsts = np.cumsum([0] + [len(one) for one in branches])
-    found = [(k, one) for k, branch in enumerate(branches) for one in branch.special]
-    roots = np.array([one.multipliers for _, one in found])
+    first_rows = np.cumsum([0] + [len(item) for item in branches])
+    indexed_points = [(branch_number, item) for branch_number, branch in enumerate(branches) for item in branch.special]
+    multipliers = np.array([item.multipliers for _, item in indexed_points])
 
-    def column(meaning, values, **attrs):
+    def make_variable(meaning, values, **attrs):
         return "special", np.array(values), {"long_name": meaning, **attrs}
 
-    larger = ("special", "multiplier"), {"long_name": "Floquet multipliers, the larger first", "units": ONE}
+    multiplier_header = (
+        ("special", "multiplier"),
+        {"long_name": "Floquet multipliers, the larger first", "units": DIMENSIONLESS},
+    )
     return xr.Dataset(
         {
-            "special_kind": column("SN, SB, BP, PD, GR, EP", [one.kind for _, one in found]),
-            "special_value": column("of the parameter", [one.value for _, one in found]),
-            "special_branch": column("place of its branch among the branches", [k for k, _ in found]),
-            "special_point": column("its place along branch_point", [firsts[k] + one.place for k, one in found]),
-            "special_label": column("P n p q: periods, impacts left, right", [one.label for _, one in found]),
-            "special_itinerary": column("walls hit, a word a period", [" ".join(one.itinerary) for _, one in found]),
-            "special_meets": column("orbits that meet there", [" ".join(labels_of(one)) for _, one in found]),
-            "special_multiplier_real": (larger[0], roots.real, larger[1]),
-            "special_multiplier_imag": (larger[0], roots.imag, larger[1]),
-            "special_residual": column("largest error left in its equations", [one.residual for _, one in found]),
+            "special_kind": make_variable("SN, SB, BP, PD, GR, EP", [item.kind for _, item in indexed_points]),
+            "special_value": make_variable("of the parameter", [item.value for _, item in indexed_points]),
+            "special_branch": make_variable(
+                "place of its branch among the branches", [branch_number for branch_number, _ in indexed_points]
+            ),
+            "special_point": make_variable(
+                "its place along branch_point",
+                [first_rows[branch_number] + item.place for branch_number, item in indexed_points],
+            ),
+            "special_label": make_variable(
+                "P n p q: periods, impacts left, right", [item.label for _, item in indexed_points]
+            ),
+            "special_itinerary": make_variable(
+                "walls hit, a word a period", [" ".join(item.itinerary) for _, item in indexed_points]
+            ),
+            "special_meets": make_variable(
+                "orbits that meet there", [" ".join(neighbour_labels(item)) for _, item in indexed_points]
+            ),
+            "special_multiplier_real": (multiplier_header[0], multipliers.real, multiplier_header[1]),
+            "special_multiplier_imag": (multiplier_header[0], multipliers.imag, multiplier_header[1]),
+            "special_residual": make_variable(
+                "largest error left in its equations", [item.residual for _, item in indexed_points]
+            ),
         }
     )
 
 
-def _loci(loci):
+def _locus_dataset(loci):
     """All loci's points, one after the other."""
-    number = np.repeat(np.arange(len(loci)), [len(one) for one in loci])
-    found = {"locus_number": ("locus_point", number, {"long_name": "place of the locus among the loci, from 0"})}
-    for name in loci[0].names:
-        column = np.concatenate([one.data[name].values for one in loci])
-        found[f"locus_{name}"] = "locus_point", column, {"long_name": "a parameter"}
-    whole = {
-        "kind": ("SN, PD, SB, GR", [one.kind for one in loci]),
-        "label": ("P n p q: periods, impacts left, right", [one.label for one in loci]),
-        "first_reason": ("why the locus ends at its first point", [one.reasons[0] for one in loci]),
-        "last_reason": ("why the locus ends at its last point", [one.reasons[1] for one in loci]),
+    locus_numbers = np.repeat(np.arange(len(loci)), [len(locus) for locus in loci])
+    variables = {
+        "locus_number": ("locus_point", locus_numbers, {"long_name": "place of the locus among the loci, from 0"})
     }
-    found |= {f"locus_{key}": ("locus", each, {"long_name": meaning}) for key, (meaning, each) in whole.items()}
-    return xr.Dataset(found)
+    for parameter in loci[0].names:
+        values = np.concatenate([locus.data[parameter].values for locus in loci])
+        variables[f"locus_{parameter}"] = "locus_point", values, {"long_name": "a parameter"}
+    descriptions = {
+        "kind": ("SN, PD, SB, GR", [locus.kind for locus in loci]),
+        "label": ("P n p q: periods, impacts left, right", [locus.label for locus in loci]),
+        "first_reason": ("why the locus ends at its first point", [locus.reasons[0] for locus in loci]),
+        "last_reason": ("why the locus ends at its last point", [locus.reasons[1] for locus in loci]),
+    }
+    variables |= {
+        f"locus_{key}": ("locus", entries, {"long_name": meaning}) for key, (meaning, entries) in descriptions.items()
+    }
+    return xr.Dataset(variables)
 
 
-def _codim2(loci):
+def _codim2_dataset(loci):
     """The special points of all loci, ends included."""
-    firsts = np.cumsum([0] + [len(one) for one in loci])
-    found = [(k, one) for k, locus in enumerate(loci) for one in locus.special]
-    told = {
-        "kind": ("CP, GPD, DSB, GR, GG, RG, SN, PD, SB, EP", [one.kind for _, one in found]),
-        "locus": ("place of its locus among the loci", [k for k, _ in found]),
-        "point": ("its place along locus_point", [firsts[k] + one.place for k, one in found]),
-        "label": ("P n p q: periods, impacts left, right", [one.label for _, one in found]),
-        "itinerary": ("walls hit, a word a period", [" ".join(one.itinerary) for _, one in found]),
-        "residual": ("largest error left in its equations", [one.residual for _, one in found]),
+    first_rows = np.cumsum([0] + [len(item) for item in loci])
+    indexed_points = [(locus_number, item) for locus_number, locus in enumerate(loci) for item in locus.special]
+    columns = {
+        "kind": ("CP, GPD, DSB, GR, GG, RG, SN, PD, SB, EP", [item.kind for _, item in indexed_points]),
+        "locus": ("place of its locus among the loci", [locus_number for locus_number, _ in indexed_points]),
+        "point": (
+            "its place along locus_point",
+            [first_rows[locus_number] + item.place for locus_number, item in indexed_points],
+        ),
+        "label": ("P n p q: periods, impacts left, right", [item.label for _, item in indexed_points]),
+        "itinerary": ("walls hit, a word a period", [" ".join(item.itinerary) for _, item in indexed_points]),
+        "residual": ("largest error left in its equations", [item.residual for _, item in indexed_points]),
     }
     return xr.Dataset(
-        {f"codim2_{key}": ("codim2", np.array(each), {"long_name": meaning}) for key, (meaning, each) in told.items()}
+        {
+            f"codim2_{key}": ("codim2", np.array(entries), {"long_name": meaning})
+            for key, (meaning, entries) in columns.items()
+        }
     )
 
 
-def _margin(near):
+def _margin_dataset(margin):
     """The nearest points of the kinds, and by how much each free number is another there."""
-    points, names = near.points, list(near.free)
-    changes = np.array([[one.change[name] for name in names] for one in points]).reshape(len(points), len(names))
-    told = {
-        "kind": ("SN, PD, SB, GR", [one.kind for one in points]),
-        "distance": ("from the scene, in units of the free numbers", [one.distance for one in points]),
-        "status": ("reached, or behind another", [one.status for one in points]),
-        "edge": ("what ends the boundary there, if anything does", [one.edge for one in points]),
-        "residual": ("largest number left in its equations", [one.residual for one in points]),
+    points, names = margin.points, list(margin.free)
+    changes = np.array([[point.change[name] for name in names] for point in points]).reshape(len(points), len(names))
+    columns = {
+        "kind": ("SN, PD, SB, GR", [point.kind for point in points]),
+        "distance": ("from the scene, in units of the free numbers", [point.distance for point in points]),
+        "status": ("reached, or behind another", [point.status for point in points]),
+        "edge": ("what ends the boundary there, if anything does", [point.edge for point in points]),
+        "residual": ("largest number left in its equations", [point.residual for point in points]),
     }
-    found = {f"near_{key}": ("near", np.array(each), {"long_name": meaning}) for key, (meaning, each) in told.items()}
-    found["near_change"] = ("near", "free"), changes, {"long_name": "of each free number"}
-    found["free_unit"] = "free", list(near.free.values()), {"long_name": "one unit of each free number"}
-    return xr.Dataset(found, {"free": names})
+    variables = {
+        f"near_{key}": ("near", np.array(entries), {"long_name": meaning})
+        for key, (meaning, entries) in columns.items()
+    }
+    variables["near_change"] = ("near", "free"), changes, {"long_name": "of each free number"}
+    variables["free_unit"] = "free", list(margin.free.values()), {"long_name": "one unit of each free number"}
+    return xr.Dataset(variables, {"free": names})
 
 
-def _fit(one):
+def _fit_dataset(fit):
     """The fitted numbers, their errors and covariance."""
-    names = list(one.values)
-    told = {
-        "fit_value": ("fitted", list(one.values.values()), {"long_name": "of each fitted number"}),
-        "fit_sigma": ("fitted", list(one.sigma.values()), {"long_name": "its standard error, inf: not in the record"}),
-        "fit_covariance": (("fitted", "other"), one.covariance.values, {"long_name": "of the fitted numbers"}),
-        "fit_residual": ("heard", one.residuals, {"long_name": "measured less fitted, in errors", "units": ONE}),
+    names = list(fit.values)
+    variables = {
+        "fit_value": ("fitted", list(fit.values.values()), {"long_name": "of each fitted number"}),
+        "fit_sigma": ("fitted", list(fit.sigma.values()), {"long_name": "its standard error, inf: not in the record"}),
+        "fit_covariance": (("fitted", "other"), fit.covariance.values, {"long_name": "of the fitted numbers"}),
+        "fit_residual": (
+            "heard",
+            fit.residuals,
+            {"long_name": "measured less fitted, in errors", "units": DIMENSIONLESS},
+        ),
     }
-    return xr.Dataset(told, {"fitted": names, "other": names}, {"fit_status": one.status.name})
+    return xr.Dataset(variables, {"fitted": names, "other": names}, {"fit_status": fit.status.name})
 
 
-def _images(found):
-    return [NONE if one.mirror_of is None else one.mirror_of for one in found]
+def _mirror_indices(motions):
+    return [NO_MIRROR if motion.mirror_of is None else motion.mirror_of for motion in motions]

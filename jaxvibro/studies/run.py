@@ -11,26 +11,26 @@ from typing import Any
 
 import jaxvibro as jv
 
-from ..output.atomic_write import refuse_folder, whole
-from ..output.checksums import netcdf
-from ..output.units import require_system
-from ..scene.check import SceneError, host, nearest
+from ..output.atomic_write import atomic_file, require_writable_folder
+from ..output.checksums import netcdf_bytes
+from ..output.units import require_unit_system
+from ..scene.check import SceneError, host_only, nearest_name
 from ..scene.scales import require_scales
 from ..scene.scene_table import SceneTable
 from ..stores.engines import Engine, LocalEngine
 from . import map_report, report, scene_file
-from .compute import study
-from .csv_tables import asked_for, csv_tables
-from .figures import loci, margin, picture
-from .record_file import record
-from .results_dataset import dataset
+from .compute import run_studies
+from .csv_tables import csv_tables, requested_tables
+from .figures import loci_picture, main_picture, margin_picture
+from .record_file import load_record
+from .results_dataset import results_dataset
 from .schema import SceneFile
 
-ENDINGS = {"picture": ".png", "data": ".nc", "table": ".txt"}
+SUFFIXES = {"picture": ".png", "data": ".nc", "table": ".txt"}
 # Where a table asks for it; a map's store is a folder, which the study itself writes.
-MORE = {"locus": {"loci": ".loci.png"}, "margin": {"margin": ".margin.png"}, "map": {"map": ".map.png"}}
-STORE = ".zarr"
-FOR_PAPER = ("spectrum", "basins", "panels")  # tables that `paper` knows
+EXTRA_SUFFIXES = {"locus": {"loci": ".loci.png"}, "margin": {"margin": ".margin.png"}, "map": {"map": ".map.png"}}
+STORE_SUFFIX = ".zarr"
+PAPER_TABLES = ("spectrum", "basins", "panels")  # tables that `paper` knows
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Done:
     table: str
 
 
-@host("use strobe or monodromy")
+@host_only("use strobe or monodromy")
 def run(
     path: str | PathLike[str],
     out: str | PathLike[str] = "out",
@@ -67,67 +67,77 @@ def run(
     where the start of a [branch] turns out to settle on no orbit that can be followed, before the other studies, or
     where the record of a [fit] holds less than is asked of it.
     """
-    began = time.perf_counter()
+    start_time = time.perf_counter()
     path, out = Path(path), Path(out)
-    file = scene_file.read(path, [_full(change) for change in changes])
-    for name in FOR_PAPER:
+    file = scene_file.read(path, [_qualified_change(change) for change in changes])
+    for name in PAPER_TABLES:
         if getattr(file, name):
             raise SceneError(name, "is a table for `jaxvibro paper`, not for a run", path.name)
-    endings = {"table": ENDINGS["table"]} if file.is_map_alone else dict(ENDINGS)
-    for name, more in MORE.items():
-        endings |= more if getattr(file, name) is not None else {}
+    suffixes = {"table": SUFFIXES["table"]} if file.has_only_map else dict(SUFFIXES)
+    for name, extra_suffixes in EXTRA_SUFFIXES.items():
+        suffixes |= extra_suffixes if getattr(file, name) is not None else {}
     if csv:
-        endings |= {f"{what} table": f".{what}.csv" for what in asked_for(file)}
-    files = {kind: out / (path.stem + ending) for kind, ending in endings.items()}
+        suffixes |= {f"{table_name} table": f".{table_name}.csv" for table_name in requested_tables(file)}
+    files = {kind: out / (path.stem + suffix) for kind, suffix in suffixes.items()}
     scene = file.scene.make()
-    if require_system(units) == "physical":
+    if require_unit_system(units) == "physical":
         require_scales(scene)
-    _refuse(path, out, files.values(), force)
-    store = None if file.map is None else _store(out, path.stem, engine)
-    heard = None if file.fit is None else record(path.parent, file.fit, scene)
-    found = study(file, heard, progress, store)
-    table = report.table(found, path.name, units)
-    contents = {} if file.is_map_alone else {"picture": picture(found, units), "data": netcdf(dataset(found))}
+    _require_writable(path, out, files.values(), force)
+    store = None if file.map is None else _map_store(out, path.stem, engine)
+    data_record = None if file.fit is None else load_record(path.parent, file.fit, scene)
+    results = run_studies(file, data_record, progress, store)
+    table = report.results_table(results, path.name, units)
+    contents = (
+        {}
+        if file.has_only_map
+        else {"picture": main_picture(results, units), "data": netcdf_bytes(results_dataset(results))}
+    )
     contents["table"] = table.encode()
-    draws = {"loci": loci, "margin": margin, "map": lambda found, units: map_report.picture(found.map, units)}
-    contents |= {kind: draw(found, units) for kind, draw in draws.items() if kind in files}
-    contents |= {f"{what} table": text for what, text in csv_tables(found, units).items()} if csv else {}
+    extra_pictures = {
+        "loci": loci_picture,
+        "margin": margin_picture,
+        "map": lambda results, units: map_report.map_picture(results.map, units),
+    }
+    contents |= {kind: draw(results, units) for kind, draw in extra_pictures.items() if kind in files}
+    contents |= {f"{table_name} table": text for table_name, text in csv_tables(results, units).items()} if csv else {}
     files = {kind: files[kind] for kind in contents}
-    _write({files[kind]: content for kind, content in contents.items()}, force)
-    told = files if store is None else files | {"store": Path(store.path)}
-    summary = report.summary(found, {kind: str(one) for kind, one in told.items()})
-    return Done(summary | {"seconds": round(time.perf_counter() - began, 3)}, table)
+    _write_files({files[kind]: content for kind, content in contents.items()}, force)
+    output_files = files if store is None else files | {"store": Path(store.path)}
+    summary = report.summary(results, {kind: str(file_path) for kind, file_path in output_files.items()})
+    return Done(summary | {"seconds": round(time.perf_counter() - start_time, 3)}, table)
 
 
-def _store(out, name, engine):
+def _map_store(out, stem, engine):
     """The store of a [map], whose folder is there; what it needs is loaded for it alone."""
     out.mkdir(parents=True, exist_ok=True)
-    return jv.Store(out / (name + STORE), engine or LocalEngine())
+    return jv.Store(out / (stem + STORE_SUFFIX), engine or LocalEngine())
 
 
-def _full(change):
+def _qualified_change(change):
     """A change with its key from the top of the file: that of a scene's parameter may begin below [scene]."""
-    first = change.split("=")[0].split(".")[0].strip()
-    tables, own = SceneFile.__struct_fields__, SceneTable.__struct_fields__
-    inner = first not in tables and (first in own or nearest(first, (*tables, *own)) in own)
-    return f"scene.{change}" if inner else change
+    first_key = change.split("=")[0].split(".")[0].strip()
+    table_names, scene_keys = SceneFile.__struct_fields__, SceneTable.__struct_fields__
+    is_scene_key = first_key not in table_names and (
+        first_key in scene_keys or nearest_name(first_key, (*table_names, *scene_keys)) in scene_keys
+    )
+    return f"scene.{change}" if is_scene_key else change
 
 
-def _refuse(path, out, files, force):
+def _require_writable(path, out, files, force):
     """Refuse what could not be written at the end."""
-    refuse_folder(out)
-    for one in files:
-        if one.is_dir() or (one.exists() and one.samefile(path)):
-            raise FileExistsError(f"out: {one} is in the way")
-        if os.path.lexists(one) and not force:
-            raise FileExistsError(f"out: {one} is there already; --force overwrites it")
+    require_writable_folder(out)
+    for file_path in files:
+        if file_path.is_dir() or (file_path.exists() and file_path.samefile(path)):
+            raise FileExistsError(f"out: {file_path} is in the way")
+        if os.path.lexists(file_path) and not force:
+            raise FileExistsError(f"out: {file_path} is there already; --force overwrites it")
 
 
-def _write(contents, force):
+def _write_files(contents, force):
     """Write all files beside their places first, then put all there."""
     with ExitStack() as stack:
         for path, content in contents.items():
             path.parent.mkdir(parents=True, exist_ok=True)
-            file = stack.enter_context(whole(path, force))
+            file = stack.enter_context(atomic_file(path, force))
             file.write(content)
             file.flush()

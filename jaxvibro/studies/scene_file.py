@@ -7,17 +7,17 @@ from pathlib import Path
 import msgspec
 from jax.typing import DTypeLike
 
-from ..output.atomic_write import whole
+from ..output.atomic_write import atomic_file
 from ..scene import scene_table
-from ..scene.check import ArgumentError, SceneError, among, host, typed
+from ..scene.check import ArgumentError, SceneError, check_types, describe_choices, host_only
 from ..scene.scene import Scene
-from ..scene.scene_table import table_of
+from ..scene.scene_table import make_scene_table
 from . import schema
 from .schema import SceneFile
-from .text_limits import LARGEST, content, parsed
-from .validate import checked
+from .text_limits import MAX_BYTES, parse_toml, read_content
+from .validate import check_scene_file
 
-_KINDS = {
+_TABLE_TYPES = {
     "": schema.SceneFile,
     "scene": scene_table.SceneTable,
     "scene.left": scene_table.WallTable,
@@ -44,10 +44,10 @@ _KINDS = {
     "basins": schema.BasinsTable,
     "view": schema.ViewTable,
 }
-_WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
+_TYPE_WORDS = {"float": "a number", "int": "a whole number", "str": "a text", "object": "a table", "array": "a list"}
 
 
-@typed
+@check_types
 def load_scene(path: str | PathLike[str], dtype: DTypeLike | None = None) -> Scene:
     """The scene of a scene file, as `make_scene` would make it (dtype as there).
 
@@ -57,135 +57,137 @@ def load_scene(path: str | PathLike[str], dtype: DTypeLike | None = None) -> Sce
     return read(path).scene.make(dtype)
 
 
-@host("return the scene")
+@host_only("return the scene")
 def save_scene(scene: Scene, path: str | PathLike[str], force: bool = False) -> None:
     """Write a single scene to a scene file, from which `load_scene` reads the same numbers bit for bit.
 
     Raises SceneError for a batch, FileExistsError where the file is there already, unless force is given.
     """
-    dump(SceneFile(scene=table_of(scene)), path, force)
+    dump(SceneFile(scene=make_scene_table(scene)), path, force)
 
 
 def read(path, changes=()):
-    """A scene file's tables, checked, as a `SceneFile`; changes, each "key=value" as in `apply`, go in first.
+    """A scene file's tables, checked, as a `SceneFile`; changes, each "key=value" as in `apply_change`, go in first.
 
     Raises SceneError and OSError as `load_scene` does.
     """
     path = Path(path)
-    return of_content(path.name, content(path), changes)
+    return parse_content(path.name, read_content(path), changes)
 
 
-def of_content(name, content, changes=()):
+def parse_content(name, content, changes=()):
     """The same of the bytes of a file of this name."""
     try:
-        found = parsed(name, content.decode("utf-8-sig"))
+        tables = parse_toml(name, content.decode("utf-8-sig"))
     except ArgumentError:
         raise
     except (ValueError, RecursionError) as error:
         raise SceneError(name, "must be a TOML file", str(error)) from None
     for change in changes:
-        found = apply(found, change)
-    return understood(found)
+        tables = apply_change(tables, change)
+    return parse_tables(tables)
 
 
 def dump(file, path, force=False):
     """Write a `SceneFile` to a file, whole or not at all. Raises FileExistsError unless force is given."""
     text = msgspec.toml.encode(file)
-    with whole(path, force) as file:
+    with atomic_file(path, force) as file:
         file.write(text)
 
 
-def apply(found, change):
+def apply_change(tables, change):
     """The plain tables of a scene file with one change put in, such as "scene.amplitude=3" or "sweep.legs.0.to=1.0".
 
     Key and value are TOML; a table is merged with the one that stands there, a list's entries go by number from 0.
-    Raises SceneError where the change is no TOML; a key that no scene file has is refused by `understood`.
+    Raises SceneError where the change is no TOML; a key that no scene file has is refused by `parse_tables`.
     """
     key = change.split("=")[0].strip() or "change"
-    if len(change) > LARGEST:
-        raise SceneError(key, f"must be at most {LARGEST:,} characters long", "more")
+    if len(change) > MAX_BYTES:
+        raise SceneError(key, f"must be at most {MAX_BYTES:,} characters long", "more")
     try:
-        new = parsed(key, change)
+        change_tables = parse_toml(key, change)
     except ArgumentError:
         raise
     except (ValueError, RecursionError):
-        new = {}
-    if not new:
+        change_tables = {}
+    if not change_tables:
         raise SceneError(key, "must be KEY=VALUE, the value as in TOML", change)
-    return _merged(found, new)
+    return _merge_tables(tables, change_tables)
 
 
-def _merged(old, new):
+def _merge_tables(old, new):
     if isinstance(old, list) and isinstance(new, dict) and all(key in map(str, range(len(old))) for key in new):
-        return [_merged(entry, new[str(place)]) if str(place) in new else entry for place, entry in enumerate(old)]
+        return [
+            _merge_tables(entry, new[str(index)]) if str(index) in new else entry for index, entry in enumerate(old)
+        ]
     if isinstance(old, dict) and isinstance(new, dict):
-        return {**old, **{key: _merged(old.get(key), value) for key, value in new.items()}}
+        return {**old, **{key: _merge_tables(old.get(key), value) for key, value in new.items()}}
     return new
 
 
-def understood(found):
+def parse_tables(tables):
     """Plain tables as a checked `SceneFile`. Raises SceneError naming the key, dotted from the top."""
-    _refuse_unknown("", "", found)
+    _refuse_unknown("", "", tables)
     try:
-        file = msgspec.convert(found, SceneFile)
+        file = msgspec.convert(tables, SceneFile)
     except msgspec.ValidationError as error:
-        raise _told(found, str(error)) from None
-    return checked(file)
+        raise _validation_error(tables, str(error)) from None
+    return check_scene_file(file)
 
 
-def _refuse_unknown(kind, place, table):
+def _refuse_unknown(table_key, location, table):
     """Refuse the first key that its table may not have; after that msgspec's complaints hold no text of the user's."""
-    names = _KINDS[kind].__struct_encode_fields__
+    names = _TABLE_TYPES[table_key].__struct_encode_fields__
     for name, value in table.items():
         if name not in names:
-            raise SceneError(_joined(place, name), f"is not a key here{among(name, names)}", value)
-        below, there = _joined(kind, name), _joined(place, name)
+            raise SceneError(_join_key(location, name), f"is not a key here{describe_choices(name, names)}", value)
+        inner_key, inner_location = _join_key(table_key, name), _join_key(location, name)
         entries = enumerate(value) if isinstance(value, list) else [(None, value)]
-        for number, entry in entries:
-            if below in _KINDS and isinstance(entry, dict):
-                _refuse_unknown(below, there if number is None else f"{there}[{number}]", entry)
+        for index, entry in entries:
+            if inner_key in _TABLE_TYPES and isinstance(entry, dict):
+                _refuse_unknown(inner_key, inner_location if index is None else f"{inner_location}[{index}]", entry)
 
 
-def _joined(path, name):
-    return f"{path}.{name}" if path else name
+def _join_key(prefix, name):
+    return f"{prefix}.{name}" if prefix else name
 
 
-def _told(found, message):
+def _validation_error(tables, message):
     """msgspec's complaint as a SceneError: it names the place; the value there is looked up."""
-    complaint, place = re.fullmatch(r"(.*?)(?: - at `\$(.*)`)?", message).groups(default="")
-    parts, value, path = [], found, ""
-    for name, number in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", place):
-        part = name or (_entry(found, parts, value, message) if number == "..." else int(number))
-        parts, value = [*parts, part], value[part]
-        path = f"{path}[{part}]" if isinstance(part, int) else _joined(path, part)
-    if missing := re.search(r"missing required field `(.*)`", complaint):
-        return SceneError(_joined(path, missing[1]), "must be given", None)
-    return SceneError(path, _rule(complaint), value)
+    complaint, location = re.fullmatch(r"(.*?)(?: - at `\$(.*)`)?", message).groups(default="")
+    keys, value, path = [], tables, ""
+    for name, number in re.findall(r"\.(\w+)|\[(\d+|\.\.\.)\]", location):
+        key = name or (_invalid_entry(tables, keys, value, message) if number == "..." else int(number))
+        keys, value = [*keys, key], value[key]
+        path = f"{path}[{key}]" if isinstance(key, int) else _join_key(path, key)
+    if missing_field := re.search(r"missing required field `(.*)`", complaint):
+        return SceneError(_join_key(path, missing_field[1]), "must be given", None)
+    return SceneError(path, _plain_rule(complaint), value)
 
 
-def _entry(found, parts, table, message):
+def _invalid_entry(tables, keys, table, message):
     """The key, below some others, of the entry that msgspec complains of but does not name: alone it is the same."""
     for name, value in table.items():
-        alone = {name: value}
-        for depth in reversed(range(len(parts))):
-            alone = {**_below(found, parts[:depth]), parts[depth]: alone}
+        single_entry = {name: value}
+        for depth in reversed(range(len(keys))):
+            single_entry = {**_table_at(tables, keys[:depth]), keys[depth]: single_entry}
         try:
-            msgspec.convert(alone, SceneFile)
+            msgspec.convert(single_entry, SceneFile)
         except msgspec.ValidationError as error:
             if str(error) == message:
                 return name
     return next(iter(table))
 
 
-def _below(found, parts):
-    for part in parts:
-        found = found[part]
-    return found
+def _table_at(tables, keys):
+    for key in keys:
+        tables = tables[key]
+    return tables
 
 
-def _rule(complaint):
+def _plain_rule(complaint):
     """ "Expected `int` >= 1" in plain words."""
-    expected = re.match(r"Expected `(\w+)[^`]*`([^,]*)", complaint)
-    if expected is None:
+    match = re.match(r"Expected `(\w+)[^`]*`([^,]*)", complaint)
+    if match is None:
         return f"must be valid ({complaint})"
-    return f"must be {_WORDS[expected[1]]}{expected[2]}"
+    return f"must be {_TYPE_WORDS[match[1]]}{match[2]}"

@@ -1,6 +1,6 @@
 """The scene file that `jaxvibro init` writes."""
 
-SCENE = """\
+SCENE_TEMPLATE = """\
 # A mass on a spring, driven, between two rigid walls. `jaxvibro run` with this file draws what it settles on as the
 # drive grows and falls, and looks for all that it can settle on at one strength of the drive.
 #

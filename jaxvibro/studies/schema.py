@@ -6,20 +6,20 @@ import numpy as np
 from jaxtyping import Float
 from msgspec import Meta, field
 
-from ..scene.check import MOST_PERIODS
+from ..scene.check import MAX_ORBIT_PERIODS
 from ..scene.scene_table import SceneTable, Table
 from ..scene.state import State
 
-MOST = 1_000_000
-MOST_LEGS = 1000
-MOST_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
-Count = Annotated[int, Meta(ge=1, le=MOST)]
+MAX_COUNT = 1_000_000
+MAX_LEGS = 1000
+MAX_SWEEP_STATES = 20_000_000  # kept in a sweep: a gigabyte while it is put together and drawn
+Count = Annotated[int, Meta(ge=1, le=MAX_COUNT)]
 Seconds = Annotated[float, Meta(gt=0, le=1e9)]  # of wall-clock time
-Settle = Annotated[int, Meta(ge=0, le=MOST)]
-Periods = Annotated[int, Meta(ge=1, le=MOST_PERIODS)]
+Settle = Annotated[int, Meta(ge=0, le=MAX_COUNT)]
+Periods = Annotated[int, Meta(ge=1, le=MAX_ORBIT_PERIODS)]
 Seed = Annotated[int, Meta(ge=0, lt=2**32)]
 Name = Annotated[str, Meta(min_length=1)]
-KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci
+LOCUS_KINDS = ("SN", "PD", "SB", "GR")  # special points that have loci
 
 
 class StartTable(Table, frozen=True):
@@ -45,7 +45,7 @@ class SweepTable(Table, frozen=True, kw_only=True):
     count: Count
     settle: Settle = 300
     keep: Count = 100
-    legs: Annotated[list[LegTable], Meta(min_length=1, max_length=MOST_LEGS)]
+    legs: Annotated[list[LegTable], Meta(min_length=1, max_length=MAX_LEGS)]
     max_seconds: Seconds | None = None
 
     def values(self, leg: LegTable) -> Float[np.ndarray, " count"]:
@@ -105,7 +105,7 @@ class LocusTable(Table, frozen=True, kw_only=True):
 
     parameters: tuple[Name, Name]
     bounds: dict[str, tuple[float, float]]
-    kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = KINDS
+    kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = LOCUS_KINDS
     largest_step: float = 0.1
     max_seconds: Seconds | None = None
 
@@ -116,7 +116,7 @@ class MarginTable(Table, frozen=True, kw_only=True):
 
     free: Annotated[dict[str, float], Meta(min_length=1)]
     bounds: dict[str, tuple[float, float]] = field(default_factory=dict)
-    kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = KINDS
+    kinds: Annotated[tuple[Name, ...], Meta(min_length=1)] = LOCUS_KINDS
     start: StartTable = StartTable(0.0, 0.0)
     at: dict[str, float] = field(default_factory=dict)
     settle: Settle = 200
@@ -193,11 +193,11 @@ class MapTable(Table, frozen=True, kw_only=True):
     def arguments(self) -> dict[str, Any]:
         """Those of `map_parameters`, but for the scene."""
         with np.errstate(over="ignore", invalid="ignore"):
-            pairs = zip(self.parameters, self.count, strict=True)
-            grid = {name: np.linspace(*self.bounds[name], count) for name, count in pairs}
+            parameter_counts = zip(self.parameters, self.count, strict=True)
+            grid = {name: np.linspace(*self.bounds[name], count) for name, count in parameter_counts}
         start = State(self.start.x, self.start.v) if self.starts is None else self.starts
-        alike = ("quantities", "along", "settle", "patience", "seed")
-        return {"grid": grid, "start": start, **{name: getattr(self, name) for name in alike}}
+        option_names = ("quantities", "along", "settle", "patience", "seed")
+        return {"grid": grid, "start": start, **{name: getattr(self, name) for name in option_names}}
 
 
 class ViewTable(Table, frozen=True, kw_only=True):
@@ -228,15 +228,15 @@ class SceneFile(Table, frozen=True):
     view: Annotated[list[ViewTable], Meta(max_length=1000)] = field(default_factory=list)
 
     @property
-    def followed(self) -> BranchTable | ExploreTable | None:
+    def branch_table(self) -> BranchTable | ExploreTable | None:
         """What gives branches: [branch] or [explore]; None without."""
         return self.branch or self.explore
 
     @property
-    def is_map_alone(self) -> bool:
+    def has_only_map(self) -> bool:
         """Whether a [map] is all that is asked for."""
-        others = (name for name in self.__struct_fields__ if name not in ("scene", "map", "panels", "view"))
-        return self.map is not None and not any(getattr(self, name) for name in others)
+        study_names = (name for name in self.__struct_fields__ if name not in ("scene", "map", "panels", "view"))
+        return self.map is not None and not any(getattr(self, name) for name in study_names)
 
     @property
     def panel_values(self) -> list[dict[str, float]]:

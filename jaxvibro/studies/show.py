@@ -3,16 +3,16 @@
 from os import PathLike
 from pathlib import Path
 
-from ..output.atomic_write import refuse_folder, whole
-from ..output.checksums import netcdf
-from ..output.units import require_system
-from ..scene.check import ArgumentError, host
+from ..output.atomic_write import atomic_file, require_writable_folder
+from ..output.checksums import netcdf_bytes
+from ..output.units import require_unit_system
+from ..scene.check import ArgumentError, host_only
 from ..stores.zarr_store import load_store
-from ..surveys.map import told
+from ..surveys.map import add_label_flags
 from . import map_report
 
 
-@host("use what was loaded before")
+@host_only("use what was loaded before")
 def show(
     path: str | PathLike[str],
     picture: str | PathLike[str] | None = None,
@@ -27,18 +27,18 @@ def show(
 
     Raises ArgumentError for what is no map's store, or damaged, OSError where a file cannot be read or written.
     """
-    require_system(units)
-    for each in (picture, data):
-        if each is not None:
-            refuse_folder(Path(each).parent)
-    found = load_store(path)
-    if "label" not in found or "scene_file" not in found.attrs:
+    require_unit_system(units)
+    for target in (picture, data):
+        if target is not None:
+            require_writable_folder(Path(target).parent)
+    map_data = load_store(path)
+    if "label" not in map_data or "scene_file" not in map_data.attrs:
         raise ArgumentError("path", "must be the store of a map", str(path))
-    found = told(found)
-    contents = {} if picture is None else {picture: map_report.picture(found, units)}
-    contents |= {} if data is None else {data: netcdf(found)}
-    for place, content in contents.items():
-        with whole(place, force) as file:
+    map_data = add_label_flags(map_data)
+    contents = {} if picture is None else {picture: map_report.map_picture(map_data, units)}
+    contents |= {} if data is None else {data: netcdf_bytes(map_data)}
+    for output_path, content in contents.items():
+        with atomic_file(output_path, force) as file:
             file.write(content)
-    done, of = found.attrs["chunks_done"], found.attrs["chunks"]
-    return "\n".join([f"{path}: {done} of {of} chunks are done", *map_report.lines(found, units)])
+    n_done, n_chunks = map_data.attrs["chunks_done"], map_data.attrs["chunks"]
+    return "\n".join([f"{path}: {n_done} of {n_chunks} chunks are done", *map_report.map_lines(map_data, units)])

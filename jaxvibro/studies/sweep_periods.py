@@ -4,17 +4,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..output.runs import runs
-from ..scene.check import MOST_PERIODS
+from ..output.equal_runs import find_equal_runs
+from ..scene.check import MAX_ORBIT_PERIODS
 from ..scene.state import State
 from ..surveys.motions import UNDECIDED as MOTION_UNDECIDED
-from ..surveys.motions import motions
+from ..surveys.motions import classify_motions
 
-NEAR = 1e-6  # of the largest x and v of the diagram: a return as near as this counts
-BAD, NOT_SETTLED, UNDECIDED = -1, -2, -3  # in place of a number of periods; 0: chaotic
-WORDS = {0: "chaotic", BAD: "bad status", NOT_SETTLED: "not settled", UNDECIDED: "undecided"}
-TRANSIENT = MOST_PERIODS  # periods left out: after fewer, a motion that does not come back counts as not settled
-PATIENCE = 1024  # drive periods that a motion which does not come back is run on for
+RETURN_TOLERANCE = 1e-6  # of the largest x and v of the diagram: a return as near as this counts
+BAD_STATUS, NOT_SETTLED, UNDECIDED = -1, -2, -3  # in place of a number of periods; 0: chaotic
+MOTION_WORDS = {0: "chaotic", BAD_STATUS: "bad status", NOT_SETTLED: "not settled", UNDECIDED: "undecided"}
+MIN_TRANSIENT = (
+    MAX_ORBIT_PERIODS  # periods left out: after fewer, a motion that does not come back counts as not settled
+)
+MAX_EXTRA_PERIODS = 1024  # drive periods that a motion which does not come back is run on for
 
 
 @dataclass(frozen=True)
@@ -35,61 +37,66 @@ class Stretch:
     motion: str
 
 
-def stretches(swept, scene, settle):
+def find_stretches(sweep_data, scene, settle):
     """The stretches of a Dataset of `sweep` with dimensions (step, leg, period), leg by leg. settle: the periods left
     out at each value."""
-    values = swept[swept.attrs["swept"]].transpose("step", "leg").values
-    found = kinds(swept, scene, settle)
+    values = sweep_data[sweep_data.attrs["swept"]].transpose("step", "leg").values
+    periods = motion_periods(sweep_data, scene, settle)
     return [
         Stretch(
             str(leg),
-            float(values[first, k]),
-            float(values[last - 1, k]),
-            last - first,
-            *_told(int(found[first, k])),
+            float(values[start, leg_index]),
+            float(values[stop - 1, leg_index]),
+            stop - start,
+            *_stretch_fields(int(periods[start, leg_index])),
         )
-        for k, leg in enumerate(swept["leg"].values)
-        for first, last in runs(found[:, k])
+        for leg_index, leg in enumerate(sweep_data["leg"].values)
+        for start, stop in find_equal_runs(periods[:, leg_index])
     ]
 
 
-def longest(swept):
+def max_recorded_period(sweep_data):
     """The largest number of periods looked for: half of those kept, MOST_PERIODS at most."""
-    return min(MOST_PERIODS, swept.sizes["period"] // 2)
+    return min(MAX_ORBIT_PERIODS, sweep_data.sizes["period"] // 2)
 
 
-def _told(number):
+def _stretch_fields(code):
     """(periods, motion) of a `Stretch`."""
-    return None if number == BAD else max(number, 0), WORDS.get(number, "periodic")
+    return None if code == BAD_STATUS else max(code, 0), MOTION_WORDS.get(code, "periodic")
 
 
-def kinds(swept, scene, settle):
-    """Periods of the motion at each value, or a code of `WORDS`: (step, leg).
+def motion_periods(sweep_data, scene, settle):
+    """Periods of the motion at each value, or a code of `MOTION_WORDS`: (step, leg).
 
     Where the recorded states do not come back the motion is run on from the last of them, until it comes back or its
     largest Lyapunov exponent is known (`surveys.motions`).
     """
-    found = recurrence(swept)
-    lost = np.nonzero(found == 0)
-    if not len(lost[0]) or settle < TRANSIENT:
-        return np.where(found == 0, NOT_SETTLED, found)
-    name, last = swept.attrs["swept"], swept.isel(period=-1)
-    values, x, v = (each.transpose("step", "leg").values[lost] for each in (swept[name], last["x"], last["v"]))
-    phase = np.full_like(x, float(swept.attrs["phase"]))
-    there = scene.replace(**{name: values.astype(scene.dtype)})
-    onward = motions(there, State(x, v, phase, np.zeros_like(x)), 0, PATIENCE).periods
-    short = (onward > 0) & (onward <= longest(swept))
-    found[lost] = np.select([short, onward == MOTION_UNDECIDED], [NOT_SETTLED, UNDECIDED], onward)
-    return found
+    periods = recurrence_periods(sweep_data)
+    unresolved = np.nonzero(periods == 0)
+    if not len(unresolved[0]) or settle < MIN_TRANSIENT:
+        return np.where(periods == 0, NOT_SETTLED, periods)
+    parameter, last_states = sweep_data.attrs["swept"], sweep_data.isel(period=-1)
+    values, x, v = (
+        array.transpose("step", "leg").values[unresolved]
+        for array in (sweep_data[parameter], last_states["x"], last_states["v"])
+    )
+    phase = np.full_like(x, float(sweep_data.attrs["phase"]))
+    swept_scenes = scene.replace(**{parameter: values.astype(scene.dtype)})
+    further_periods = classify_motions(swept_scenes, State(x, v, phase, np.zeros_like(x)), 0, MAX_EXTRA_PERIODS).periods
+    is_transient = (further_periods > 0) & (further_periods <= max_recorded_period(sweep_data))
+    periods[unresolved] = np.select(
+        [is_transient, further_periods == MOTION_UNDECIDED], [NOT_SETTLED, UNDECIDED], further_periods
+    )
+    return periods
 
 
-def recurrence(swept):
+def recurrence_periods(sweep_data):
     """After how many periods the states kept come back, 0 where they do not, -1 on a bad status: (step, leg)."""
-    points = np.stack([swept[key].transpose("period", "step", "leg").values for key in ("x", "v")])
-    near = NEAR * np.nanmax(abs(points), initial=0.0)
-    found = np.where(np.isnan(points).any(axis=(0, 1)), -1, 0)
-    for n in range(1, longest(swept) + 1):
-        left = found == 0
-        some = points[:, :, left]
-        found[left] = np.where(abs(some[:, n:] - some[:, :-n]).max(axis=(0, 1)) <= near, n, 0)
-    return found
+    points = np.stack([sweep_data[key].transpose("period", "step", "leg").values for key in ("x", "v")])
+    tolerance = RETURN_TOLERANCE * np.nanmax(abs(points), initial=0.0)
+    periods = np.where(np.isnan(points).any(axis=(0, 1)), -1, 0)
+    for n in range(1, max_recorded_period(sweep_data) + 1):
+        unresolved = periods == 0
+        candidates = points[:, :, unresolved]
+        periods[unresolved] = np.where(abs(candidates[:, n:] - candidates[:, :-n]).max(axis=(0, 1)) <= tolerance, n, 0)
+    return periods

@@ -1,59 +1,69 @@
 """The text of a swept diagram, and of the motion from rest where no study was asked for."""
 
-from ..output.table_text import columns, headed
-from ..output.units import LENGTH, SPEED, unit_in, unit_of
-from .compute import KEEP, SETTLE
-from .sweep_periods import PATIENCE, longest
+from ..output.table_text import align_columns, column_header
+from ..output.units import LENGTH, SPEED, unit_in_system, unit_of
+from .compute import DEFAULT_KEEP, DEFAULT_SETTLE
+from .sweep_periods import MAX_EXTRA_PERIODS, max_recorded_period
 
 IRREGULAR = {
     "chaotic": "the largest Lyapunov exponent is positive",
     "not settled": "a transient: more periods have to be left out",
-    "undecided": f"none of these within {PATIENCE} periods more",
+    "undecided": f"none of these within {MAX_EXTRA_PERIODS} periods more",
 }
 
 
-def lines(found, units):
+def sweep_lines(results, units):
     """The lines of the table."""
-    asked = found.file.sweep
-    if asked is None:
-        yield from _rest(found, units)
+    table = results.file.sweep
+    if table is None:
+        yield from _rest_lines(results, units)
         return
-    unit, size = unit_in(found.scene, unit_of(asked.parameter), units)
-    yield f"sweep of {asked.parameter}: {asked.count} values, {asked.settle} periods settled, {asked.keep} kept"
-    rows = [("leg", headed("from", unit, units), headed("to", unit, units), "values", "periods")]
-    rows += [(one.leg, size * one.first, size * one.last, one.count, _periods(one)) for one in found.stretches]
-    yield columns(rows)
-    yield _meaning(found)
-    if "stopped" in found.swept.attrs:
-        yield found.swept.attrs["stopped"]
+    unit, factor = unit_in_system(results.scene, unit_of(table.parameter), units)
+    yield f"sweep of {table.parameter}: {table.count} values, {table.settle} periods settled, {table.keep} kept"
+    rows = [("leg", column_header("from", unit, units), column_header("to", unit, units), "values", "periods")]
+    rows += [
+        (stretch.leg, factor * stretch.first, factor * stretch.last, stretch.count, _periods_text(stretch))
+        for stretch in results.stretches
+    ]
+    yield align_columns(rows)
+    yield _meaning_text(results)
+    if "stopped" in results.swept.attrs:
+        yield results.swept.attrs["stopped"]
 
 
-def _rest(found, units):
-    swept, ((x, wide), (v, high)) = found.swept, plane(found, units)
-    (one,), last = found.stretches, swept.isel(step=0, leg=0, period=-1)
-    yield f"from rest, after {SETTLE + KEEP} drive periods, at phase 0 of the drive"
-    rows = [(x, f"{wide * float(last['x']):.12f}"), (v, f"{high * float(last['v']):.12f}")]
-    rows += [("periods", _periods(one))]
-    yield columns(rows)
-    yield _meaning(found)
+def _rest_lines(results, units):
+    sweep_data, ((x_heading, x_factor), (v_heading, v_factor)) = results.swept, state_headings(results, units)
+    (stretch,), last_state = results.stretches, sweep_data.isel(step=0, leg=0, period=-1)
+    yield f"from rest, after {DEFAULT_SETTLE + DEFAULT_KEEP} drive periods, at phase 0 of the drive"
+    rows = [
+        (x_heading, f"{x_factor * float(last_state['x']):.12f}"),
+        (v_heading, f"{v_factor * float(last_state['v']):.12f}"),
+    ]
+    rows += [("periods", _periods_text(stretch))]
+    yield align_columns(rows)
+    yield _meaning_text(results)
 
 
-def plane(found, units):
+def state_headings(results, units):
     """(name with its unit, how much of it one of the scene's is) of x and of v."""
-    known = ((name, *unit_in(found.scene, unit, units)) for name, unit in (("x", LENGTH), ("v", SPEED)))
-    return [(headed(name, unit, units), size) for name, unit, size in known]
+    conversions = ((name, *unit_in_system(results.scene, unit, units)) for name, unit in (("x", LENGTH), ("v", SPEED)))
+    return [(column_header(name, unit, units), factor) for name, unit, factor in conversions]
 
 
-def _periods(one):
-    return one.periods if one.motion == "periodic" else one.motion
+def _periods_text(stretch):
+    return stretch.periods if stretch.motion == "periodic" else stretch.motion
 
 
-def _meaning(found):
+def _meaning_text(results):
     """The meaning of the column of periods."""
-    told = [f"{name}: {IRREGULAR[name]}" for name in IRREGULAR if any(one.motion == name for one in found.stretches)]
-    long = (
-        f"above {longest(found.swept)} found by running on"
-        if any((one.periods or 0) > longest(found.swept) for one in found.stretches)
+    meanings = [
+        f"{name}: {IRREGULAR[name]}"
+        for name in IRREGULAR
+        if any(stretch.motion == name for stretch in results.stretches)
+    ]
+    long_note = (
+        f"above {max_recorded_period(results.swept)} found by running on"
+        if any((stretch.periods or 0) > max_recorded_period(results.swept) for stretch in results.stretches)
         else ""
     )
-    return "; ".join(filter(None, ["periods: drive periods after which the state comes back", long, *told]))
+    return "; ".join(filter(None, ["periods: drive periods after which the state comes back", long_note, *meanings]))

@@ -5,10 +5,10 @@ import tomllib
 
 import numpy as np
 
-from ..scene.check import SceneError, short
+from ..scene.check import SceneError, shorten
 
-LARGEST = 1_000_000  # bytes
-DEEPEST = 8  # names in a dotted key, and brackets within brackets
+MAX_BYTES = 1_000_000  # bytes
+MAX_DEPTH = 8  # names in a dotted key, and brackets within brackets
 _QUOTED = re.compile(
     r"""
     \#[^\n]*                                  # a comment
@@ -19,26 +19,26 @@ _QUOTED = re.compile(
     """,
     re.VERBOSE | re.DOTALL,
 )
-_DEEP = re.compile(rf"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){{{DEEPEST}}}")
+_DEEP_KEY = re.compile(rf"(?<![\w-])(?:[\w-]+[ \t]*\.[ \t]*){{{MAX_DEPTH}}}")
 
 
-def content(path):
+def read_content(path):
     """The bytes of a scene file. Raises SceneError where it is too large, OSError where it cannot be read."""
     with open(path, "rb") as file:
-        found = file.read(LARGEST + 1)
-    if len(found) > LARGEST:
-        raise SceneError(path.name, f"must be at most {LARGEST:,} bytes long", "more")
-    return found
+        data = file.read(MAX_BYTES + 1)
+    if len(data) > MAX_BYTES:
+        raise SceneError(path.name, f"must be at most {MAX_BYTES:,} bytes long", "more")
+    return data
 
 
-def parsed(key, text):
+def parse_toml(key, text):
     """The tables of a text. Raises SceneError for a key or brackets too deep, ValueError where it is no TOML."""
     text.encode()  # no lone surrogates, as of a command line in another encoding
-    plain = _QUOTED.sub(lambda found: "" if found[0].startswith("#") else "s", text)
-    if deep := _DEEP.search(plain):
-        raise SceneError(key, f"must have keys of at most {DEEPEST} names", short(deep[0]))
-    codes = np.frombuffer(plain.encode(), np.uint8)
+    stripped_text = _QUOTED.sub(lambda match: "" if match[0].startswith("#") else "s", text)
+    if deep_key := _DEEP_KEY.search(stripped_text):
+        raise SceneError(key, f"must have keys of at most {MAX_DEPTH} names", shorten(deep_key[0]))
+    codes = np.frombuffer(stripped_text.encode(), np.uint8)
     depth = np.cumsum(np.isin(codes, (91, 123)).astype(int) - np.isin(codes, (93, 125)))
-    if depth.max(initial=0) > DEEPEST:
-        raise SceneError(key, f"must have at most {DEEPEST} brackets within each other", int(depth.max()))
+    if depth.max(initial=0) > MAX_DEPTH:
+        raise SceneError(key, f"must have at most {MAX_DEPTH} brackets within each other", int(depth.max()))
     return tomllib.loads(text)

@@ -4,26 +4,26 @@ from contextlib import contextmanager
 
 import numpy as np
 
-from ..design.free_numbers import room_of, units_of
-from ..design.records import positive
+from ..design.free_parameters import allowed_changes, check_units
+from ..design.records import positive_number
 from ..scene import check
-from ..scene.scene import Scene, changed, free_between, known
-from ..scene.scene_table import PLAIN
-from ..surveys.map import study_of
-from .schema import KINDS, MOST_STATES
+from ..scene.scene import Scene, replace_unchecked, rigid_wall_positions, validate_scene
+from ..scene.scene_table import NUMBER_KEYS
+from ..surveys.map import make_study
+from .schema import LOCUS_KINDS, MAX_SWEEP_STATES
 
 
-@check.of_scene
-def checked(file):
+@check.raise_scene_errors
+def check_scene_file(file):
     """A `SceneFile`, once scene and studies break no rule. Raises SceneError naming the key, dotted from the top."""
-    scene = _plain(file.scene)
+    scene = _numpy_scene(file.scene)
     if file.sweep is not None:
         _check_sweep(scene, file.sweep)
     for name in ("attractors", "orbits"):
-        asked = getattr(file, name)
-        if asked is not None:
-            with _under(f"{name}.at."):
-                known(changed(scene, asked.at), np.float64)
+        table = getattr(file, name)
+        if table is not None:
+            with _prefixed_errors(f"{name}.at."):
+                validate_scene(replace_unchecked(scene, table.at), np.float64)
     if file.branch is not None:
         _check_branch(scene, file.branch)
     if file.explore is not None:
@@ -44,18 +44,18 @@ def checked(file):
     return file
 
 
-def _plain(table):
+def _numpy_scene(table):
     """The scene of a table in NumPy's float64, checked, whether jax has double precision on or not."""
     left, right = (wall and wall.wall() for wall in (table.left, table.right))
-    given = {name: getattr(table, name) for name in PLAIN}
-    plain = {name: None if value is None else np.asarray(value) for name, value in given.items()}
-    force, drive = table.force and table.force.force(), tuple(each.motion() for each in table.drive)
-    with _under("scene."):
-        return known(Scene(**plain, left=left, right=right, force=force, drive=drive), np.float64)
+    values = {name: getattr(table, name) for name in NUMBER_KEYS}
+    arrays = {name: None if value is None else np.asarray(value) for name, value in values.items()}
+    force, drive = table.force and table.force.force(), tuple(term.motion() for term in table.drive)
+    with _prefixed_errors("scene."):
+        return validate_scene(Scene(**arrays, left=left, right=right, force=force, drive=drive), np.float64)
 
 
 @contextmanager
-def _under(prefix):
+def _prefixed_errors(prefix):
     """Names the keys of a scene's errors as the file does."""
     try:
         yield
@@ -65,69 +65,71 @@ def _under(prefix):
 
 def _check_map(scene, table):
     _check_plane("map", scene, table)
-    with _under("map.at."):
-        here = known(changed(scene, table.at), np.float64)
+    with _prefixed_errors("map.at."):
+        map_scene = validate_scene(replace_unchecked(scene, table.at), np.float64)
     if table.starts is None:
-        _check_start("map.start", here, table.start)
-    with _under("map."):
-        study_of(here, **table.arguments)
+        _check_start("map.start", map_scene, table.start)
+    with _prefixed_errors("map."):
+        make_study(map_scene, **table.arguments)
 
 
-def _check_plane(key, scene, asked):
+def _check_plane(key, scene, table):
     """Two different parameters, and bounds for both."""
-    names = list(asked.parameters)
-    for place, name in enumerate(names):
-        _check_name(f"{key}.parameters[{place}]", scene, name)
+    names = list(table.parameters)
+    for index, name in enumerate(names):
+        _check_name(f"{key}.parameters[{index}]", scene, name)
     if names[0] == names[1]:
         raise check.SceneError(f"{key}.parameters", "must be two different parameters", names)
-    if set(asked.bounds) != set(names):
-        given = ", ".join(asked.bounds) or "none"
-        raise check.SceneError(f"{key}.bounds", f"must give [low, high] for {' and for '.join(names)}, no other", given)
+    if set(table.bounds) != set(names):
+        bound_names = ", ".join(table.bounds) or "none"
+        raise check.SceneError(
+            f"{key}.bounds", f"must give [low, high] for {' and for '.join(names)}, no other", bound_names
+        )
     for name in names:
-        _check_bounds(f"{key}.bounds.{name}", asked.bounds[name])
+        _check_bounds(f"{key}.bounds.{name}", table.bounds[name])
 
 
 def _check_sweep(scene, sweep):
     _check_name("sweep.parameter", scene, sweep.parameter)
-    if sweep.count * sweep.keep * len(sweep.legs) > MOST_STATES:
-        rule = f"must keep at most {MOST_STATES:,} states: count times keep times the number of legs"
+    if sweep.count * sweep.keep * len(sweep.legs) > MAX_SWEEP_STATES:
+        rule = f"must keep at most {MAX_SWEEP_STATES:,} states: count times keep times the number of legs"
         raise check.SceneError("sweep.keep", rule, sweep.keep)
-    met = set()
-    for place, leg in enumerate(sweep.legs):
-        if leg.name in met:
-            raise check.SceneError(f"sweep.legs[{place}].name", "must differ from the other legs' names", leg.name)
-        met.add(leg.name)
-        _check_leg(f"sweep.legs[{place}]", scene, sweep, leg)
+    leg_names = set()
+    for index, leg in enumerate(sweep.legs):
+        if leg.name in leg_names:
+            raise check.SceneError(f"sweep.legs[{index}].name", "must differ from the other legs' names", leg.name)
+        leg_names.add(leg.name)
+        _check_leg(f"sweep.legs[{index}]", scene, sweep, leg)
 
 
 def _check_leg(key, scene, sweep, leg):
     for name, value in (("from", leg.first), ("to", leg.last)):
-        check.number(f"{key}.{name}", value, np.float64)
-    with _under(f"{key} from {leg.first} to {leg.last}: "):
-        known(changed(scene, {sweep.parameter: sweep.values(leg)}), np.float64)
-    _check_start(f"{key}.start", changed(scene, {sweep.parameter: leg.first}), leg.start)
+        check.finite_array(f"{key}.{name}", value, np.float64)
+    with _prefixed_errors(f"{key} from {leg.first} to {leg.last}: "):
+        validate_scene(replace_unchecked(scene, {sweep.parameter: sweep.values(leg)}), np.float64)
+    _check_start(f"{key}.start", replace_unchecked(scene, {sweep.parameter: leg.first}), leg.start)
 
 
-def _check_spectrum(scene, asked):
-    _check_name("spectrum.parameter", scene, asked.parameter)
-    for name, value in (("from", asked.first), ("to", asked.last)):
-        check.number(f"spectrum.{name}", value, np.float64)
-    with _under(f"spectrum from {asked.first} to {asked.last}: "):
-        known(changed(scene, {asked.parameter: asked.values}), np.float64)
-    for value in (asked.first, asked.last):
-        _check_start("spectrum.start", changed(scene, {asked.parameter: value}), asked.start)
-    _check_step("spectrum.error", asked.error)
+def _check_spectrum(scene, table):
+    _check_name("spectrum.parameter", scene, table.parameter)
+    for name, value in (("from", table.first), ("to", table.last)):
+        check.finite_array(f"spectrum.{name}", value, np.float64)
+    with _prefixed_errors(f"spectrum from {table.first} to {table.last}: "):
+        validate_scene(replace_unchecked(scene, {table.parameter: table.values}), np.float64)
+    for value in (table.first, table.last):
+        _check_start("spectrum.start", replace_unchecked(scene, {table.parameter: value}), table.start)
+    _check_step("spectrum.error", table.error)
 
 
-def _check_basins(scene, asked):
+def _check_basins(scene, table):
     for key in ("x", "v"):
-        _check_bounds(f"basins.{key}", getattr(asked, key))
-    check.number("basins.phase", asked.phase, np.float64)
-    with _under("basins.at."):
-        scene = known(changed(scene, asked.at), np.float64)
-    low, high = map(float, free_between(scene, asked.phase))
-    if asked.x[0] < low or asked.x[1] > high:
-        raise check.SceneError("basins.x", f"must lie between the walls, here at {low} and {high}", list(asked.x))
+        _check_bounds(f"basins.{key}", getattr(table, key))
+    check.finite_array("basins.phase", table.phase, np.float64)
+    with _prefixed_errors("basins.at."):
+        scene = validate_scene(replace_unchecked(scene, table.at), np.float64)
+    lower, upper = map(float, rigid_wall_positions(scene, table.phase))
+    if table.x[0] < lower or table.x[1] > upper:
+        raise check.SceneError("basins.x", f"must lie between the walls, here at {lower} and {upper}", list(table.x))
 
 
 def _check_panels(scene, file):
@@ -136,17 +138,17 @@ def _check_panels(scene, file):
         raise check.SceneError("panels", "must give each parameter a value for each panel, as many of each", lengths)
     for name, values in file.panels.items():
         _check_name(f"panels.{name}", scene, name)
-        with _under("panels."):
-            known(changed(scene, {name: np.array(values)}), np.float64)
+        with _prefixed_errors("panels."):
+            validate_scene(replace_unchecked(scene, {name: np.array(values)}), np.float64)
 
 
 def _check_branch(scene, branch):
-    scene = _check_followed("branch", scene, branch)
-    low, high = branch.bounds
+    scene = _check_branch_table("branch", scene, branch)
+    lower, upper = branch.bounds
     value = float(scene.parameter(branch.parameter))
-    if not low <= value <= high:
+    if not lower <= value <= upper:
         if branch.parameter in branch.at:
-            rule = f"must lie within branch.bounds, {low} and {high}"
+            rule = f"must lie within branch.bounds, {lower} and {upper}"
             raise check.SceneError(f"branch.at.{branch.parameter}", rule, value)
         rule = f"must hold the scene's {branch.parameter}, {value}, or that in branch.at"
         raise check.SceneError("branch.bounds", rule, list(branch.bounds))
@@ -157,85 +159,91 @@ def _check_branch(scene, branch):
 def _check_explore(scene, file):
     if file.branch is not None:
         raise check.SceneError("explore", "must not stand beside [branch]", file.explore.parameter)
-    _check_followed("explore", scene, file.explore)
+    _check_branch_table("explore", scene, file.explore)
 
 
-def _check_followed(key, scene, asked):
+def _check_branch_table(key, scene, table):
     """The scene of a [branch] or [explore], once its parameter, bounds and values break no rule."""
-    _check_name(f"{key}.parameter", scene, asked.parameter)
-    _check_bounds(f"{key}.bounds", asked.bounds)
-    with _under(f"{key}.at."):
-        return known(changed(scene, asked.at), np.float64)
+    _check_name(f"{key}.parameter", scene, table.parameter)
+    _check_bounds(f"{key}.bounds", table.bounds)
+    with _prefixed_errors(f"{key}.at."):
+        return validate_scene(replace_unchecked(scene, table.at), np.float64)
 
 
 def _check_locus(scene, file):
-    asked, source = file.locus, file.followed
-    names = list(asked.parameters)
-    if source is None:
+    table, branch_table = file.locus, file.branch_table
+    names = list(table.parameters)
+    if branch_table is None:
         raise check.SceneError("locus", "must come with [branch] or [explore], whose special points it follows", names)
-    _check_plane("locus", scene, asked)
+    _check_plane("locus", scene, table)
     for name in names:
-        _check_reach(f"locus.bounds.{name}", name, asked.bounds[name], scene, file)
-    _check_kinds("locus.kinds", asked.kinds)
-    _check_step("locus.largest_step", asked.largest_step)
+        _check_overlap(f"locus.bounds.{name}", name, table.bounds[name], scene, file)
+    _check_kinds("locus.kinds", table.kinds)
+    _check_step("locus.largest_step", table.largest_step)
 
 
-def _check_margin(scene, asked):
-    with _under("margin.at."):
-        scene = known(changed(scene, asked.at), np.float64)
-    _check_kinds("margin.kinds", asked.kinds)
-    _check_start("margin.start", scene, asked.start)
-    with _under("margin."):
-        units = units_of(scene, asked.free)
-        room_of(scene, units, asked.bounds)
-        check.whole("directions", asked.directions, 2 * len(units))
+def _check_margin(scene, table):
+    with _prefixed_errors("margin.at."):
+        scene = validate_scene(replace_unchecked(scene, table.at), np.float64)
+    _check_kinds("margin.kinds", table.kinds)
+    _check_start("margin.start", scene, table.start)
+    with _prefixed_errors("margin."):
+        units = check_units(scene, table.free)
+        allowed_changes(scene, units, table.bounds)
+        check.whole_number("directions", table.directions, 2 * len(units))
 
 
-def _check_fit(scene, asked):
-    with _under("fit."):
-        room_of(scene, units_of(scene, asked.free), asked.bounds)
-        positive("sigma", asked.sigma)
+def _check_fit(scene, table):
+    with _prefixed_errors("fit."):
+        allowed_changes(scene, check_units(scene, table.free), table.bounds)
+        positive_number("sigma", table.sigma)
 
 
 def _check_kinds(key, kinds):
-    for place, kind in enumerate(kinds):
-        if kind not in KINDS or kind in kinds[:place]:
-            rule = f"must be one of {', '.join(KINDS)}" if kind not in KINDS else "must differ from the others"
-            raise check.SceneError(f"{key}[{place}]", rule, kind)
+    for index, kind in enumerate(kinds):
+        if kind not in LOCUS_KINDS or kind in kinds[:index]:
+            rule = (
+                f"must be one of {', '.join(LOCUS_KINDS)}" if kind not in LOCUS_KINDS else "must differ from the others"
+            )
+            raise check.SceneError(f"{key}[{index}]", rule, kind)
 
 
-def _check_reach(key, name, bounds, scene, file):
+def _check_overlap(key, name, bounds, scene, file):
     """Refuse bounds of a locus in which no special point of the branches can lie."""
-    table, source = "branch" if file.branch is not None else "explore", file.followed
-    (low, high), (least, most) = bounds, source.bounds
-    if name == source.parameter:
-        if high < least or most < low:
-            raise check.SceneError(key, f"must overlap {table}.bounds, {least} and {most}", list(bounds))
+    table_name, branch_table = "branch" if file.branch is not None else "explore", file.branch_table
+    (lower, upper), (branch_lower, branch_upper) = bounds, branch_table.bounds
+    if name == branch_table.parameter:
+        if upper < branch_lower or branch_upper < lower:
+            raise check.SceneError(
+                key, f"must overlap {table_name}.bounds, {branch_lower} and {branch_upper}", list(bounds)
+            )
         return
-    value = float(changed(scene, source.at).parameter(name))
-    if not low <= value <= high:
-        raise check.SceneError(key, f"must hold the {name} of [{table}], {value}", list(bounds))
+    value = float(replace_unchecked(scene, branch_table.at).parameter(name))
+    if not lower <= value <= upper:
+        raise check.SceneError(key, f"must hold the {name} of [{table_name}], {value}", list(bounds))
 
 
 def _check_bounds(key, bounds):
-    low, high = bounds
-    if not (np.isfinite(bounds).all() and low < high):
+    lower, upper = bounds
+    if not (np.isfinite(bounds).all() and lower < upper):
         raise check.SceneError(key, "must be [low, high], two finite numbers, the first smaller", list(bounds))
 
 
 def _check_step(key, step):
-    step = check.number(key, step, np.float64)
+    step = check.finite_array(key, step, np.float64)
     check.require(key, "must be greater than 0", step, step > 0)
 
 
 def _check_name(key, scene, name):
     if name not in scene.names:
-        raise check.SceneError(key, f"must be a parameter of the scene{check.among(name, scene.names)}", name)
+        raise check.SceneError(
+            key, f"must be a parameter of the scene{check.describe_choices(name, scene.names)}", name
+        )
 
 
 def _check_start(key, scene, start):
     for name in ("x", "v"):
-        check.number(f"{key}.{name}", getattr(start, name), np.float64)
-    low, high = map(float, free_between(scene, 0.0))
-    rule = f"must lie between the walls, here at {low} and {high}"
-    check.require(f"{key}.x", rule, start.x, low <= start.x <= high)
+        check.finite_array(f"{key}.{name}", getattr(start, name), np.float64)
+    lower, upper = map(float, rigid_wall_positions(scene, 0.0))
+    rule = f"must lie between the walls, here at {lower} and {upper}"
+    check.require(f"{key}.x", rule, start.x, lower <= start.x <= upper)

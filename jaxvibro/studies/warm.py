@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import jax
 
-from continuation import in_numpy
+from continuation import numpy_evaluation
 from continuation.cache_file import reason_for_distrust
 from continuation.persistent_jit import cache_folder
 
@@ -15,15 +15,18 @@ from ..attractors.find import find_attractors
 from ..branches.follow import follow
 from ..branches.switch import switch
 from ..loci.locus import locus
-from ..maps.initial_conditions import random_starts
+from ..maps.initial_conditions import draw_initial_states
 from ..maps.strobe import strobe
 from ..orbits.find import find_orbit
 from ..orbits.orbit import OrbitError
 from ..scene import check
 from ..scene.scene import Scene, make_scene
 
-LEFT, TRACED = ("SB", "BP", "PD"), ("SN", "SB", "PD", "GR")  # kinds of points: left by `switch`, followed by `locus`
-WIDE = 3.0  # times the amplitude, or 1 where that is less: its upper bound
+SWITCH_KINDS, LOCUS_KINDS = (
+    ("SB", "BP", "PD"),
+    ("SN", "SB", "PD", "GR"),
+)  # kinds of points: left by `switch`, followed by `locus`
+BOUND_FACTOR = 3.0  # times the amplitude, or 1 where that is less: its upper bound
 
 
 class Warmed(NamedTuple):
@@ -35,7 +38,7 @@ class Warmed(NamedTuple):
     left: tuple[str, ...]
 
 
-@check.host("call strobe or monodromy")
+@check.host_only("call strobe or monodromy")
 def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = None) -> Warmed:
     """Ask of a scene what is asked first, all of it compiled, so that jax's compile cache keeps it: a `Warmed`.
 
@@ -56,38 +59,38 @@ def warm(scene: Scene | None = None, progress: Callable[[str], object] | None = 
         raise check.ArgumentError("jax_compilation_cache_dir", rule, reason)
     scene = make_scene(2.0, 2.1, 0.05, 0.7, (-1.0, 1.0)) if scene is None else scene
     check.require_single(scene)
-    done, left = [], []
+    steps, failures = [], []
 
-    def asked(what, function, *given):
-        begun = process_time()
+    def run_step(step_name, function, *arguments):
+        start_time = process_time()
         if progress is not None:
-            progress(what)
+            progress(step_name)
         try:
-            found = function(*given)
+            result = function(*arguments)
         except (OrbitError, check.ArgumentError, ArithmeticError) as error:
-            left.append(f"{what}: {error}")
+            failures.append(f"{step_name}: {error}")
             return None
-        done.append((what, process_time() - begun))
-        return found
+        steps.append((step_name, process_time() - start_time))
+        return result
 
-    before, in_numpy.PATIENCE = in_numpy.PATIENCE, 0
+    previous_patience, numpy_evaluation.MAX_EVALUATIONS = numpy_evaluation.MAX_EVALUATIONS, 0
     try:
-        _ask(scene, asked)
+        _run_steps(scene, run_step)
     finally:
-        in_numpy.PATIENCE = before
-    return Warmed(Path(folder), tuple(done), tuple(left))
+        numpy_evaluation.MAX_EVALUATIONS = previous_patience
+    return Warmed(Path(folder), tuple(steps), tuple(failures))
 
 
-def _ask(scene, asked):
+def _run_steps(scene, run_step):
     amplitude, frequency = (float(scene.parameter(name)) for name in ("amplitude", "frequency"))
-    bounds = {"amplitude": (0.0, WIDE * max(1.0, amplitude)), "frequency": (0.7 * frequency, 1.4 * frequency)}
-    start = jax.tree.map(lambda leaf: leaf[0], random_starts(scene, 1, (0,)))
-    met = asked("strobe", strobe, scene, start)
-    orbit = met and asked("find_orbit", find_orbit, scene, met[0])
-    branch = orbit and asked("follow", follow, orbit, "amplitude", bounds["amplitude"])
-    kinds = {one.kind: one for one in branch.special} if branch else {}
-    for kind in (each for each in LEFT if each in kinds):
-        asked(f"switch at {kind}", switch, kinds[kind])
-    for kind in (each for each in TRACED if each in kinds):
-        asked(f"locus of {kind}", locus, kinds[kind], ("amplitude", "frequency"), bounds)
-    asked("find_attractors", find_attractors, scene)
+    bounds = {"amplitude": (0.0, BOUND_FACTOR * max(1.0, amplitude)), "frequency": (0.7 * frequency, 1.4 * frequency)}
+    start = jax.tree.map(lambda leaf: leaf[0], draw_initial_states(scene, 1, (0,)))
+    strobe_result = run_step("strobe", strobe, scene, start)
+    orbit = strobe_result and run_step("find_orbit", find_orbit, scene, strobe_result[0])
+    branch = orbit and run_step("follow", follow, orbit, "amplitude", bounds["amplitude"])
+    special_points = {special.kind: special for special in branch.special} if branch else {}
+    for kind in (candidate for candidate in SWITCH_KINDS if candidate in special_points):
+        run_step(f"switch at {kind}", switch, special_points[kind])
+    for kind in (candidate for candidate in LOCUS_KINDS if candidate in special_points):
+        run_step(f"locus of {kind}", locus, special_points[kind], ("amplitude", "frequency"), bounds)
+    run_step("find_attractors", find_attractors, scene)

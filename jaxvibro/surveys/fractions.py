@@ -9,22 +9,22 @@ from jaxtyping import ArrayLike, Float, Real
 
 from continuation.limits import UNLIMITED, limits_of, partial_reason
 
-from ..attractors.find import paired, settled_on
-from ..attractors.shares import LEVEL, share_bounds
-from ..attractors.sweep import MEANING, UNITS, equation, others, static
-from ..maps.initial_conditions import random_starts
-from ..output.units import LENGTH, SPEED, scales_in, unit_of
+from ..attractors.find import make_attractors, settle_starts
+from ..attractors.shares import SIGNIFICANCE_LEVEL, share_bounds
+from ..attractors.sweep import STATUS_FLAGS, UNITS_TEXT, equation_text, other_parameters, static_attributes
+from ..maps.initial_conditions import draw_initial_states
+from ..output.units import LENGTH, SPEED, scales_attributes, unit_of
 from ..scene import check
 from ..scene.scene import Scene
-from ..scene.unit_slips import require_scene_units
+from ..scene.unit_mistakes import require_scene_units
+from .attractor_transport import ParameterNode, transport_attractors
 from .least_shock import least_shock
-from .matching import identities, nearest_turn
-from .stations import Station, carry_on
+from .matching import match_attractors, nearest_rotation
 
-LARGEST = 2**31 - 1  # whole number that a NetCDF file of the classic format holds
+MAX_NETCDF_INT = 2**31 - 1  # whole number that a NetCDF file of the classic format holds
 
 
-@check.host("use strobe")
+@check.host_only("use strobe")
 def fractions(
     scene: Scene,
     name: str,
@@ -70,34 +70,37 @@ def fractions(
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
     check.require_single(scene)
-    values = _checked(scene, name, values)
-    starts, settle = check.whole("starts", starts, 1), check.whole("settle", settle, 0)
-    seed, shocks = check.whole("seed", seed, 0), check.whole("shocks", shocks, 0)
-    stations: list[Station] = []
+    values = _check_values(scene, name, values)
+    starts, settle = check.whole_number("starts", starts, 1), check.whole_number("settle", settle, 0)
+    seed, shocks = check.whole_number("seed", seed, 0), check.whole_number("shocks", shocks, 0)
+    nodes: list[ParameterNode] = []
     for value in values:
-        if stations and limits.expired:
+        if nodes and limits.expired:
             break
-        stations.append(_settled(scene.replace(**{name: value}), float(value), starts, seed, settle))
+        nodes.append(_settle_node(scene.replace(**{name: value}), float(value), starts, seed, settle))
         if progress is not None:
-            progress(len(stations))
-    carry_on(stations, name, settle)
-    known = identities(stations, name, settle) or [{}]
-    found = [paired(one.scene, one.seen, starts) for one in stations]
-    data, count = _dataset(scene, name, values[: len(stations)], stations, found, known, starts, seed), len(stations)
+            progress(len(nodes))
+    transport_attractors(nodes, name, settle)
+    tracks = match_attractors(nodes, name, settle) or [{}]
+    node_attractors = [make_attractors(node.scene, node.candidates, starts) for node in nodes]
+    data, n_done = (
+        _make_dataset(scene, name, values[: len(nodes)], nodes, node_attractors, tracks, starts, seed),
+        len(nodes),
+    )
     if shocks:
-        least, count = _shocks(stations, found, known, shocks, limits)
-        told = {"long_name": "least impulse at phase 0 that makes the motion leave", "units": SPEED}
-        data = data.assign(least_shock=((name, "attractor"), least, told)).assign_attrs(shocks=shocks)
-    if len(stations) < len(values):
-        data = _with_blanks(data, name, values)
-    if count < len(values):
-        data = data.assign_attrs(stopped=partial_reason(count, len(values), "values"))
+        shock_sizes, n_done = _least_shocks(nodes, node_attractors, tracks, shocks, limits)
+        shock_attrs = {"long_name": "least impulse at phase 0 that makes the motion leave", "units": SPEED}
+        data = data.assign(least_shock=((name, "attractor"), shock_sizes, shock_attrs)).assign_attrs(shocks=shocks)
+    if len(nodes) < len(values):
+        data = _pad_values(data, name, values)
+    if n_done < len(values):
+        data = data.assign_attrs(stopped=partial_reason(n_done, len(values), "values"))
     return data
 
 
-def _checked(scene, name, values) -> Float[np.ndarray, " values"]:
-    check.require_known(name, scene.names, name)
-    values = check.number(name, values, scene.dtype)
+def _check_values(scene, name, values) -> Float[np.ndarray, " values"]:
+    check.require_parameter(name, scene.names, name)
+    values = check.finite_array(name, values, scene.dtype)
     if values.ndim != 1 or len(values) == 0 or not (np.diff(values) > 0).all():
         raise check.ArgumentError(name, "must be values in rising order, at least one", values)
     require_scene_units("values", scene, name, values)
@@ -105,78 +108,104 @@ def _checked(scene, name, values) -> Float[np.ndarray, " values"]:
     return values
 
 
-def _settled(scene, value, starts, seed, settle):
-    """The `Station` of a value, of what its own starts settle on."""
-    drawn = random_starts(scene, starts, (seed, int(np.float64(value).view(np.uint64))))
-    found = settled_on(scene, drawn, settle)
-    return Station(value, scene, found.seen, len(found.lost), found.scale, int(found.status.max()))
+def _settle_node(scene, value, n_starts, seed, settle):
+    """The `ParameterNode` of a value, of what its own starts settle on."""
+    start_states = draw_initial_states(scene, n_starts, (seed, int(np.float64(value).view(np.uint64))))
+    settled_starts = settle_starts(scene, start_states, settle)
+    return ParameterNode(
+        value,
+        scene,
+        settled_starts.candidates,
+        len(settled_starts.failures),
+        settled_starts.scale,
+        int(settled_starts.status.max()),
+    )
 
 
-def _shocks(stations, found, known, shocks, limits=UNLIMITED):
+def _least_shocks(nodes, node_attractors, tracks, n_shocks, limits=UNLIMITED):
     """(the least impulses, (values, attractors), at how many values they have been looked for)."""
-    least = np.full((len(stations), len(known)), np.nan)
-    for k, station in enumerate(stations):
+    shock_sizes = np.full((len(nodes), len(tracks)), np.nan)
+    for node_index, node in enumerate(nodes):
         if limits.expired:
-            return least, k
-        least[k] = [_least(station.scene, found[k], one.get(k), shocks) for one in known]
-    return least, len(stations)
+            return shock_sizes, node_index
+        shock_sizes[node_index] = [
+            _least_shock_size(node.scene, node_attractors[node_index], track.get(node_index), n_shocks)
+            for track in tracks
+        ]
+    return shock_sizes, len(nodes)
 
 
-def _with_blanks(data, name, values):
+def _pad_values(data, name, values):
     """The data of the first values, with blanks at the others."""
-    fill = {key: BLANK.get(key, np.nan) for key in data.data_vars}
-    kept = {key: data[key].dtype for key in data.data_vars}
-    whole = data.reindex({name: values}, fill_value=fill)
-    return whole.assign({key: whole[key].astype(dtype) for key, dtype in kept.items()})
+    fill_values = {key: BLANK_VALUES.get(key, np.nan) for key in data.data_vars}
+    dtypes = {key: data[key].dtype for key in data.data_vars}
+    padded_data = data.reindex({name: values}, fill_value=fill_values)
+    return padded_data.assign({key: padded_data[key].astype(dtype) for key, dtype in dtypes.items()})
 
 
-def _least(scene, attractors, place, shocks):
+def _least_shock_size(scene, attractors, index, n_shocks):
     """The least impulse at phase 0 of one of the attractors; nan of none, and where it has no trap there."""
-    if place is None:
+    if index is None:
         return np.nan
     try:
-        return least_shock(scene, attractors, place, shocks=shocks).size
+        return least_shock(scene, attractors, index, shocks=n_shocks).size
     except check.ArgumentError as error:
         if error.key != "phase":
             raise
         return np.nan
 
 
-def _dataset(scene, name, values, stations, found, known, starts, seed):
+def _make_dataset(scene, name, values, nodes, node_attractors, tracks, n_starts, seed):
     """The named result of the attractors found at each value, and which of them are one."""
-    rows = [[_entry(found, one, k) for one in known] for k in range(len(found))]
-    for k, row in enumerate(rows):
-        for one, entry in zip(known, row, strict=True):
-            entry["mirror_of"] = _mirror(found[k], one, k, known)
-    lost = np.array([one.lost for one in stations])
-    low, high = np.array([share_bounds(int(count), starts) for count in lost]).T
-    along = {"long_name": "share of the starts on no attractor", "units": "1"}
+    rows = [
+        [_attractor_entry(node_attractors, item, node_index) for item in tracks]
+        for node_index in range(len(node_attractors))
+    ]
+    for node_index, row in enumerate(rows):
+        for item, entry in zip(tracks, row, strict=True):
+            entry["mirror_of"] = _mirror_index(node_attractors[node_index], item, node_index, tracks)
+    n_unresolved = np.array([item.n_unresolved for item in nodes])
+    lower, upper = np.array([share_bounds(int(count), n_starts) for count in n_unresolved]).T
+    unresolved_attrs = {"long_name": "share of the starts on no attractor", "units": "1"}
     variables = {
-        **{key: ((name, "attractor"), _column(rows, key), about) for key, about in ABOUT.items()},
-        "unresolved": (name, lost / starts, along),
-        "unresolved_low": (name, low, {"long_name": "lower bound of it at 95 %", "units": "1"}),
-        "unresolved_high": (name, high, {"long_name": "upper bound of it at 95 %", "units": "1"}),
+        **{
+            key: ((name, "attractor"), _entry_column(rows, key), column_attrs)
+            for key, column_attrs in COLUMN_ATTRS.items()
+        },
+        "unresolved": (name, n_unresolved / n_starts, unresolved_attrs),
+        "unresolved_low": (name, lower, {"long_name": "lower bound of it at 95 %", "units": "1"}),
+        "unresolved_high": (name, upper, {"long_name": "upper bound of it at 95 %", "units": "1"}),
         "status": (
             name,
-            np.array([one.status for one in stations], np.int32),
-            {"long_name": "worst status", **MEANING},
+            np.array([item.status for item in nodes], np.int32),
+            {"long_name": "worst status", **STATUS_FLAGS},
         ),
     }
     coords = {
         name: (name, values, {"long_name": name, "units": unit_of(name)}),
         "attractor": (
             "attractor",
-            np.arange(len(known), dtype=np.int32),
+            np.arange(len(tracks), dtype=np.int32),
             {"long_name": "attractor along the parameter"},
         ),
     }
-    attrs = {"equation": equation(scene), "units": UNITS, "swept": name, **static(scene), **scales_in(scene)}
-    attrs |= {key: float(value) for key, value in others(scene, name).items()}
-    attrs |= {"starts": starts, "seed": seed if seed <= LARGEST else str(seed), "confidence": 1.0 - LEVEL}
+    attrs = {
+        "equation": equation_text(scene),
+        "units": UNITS_TEXT,
+        "swept": name,
+        **static_attributes(scene),
+        **scales_attributes(scene),
+    }
+    attrs |= {key: float(value) for key, value in other_parameters(scene, name).items()}
+    attrs |= {
+        "starts": n_starts,
+        "seed": seed if seed <= MAX_NETCDF_INT else str(seed),
+        "confidence": 1.0 - SIGNIFICANCE_LEVEL,
+    }
     return xr.Dataset(variables, coords, attrs)
 
 
-ABOUT = {
+COLUMN_ATTRS = {
     "share": {"long_name": "share of the starts", "units": "1"},
     "share_low": {"long_name": "lower bound of the share at 95 %", "units": "1"},
     "share_high": {"long_name": "upper bound of the share at 95 %", "units": "1"},
@@ -188,37 +217,49 @@ ABOUT = {
     "state_v": {"long_name": "velocity on it at phase 0", "units": SPEED},
     "mirror_of": {"long_name": "its mirror image among the attractors, -1 for none"},
 }
-ABSENT: dict[str, Any] = dict.fromkeys(("share", "share_low", "share_high", "exponent", "state_x", "state_v"), np.nan)
-ABSENT |= {"label": "", "kind": "", "periods": 0}
-BLANK = {"label": "", "kind": "", "periods": 0, "mirror_of": -1, "status": -1}  # of a value that is not done
+ABSENT_ENTRY: dict[str, Any] = dict.fromkeys(
+    ("share", "share_low", "share_high", "exponent", "state_x", "state_v"), np.nan
+)
+ABSENT_ENTRY |= {"label": "", "kind": "", "periods": 0}
+BLANK_VALUES = {"label": "", "kind": "", "periods": 0, "mirror_of": -1, "status": -1}  # of a value that is not done
 
 
-def _column(rows, key):
+def _entry_column(rows, key):
     """A variable (values, attractors) of the entries: texts of one width, whole numbers as files hold them."""
     dtype = {"label": str, "kind": str, "periods": np.int32, "mirror_of": np.int32}.get(key, float)
     return np.array([[entry[key] for entry in row] for row in rows], dtype).reshape(len(rows), -1)
 
 
-def _entry(found, one, k):
-    """What is told of an attractor at a value; one: {value's place: attractor's place}."""
-    if k not in one:
-        return dict(ABSENT)
-    here, points = found[k][one[k]], found[k][one[k]].points
-    if k - 1 in one and here.periods:
-        before = found[k - 1][one[k - 1]]
-        if before.periods == here.periods:
-            points = nearest_turn(points, before.points)
+def _attractor_entry(node_attractors, track, node_index):
+    """What is told of an attractor at a value; track: {value's place: attractor's place}."""
+    if node_index not in track:
+        return dict(ABSENT_ENTRY)
+    attractor, points = (
+        node_attractors[node_index][track[node_index]],
+        node_attractors[node_index][track[node_index]].points,
+    )
+    if node_index - 1 in track and attractor.periods:
+        previous = node_attractors[node_index - 1][track[node_index - 1]]
+        if previous.periods == attractor.periods:
+            points = nearest_rotation(points, previous.points)
     return {
-        "share": here.share,
-        "share_low": here.share_bounds[0],
-        "share_high": here.share_bounds[1],
-        **{key: getattr(here, key) for key in ("label", "kind", "periods", "exponent")},
-        "state_x": points[0, 0] if here.periods else here.state.x,
-        "state_v": points[0, 1] if here.periods else here.state.v,
+        "share": attractor.share,
+        "share_low": attractor.share_bounds[0],
+        "share_high": attractor.share_bounds[1],
+        **{key: getattr(attractor, key) for key in ("label", "kind", "periods", "exponent")},
+        "state_x": points[0, 0] if attractor.periods else attractor.state.x,
+        "state_v": points[0, 1] if attractor.periods else attractor.state.v,
     }
 
 
-def _mirror(attractors, one, k, known):
+def _mirror_index(attractors, track, node_index, tracks):
     """The place among the known attractors of one's mirror image at a value, -1 for none."""
-    image = attractors[one[k]].mirror_of if k in one else None
-    return next((place for place, other in enumerate(known) if image is not None and other.get(k) == image), -1)
+    image_index = attractors[track[node_index]].mirror_of if node_index in track else None
+    return next(
+        (
+            index
+            for index, other_track in enumerate(tracks)
+            if image_index is not None and other_track.get(node_index) == image_index
+        ),
+        -1,
+    )

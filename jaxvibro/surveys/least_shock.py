@@ -9,19 +9,19 @@ from jaxtyping import ArrayLike, Real
 
 from continuation.limits import limits_of, partial_reason
 
-from ..attractors.assign import homes
-from ..attractors.basins import PATIENCE
+from ..attractors.basin_labels import build_neighbourhoods
+from ..attractors.basins import MAX_PERIODS
 from ..attractors.find import Attractor, find_attractors
-from ..maps.initial_conditions import box
-from ..output.table_text import columns, headed
-from ..output.units import ANGLE, LENGTH, SPEED, scales_in, unit_in
+from ..maps.initial_conditions import initial_box
+from ..output.table_text import align_columns, column_header
+from ..output.units import ANGLE, LENGTH, SPEED, scales_attributes, unit_in_system
 from ..scene import check
 from ..scene.scene import Scene
 from ..scene.state import State
-from .shock_search import Found, Ground, base, search, unsearched
+from .shock_search import ShockProblem, ShockResult, base_points, empty_result, search_least_shock
 
 DIRECTIONS = ("v", "xv")
-SHOCKS = 1 << 18
+N_SHOCKS = 1 << 18
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,21 +66,39 @@ class LeastShock:
 
         Raises ArgumentError for other units, and where the scene has no scales.
         """
-        (length, long), (speed, fast) = (unit_in(self.scene, unit, units) for unit in (LENGTH, SPEED))
-        heads = (("size", speed), ("dx", length), ("dv", speed), ("x", length), ("v", speed))
-        rows = [("phase", *(headed(name, unit, units) for name, unit in heads), "leads to")]
-        scales = {"size": fast, "dx": long, "dv": fast, "x": long, "v": fast}
-        for k, phase in enumerate(self.by_phase["phase"].values):
-            one = self.by_phase.isel(phase=k)
-            to = int(one["to"])
-            named = f"{to}: {self.attractors[to].label}" if to >= 0 else "none found"
-            rows.append((f"{phase:.6g}", *(f"{size * float(one[name]):.7g}" for name, size in scales.items()), named))
-        told = f"{self.below} smaller shocks tried, {self.undecided} of them undecided; up to {fast * self.reach:.6g}"
-        safe = f"none below {fast * self.safe:.6g} leaves the trap of {self.place}: {self.attractors[self.place].label}"
-        return "\n".join([columns(rows), told, safe, *([self.stopped] if self.stopped else [])])
+        (length_name, x_unit), (speed_name, v_unit) = (
+            unit_in_system(self.scene, unit, units) for unit in (LENGTH, SPEED)
+        )
+        headings = (
+            ("size", speed_name),
+            ("dx", length_name),
+            ("dv", speed_name),
+            ("x", length_name),
+            ("v", speed_name),
+        )
+        rows = [("phase", *(column_header(name, unit, units) for name, unit in headings), "leads to")]
+        factors = {"size": v_unit, "dx": x_unit, "dv": v_unit, "x": x_unit, "v": v_unit}
+        for phase_index, phase in enumerate(self.by_phase["phase"].values):
+            phase_data = self.by_phase.isel(phase=phase_index)
+            destination = int(phase_data["to"])
+            destination_text = (
+                f"{destination}: {self.attractors[destination].label}" if destination >= 0 else "none found"
+            )
+            rows.append(
+                (
+                    f"{phase:.6g}",
+                    *(f"{factor * float(phase_data[name]):.7g}" for name, factor in factors.items()),
+                    destination_text,
+                )
+            )
+        note = f"{self.below} smaller shocks tried, {self.undecided} of them undecided; up to {v_unit * self.reach:.6g}"
+        safe = (
+            f"none below {v_unit * self.safe:.6g} leaves the trap of {self.place}: {self.attractors[self.place].label}"
+        )
+        return "\n".join([align_columns(rows), note, safe, *([self.stopped] if self.stopped else [])])
 
 
-@check.host("use strobe")
+@check.host_only("use strobe")
 def least_shock(
     scene: Scene,
     attractors: Sequence[Attractor] | None = None,
@@ -88,8 +106,8 @@ def least_shock(
     phase: Real[ArrayLike, "..."] | Sequence[float] = 0.0,
     direction: str = "v",
     reach: float | None = None,
-    shocks: int = SHOCKS,
-    patience: int = PATIENCE,
+    shocks: int = N_SHOCKS,
+    patience: int = MAX_PERIODS,
     seed: int = 0,
     progress: Callable[[int], object] | None = None,
     *,
@@ -119,113 +137,127 @@ def least_shock(
     check.require_single(scene)
     if direction not in DIRECTIONS:
         raise check.ArgumentError("direction", f"must be one of {', '.join(DIRECTIONS)}", direction)
-    phases = _phases(phase)
-    shocks, patience = check.whole("shocks", shocks, 1), check.whole("patience", patience, 1)
-    place, seed = check.whole("place", place, 0), check.whole("seed", seed, 0)
-    far = None if reach is None else _reach(reach)
+    phases = _check_phases(phase)
+    shocks, patience = check.whole_number("shocks", shocks, 1), check.whole_number("patience", patience, 1)
+    place, seed = check.whole_number("place", place, 0), check.whole_number("seed", seed, 0)
+    max_size = None if reach is None else _check_reach(reach)
     attractors = find_attractors(scene) if attractors is None else tuple(attractors)
     if place >= len(attractors) or attractors[place].kind == "unresolved":
-        known = [str(k) for k, one in enumerate(attractors) if one.kind != "unresolved"]
-        raise check.ArgumentError("place", f"must be that of an attractor ({', '.join(known)})", place)
-    left, right, fast = (float(edge) for edge in box(scene))
-    grounds = []
-    for angle in phases:
-        found = homes(scene, attractors, float(angle), max(abs(left), abs(right), fast))
-        if found[place].trap is None:
+        valid_indices = [str(index) for index, item in enumerate(attractors) if item.kind != "unresolved"]
+        raise check.ArgumentError("place", f"must be that of an attractor ({', '.join(valid_indices)})", place)
+    x_min, x_max, max_speed = (float(bound) for bound in initial_box(scene))
+    problems = []
+    for phase_angle in phases:
+        neighbourhoods = build_neighbourhoods(
+            scene, attractors, float(phase_angle), max(abs(x_min), abs(x_max), max_speed)
+        )
+        if neighbourhoods[place].region is None:
             rule = "an impact of the attractor falls on it, or it draws nothing in for certain: take another one"
-            raise check.ArgumentError("phase", rule, float(angle))
-        grounds.append(Ground(scene, float(angle), found, place, direction == "xv", patience))
-    far = _whole_box(grounds, left, right, fast) if far is None else far
-    count = _counter(progress)
-    results: list[Found] = []
-    for ground in grounds:
-        begins = not results or not limits.expired
-        results.append(search(ground, far, shocks, seed, count, limits) if begins else unsearched(ground))
-    complete = sum(one.complete for one in results)
-    stopped = "" if complete == len(grounds) else partial_reason(complete, len(grounds), "phases")
-    return _answer(scene, attractors, place, direction, far, phases, results, stopped)
+            raise check.ArgumentError("phase", rule, float(phase_angle))
+        problems.append(ShockProblem(scene, float(phase_angle), neighbourhoods, place, direction == "xv", patience))
+    max_size = _box_reach(problems, x_min, x_max, max_speed) if max_size is None else max_size
+    count_shocks = _shock_counter(progress)
+    results: list[ShockResult] = []
+    for problem in problems:
+        may_search = not results or not limits.expired
+        results.append(
+            search_least_shock(problem, max_size, shocks, seed, count_shocks, limits)
+            if may_search
+            else empty_result(problem)
+        )
+    n_complete = sum(item.complete for item in results)
+    stopped = "" if n_complete == len(problems) else partial_reason(n_complete, len(problems), "phases")
+    return _make_result(scene, attractors, place, direction, max_size, phases, results, stopped)
 
 
-def _phases(phase):
-    angles = np.atleast_1d(check.number("phase", phase, np.float64))
-    if angles.ndim != 1 or not angles.size:
-        raise check.ArgumentError("phase", "must be a number or a sequence of numbers", angles)
-    return angles
+def _check_phases(phase):
+    phase_angles = np.atleast_1d(check.finite_array("phase", phase, np.float64))
+    if phase_angles.ndim != 1 or not phase_angles.size:
+        raise check.ArgumentError("phase", "must be a number or a sequence of numbers", phase_angles)
+    return phase_angles
 
 
-def _reach(reach):
-    far = check.number("reach", reach, np.float64)
-    if far.shape or far <= 0:
+def _check_reach(reach):
+    max_size = check.finite_array("reach", reach, np.float64)
+    if max_size.shape or max_size <= 0:
         raise check.ArgumentError("reach", "must be a positive number", reach)
-    return float(far)
+    return float(max_size)
 
 
-def _whole_box(grounds, left, right, fast):
+def _box_reach(problems, x_min, x_max, max_speed):
     """A size within which every point has all of the box."""
-    points = np.concatenate([base(ground.homes[ground.place]) for ground in grounds])
-    speed = fast + abs(points[:, 1]).max()
-    length = max(points[:, 0].max() - left, right - points[:, 0].min())
-    return float(np.hypot(length, speed) if grounds[0].plane else speed)
+    points = np.concatenate([base_points(problem.neighbourhoods[problem.attractor_index]) for problem in problems])
+    speed = max_speed + abs(points[:, 1]).max()
+    length = max(points[:, 0].max() - x_min, x_max - points[:, 0].min())
+    return float(np.hypot(length, speed) if problems[0].is_planar else speed)
 
 
-def _counter(progress):
+def _shock_counter(progress):
     """What counts the shocks of all calls, and tells them."""
-    tried = 0
+    n_tried = 0
 
-    def count(number):
-        nonlocal tried
-        tried += number
+    def count_shocks(n_new):
+        nonlocal n_tried
+        n_tried += n_new
         if progress is not None:
-            progress(tried)
+            progress(n_tried)
 
-    return count
+    return count_shocks
 
 
-def _answer(scene, attractors, place, direction, reach, phases, results, stopped):
-    data = _dataset(scene, phases, results)
-    best = int(np.nanargmin([one.size for one in results]))
-    least = results[best]
+def _make_result(scene, attractors, index, direction, max_size, phases, results, stopped):
+    by_phase = _make_dataset(scene, phases, results)
+    best_index = int(np.nanargmin([result.size for result in results]))
+    best_result = results[best_index]
     return LeastShock(
-        size=least.size,
-        dx=float(least.change[0]),
-        dv=float(least.change[1]),
-        state=State(float(least.before[0]), float(least.before[1]), float(phases[best]), 0.0),
-        phase=float(phases[best]),
-        place=place,
-        to=least.to,
-        bracket=least.bracket,
-        until=least.until,
-        safe=min(one.safe for one in results),
-        below=sum(one.below for one in results),
-        undecided=sum(one.undecided for one in results),
-        least_undecided=min(one.least_undecided for one in results),
+        size=best_result.size,
+        dx=float(best_result.shock[0]),
+        dv=float(best_result.shock[1]),
+        state=State(
+            float(best_result.point_before[0]), float(best_result.point_before[1]), float(phases[best_index]), 0.0
+        ),
+        phase=float(phases[best_index]),
+        place=index,
+        to=best_result.to,
+        bracket=best_result.bracket,
+        until=best_result.until,
+        safe=min(result.safe for result in results),
+        below=sum(result.below for result in results),
+        undecided=sum(result.undecided for result in results),
+        least_undecided=min(result.least_undecided for result in results),
         direction=direction,
-        reach=reach,
+        reach=max_size,
         attractors=attractors,
         scene=scene,
-        by_phase=data,
+        by_phase=by_phase,
         stopped=stopped,
     )
 
 
-def _dataset(scene, phases, results):
-    def all_of(read, dtype=float, **attrs):
-        return "phase", np.array([read(one) for one in results], dtype), attrs
+def _make_dataset(scene, phases, results):
+    def variable(getter, dtype=float, **attrs):
+        return "phase", np.array([getter(result) for result in results], dtype), attrs
 
     return xr.Dataset(
         {
-            "size": all_of(lambda one: one.size, long_name="least shock that leaves", units=SPEED),
-            "dx": all_of(lambda one: one.change[0], units=LENGTH),
-            "dv": all_of(lambda one: one.change[1], units=SPEED),
-            "x": all_of(lambda one: one.before[0], long_name="displacement before it", units=LENGTH),
-            "v": all_of(lambda one: one.before[1], long_name="velocity before it", units=SPEED),
-            "to": all_of(lambda one: one.to, int, long_name="attractor that it leads to, -1 none"),
-            "until": all_of(lambda one: one.until, long_name="up to here all in its direction leave", units=SPEED),
-            "safe": all_of(lambda one: one.safe, long_name="no smaller one leaves", units=SPEED),
-            "below": all_of(lambda one: one.below, int, long_name="smaller ones tried"),
-            "undecided": all_of(lambda one: one.undecided, int, long_name="smaller ones that end on nothing known"),
-            "least_undecided": all_of(lambda one: one.least_undecided, long_name="the least of all such", units=SPEED),
+            "size": variable(lambda result: result.size, long_name="least shock that leaves", units=SPEED),
+            "dx": variable(lambda result: result.shock[0], units=LENGTH),
+            "dv": variable(lambda result: result.shock[1], units=SPEED),
+            "x": variable(lambda result: result.point_before[0], long_name="displacement before it", units=LENGTH),
+            "v": variable(lambda result: result.point_before[1], long_name="velocity before it", units=SPEED),
+            "to": variable(lambda result: result.to, int, long_name="attractor that it leads to, -1 none"),
+            "until": variable(
+                lambda result: result.until, long_name="up to here all in its direction leave", units=SPEED
+            ),
+            "safe": variable(lambda result: result.safe, long_name="no smaller one leaves", units=SPEED),
+            "below": variable(lambda result: result.below, int, long_name="smaller ones tried"),
+            "undecided": variable(
+                lambda result: result.undecided, int, long_name="smaller ones that end on nothing known"
+            ),
+            "least_undecided": variable(
+                lambda result: result.least_undecided, long_name="the least of all such", units=SPEED
+            ),
         },
         coords={"phase": ("phase", phases, {"long_name": "of the drive", "units": ANGLE})},
-        attrs={**scene.numbers, **scales_in(scene)},
+        attrs={**scene.numbers, **scales_attributes(scene)},
     )

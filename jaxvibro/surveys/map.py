@@ -13,40 +13,43 @@ from jaxtyping import ArrayLike, Float, Real
 
 from continuation.limits import limits_of
 
-from ..attractors.sweep import UNITS, equation, others, static
-from ..flight.wall_positions import fit
-from ..maps.initial_conditions import placed
+from ..attractors.sweep import UNITS_TEXT, equation_text, other_parameters, static_attributes
+from ..flight.wall_positions import clamp_to_walls
+from ..maps.initial_conditions import states_in_box
 from ..output import label_codes
-from ..output.units import scales_in, unit_of
+from ..output.units import scales_attributes, unit_of
 from ..scene import check
 from ..scene.codes import Status
 from ..scene.scene import Scene
-from ..scene.scene_table import scene_text, scene_text_or_none
+from ..scene.scene_table import scene_toml, scene_toml_or_empty
 from ..scene.state import State, check_start
-from ..scene.unit_slips import require_scene_units
-from ..stores.filling import Progress, Store, done
-from ..stores.study import Column, Grid, axis_text
-from . import cell_columns, coexisting
-from .motions import motions
+from ..scene.unit_mistakes import require_scene_units
+from ..stores.filling import Progress, Store, complete_study
+from ..stores.study import Column, Grid, fingerprint_axis
+from . import cell_columns, coexisting_attractors
+from .motions import classify_motions
 
-LANES, FEWEST = 4096, 512  # of a chunk: the most, and the fewest where a small map is cut for many workers
-PARTS = 16  # that it is cut into then
-CARRIED = 512  # the same where motions are carried along: each row is then one lane's work from end to end
-PATIENCE = 5000  # drive periods after which a motion that has not recurred is called chaotic or undecided
-WAYS = (1, -1)
+MAX_CHUNK_LANES, MIN_CHUNK_LANES = (
+    4096,
+    512,
+)  # of a chunk: the most, and the fewest where a small map is cut for many workers
+MIN_CHUNKS = 16  # that it is cut into then
+CARRIED_CHUNK_LANES = 512  # the same where motions are carried along: each row is then one lane's work from end to end
+MAX_PERIODS = 5000  # drive periods after which a motion that has not recurred is called chaotic or undecided
+DIRECTIONS = (1, -1)
 QUANTITIES = ("label", "exponent")
-REST = State(0.0, 0.0)
+REST_STATE = State(0.0, 0.0)
 
 
-@check.host("use strobe")
+@check.host_only("use strobe")
 def map_parameters(
     scene: Scene,
     grid: Mapping[str, Real[ArrayLike, " values"] | Sequence[float]],
-    start: State | int = REST,
+    start: State | int = REST_STATE,
     quantities: str | Sequence[str] = QUANTITIES,
     along: str | None = None,
     settle: int = 300,
-    patience: int = PATIENCE,
+    patience: int = MAX_PERIODS,
     seed: int = 0,
     chunk: int | None = None,
     store: Store | None = None,
@@ -81,76 +84,77 @@ def map_parameters(
     Raises ArgumentError for arguments that cannot be, before any work, and what the store raises.
     """
     limits = limits_of(None, max_seconds, None, check.ArgumentError)
-    study = study_of(scene, grid, start, quantities, along, settle, patience, seed, chunk)
-    return told(done(study, store, progress, limits))
+    study = make_study(scene, grid, start, quantities, along, settle, patience, seed, chunk)
+    return add_label_flags(complete_study(study, store, progress, limits))
 
 
-def told(data: xr.Dataset) -> xr.Dataset:
+def add_label_flags(data: xr.Dataset) -> xr.Dataset:
     """A map's Dataset with the labels that occur in it."""
-    found = np.unique(data["label"].values).tolist()
-    words = " ".join(label_codes.label_of(code).replace(" ", "_") for code in found)
-    label = data["label"].assign_attrs(flag_values=np.array(found, np.int32), flag_meanings=words)
+    codes = np.unique(data["label"].values).tolist()
+    label_texts = " ".join(label_codes.label_of(code).replace(" ", "_") for code in codes)
+    label = data["label"].assign_attrs(flag_values=np.array(codes, np.int32), flag_meanings=label_texts)
     return data.assign(label=label)
 
 
 @dataclass(frozen=True)
 class MapStudy:
-    """A map as a `Study`. values: of each parameter of the grid; starts: how many random ones, 0 for those at `state`;
-    along: the place of the parameter that is carried along, None for none; size: lanes of a chunk."""
+    """A map as a `Study`. values: of each parameter of the grid; n_starts: how many random ones, 0 for those at
+    `state`; carry_axis: the place of the parameter that is carried along, None for none; chunk_lanes: lanes of a
+    chunk."""
 
     scene: Scene
     names: tuple[str, ...]
     values: tuple[Float[np.ndarray, " values"], ...]
     state: State
-    starts: int
+    n_starts: int
     quantities: tuple[str, ...]
-    along: int | None
+    carry_axis: int | None
     settle: int
-    patience: int
+    max_periods: int
     seed: int
-    size: int
+    chunk_lanes: int
 
     @property
-    def _lanes(self):
+    def _lanes_per_cell(self):
         """Of a cell."""
-        return len(WAYS) if self.along is not None else max(1, self.starts)
+        return len(DIRECTIONS) if self.carry_axis is not None else max(1, self.n_starts)
 
     @cached_property
     def grid(self) -> Grid:
-        shape, room = [len(each) for each in self.values], max(1, self.size // self._lanes)
-        part = list(shape)  # whole rows, as many as there is room for, of what is carried along all
+        shape, capacity = [len(row) for row in self.values], max(1, self.chunk_lanes // self._lanes_per_cell)
+        chunk_shape = list(shape)  # whole rows, as many as there is room for, of what is carried along all
         for axis in reversed(range(len(shape))):
-            if axis != self.along:
-                part[axis] = -(-shape[axis] // -(-shape[axis] // room))  # of one size, as far as that goes
-                room = room // part[axis] if part[axis] == shape[axis] else 1
-        return Grid(dict(zip(self.names, shape, strict=True)), tuple(part))
+            if axis != self.carry_axis:
+                chunk_shape[axis] = -(-shape[axis] // -(-shape[axis] // capacity))  # of one size, as far as that goes
+                capacity = capacity // chunk_shape[axis] if chunk_shape[axis] == shape[axis] else 1
+        return Grid(dict(zip(self.names, shape, strict=True)), tuple(chunk_shape))
 
     @cached_property
     def columns(self) -> Mapping[str, Column]:
-        return cell_columns.columns(self.scene, self.quantities, self.along is not None, self.starts)
+        return cell_columns.make_columns(self.scene, self.quantities, self.carry_axis is not None, self.n_starts)
 
     @cached_property
     def identity(self) -> Mapping[str, str]:
-        given: dict[str, Any] = {
+        setting_values: dict[str, Any] = {
             "settle": self.settle,
-            "patience": self.patience,
-            "along": None if self.along is None else self.names[self.along],
+            "patience": self.max_periods,
+            "along": None if self.carry_axis is None else self.names[self.carry_axis],
         }
-        if self.starts:
-            given |= {"starts": self.starts, "seed": self.seed}
+        if self.n_starts:
+            setting_values |= {"starts": self.n_starts, "seed": self.seed}
         else:
-            given |= {"start": [float(each) for each in jax.tree.leaves(self.state)]}
-        rows = zip(self.names, self.values, strict=True)
+            setting_values |= {"start": [float(value) for value in jax.tree.leaves(self.state)]}
+        axis_rows = zip(self.names, self.values, strict=True)
         return {
-            "scene": scene_text(self._first),
-            **{name: axis_text(row) for name, row in rows},
-            **{name: repr(each) for name, each in given.items()},
+            "scene": scene_toml(self._first_scene),
+            **{name: fingerprint_axis(row) for name, row in axis_rows},
+            **{name: repr(value) for name, value in setting_values.items()},
             "quantities": repr(self.quantities),
             "dtype": str(self.scene.dtype),
         }
 
     @property
-    def _first(self):
+    def _first_scene(self):
         """The scene of the first cell: what it had there itself does not matter."""
         return self.scene.replace(**{name: row[0] for name, row in zip(self.names, self.values, strict=True)})
 
@@ -160,78 +164,112 @@ class MapStudy:
             name: (name, row, {"long_name": name, "units": unit_of(name)})
             for name, row in zip(self.names, self.values, strict=True)
         }
-        if self.along is not None:
-            coords["way"] = ("way", np.array(WAYS), {"long_name": f"way of {self.names[self.along]}: 1 up, -1 down"})
-        attrs = {"equation": equation(self.scene), "units": UNITS, **static(self.scene), **scales_in(self.scene)}
-        common = set.intersection(*(set(others(self.scene, name)) for name in self.names))
-        attrs |= {key: float(self.scene.parameter(key)) for key in self.scene.names if key in common}
-        attrs |= {"settle": self.settle, "patience": self.patience, "walls": " ".join(self.scene.walls) or "none"}
-        attrs |= {"along": self.names[self.along]} if self.along is not None else {}
-        attrs |= {"starts": self.starts, "seed": self.seed} if self.starts else {}
-        attrs["scene_file"] = scene_text_or_none(self._first)
+        if self.carry_axis is not None:
+            coords["way"] = (
+                "way",
+                np.array(DIRECTIONS),
+                {"long_name": f"way of {self.names[self.carry_axis]}: 1 up, -1 down"},
+            )
+        attrs = {
+            "equation": equation_text(self.scene),
+            "units": UNITS_TEXT,
+            **static_attributes(self.scene),
+            **scales_attributes(self.scene),
+        }
+        common_names = set.intersection(*(set(other_parameters(self.scene, name)) for name in self.names))
+        attrs |= {key: float(self.scene.parameter(key)) for key in self.scene.names if key in common_names}
+        attrs |= {"settle": self.settle, "patience": self.max_periods, "walls": " ".join(self.scene.walls) or "none"}
+        attrs |= {"along": self.names[self.carry_axis]} if self.carry_axis is not None else {}
+        attrs |= {"starts": self.n_starts, "seed": self.seed} if self.n_starts else {}
+        attrs["scene_file"] = scene_toml_or_empty(self._first_scene)
         return xr.Dataset(coords=coords, attrs=attrs)
 
     def compute(self, number: int, frame: Any) -> tuple[dict[str, np.ndarray], int]:
-        cut = self.grid.cut(number)
-        values = [row[part] for row, part in zip(self.values, cut, strict=True)]
-        if self.along is not None:
-            return self._carried(values)
+        cell_slices = self.grid.chunk_slices(number)
+        values = [row[cell_slice] for row, cell_slice in zip(self.values, cell_slices, strict=True)]
+        if self.carry_axis is not None:
+            return self._compute_carried(values)
         shape = tuple(len(row) for row in values)
-        here = self._there(np.repeat(_cells(values), self._lanes, axis=1))
-        state = self._begun(here, int(np.prod(shape)))
-        found = motions(here, state, self.settle, self.patience)
-        if not self.starts:
-            columns = cell_columns.of_motions(here, found, self.columns)
-            return _shaped(columns, shape), int((columns["label"] == label_codes.UNDECIDED).sum())
-        columns = coexisting.of_starts(here, found, self.starts, self.columns)
-        return _shaped(columns, shape), int((columns["unresolved"] > 0).sum())
+        cell_scenes = self._scene_at(np.repeat(_cell_values(values), self._lanes_per_cell, axis=1))
+        state = self._start_state(cell_scenes, int(np.prod(shape)))
+        cell_motions = classify_motions(cell_scenes, state, self.settle, self.max_periods)
+        if not self.n_starts:
+            columns = cell_columns.motion_columns(cell_scenes, cell_motions, self.columns)
+            return _reshape_columns(columns, shape), int((columns["label"] == label_codes.UNDECIDED).sum())
+        columns = coexisting_attractors.attractor_columns(cell_scenes, cell_motions, self.n_starts, self.columns)
+        return _reshape_columns(columns, shape), int((columns["unresolved"] > 0).sum())
 
-    def _there(self, cells):
+    def _scene_at(self, cell_values):
         """The scene of each of some cells, (parameters, cells)."""
-        return self.scene.replace(**dict(zip(self.names, cells, strict=True)))
+        return self.scene.replace(**dict(zip(self.names, cell_values, strict=True)))
 
-    def _begun(self, here, cells):
-        if self.starts:
-            draws = np.random.default_rng(self.seed).random((self.starts, 2))
-            return placed(here, np.tile(draws, (cells, 1)))
-        return jax.tree.map(lambda leaf: np.full(cells * self._lanes, leaf, self.scene.dtype), self.state)
+    def _start_state(self, cell_scenes, n_cells):
+        if self.n_starts:
+            draws = np.random.default_rng(self.seed).random((self.n_starts, 2))
+            return states_in_box(cell_scenes, np.tile(draws, (n_cells, 1)))
+        return jax.tree.map(lambda leaf: np.full(n_cells * self._lanes_per_cell, leaf, self.scene.dtype), self.state)
 
-    def _carried(self, values):
+    def _compute_carried(self, values):
         """As `compute`, of rows along which the motion is carried both ways."""
-        rows, axis = [row for k, row in enumerate(values) if k != self.along], self.along
-        lanes = _cells(rows) if rows else np.empty((0, 1))
-        lanes, count, length = np.repeat(lanes, len(WAYS), axis=1), lanes.shape[1], len(values[axis])
-        start = state = jax.tree.map(lambda leaf: np.full(count * len(WAYS), leaf, self.scene.dtype), self.state)
-        parts: list[dict[str, np.ndarray]] = []
-        for k in range(length):
-            value = np.tile(values[axis][[k, length - 1 - k]], count)
-            here = self._there(np.insert(lanes, axis, value, axis=0))
-            found = motions(here, fit(here, state), self.settle, self.patience)
-            parts.append(cell_columns.of_motions(here, found, self.columns))
-            state = jax.tree.map(
-                lambda old, new, bad=found.status >= Status.CAP: np.where(bad, old, new), start, found.state
+        rows, carry_axis = [row for step, row in enumerate(values) if step != self.carry_axis], self.carry_axis
+        lane_values = _cell_values(rows) if rows else np.empty((0, 1))
+        lane_values, n_rows, n_values = (
+            np.repeat(lane_values, len(DIRECTIONS), axis=1),
+            lane_values.shape[1],
+            len(values[carry_axis]),
+        )
+        start_state = state = jax.tree.map(
+            lambda leaf: np.full(n_rows * len(DIRECTIONS), leaf, self.scene.dtype), self.state
+        )
+        step_columns: list[dict[str, np.ndarray]] = []
+        for step in range(n_values):
+            step_values = np.tile(values[carry_axis][[step, n_values - 1 - step]], n_rows)
+            lane_scenes = self._scene_at(np.insert(lane_values, carry_axis, step_values, axis=0))
+            lane_motions = classify_motions(
+                lane_scenes, clamp_to_walls(lane_scenes, state), self.settle, self.max_periods
             )
-        undecided = sum(int((part["label"] == label_codes.UNDECIDED).sum()) for part in parts)
+            step_columns.append(cell_columns.motion_columns(lane_scenes, lane_motions, self.columns))
+            state = jax.tree.map(
+                lambda start_leaf, leaf, invalid=lane_motions.status >= Status.CAP: np.where(invalid, start_leaf, leaf),
+                start_state,
+                lane_motions.state,
+            )
+        n_undecided = sum(
+            int((columns_at_step["label"] == label_codes.UNDECIDED).sum()) for columns_at_step in step_columns
+        )
         shape, columns = [len(row) for row in rows], {}
-        for name in parts[0]:
-            whole = np.stack([part[name].reshape(count, len(WAYS), *part[name].shape[1:]) for part in parts])
-            whole = np.stack([whole[:, :, 0], whole[::-1, :, 1]], axis=2)  # both in the order of the values
-            whole = whole.reshape(length, *shape, *whole.shape[2:])
-            columns[name] = np.moveaxis(whole, 0, axis)
-        return columns, undecided
+        for name in step_columns[0]:
+            array = np.stack(
+                [
+                    columns_at_step[name].reshape(n_rows, len(DIRECTIONS), *columns_at_step[name].shape[1:])
+                    for columns_at_step in step_columns
+                ]
+            )
+            array = np.stack([array[:, :, 0], array[::-1, :, 1]], axis=2)  # both in the order of the values
+            array = array.reshape(n_values, *shape, *array.shape[2:])
+            columns[name] = np.moveaxis(array, 0, carry_axis)
+        return columns, n_undecided
 
 
-def _cells(rows):
+def _cell_values(rows):
     """The values at all cells, (parameters, cells), the last parameter fastest."""
-    return np.stack([each.ravel() for each in np.meshgrid(*rows, indexing="ij")])
+    return np.stack([grid_values.ravel() for grid_values in np.meshgrid(*rows, indexing="ij")])
 
 
-def _shaped(columns, shape):
-    return {name: each.reshape(*shape, *each.shape[1:]) for name, each in columns.items()}
+def _reshape_columns(columns, shape):
+    return {name: array.reshape(*shape, *array.shape[1:]) for name, array in columns.items()}
 
 
-def study_of(
-    scene, grid, start=REST, quantities=QUANTITIES, along=None, settle=300, patience=PATIENCE, seed=0, chunk=None
+def make_study(
+    scene,
+    grid,
+    start=REST_STATE,
+    quantities=QUANTITIES,
+    along=None,
+    settle=300,
+    patience=MAX_PERIODS,
+    seed=0,
+    chunk=None,
 ):
     """The `MapStudy` of checked arguments. Raises ArgumentError."""
     check.require_single(scene)
@@ -239,8 +277,8 @@ def study_of(
         raise check.ArgumentError("grid", "must be {name: values} of one parameter or more", grid)
     values = []
     for name, row in grid.items():
-        check.require_known(name, scene.names, name)
-        row = check.number(name, row, scene.dtype)
+        check.require_parameter(name, scene.names, name)
+        row = check.finite_array(name, row, scene.dtype)
         if row.ndim != 1 or not len(row) or not (np.diff(row) > 0).all():
             raise check.ArgumentError(name, "must be a row of numbers in rising order, at least one", row)
         require_scene_units(f"grid.{name}", scene, name, row)
@@ -248,30 +286,35 @@ def study_of(
     names = tuple(grid)
     if along is not None and along not in names:
         raise check.ArgumentError("along", f"must be a parameter of the grid ({', '.join(names)}), or None", along)
-    starts = 0 if isinstance(start, State) else check.whole("start", start, 1)
-    if starts and along is not None:
+    n_starts = 0 if isinstance(start, State) else check.whole_number("start", start, 1)
+    if n_starts and along is not None:
         raise check.ArgumentError("start", "must be a State where the motion is carried along", start)
-    quantities = cell_columns.checked(scene, quantities, starts)
-    settle, patience = check.whole("settle", settle, 0), check.whole("patience", patience, 1)
-    cells = math.prod(map(len, values)) * max(1, starts)
-    usual = CARRIED if along is not None else min(LANES, max(FEWEST, cells // PARTS))
-    size = usual if chunk is None else check.whole("chunk", chunk, 1)
-    state = REST if starts else _single(start)
-    edges = [row.reshape([-1 if axis == k else 1 for axis in range(len(names))]) for k, row in enumerate(values)]
-    everywhere = scene.replace(**dict(zip(names, edges, strict=True)))
-    if not starts:
-        check_start(everywhere, state, "at each cell")
-    place = None if along is None else names.index(along)
-    seed = check.whole("seed", seed, 0)
-    return MapStudy(scene, names, tuple(values), state, starts, quantities, place, settle, patience, seed, size)
+    quantities = cell_columns.check_quantities(scene, quantities, n_starts)
+    settle, patience = check.whole_number("settle", settle, 0), check.whole_number("patience", patience, 1)
+    n_lanes = math.prod(map(len, values)) * max(1, n_starts)
+    default_lanes = (
+        CARRIED_CHUNK_LANES if along is not None else min(MAX_CHUNK_LANES, max(MIN_CHUNK_LANES, n_lanes // MIN_CHUNKS))
+    )
+    chunk_lanes = default_lanes if chunk is None else check.whole_number("chunk", chunk, 1)
+    state = REST_STATE if n_starts else _check_state(start)
+    axis_values = [row.reshape([-1 if axis == k else 1 for axis in range(len(names))]) for k, row in enumerate(values)]
+    cell_scenes = scene.replace(**dict(zip(names, axis_values, strict=True)))
+    if not n_starts:
+        check_start(cell_scenes, state, "at each cell")
+    carry_axis = None if along is None else names.index(along)
+    seed = check.whole_number("seed", seed, 0)
+    return MapStudy(
+        scene, names, tuple(values), state, n_starts, quantities, carry_axis, settle, patience, seed, chunk_lanes
+    )
 
 
-def _single(start):
+def _check_state(start_state):
     """A `State` of finite numbers."""
-    parts = {
-        key: check.number(f"start.{key}", getattr(start, key), np.float64) for key in ("x", "v", "phase", "contact")
+    components = {
+        key: check.finite_array(f"start.{key}", getattr(start_state, key), np.float64)
+        for key in ("x", "v", "phase", "contact")
     }
-    for key, each in parts.items():
-        if each.shape:
-            raise check.ArgumentError(f"start.{key}", "must be a number", each)
-    return State(*(float(each) for each in parts.values()))
+    for key, component in components.items():
+        if component.shape:
+            raise check.ArgumentError(f"start.{key}", "must be a number", component)
+    return State(*(float(component) for component in components.values()))

@@ -10,161 +10,181 @@ from itertools import pairwise
 import jax
 import numpy as np
 
-from ..attractors.free_and_mirrored import image_place
+from ..attractors.derived_candidates import mirror_index
 from ..attractors.transients import settle_lanes
-from ..flight.wall_positions import fit
-from ..maps.initial_conditions import box
-from ..orbits.orbit_comparison import is_same_orbit, meetings, mirrored
+from ..flight.wall_positions import clamp_to_walls
+from ..maps.initial_conditions import initial_box
+from ..orbits.orbit_comparison import impacts_as_points, is_same_orbit, mirror_points
 from ..scene.state import State
 from ..scene.symmetry import is_symmetric
-from .stations import kicked, part_at
+from .attractor_transport import perturb_states, ramp_fraction
 
-ASIDE = 0.01  # of the largest x and v: ways there and back that are as near at each step are one
-NEAR = 0.1  # of the same: an orbit as near to where another one leads by its last two values
+PATH_TOLERANCE = 0.01  # of the largest x and v: ways there and back that are as near at each step are one
+MATCH_DISTANCE = 0.1  # of the same: an orbit as near to where another one leads by its last two values
 
 
-def identities(stations, name, settle):
+def match_attractors(nodes, name, settle):
     """The attractors that `Station`s share, carried on (`carry_on`): a list of {station: place}, the first first."""
-    known = [{0: place} for place in range(len(stations[0].seen))]
-    now = dict(enumerate(known))
-    for k, (here, there) in enumerate(pairwise(stations)):
-        ends = [_led(stations, k, now[place]) for place in range(len(here.seen))]
-        onward = dict(_pairs(here, there, name, ends, settle))
-        later = {}
-        for place, one in now.items():
-            if place in onward:
-                one[k + 1] = onward[place]
-                later[onward[place]] = one
-        for place in range(len(there.seen)):
-            if place not in later:
-                later[place] = {k + 1: place}
-                known.append(later[place])
-        now = later
-    return known
+    tracks = [{0: index} for index in range(len(nodes[0].candidates))]
+    current_tracks = dict(enumerate(tracks))
+    for node_index, (node, next_node) in enumerate(pairwise(nodes)):
+        predicted_points = [
+            _extrapolate_points(nodes, node_index, current_tracks[index]) for index in range(len(node.candidates))
+        ]
+        matches = dict(_match_pairs(node, next_node, name, predicted_points, settle))
+        next_tracks = {}
+        for index, track in current_tracks.items():
+            if index in matches:
+                track[node_index + 1] = matches[index]
+                next_tracks[matches[index]] = track
+        for index in range(len(next_node.candidates)):
+            if index not in next_tracks:
+                next_tracks[index] = {node_index + 1: index}
+                tracks.append(next_tracks[index])
+        current_tracks = next_tracks
+    return tracks
 
 
-def _pairs(here, there, name, ends, settle):
-    """[(place, place)] of the attractors of two stations that are one; ends: where those here lead to, (points, 2)."""
-    onward = {place: one.home for place, one in here.ways[1].items()}
-    back = {place: one.home for place, one in there.ways[-1].items()}
-    agreed = [(i, j) for i, j in onward.items() if j is not None and back.get(j) == i]
-    refused = {(i, j) for i, j in agreed if _side_by_side(here, there, name, i, j, settle)}
-    found = _told_apart(here, there, [pair for pair in agreed if pair not in refused])
-    left = [i for i in range(len(here.seen)) if i not in {i for i, _ in found}]
-    right = [j for j in range(len(there.seen)) if j not in {j for _, j in found}]
-    some = [(i, j) for i in left for j in right if (i, j) not in refused]
-    apart = {(i, j): distance(ends[i], there.seen[j].numbers["points"]) / there.scale for i, j in some}
-    for i, j in sorted(apart, key=lambda pair: apart[pair]):
-        if i in left and j in right and _may_be(here, there, i, j, onward.get(i), back.get(j), apart[i, j]):
-            found.append((i, j))
-            left.remove(i)
-            right.remove(j)
-    return found
+def _match_pairs(node, next_node, name, predicted_points, settle):
+    """[(place, place)] of the attractors of two stations that are one; predicted_points: where those here lead to,
+    (points, 2)."""
+    forward_map = {index: transport.attractor_index for index, transport in node.transports[1].items()}
+    backward_map = {index: transport.attractor_index for index, transport in next_node.transports[-1].items()}
+    mutual_pairs = [(i, j) for i, j in forward_map.items() if j is not None and backward_map.get(j) == i]
+    distinct_pairs = {(i, j) for i, j in mutual_pairs if _coexist_between(node, next_node, name, i, j, settle)}
+    pairs = _resolve_mirror_pairs(node, next_node, [pair for pair in mutual_pairs if pair not in distinct_pairs])
+    unmatched = [i for i in range(len(node.candidates)) if i not in {i for i, _ in pairs}]
+    next_unmatched = [j for j in range(len(next_node.candidates)) if j not in {j for _, j in pairs}]
+    open_pairs = [(i, j) for i in unmatched for j in next_unmatched if (i, j) not in distinct_pairs]
+    distances = {
+        (i, j): median_distance(predicted_points[i], next_node.candidates[j].fields["points"]) / next_node.scale
+        for i, j in open_pairs
+    }
+    for i, j in sorted(distances, key=lambda pair: distances[pair]):
+        if (
+            i in unmatched
+            and j in next_unmatched
+            and _is_plausible_match(node, next_node, i, j, forward_map.get(i), backward_map.get(j), distances[i, j])
+        ):
+            pairs.append((i, j))
+            unmatched.remove(i)
+            next_unmatched.remove(j)
+    return pairs
 
 
-def _may_be(here, there, i, j, home, origin, apart):
+def _is_plausible_match(node, next_node, i, j, forward_index, backward_index, distance):
     """Whether two that do not lead to each other both ways are taken for one.
 
     Of chaotic ones, whose motion may leave for others on the way, one way is enough. Orbits must be near, and lead to
     nothing else: such are those that settle too slowly to be seen on any.
     """
-    if not (here.seen[i].numbers["periods"] and there.seen[j].numbers["periods"]):
-        return home == j or origin == i
-    return apart <= NEAR and home in (j, None) and origin in (i, None)
+    if not (node.candidates[i].fields["periods"] and next_node.candidates[j].fields["periods"]):
+        return forward_index == j or backward_index == i
+    return distance <= MATCH_DISTANCE and forward_index in (j, None) and backward_index in (i, None)
 
 
-def _told_apart(here, there, agreed):
+def _resolve_mirror_pairs(node, next_node, mutual_pairs):
     """The pairs, such that a symmetric attractor goes on as the first of two mirror images, whichever it has led to.
 
     The first is the one whose label comes first, or else whose mean x at phase 0 is lower.
     """
-    found = []
-    for i, j in agreed:
-        if _image(here, i) == i and _image(there, j) not in (None, j):
-            j = _first(there, j)
-        elif _image(there, j) == j and _image(here, i) not in (None, i):
-            i = _first(here, i)
-        if i not in {i for i, _ in found} and j not in {j for _, j in found}:
-            found.append((i, j))
-    return found
+    pairs = []
+    for i, j in mutual_pairs:
+        if _image_index(node, i) == i and _image_index(next_node, j) not in (None, j):
+            j = _representative(next_node, j)
+        elif _image_index(next_node, j) == j and _image_index(node, i) not in (None, i):
+            i = _representative(node, i)
+        if i not in {i for i, _ in pairs} and j not in {j for _, j in pairs}:
+            pairs.append((i, j))
+    return pairs
 
 
-def _image(station, place):
+def _image_index(node, index):
     """The place of an attractor's mirror image, None where there is none."""
-    return image_place(station.seen[place], station.seen) if is_symmetric(station.scene) else None
+    return mirror_index(node.candidates[index], node.candidates) if is_symmetric(node.scene) else None
 
 
-def _first(station, place):
+def _representative(node, index):
     """Of an attractor and its mirror image the one that stands for both."""
 
-    def key(place):
-        numbers = station.seen[place].numbers
-        return numbers["label"], numbers["points"][:, 0].mean()
+    def sort_key(index):
+        fields = node.candidates[index].fields
+        return fields["label"], fields["points"][:, 0].mean()
 
-    return min(place, _image(station, place), key=key)
+    return min(index, _image_index(node, index), key=sort_key)
 
 
-def _side_by_side(here, there, name, i, j, settle):
+def _coexist_between(node, next_node, name, i, j, settle):
     """Whether two orbits that lead to each other are both there at a value between.
 
     The ways there and back are compared at each step of the parameter. In the middle of those where they differ both
     motions are left to settle: one that is late, as after a symmetry breaking, comes to the other; what settles apart
     is another.
     """
-    if not (here.seen[i].numbers["periods"] and there.seen[j].numbers["periods"]):
+    if not (node.candidates[i].fields["periods"] and next_node.candidates[j].fields["periods"]):
         return False
-    one, two = here.ways[1][i].trail[:-1], there.ways[-1][j].trail[-2::-1]
-    scale = max(here.scale, there.scale)
-    apart = np.array([_hausdorff(*(part[:, :2] for part in pair)) for pair in zip(one, two, strict=True)])
-    differ = np.flatnonzero(apart > ASIDE * scale)
-    if not differ.size:
+    forward_path, backward_path = node.transports[1][i].path[:-1], next_node.transports[-1][j].path[-2::-1]
+    scale = max(node.scale, next_node.scale)
+    distances = np.array(
+        [_hausdorff(*(points[:, :2] for points in pair)) for pair in zip(forward_path, backward_path, strict=True)]
+    )
+    distinct_steps = np.flatnonzero(distances > PATH_TOLERANCE * scale)
+    if not distinct_steps.size:
         return False
-    step = differ[len(differ) // 2]
-    scene = here.scene.replace(**{name: here.value + (there.value - here.value) * part_at(step + 1)})
-    x, v, contact = np.stack([one[step, -1], two[step, -1]], -1).astype(scene.dtype)
-    state = fit(scene, kicked(scene, State(x, v, np.zeros_like(x), contact), scale))
-    left, right, _ = box(scene)
-    found, periods, _ = settle_lanes(scene, jax.tree.map(np.asarray, state), settle, max(abs(left), abs(right)))
-    return bool(periods.all()) and not _is_one(scene, *(_hits(scene, found, k, periods[k], scale) for k in (0, 1)))
-
-
-def _hits(scene, found, lane, periods, scale):
-    """The impacts, as points, of a lane that has settled on an orbit."""
-    return meetings(
-        float(scene.frequency), *(part[-periods:, lane] for part in (found.time, found.side, found.speed)), scale
+    step = distinct_steps[len(distinct_steps) // 2]
+    scene = node.scene.replace(**{name: node.value + (next_node.value - node.value) * ramp_fraction(step + 1)})
+    x, v, contact = np.stack([forward_path[step, -1], backward_path[step, -1]], -1).astype(scene.dtype)
+    state = clamp_to_walls(scene, perturb_states(scene, State(x, v, np.zeros_like(x), contact), scale))
+    x_min, x_max, _ = initial_box(scene)
+    iterates, periods, _ = settle_lanes(scene, jax.tree.map(np.asarray, state), settle, max(abs(x_min), abs(x_max)))
+    return bool(periods.all()) and not _is_same_or_mirror(
+        scene, *(_impact_points(scene, iterates, lane, periods[lane], scale) for lane in (0, 1))
     )
 
 
-def _is_one(scene, hits, others):
+def _impact_points(scene, iterates, lane, periods, scale):
+    """The impacts, as points, of a lane that has settled on an orbit."""
+    return impacts_as_points(
+        float(scene.frequency),
+        *(record[-periods:, lane] for record in (iterates.time, iterates.side, iterates.speed)),
+        scale,
+    )
+
+
+def _is_same_or_mirror(scene, points, other_points):
     """Whether two orbits are one, or mirror images in a symmetric scene: a symmetric motion may have led to either."""
-    return is_same_orbit(hits, others) or (is_symmetric(scene) and is_same_orbit(mirrored(hits), others))
+    return is_same_orbit(points, other_points) or (
+        is_symmetric(scene) and is_same_orbit(mirror_points(points), other_points)
+    )
 
 
-def _hausdorff(points, others):
+def _hausdorff(points, other_points):
     """How far the farthest point of either set is from the other set."""
-    apart = abs(points[:, None] - others).max(axis=-1)
-    return max(apart.min(axis=0).max(), apart.min(axis=1).max())
+    distances = abs(points[:, None] - other_points).max(axis=-1)
+    return max(distances.min(axis=0).max(), distances.min(axis=1).max())
 
 
-def distance(points, others):
+def median_distance(points, other_points):
     """The median distance of points from another set, the larger of both ways."""
-    apart = np.hypot(*np.moveaxis(points[:, None] - others, -1, 0))
-    return float(max(np.median(apart.min(axis=0)), np.median(apart.min(axis=1))))
+    distances = np.hypot(*np.moveaxis(points[:, None] - other_points, -1, 0))
+    return float(max(np.median(distances.min(axis=0)), np.median(distances.min(axis=1))))
 
 
-def _led(stations, k, one):
+def _extrapolate_points(nodes, node_index, track):
     """Where an attractor's points (points, 2) are at the next value: of an orbit, as far on as since that before."""
-    numbers = stations[k].seen[one[k]].numbers
-    points, n = numbers["points"], numbers["periods"]
-    before = stations[k - 1].seen[one[k - 1]].numbers if k - 1 in one else None
-    if not n or before is None or before["periods"] != n:
+    fields = nodes[node_index].candidates[track[node_index]].fields
+    points, n_periods = fields["points"], fields["periods"]
+    previous_fields = (
+        nodes[node_index - 1].candidates[track[node_index - 1]].fields if node_index - 1 in track else None
+    )
+    if not n_periods or previous_fields is None or previous_fields["periods"] != n_periods:
         return points
-    last, now, later = (station.value for station in stations[k - 1 : k + 2])
-    turned = nearest_turn(before["points"], points)
-    return points + (points - turned) * ((later - now) / (now - last))
+    previous_value, value, next_value = (node.value for node in nodes[node_index - 1 : node_index + 2])
+    rotated_points = nearest_rotation(previous_fields["points"], points)
+    return points + (points - rotated_points) * ((next_value - value) / (value - previous_value))
 
 
-def nearest_turn(points, others):
+def nearest_rotation(points, other_points):
     """Points of an orbit (periods, 2), begun where they are nearest to others, of one as long."""
-    turns = [np.roll(points, k, axis=0) for k in range(len(points))]
-    return min(turns, key=lambda turn: abs(turn - others).max())
+    rotations = [np.roll(points, shift, axis=0) for shift in range(len(points))]
+    return min(rotations, key=lambda rotation: abs(rotation - other_points).max())

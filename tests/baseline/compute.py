@@ -156,7 +156,7 @@ def _signature(value):
         return []
     blank = inspect.Parameter.empty
     plain = [f"{p.kind.name.lower()} {p.replace(annotation=blank)}" for p in parameters]
-    return [re.sub(r"<function (\w+) at \w+>", r"\1", text) for text in plain]
+    return [re.sub(r"<function \w+ at \w+>", "function", text) for text in plain]
 
 
 def encode(array):

@@ -1,0 +1,349 @@
+"""What jax's primitives do, in NumPy: of a primitive's parameters, the function of its operands' values.
+
+Operands and results are NumPy's arrays and scalars, of the types that jax gives them.
+"""
+
+import operator
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from jax import lax
+
+from .numpy_indexing import NoRuleError, gather, scatter
+
+Rule = Callable[..., Any]
+UNSUPPORTED = {"atan2": "c", "clamp": "c"}  # kinds of operands of which NumPy has no such function, or another one
+rules: dict[str, Callable[..., Rule]] = {}
+
+
+def register_rule(*names):
+    """Keeps a function of a primitive's parameters as its rule."""
+
+    def register(rule_factory):
+        rules.update(dict.fromkeys(names, rule_factory))
+        return rule_factory
+
+    return register
+
+
+def _constant_rule(function, **_):
+    return function
+
+
+def _reduction_rule(function, axes, **_):
+    return partial(_reduce, function.reduce, tuple(axes))
+
+
+def _reduce(reduce, axes, x):
+    return reduce(x, axis=axes, dtype=x.dtype) if axes else x
+
+
+def _argument_rule(function, axes, index_dtype, **_):
+    return lambda x: np.asarray(function(x, axis=axes[0])).astype(index_dtype)[()]
+
+
+def _cumulative_rule(function, axis, reverse, **_):
+    def run(x):
+        flipped = np.flip(x, axis) if reverse else x
+        cumulated = function(flipped, axis, dtype=x.dtype)
+        return np.flip(cumulated, axis) if reverse else cumulated
+
+    return run
+
+
+def _divide(x, y):
+    """The quotient, of whole numbers truncated; of these by zero -1, all bits set, as XLA has it."""
+    if y.dtype.kind not in "iu":
+        return x / y
+    floor_quotient = np.floor_divide(x, y)
+    rounds_down = (np.multiply(floor_quotient, y) != x) & ((x < 0) != (y < 0))
+    quotient = np.where(y == 0, ~np.zeros_like(y), floor_quotient + rounds_down.astype(y.dtype))
+    return quotient.astype(y.dtype)[()]
+
+
+def _remainder(x, y):
+    """The remainder of division, with the sign of x; of whole numbers by zero x itself, as XLA has it."""
+    remainder = np.fmod(x, y)
+    return remainder if y.dtype.kind == "f" else np.where(y == 0, x, remainder).astype(y.dtype)[()]
+
+
+def _bitwise_not(x):
+    return np.logical_not(x) if x.dtype == bool else ~x
+
+
+def _identity(x, *_):
+    return x
+
+
+ELEMENTWISE = {
+    "abs": operator.abs,
+    "add": operator.add,
+    "add_any": operator.add,
+    "and": operator.and_,
+    "atan2": np.arctan2,
+    "ceil": np.ceil,
+    "clamp": lambda lower, x, upper: np.minimum(np.maximum(x, lower), upper),
+    "copy": _identity,
+    "copy_p": _identity,
+    "cos": np.cos,
+    "cosh": np.cosh,
+    "div": _divide,
+    "eq": operator.eq,
+    "exp": np.exp,
+    "exp2": np.exp2,
+    "expm1": np.expm1,
+    "floor": np.floor,
+    "ge": operator.ge,
+    "gt": operator.gt,
+    "is_finite": np.isfinite,
+    "le": operator.le,
+    "log": np.log,
+    "log1p": np.log1p,
+    "lt": operator.lt,
+    "max": np.maximum,
+    "min": np.minimum,
+    "mul": operator.mul,
+    "ne": operator.ne,
+    "neg": operator.neg,
+    "nextafter": np.nextafter,
+    "not": _bitwise_not,
+    "optimization_barrier": lambda *x: x,
+    "or": operator.or_,
+    "pow": np.power,
+    "rem": _remainder,
+    "rsqrt": lambda x: 1.0 / np.sqrt(x),
+    "sign": np.sign,
+    "sin": np.sin,
+    "sinh": np.sinh,
+    "sqrt": np.sqrt,
+    "square": np.square,
+    "stop_gradient": _identity,
+    "sub": operator.sub,
+    "tan": np.tan,
+    "tanh": np.tanh,
+    "xor": operator.xor,
+}
+REDUCTIONS = {
+    "reduce_and": np.bitwise_and,
+    "reduce_max": np.maximum,
+    "reduce_min": np.minimum,
+    "reduce_or": np.bitwise_or,
+    "reduce_prod": np.multiply,
+    "reduce_sum": np.add,
+}
+rules |= {name: partial(_constant_rule, function) for name, function in ELEMENTWISE.items()}
+rules |= {name: partial(_reduction_rule, function) for name, function in REDUCTIONS.items()}
+rules |= {"argmax": partial(_argument_rule, np.argmax), "argmin": partial(_argument_rule, np.argmin)}
+rules |= {"cumsum": partial(_cumulative_rule, np.cumsum), "cumprod": partial(_cumulative_rule, np.cumprod)}
+
+
+@register_rule("integer_pow")
+def _integer_pow(y, **_):
+    def power(x):
+        product = x
+        for _ in range(abs(y) - 1):
+            product = product * x
+        return product if y > 0 else 1 / product
+
+    if y == 0:
+        return np.ones_like
+    return power
+
+
+@register_rule("round")
+def _round(rounding_method, **_):
+    def round_away(x):
+        integer_part = np.trunc(x)
+        return integer_part + np.copysign(np.asarray(abs(x - integer_part) >= 0.5).astype(x.dtype), x)
+
+    return np.round if rounding_method == lax.RoundingMethod.TO_NEAREST_EVEN else round_away
+
+
+@register_rule("convert_element_type")
+def _convert_element_type(new_dtype, **_):
+    dtype = np.dtype(new_dtype)
+
+    def run(x):
+        x_real = x.real if x.dtype.kind == "c" and dtype.kind != "c" else x
+        return _truncate(x_real, dtype) if x_real.dtype.kind == "f" and dtype.kind in "iu" else x_real.astype(dtype)
+
+    return run
+
+
+def _truncate(x, dtype):
+    """Real numbers as whole ones: those beyond the least and the largest as these, what is no number as 0."""
+    limits = np.iinfo(dtype)
+    is_below, is_above = x <= float(limits.min), x >= float(limits.max)
+    truncated = np.where(is_below | is_above | np.isnan(x), 0.0, x).astype(dtype)
+    return np.where(is_above, dtype.type(limits.max), np.where(is_below, dtype.type(limits.min), truncated))[()]
+
+
+@register_rule("bitcast_convert_type")
+def _bitcast_convert_type(new_dtype, **_):
+    dtype = np.dtype(new_dtype)
+
+    def run(x):
+        if x.dtype.itemsize != dtype.itemsize:  # parts of numbers would be an axis of their own
+            raise NoRuleError("bitcast_convert_type")
+        return np.asarray(x).view(dtype)[()]
+
+    return run
+
+
+@register_rule("select_n")
+def _select_n(**_):
+    def select(case_index, *cases):
+        if case_index.ndim == 0:
+            return cases[int(case_index)]
+        return np.where(case_index, cases[1], cases[0]) if case_index.dtype == bool else np.choose(case_index, cases)
+
+    return select
+
+
+@register_rule("broadcast_in_dim")
+def _broadcast_in_dim(shape, broadcast_dimensions, **_):
+    def run(x):
+        unit_shape = [1] * len(shape)
+        for axis, size in zip(broadcast_dimensions, x.shape, strict=True):
+            unit_shape[axis] = size
+        result = np.empty(shape, x.dtype)
+        result[...] = x.reshape(unit_shape)
+        return result
+
+    return run
+
+
+@register_rule("reshape")
+def _reshape(new_sizes, dimensions=None, **_):
+    if dimensions is not None:
+        raise NoRuleError("dimensions of reshape")
+    return lambda x: x.reshape(new_sizes)[()]
+
+
+@register_rule("squeeze")
+def _squeeze(dimensions, **_):
+    return lambda x: np.squeeze(x, tuple(dimensions))[()]
+
+
+@register_rule("expand_dims")
+def _expand_dims(dimensions, **_):
+    return lambda x: np.expand_dims(x, tuple(dimensions))
+
+
+@register_rule("slice")
+def _slice(start_indices, limit_indices, strides, **_):
+    slices = tuple(map(slice, start_indices, limit_indices, strides or [1] * len(start_indices)))
+    return lambda x: x[slices]
+
+
+def _window_slices(starts, shape, sizes):
+    origins = (min(max(int(start), 0), length - size) for start, length, size in zip(starts, shape, sizes, strict=True))
+    return tuple(slice(origin, origin + size) for origin, size in zip(origins, sizes, strict=True))
+
+
+@register_rule("dynamic_slice")
+def _dynamic_slice(slice_sizes, **_):
+    return lambda x, *starts: x[_window_slices(starts, x.shape, slice_sizes)]
+
+
+@register_rule("dynamic_update_slice")
+def _dynamic_update_slice(**_):
+    def run(x, window, *starts):
+        result = x.copy()
+        result[_window_slices(starts, x.shape, window.shape)] = window
+        return result
+
+    return run
+
+
+@register_rule("concatenate")
+def _concatenate(dimension, **_):
+    return lambda *parts: np.concatenate(parts, dimension)
+
+
+@register_rule("stack")
+def _stack(axis, **_):
+    return lambda *parts: np.stack(parts, axis)
+
+
+@register_rule("unstack")
+def _unstack(axis, **_):
+    return lambda x: list(np.moveaxis(x, axis, 0))
+
+
+@register_rule("split")
+def _split(sizes, axis, **_):
+    return lambda x: np.split(x, np.cumsum(sizes)[:-1], axis)
+
+
+@register_rule("tile")
+def _tile(reps, **_):
+    return lambda x: np.tile(x, reps)
+
+
+@register_rule("iota")
+def _iota(dtype, shape, dimension, **_):
+    unit_shape = [-1 if axis == dimension else 1 for axis in range(len(shape))]
+    result = np.broadcast_to(np.arange(shape[dimension], dtype=dtype).reshape(unit_shape), shape)
+    return lambda: result
+
+
+@register_rule("transpose")
+def _transpose(permutation, **_):
+    return lambda x: np.transpose(x, permutation)
+
+
+@register_rule("rev")
+def _rev(dimensions, **_):
+    return lambda x: np.flip(x, tuple(dimensions))
+
+
+@register_rule("pad")
+def _pad(padding_config, **_):
+    if any(low_padding < 0 or high_padding < 0 for low_padding, high_padding, _ in padding_config):
+        raise NoRuleError("padding by less than nothing")
+
+    def run(x, value):
+        spans = [
+            (low_padding, low_padding + max(size - 1, 0) * (spacing + 1) + min(size, 1), high_padding, spacing + 1)
+            for size, (low_padding, high_padding, spacing) in zip(x.shape, padding_config, strict=True)
+        ]
+        padded = np.full([stop + high_padding for _, stop, high_padding, _ in spans], value, x.dtype)
+        padded[tuple(slice(low_padding, stop, spacing) for low_padding, stop, _, spacing in spans)] = x
+        return padded
+
+    return run
+
+
+@register_rule("dot_general")
+def _dot_general(dimension_numbers, **_):
+    (x_summed, y_summed), (x_batch, y_batch) = dimension_numbers
+
+    def run(x, y):
+        x_labels = list(range(x.ndim))
+        y_labels = [x.ndim + axis for axis in range(y.ndim)]
+        for x_axis, y_axis in zip((*x_summed, *x_batch), (*y_summed, *y_batch), strict=True):
+            y_labels[y_axis] = x_labels[x_axis]
+        summed_labels = {x_labels[axis] for axis in x_summed}
+        batch_labels = [x_labels[axis] for axis in x_batch]
+        free = [label for label in (*x_labels, *y_labels) if label not in summed_labels and label not in batch_labels]
+        return np.einsum(x, x_labels, y, y_labels, batch_labels + list(dict.fromkeys(free)))
+
+    return run
+
+
+@register_rule("sort")
+def _sort(dimension, num_keys, **_):
+    def run(*columns):
+        order = np.lexsort(columns[:num_keys][::-1], axis=dimension)
+        return [np.take_along_axis(column, order, dimension) for column in columns]
+
+    return run
+
+
+rules["gather"] = gather
+rules["scatter"] = partial(scatter, operator.setitem)
+rules |= {f"scatter{separator}add": partial(scatter, np.add.at) for separator in "-_"}
+rules |= {f"scatter{separator}mul": partial(scatter, np.multiply.at) for separator in "-_"}

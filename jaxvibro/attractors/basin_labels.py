@@ -1,0 +1,133 @@
+"""Which attractor each of very many starts ends on: they are run on together, and dropped once a trap holds them."""
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jaxtyping import Float
+
+from continuation.persistent_jit import persistent_jit
+
+from ..compiled.compiler_hints import COMPILER_OPTIONS
+from ..compiled.kernels import BLOCK_WIDTH
+from ..maps import two_tiers
+from ..maps.iterate import iterate
+from ..maps.phase_shift import shift_phase
+from ..scene.codes import Status
+from ..scene.state import State
+from ..stores.engines import n_usable_cores
+from .trapping_region import PointCloud, TrappingRegion, find_trapping_region, sample_attractor
+
+PERIODS_PER_CHECK = 8  # drive periods between two looks
+LANES_PER_CALL = 1 << 14  # of one compiled call
+MIN_CONSECUTIVE_CHECKS = 8  # looks in a row at which a start must be near a chaotic attractor
+UNRESOLVED, OUTSIDE = -1, -2
+FAR_COORDINATE = 1e18  # where lanes without an end are put, on no attractor
+
+
+class AttractorNeighbourhood(NamedTuple):
+    """An attractor at a phase: points on Sigma (n, 2), a sample where chaotic; its `TrappingRegion` or `PointCloud`, or
+    None."""
+
+    points: Float[np.ndarray, "points 2"]
+    region: TrappingRegion | PointCloud | None
+
+
+def build_neighbourhoods(scene, attractors, phase, scale):
+    """The `AttractorNeighbourhood` of each of some attractors, at a phase of the drive (rad); scale: of x and v, the
+    largest."""
+    return [_build_neighbourhood(scene, attractor, phase, scale) for attractor in attractors]
+
+
+def _build_neighbourhood(scene, attractor, phase, scale):
+    if attractor.kind == "unresolved":
+        return AttractorNeighbourhood(attractor.points, None)
+    if attractor.kind == "chaotic":
+        cloud = sample_attractor(scene, attractor.points, phase)
+        return AttractorNeighbourhood(np.asarray(cloud.tree.data[:: len(attractor.points)]), cloud)
+    start = (attractor.state.x, attractor.state.v, 0.0, attractor.state.contact)
+    state, _ = shift_phase(scene, State(*(np.full(1, value, scene.dtype) for value in start)), phase)
+    points = iterate(scene, state, attractor.periods).points[:, 0]
+    return AttractorNeighbourhood(points, find_trapping_region(scene, points, phase, scale))
+
+
+def assign_labels(scene, x, v, phase, neighbourhoods, max_periods):
+    """`label_starts` by all processor cores."""
+    with ThreadPoolExecutor(n_usable_cores()) as pool:
+        return label_starts(pool, scene, x, v, phase, neighbourhoods, max_periods)
+
+
+def label_starts(pool, scene, x, v, phase, neighbourhoods, max_periods):
+    """(label, periods): where each start (lanes,) ends, and the drive periods after which that was seen.
+
+    label: the place in `neighbourhoods`; UNRESOLVED where no trap held the start within so many periods, and OUTSIDE
+    beyond a wall. pool: of threads."""
+    labels, periods = np.full(len(x), UNRESOLVED, np.int32), np.zeros(len(x), np.int32)
+    lanes = np.arange(len(x))
+    lane_states = np.stack([x, v, np.zeros(len(x))]).astype(scene.dtype)
+    near_counts = np.zeros((len(neighbourhoods), len(x)), np.int8)
+    for elapsed_periods in range(PERIODS_PER_CHECK, max_periods + PERIODS_PER_CHECK, PERIODS_PER_CHECK):
+        blocks = [slice(start, start + LANES_PER_CALL) for start in range(0, len(lanes), LANES_PER_CALL)]
+        block_inputs = [[array[..., block] for block in blocks] for array in (lane_states, near_counts)]
+        block_results = pool.map(partial(_check_block, scene, phase, neighbourhoods), *block_inputs)
+        lane_states, near_counts, new_labels, status = (
+            np.concatenate(array, axis=-1) for array in zip(*block_results, strict=True)
+        )
+        new_labels = np.where(status == Status.INVALID, OUTSIDE, new_labels)
+        is_finished = (new_labels != UNRESOLVED) | (status >= Status.CAP)
+        labels[lanes[is_finished]], periods[lanes[is_finished]] = new_labels[is_finished], elapsed_periods
+        lanes, lane_states, near_counts = (
+            lanes[~is_finished],
+            lane_states[:, ~is_finished],
+            near_counts[:, ~is_finished],
+        )
+        if not len(lanes):
+            break
+    return labels, periods
+
+
+def _check_block(scene, phase, neighbourhoods, lane_states, near_counts):
+    """((x, v, contact), looks in a row near each home, its place or UNRESOLVED, status) one round later, lanes last."""
+    n_lanes = lane_states.shape[1]
+    padded_states = [np.pad(array, (0, LANES_PER_CALL - n_lanes)) for array in lane_states]
+    *end_states, status = (
+        array[:n_lanes]
+        for array in jax.device_get(
+            _advance_lanes(scene, *padded_states, scene.dtype.type(phase), -(-n_lanes // BLOCK_WIDTH))
+        )
+    )
+    z, labels = np.stack(end_states[:2], -1), np.full(n_lanes, UNRESOLVED, np.int32)
+    z[status >= Status.CAP] = scene.dtype.type(FAR_COORDINATE)
+    near_counts = near_counts.copy()
+    for index, neighbourhood in enumerate(neighbourhoods):
+        if neighbourhood.region is None:
+            continue
+        is_inside = neighbourhood.region.contains(z)
+        if isinstance(neighbourhood.region, PointCloud):
+            near_counts[index] = np.where(is_inside, near_counts[index] + 1, 0)
+            is_inside = near_counts[index] >= MIN_CONSECUTIVE_CHECKS
+        labels[is_inside] = index
+    return np.stack(end_states), near_counts, labels, status
+
+
+@persistent_jit(compiler_options=COMPILER_OPTIONS)
+def _advance_lanes(scene, x, v, contact, phase, n_blocks):
+    """(x, v, contact, status) a round later, of so many blocks of lanes; the rest stays as it is."""
+
+    def advance_block(block_index, carry):
+        start = block_index * BLOCK_WIDTH
+        block_states = [lax.dynamic_slice_in_dim(array, start, BLOCK_WIDTH) for array in carry[:3]]
+        end_state, impacts = two_tiers.strobe(
+            scene, State(block_states[0], block_states[1], phase, block_states[2]), PERIODS_PER_CHECK, 0, BLOCK_WIDTH
+        )
+        block_results = (end_state.x, end_state.v, end_state.contact, impacts.status)
+        return [
+            lax.dynamic_update_slice_in_dim(array, update, start, 0)
+            for array, update in zip(carry, block_results, strict=True)
+        ]
+
+    return lax.fori_loop(0, n_blocks, advance_block, [x, v, contact, jnp.zeros(x.shape, jnp.int32)])

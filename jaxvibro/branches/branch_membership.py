@@ -1,0 +1,69 @@
+"""Whether an orbit that was found at a value of the parameter lies on a branch."""
+
+import numpy as np
+
+from ..orbits.orbit_comparison import is_same_orbit
+from ..problem import same_orbit
+from ..problem.diagnostics import diagnose
+from ..problem.equations import parameter_at
+from ..problem.orbit_conversion import correct_to_value
+from ..problem.orbit_point import impact_points, set_up_problem
+from ..problem.orbit_rows import dataset_row, parse_orbit_row
+
+PREFILTER_TOLERANCE = 0.15  # of a branch's largest x and v: a state so near to its points is looked at more closely
+ORBIT_TOLERANCE = 1e-5  # of the largest speed: an orbit with impacts as near is on the branch
+CHATTER_TOLERANCE = 1e-4  # of the largest x and v: the same of one that rests, as a start has settled on it
+
+
+def is_on_branch(seed_orbit, branch):
+    """Whether what a probe settled on is an orbit of a branch."""
+    if branch.data.sizes["period"] != seed_orbit.orbit_row.periods:
+        return False
+    value_offsets, branch_states = (
+        branch.values - seed_orbit.orbit_row.value,
+        np.stack([branch.data[key].values for key in "xv"], axis=2),
+    )
+    max_distance = PREFILTER_TOLERANCE * abs(branch_states).max()
+    for row_before in np.flatnonzero(value_offsets[:-1] * value_offsets[1:] <= 0):
+        if _are_states_near(
+            seed_orbit, branch_states[row_before : row_before + 2], max_distance
+        ) and _converges_to_orbit(seed_orbit, branch, row_before):
+            return True
+    return False
+
+
+def _are_states_near(seed_orbit, branch_states, max_distance):
+    """Whether a probe's states are as near to those of one of some points of a branch, counted from any period."""
+    rotations = [np.roll(states, k, axis=0) for states in branch_states for k in range(len(states))]
+    return any(abs(rotated - seed_orbit.section_states).max() < max_distance for rotated in rotations)
+
+
+def _converges_to_orbit(seed_orbit, branch, row_before):
+    """Whether Newton's method leads from one of a branch's two points to the very orbit."""
+    orbit_rows = (parse_orbit_row(dataset_row(branch.data, k), branch.name) for k in (row_before, row_before + 1))
+    return any(
+        correct_to_seed_orbit(seed_orbit, *set_up_problem(branch.scene, branch.name, orbit_row)) is not None
+        for orbit_row in orbit_rows
+    )
+
+
+def correct_to_seed_orbit(seed_orbit, problem, z):
+    """(along, z) at a probe's value, None where Newton's method does not come to its orbit from z."""
+    point = correct_to_value(problem, z, seed_orbit.orbit_row.value)
+    return (problem, point.z) if point.converged and _is_seed_orbit(seed_orbit, problem, point.z) else None
+
+
+def _is_seed_orbit(seed_orbit, problem, z):
+    if seed_orbit.has_chatter:
+        diagnostics, state_scale = diagnose(problem, z[None]), abs(seed_orbit.section_states).max()
+        rotated = np.roll(seed_orbit.section_states, 1, axis=0)  # the last is at phase 0 too
+        return abs(np.stack([diagnostics.x[0], diagnostics.v[0]], 1) - rotated).max() < CHATTER_TOLERANCE * max(
+            1.0, state_scale
+        )
+    if not len(problem.sequence.sides):
+        return not len(seed_orbit.orbit_row.times) and abs(
+            z[:2] - seed_orbit.section_states[0]
+        ).max() < ORBIT_TOLERANCE * max(1.0, abs(seed_orbit.section_states).max())
+    speed_scale = seed_orbit.orbit_row.speeds.max(initial=0.0)
+    seed_impacts = impact_points(seed_orbit.orbit_row, parameter_at(problem, z, "frequency"), speed_scale)
+    return is_same_orbit(same_orbit.impact_points(problem, z, speed_scale), seed_impacts, ORBIT_TOLERANCE)

@@ -1,0 +1,176 @@
+"""Orbits along two parameters, a number of theirs held: the start, brought to that number, and both ways from it."""
+
+import numpy as np
+import xarray as xr
+
+from continuation import driver, event_search
+from continuation.arclength import StepControl
+from continuation.branch_segment import SpecialIndex, join_segments, reverse_segment
+from continuation.driver import ContinuationTask, Termination
+from continuation.intermediate_points import start_point
+
+from ..orbits.orbit import OrbitError
+from ..output.units import scales_attributes
+from ..problem.end import End, convert_end
+from ..problem.equations import continuation_problem
+from ..problem.first_grazing import OrbitEventDetector, truncate_at_grazing
+from ..problem.grazing_contact import arclength_weights
+from ..problem.orbit_point import set_up_problem
+from ..problem.orbit_rows import dataset_row, parse_orbit_row
+from ..problem.plane_curve_end import describe_end
+from ..scene import check
+from ..scene.parameters import check_bounds, mark_parameters, parameter_domain
+from ..scene.typical_scales import scene_length
+from .assemble import column_descriptions, dataset_columns
+from .branch import Branch
+from .held_branch import HeldBranch
+from .held_equations import HELD_QUANTITIES, HeldOrbitEquations
+from .largest_position import branch_peak_positions
+
+MIN_STEP = 1e-8  # step
+
+
+class HeldEventDetector(OrbitEventDetector):
+    """Orbits along two parameters, up to a touch."""
+
+    def find_boundary_end(self, task, points, diagnostics, first_bad):
+        points, residual = truncate_at_grazing(task, points, diagnostics, first_bad, self.length_scale)
+        return None if residual is None else Termination(points, SpecialIndex(0, "GR", residual), End.GRAZE)
+
+    def find_events(self, task, points, diagnostics, known_branch_points, termination):
+        return []
+
+
+def check_hold(scene, names, bounds, hold):
+    """(the two names, {name: (low, high)}, the name of the number, its value). Raises ArgumentError."""
+    hold_items = list(hold.items()) if isinstance(hold, dict) else []
+    if (
+        len(hold_items) != 1
+        or hold_items[0][0] not in HELD_QUANTITIES
+        or not np.isscalar(hold_items[0][1])
+        or not np.isfinite(hold_items[0][1])
+    ):
+        raise check.ArgumentError("hold", f"must be one number by its name, {' or '.join(HELD_QUANTITIES)}", hold)
+    name_pair = tuple(names) if isinstance(names, tuple | list) else ()
+    for name in name_pair:
+        check.require_parameter(name, scene.names, name)
+    if len(name_pair) != 2 or name_pair[0] == name_pair[1]:
+        raise check.ArgumentError("name", "must be two different parameters where one number is held", names)
+    check.require_independent(*name_pair)
+    if not isinstance(bounds, dict) or set(bounds) != set(name_pair):
+        raise check.ArgumentError(
+            "bounds", f"must give (low, high) for {name_pair[0]} and for {name_pair[1]}, by name", bounds
+        )
+    return (
+        name_pair,
+        {name: check_bounds(scene, name, bounds[name]) for name in name_pair},
+        hold_items[0][0],
+        float(hold_items[0][1]),
+    )
+
+
+def locate_start(scene, names, quantity_name, value, orbit_problem, z):
+    """(`HeldOrbitEquations`, z, the tangent towards greater values of the second parameter) of a near orbit with that
+    number, the second parameter as it is; None where Newton's method comes to none. orbit_problem, z: `OrbitEquations`
+    of an orbit along the first parameter."""
+    marked_scene, parameter_marks = mark_parameters(scene, *names)
+    quantity_mask = np.array([float(name == quantity_name) for name in HELD_QUANTITIES])
+    problem = HeldOrbitEquations(
+        marked_scene, parameter_marks, orbit_problem.sequence, quantity_mask, np.asarray(value)
+    )
+    z = np.append(z, float(scene.parameter(names[1])))
+    control_values = (np.float64(number) for number in (0.0, 1.0, 1.0, -np.inf, np.inf))
+    control = StepControl(arclength_weights(problem, scene_length(scene)), *control_values)
+    point = event_search.solve_with_fixed_entry(continuation_problem(problem), z, -1, z[-1], control, problem)
+    detector = HeldEventDetector(problem, scene_length(scene))
+    if not point.converged or not detector.is_admissible(point.z[None], detector.diagnose(point.z[None]))[0]:
+        return None
+    return problem, point.z, point.tangent
+
+
+def nearby_orbits(branch, quantity_name, value):
+    """(`OrbitEquations`, z) of the points of a `Branch` along the first parameter between which the number comes to a
+    value, the nearest to its start first."""
+    quantities = _held_quantities(branch, quantity_name)
+    start_row = int(np.argmin(abs(branch.values - float(branch.scene.parameter(branch.name)))))
+    crossing_rows = np.flatnonzero((quantities[:-1] - value) * (quantities[1:] - value) <= 0)
+    for k in sorted(crossing_rows.tolist(), key=lambda k: abs(k - start_row)):
+        row = k + int(abs(quantities[k + 1] - value) < abs(quantities[k] - value))
+        yield set_up_problem(branch.scene, branch.name, parse_orbit_row(dataset_row(branch.data, row), branch.name))
+
+
+def _held_quantities(branch, quantity_name):
+    return branch_peak_positions(branch) if quantity_name == "peak" else branch.data["least_speed"].values
+
+
+def unreachable_value_error(branch: Branch, quantity_name: str, value: float) -> OrbitError:
+    """The error where a number comes to a value nowhere."""
+    quantities = _held_quantities(branch, quantity_name)
+    rule = (
+        f"{quantity_name} is nowhere {value:.12g} along {branch.name}, but from {min(quantities):.4g} to"
+        f" {max(quantities):.4g}"
+    )
+    return OrbitError(rule, float(np.max(branch.data["residual"].values)), "give another orbit, or wider bounds")
+
+
+def follow_held_branch(scene, names, bounds, quantity_name, value, start, direction, settings):
+    """The `HeldBranch` from `locate_start`s both ways, or one."""
+    problem, z, start_tangent = start
+    domains, bound_intervals = [parameter_domain(scene, name) for name in names], [bounds[name] for name in names]
+    parameter_bounds = tuple(
+        (max(lower, domain_lower), min(upper, domain_upper))
+        for (lower, upper), (domain_lower, domain_upper) in zip(bound_intervals, domains, strict=True)
+    )
+    domain_ends = tuple(
+        tuple(number for number in domain_interval if number not in bound_interval)
+        for domain_interval, bound_interval in zip(domains, bound_intervals, strict=True)
+    )
+    first_step, largest_step, tolerance = (settings[key] for key in ("first_step", "largest_step", "tolerance"))
+    control_values = (
+        np.float64(number) for number in (min(MIN_STEP, first_step), largest_step, tolerance, *parameter_bounds[1])
+    )
+    length_scale = scene_length(scene)
+    control = StepControl(arclength_weights(problem, length_scale), *control_values)
+    detector = HeldEventDetector(problem, length_scale)
+    limits = settings["limits"]
+    task = ContinuationTask(
+        continuation_problem(problem),
+        problem,
+        control,
+        min(first_step, largest_step),
+        parameter_bounds,
+        domain_ends,
+        detector,
+        starts=(),
+        limits=limits,
+    )
+    first_task = task._replace(limits=limits.halved() if direction == "both" else limits)
+    forward = driver.follow_branch(first_task, start_point(z, start_tangent)) if direction != "backward" else None
+    task = task._replace(limits=limits.after(0 if forward is None else len(forward.points.z) - 1))
+    backward = driver.follow_branch(task, start_point(z, -start_tangent)) if direction != "forward" else None
+    joined_segment = (
+        forward
+        if backward is None
+        else reverse_segment(backward)
+        if forward is None
+        else join_segments([reverse_segment(backward), forward])
+    )
+    reasons = tuple(
+        "the start" if segment is None else _end_text(convert_end(segment), names) for segment in (backward, forward)
+    )
+    return HeldBranch(
+        names, quantity_name, value, bounds, scene, _build_dataset(scene, convert_end(joined_segment), names), reasons
+    )
+
+
+def _end_text(segment, names):
+    return describe_end(segment.end, names[segment.end_param_index], segment.end_value)
+
+
+def _build_dataset(scene, segment, names):
+    n_impacts = int(np.sum(segment.args.sequence.sides != 0))
+    columns = dataset_columns(segment, names[1], n_impacts, 0) | {names[0]: segment.points.z[:, -2]}
+    descriptions = column_descriptions(names[0]) | column_descriptions(names[1])
+    column_order = [*names, *(key for key in columns if key not in names)]
+    data = {key: xr.Variable(descriptions[key][0], columns[key], descriptions[key][1]) for key in column_order}
+    return xr.Dataset(data, attrs=scales_attributes(scene))

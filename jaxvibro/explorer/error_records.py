@@ -1,0 +1,21 @@
+"""Describe any error in one line, for a page of the explorer."""
+
+import traceback
+from typing import Any
+
+from ..orbits.orbit import OrbitError
+from ..scene.check import ArgumentError, shorten
+
+EXPECTED_ERRORS = (ArgumentError, OrbitError, ArithmeticError, MemoryError, OSError)
+
+
+def error_record(error: BaseException) -> dict[str, Any]:
+    """The record of an error for the page. One that nobody expects is printed too, with where it was raised."""
+    if not isinstance(error, EXPECTED_ERRORS):
+        traceback.print_exception(error)
+    return message_record(str(error) or type(error).__name__)
+
+
+def message_record(text: str) -> dict[str, Any]:
+    """The record of a text that says what is wrong."""
+    return {"kind": "told", "text": shorten(text, 300), "bad": True}

@@ -1,0 +1,66 @@
+"""What a page will ask, done before it asks: a thread that lasts as long as the server does."""
+
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+
+import jax
+import numpy as np
+import scipy
+
+from continuation.persistent_jit import compile_evaluated
+
+from ..maps.simulate import simulate
+from ..maps.strobe import strobe
+from ..orbits.find import find_orbit
+from ..orbits.orbit import OrbitError
+from ..scene.check import ArgumentError
+from ..scene.scene import Scene
+from ..scene.state import State
+from .calls import SETTLE_PERIODS
+from .panels import SAMPLES_PER_PERIOD
+
+SCIPY_MODULES = (
+    "interpolate",
+    "spatial",
+    "linalg",
+    "special",
+    "sparse",
+)  # of SciPy, which loads each when it is first used
+DRAWING_TIME = 1.0  # s after the first answers: they have been drawn by then
+POLL_INTERVAL = 0.25  # s from one look for work to the next
+
+
+class Precomputation(threading.Thread):
+    """Asks what a page asks first, while the browser is on its way; then compiles what NumPy evaluates, while nobody
+    waits. is_quiet: whether nobody does. ready: set once the first answers are there. stop: ends it."""
+
+    def __init__(self, scene: Scene, is_idle: Callable[[], bool]) -> None:
+        super().__init__(daemon=True)
+        self._scene, self._is_idle, self._stop_event = scene, is_idle, threading.Event()
+        self.ready = threading.Event()
+        self.start()
+
+    def run(self) -> None:
+        """What the thread does."""
+        with jax.enable_x64(bool(self._scene.dtype == np.float64)):
+            try:
+                orbit = find_orbit(self._scene, State(0.0, 0.0))
+                simulate(self._scene, orbit.state, orbit.periods, SAMPLES_PER_PERIOD)
+            except (ArgumentError, OrbitError, ArithmeticError):
+                pass  # the page will say so
+            finally:
+                self.ready.set()
+            self._stop_event.wait(DRAWING_TIME)
+            with suppress(ArgumentError):
+                strobe(self._scene, State(0.0, 0.0), SETTLE_PERIODS, 0)
+        for module_name in SCIPY_MODULES:
+            getattr(scipy, module_name)
+        while not self._stop_event.wait(POLL_INTERVAL):
+            if self._is_idle():
+                next(compile_evaluated(), None)
+
+    def stop(self) -> None:
+        """Ends it, after the function that is being compiled."""
+        self._stop_event.set()
+        self.join(10.0)

@@ -1,0 +1,175 @@
+"""The lean tier: certified steps between rigid walls, for lanes whose events are far from doubt.
+
+A step here is one of `step.micro` with less to decide. Each test keeps a margin that is far wider than any rounding of
+a flight: a lane that comes nearer to a doubt than that, as by a near grazing, a slow impact, a contact at a period's
+end or a start on a wall, is given up, never decided. The full tier then does its period again (docs/numbers.md).
+
+Time is counted in the longest step, so that the numbers of the oscillator are small and of no unit: a speed is the
+length that it covers in one such step.
+"""
+
+import jax.numpy as jnp
+from jax import lax
+
+from ..compiled.compiler_hints import choose, maximum, minimum, positive_part, stage
+from ..scene.codes import Contact
+from . import fast_event, fast_motion, fast_tangent, fast_turning_points, flow, impact_log
+from .fast_coefficients import GIVEN_UP, LaneStates
+from .fast_event import DOUBT_MARGIN
+from .wall_motion import subtract, wall_jet
+
+SLOW_FRACTION = 2.0**-9  # of a lane's largest length a longest step: an impact that leaves more slowly is in doubt
+
+
+def start_lanes(coeffs, path, is_active):
+    """The `LaneStates` that a `Path` begins a period with, those that go: given up where they are in doubt at once."""
+    return stage(_start_lanes, coeffs, path.x, path.v, path.cosine, path.sine, path.contact, is_active)
+
+
+def _start_lanes(coeffs, x, v, cosine, sine, contact, is_active):
+    zero = lax.full_like(x, 0.0)
+    v = v * coeffs.max_step
+    lanes = LaneStates(x, v, cosine + zero, sine + zero, zero, coeffs.length_scale + lax.abs(x) + lax.abs(v))
+    clearance = lax.full_like(x, jnp.inf)
+    is_leaving = lax.full_like(x, False, dtype=bool)
+    for wall in coeffs.walls:
+        wall_position, wall_velocity = wall_jet(wall, coeffs.frequency, cosine, sine, 1)
+        recession_speed = -wall.sign * subtract(v, wall_velocity)
+        is_leaving |= (contact == wall.sign * Contact.LANDED) & (recession_speed > SLOW_FRACTION * lanes.largest_length)
+        wall_clearance = choose(contact == wall.sign * Contact.LANDED, jnp.inf, wall.sign * (wall_position - x))
+        clearance = minimum(clearance, wall_clearance)
+    is_certain = (clearance > DOUBT_MARGIN * lanes.largest_length) & ((contact == 0) | is_leaving)
+    return lanes._replace(time_remaining=choose(is_active, choose(is_certain, coeffs.period, GIVEN_UP), 0.0))
+
+
+def run_lanes(coeffs, lanes, log, impact_slots, directions=(), tangents=(), with_clearance=False):
+    """(lanes, log, slots, tangents, the least clearance, None where it was not asked for) when no lane has time left;
+    one that needs too many steps is given up.
+
+    directions, tangents: the directions in which `fast_tangent` carries derivatives along, and how those begin.
+    """
+    fits_in_log = len(impact_slots.times) <= impact_log.MAX_RECENT
+    approaches = fast_turning_points.no_turning_points(lanes.x) if with_clearance else None
+    if with_clearance:
+        lanes = fast_turning_points.check_start(coeffs, lanes)
+
+    def advance_carry(carry):
+        lanes, log, n_steps, tangents, approaches = carry
+        lanes, tangents, approaches, side, speed = step_lanes(coeffs, lanes, n_steps, directions, tangents, approaches)
+        log = impact_log.record_impact(log, side, speed, speed, stage(_unscaled_time, coeffs, lanes.time_remaining))
+        return lanes, log, n_steps + 1.0, tangents, approaches
+
+    def has_time_left(carry):
+        return jnp.any(carry[0].time_remaining > 0)
+
+    def can_continue(carry):
+        must_pause = (
+            lax.full_like(carry[0].time_remaining, False, dtype=bool) if fits_in_log else impact_log.is_full(carry[1])
+        )
+        if with_clearance:
+            must_pause |= fast_turning_points.needs_measurement(carry[4])
+        return has_time_left(carry) & ~jnp.any(must_pause)
+
+    def run_until_pause(carry):
+        (lanes, log, n_steps, tangents, approaches), impact_slots = (
+            lax.while_loop(can_continue, advance_carry, carry[0]),
+            carry[1],
+        )
+        if not fits_in_log:
+            log, impact_slots = impact_log.flush(log, impact_slots)
+        if with_clearance:
+            approaches, time_remaining = fast_turning_points.measure_pending(coeffs, lanes.time_remaining, approaches)
+            lanes = lanes._replace(time_remaining=time_remaining)
+        return (lanes, log, n_steps, tangents, approaches), impact_slots
+
+    def is_pending(carry):
+        has_time = carry[0][0].time_remaining > 0
+        return jnp.any(has_time | fast_turning_points.has_pending(carry[0][4])) if with_clearance else jnp.any(has_time)
+
+    initial_carry = lanes, log, jnp.zeros((), lanes.x.dtype), tangents, approaches
+    if fits_in_log and not with_clearance:
+        final_carry = lax.while_loop(has_time_left, advance_carry, initial_carry)
+    else:
+        final_carry, impact_slots = lax.while_loop(is_pending, run_until_pause, (initial_carry, impact_slots))
+    lanes, log, _, tangents, approaches = final_carry
+    if fits_in_log:
+        log, impact_slots = impact_log.flush(log, impact_slots)
+    return (
+        lanes,
+        log,
+        impact_slots,
+        fast_tangent.add_period_change(coeffs, directions, tangents, lanes),
+        approaches.least_clearance if with_clearance else None,
+    )
+
+
+def step_lanes(coeffs, lanes, n_steps, directions=(), tangents=(), approaches=None):
+    """(lanes, tangents, calls) a step later, the side of the impact at its end, 0: none, the speed against its wall,
+    over t.
+
+    n_steps: the period's steps before this one; approaches: the closest calls, None where they are not asked for. A
+    lane that has no time left, or was given up, stays as it is."""
+    lanes_before = lanes = lanes._replace(largest_length=stage(_largest_length, coeffs, lanes))
+    drive_forces = stage(fast_motion.drive_forces, coeffs, lanes.cosine, lanes.sine)
+    hit_side, contact_time, safe_time, remainder_bound = fast_event.next_event(coeffs, lanes, drive_forces)
+    step_time = stage(_step_time, lanes, hit_side, contact_time, safe_time)
+    propagator = stage(flow.step_propagator, coeffs.short_series, coeffs.frequency, step_time)
+    x, v = stage(fast_motion.propagate, coeffs, lanes.x, lanes.v, drive_forces, propagator)
+    tangents = fast_tangent.propagate_tangents(coeffs, directions, tangents, lanes, drive_forces, propagator, step_time)
+    phasor = stage(flow.rotate, lanes.cosine, lanes.sine, propagator.cos_less_1, propagator.sin_angle)
+    delay = stage(fast_motion.event_delay, coeffs, x, v, phasor, hit_side)
+    impact_velocity = stage(fast_motion.impact_velocity, coeffs, x, v, phasor, delay)
+    cosine, sine = stage(fast_motion.rotate_drive, coeffs, phasor, delay)
+    approach_speed = stage(_approach_speed, coeffs, cosine, sine, hit_side, impact_velocity)
+    time_remaining = stage(
+        _time_remaining, coeffs, lanes, n_steps, safe_time, step_time, hit_side, approach_speed, delay
+    )
+    flight_end = x, v, *phasor, delay
+    x, v = stage(fast_motion.rebound, coeffs, x, v, (cosine, sine), hit_side, impact_velocity)
+    lanes = LaneStates(x, v, cosine, sine, time_remaining, lanes.largest_length)
+    if approaches is not None:
+        approaches, time_remaining = fast_turning_points.record_turning_point(
+            coeffs, lanes_before, lanes, impact_velocity, step_time, delay, hit_side, remainder_bound, approaches
+        )
+        lanes = lanes._replace(time_remaining=time_remaining)
+    return (
+        lanes,
+        fast_tangent.apply_saltation(coeffs, directions, tangents, lanes, flight_end, hit_side, impact_velocity),
+        approaches,
+        hit_side,
+        approach_speed,
+    )
+
+
+def _largest_length(coeffs, lanes):
+    return maximum(lanes.largest_length, coeffs.length_scale + lax.abs(lanes.x) + lax.abs(lanes.v))
+
+
+def _unscaled_time(coeffs, time_remaining):
+    return time_remaining * coeffs.max_step
+
+
+def _step_time(lanes, hit_side, contact_time, safe_time):
+    return choose(lanes.time_remaining > 0, choose(hit_side != 0, contact_time, positive_part(safe_time)), 0.0)
+
+
+def _approach_speed(coeffs, cosine, sine, side, impact_velocity):
+    """The speed against the wall that is met, over t."""
+    return side * (
+        subtract(impact_velocity, fast_motion.wall_state(coeffs, cosine, sine, side)[1]) * coeffs.inverse_max_step
+    )
+
+
+def _time_remaining(coeffs, lanes, n_steps, safe_time, step_time, side, approach_speed, delay):
+    """The time left after a step: of a lane in doubt GIVEN_UP."""
+    is_hit, time_remaining = side != 0, (lanes.time_remaining - step_time) - delay
+    certainty = choose(
+        is_hit,
+        fast_motion.restitution_of(coeffs, side) * approach_speed
+        - SLOW_FRACTION * coeffs.inverse_max_step * lanes.largest_length,
+        safe_time,
+    )
+    time_remaining = choose(
+        (time_remaining >= 0) & (certainty > 0) & (n_steps < coeffs.step_limit), time_remaining, GIVEN_UP
+    )
+    return choose(lanes.time_remaining > 0, time_remaining, lanes.time_remaining)

@@ -1,0 +1,306 @@
+"""Derivatives that lean steps carry along: how x and v move, at the same time, where the numbers move in a direction.
+
+A flight of a given time is linear in x and v. An impact on a wall, x_b and v_b, comes later by
+
+    d = (dx_b - dx) / u,    u = v- - v_b,
+
+and leaves, brought back to the time of the old one (the saltation matrix; paper, (36)),
+
+    dx+ = (1 + R) dx_b - R dx,    dv+ = (1 + R) dv_b - R dv - R' u + d ((1 + R) a_b - R a- - a+),
+
+a-, a+ the accelerations before and after, a_b the wall's. `fast_motion` is differentiated for the rest, by the numbers
+that move alone.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Float
+
+from ..compiled.compiler_hints import choose, stage
+from . import fast_motion, flow
+from .fast_coefficients import FastCoefficients
+from .wall_motion import WallCoefficients, select_by_side, select_lists_by_side, subtract, wall_jet
+
+
+class ParameterDirection(NamedTuple):
+    """How fast the numbers of lanes move in a direction, None for what stands still. coeff_rates: as
+    `lean_numbers.numbers` has them, walls as its walls; phase_rate: the drive's, at the start; period_rate: the time to
+    the end."""
+
+    coeff_rates: FastCoefficients
+    phase_rate: Float[jax.Array, "..."] | None
+    period_rate: Float[jax.Array, "..."] | None
+
+
+class Tangent(NamedTuple):
+    """How fast x and v move, v over the longest step."""
+
+    x: Float[jax.Array, "*lanes"]
+    v: Float[jax.Array, "*lanes"]
+
+
+def parameter_direction(coeffs, scene, scene_rates, phase_rate):
+    """The `ParameterDirection` where a scene's numbers move at the rates of a scene, and the phase at a rate; None: not
+    at all."""
+    amplitude_rate, frequency_rate, drag_rate = scene_rates.amplitude, scene_rates.frequency, scene_rates.damping
+    if amplitude_rate is not None:
+        amplitude_rate = amplitude_rate * coeffs.stiffness
+    if frequency_rate is not None:
+        frequency_rate = frequency_rate * coeffs.max_step
+    if drag_rate is not None:
+        drag_rate = 2.0 * drag_rate * coeffs.max_step
+    signed_walls = zip((-1, 1), (scene.left, scene.right), (scene_rates.left, scene_rates.right), strict=True)
+    zero_rates = FastCoefficients(*[None] * len(FastCoefficients._fields))
+    coeff_rates = zero_rates._replace(
+        amplitude=amplitude_rate,
+        frequency=frequency_rate,
+        drag=drag_rate,
+        short_series=_series_rates(coeffs, frequency_rate, drag_rate),
+        walls=tuple(
+            _wall_rates(side, wall, wall_rates, scene_rates.restitution)
+            for side, wall, wall_rates in signed_walls
+            if wall is not None
+        ),
+    )
+    period_rate = None if frequency_rate is None else -(coeffs.period / coeffs.frequency) * frequency_rate
+    return ParameterDirection(coeff_rates, phase_rate, period_rate)
+
+
+def _series_rates(coeffs, frequency_rate, drag_rate):
+    """The rates of the flow's coefficients; the free flow's do not know the drive."""
+    if frequency_rate is None and drag_rate is None:
+        return None
+    damping_rate = None if drag_rate is None else 0.5 * drag_rate
+    values = coeffs.frequency, 0.5 * coeffs.drag, coeffs.stiffness
+    series_rates = flow.economise_series(partial_jvp(flow.flow_series, values, (frequency_rate, damping_rate, None)))
+    return series_rates if drag_rate is not None else series_rates._replace(p00_minus_1=None, p01=None)
+
+
+def _wall_rates(side, wall, wall_rates, shared_rate):
+    restitution_rate = wall_rates.restitution if wall.restitution is not None else shared_rate
+    motion_rates = {"amplitude": None, "cosine": None, "sine": None}
+    harmonic = 1
+    if wall.motion is not None:
+        harmonic, phase_rate = wall.motion.harmonic, wall_rates.motion.phase
+        motion_rates["amplitude"] = wall_rates.motion.amplitude
+        if phase_rate is not None:
+            phase = jnp.asarray(wall.motion.phase)
+            motion_rates["cosine"], motion_rates["sine"] = -jnp.sin(phase) * phase_rate, jnp.cos(phase) * phase_rate
+    return WallCoefficients(wall_rates.position, restitution_rate, sign=side, harmonic=harmonic, **motion_rates)
+
+
+def partial_jvp(function, values, rates):
+    """The derivative of function(*values) where parts of the values move at these rates; None: not at all."""
+    leaves, treedef = jax.tree.flatten(values)
+    leaf_rates = []
+
+    def spread_rate(rate, subtree):
+        leaf_rates.extend([None] * len(jax.tree.leaves(subtree)) if rate is None else [rate])
+
+    jax.tree.map(spread_rate, rates, values, is_leaf=lambda rate: rate is None)
+    moving_indices = [k for k, rate in enumerate(leaf_rates) if rate is not None]
+
+    def restricted_function(*moving_leaves):
+        all_leaves = list(leaves)
+        for k, value in zip(moving_indices, moving_leaves, strict=True):
+            all_leaves[k] = value
+        return function(*treedef.unflatten(all_leaves))
+
+    moving_rates = [jnp.broadcast_to(leaf_rates[k], jnp.shape(leaves[k])) for k in moving_indices]
+    return jax.jvp(restricted_function, [leaves[k] for k in moving_indices], moving_rates)[1]
+
+
+def propagate_tangents(coeffs, directions, tangents, lanes_before, drive_forces, propagator, time):
+    """The tangents after the flight of a step, whose lanes and forces were these before it."""
+    elapsed_time = stage(_elapsed_time, coeffs, lanes_before.time_remaining)
+    flight_arguments = (
+        lanes_before.x,
+        lanes_before.v,
+        lanes_before.cosine,
+        lanes_before.sine,
+        drive_forces,
+        propagator,
+        time,
+        elapsed_time,
+    )
+    return tuple(
+        stage(_propagate_tangent, coeffs, direction, tangent, *flight_arguments)
+        for direction, tangent in zip(directions, tangents, strict=True)
+    )
+
+
+def _elapsed_time(coeffs, time_remaining):
+    return coeffs.period - time_remaining
+
+
+def _angle_rate(direction, elapsed_time):
+    """How fast the drive's angle moves, so long after the start."""
+    if direction.coeff_rates.frequency is None:
+        return direction.phase_rate
+    angle_rate = direction.coeff_rates.frequency * elapsed_time
+    return angle_rate if direction.phase_rate is None else angle_rate + direction.phase_rate
+
+
+def _phasor_rates(cosine, sine, angle_rate):
+    """The rates of the drive's cosine and sine where its angle moves."""
+    return (None, None) if angle_rate is None else (-sine * angle_rate, cosine * angle_rate)
+
+
+def _propagate_tangent(coeffs, direction, tangent, x, v, cosine, sine, drive_forces, propagator, time, elapsed_time):
+    coeff_rates, phasor_rates = direction.coeff_rates, _phasor_rates(cosine, sine, _angle_rate(direction, elapsed_time))
+    force_rates = None, None
+    if coeff_rates.amplitude is not None or phasor_rates[0] is not None:
+        force_rates = partial_jvp(fast_motion.drive_forces, (coeffs, cosine, sine), (coeff_rates, *phasor_rates))
+    propagator_rates = _propagator_rates(coeff_rates.short_series, time)
+    return Tangent(
+        *partial_jvp(
+            fast_motion.propagate,
+            (coeffs, x, v, drive_forces, propagator),
+            (coeff_rates, tangent.x, tangent.v, force_rates, propagator_rates),
+        )
+    )
+
+
+def _propagator_rates(series, time):
+    """The rates of a flight's `flow.Gains`."""
+    propagator_rates = flow.Propagator(*[None] * 6)
+    if series is None:
+        return propagator_rates
+    time_squared = time * time
+    cos_response, sin_response = flow.drive_responses(series, time)
+    propagator_rates = propagator_rates._replace(cos_response=cos_response, sin_response=sin_response)
+    if series.p00_minus_1 is None:
+        return propagator_rates
+    return propagator_rates._replace(
+        p00_minus_1=flow.horner(series.p00_minus_1, time) * time_squared, p01=flow.horner(series.p01, time) * time
+    )
+
+
+def apply_saltation(coeffs, directions, tangents, lanes, flight_end, side, impact_velocity):
+    """The tangents after the event of a step, if it has one.
+
+    flight_end: x, v, the drive's cosine and sine at the end of the flight, how much later the event is; lanes: x, v,
+    and the drive after the event, and the time left; impact_velocity: the speed at the event."""
+    elapsed_time = stage(_elapsed_time, coeffs, lanes.time_remaining)
+    saltation_terms = stage(_saltation_terms, coeffs, lanes.v, lanes.cosine, lanes.sine, side, impact_velocity)
+    impact_arguments = flight_end, side, lanes.cosine, lanes.sine, elapsed_time, saltation_terms
+    return tuple(
+        stage(_saltate_tangent, coeffs, direction, tangent, *impact_arguments)
+        for direction, tangent in zip(directions, tangents, strict=True)
+    )
+
+
+def _saltation_terms(coeffs, new_velocity, cosine, sine, side, impact_velocity):
+    """(u, 1 / u, (1 + R) a_b - R a- - a+) of an impact."""
+    wall_derivs = [wall_jet(wall, coeffs.frequency, cosine, sine, 2) for wall in coeffs.walls]
+    wall_position, wall_velocity, wall_acceleration = select_lists_by_side(side, coeffs.walls, wall_derivs)
+    restitution = fast_motion.restitution_of(coeffs, side)
+    accel_before, accel_after = (
+        fast_motion.evaluate_acceleration(coeffs, wall_position, velocity, (cosine, sine))
+        for velocity in (impact_velocity, new_velocity)
+    )
+    relative_velocity, acceleration_jump = (
+        subtract(impact_velocity, wall_velocity),
+        -restitution * accel_before - accel_after,
+    )
+    return (
+        relative_velocity,
+        1.0 / relative_velocity,
+        acceleration_jump if wall_acceleration is None else acceleration_jump + (1.0 + restitution) * wall_acceleration,
+    )
+
+
+def _saltate_tangent(coeffs, direction, tangent, flight_end, side, cosine, sine, elapsed_time, saltation_terms):
+    coeff_rates, (*end_state, delay), (relative_velocity, inverse_velocity, acceleration_jump) = (
+        direction.coeff_rates,
+        flight_end,
+        saltation_terms,
+    )
+    angle_rate = _angle_rate(direction, elapsed_time)
+    angle_rate_before = angle_rate if coeff_rates.frequency is None else angle_rate - coeff_rates.frequency * delay
+    argument_rates = (
+        coeff_rates,
+        tangent.x,
+        tangent.v,
+        _phasor_rates(end_state[2], end_state[3], angle_rate_before),
+        None,
+    )
+    x, v = partial_jvp(_event_state, (coeffs, *end_state[:2], tuple(end_state[2:]), delay), argument_rates)
+    is_hit, restitution = side != 0, fast_motion.restitution_of(coeffs, side)
+    restitution_rate = _restitution_rate(coeffs, coeff_rates, side)
+    wall_position_rate, wall_velocity_rate = _wall_state_rates(
+        coeffs, coeff_rates, (cosine, sine), _phasor_rates(cosine, sine, angle_rate), side
+    )
+    relative_rate = subtract(-x, None if wall_position_rate is None else -wall_position_rate)
+    v = -restitution * v + (relative_rate * inverse_velocity) * acceleration_jump
+    x = -restitution * x
+    if restitution_rate is not None:
+        v = v - restitution_rate * relative_velocity
+    if wall_position_rate is not None:
+        x = x + (1.0 + restitution) * wall_position_rate
+    if wall_velocity_rate is not None:
+        v = v + (1.0 + restitution) * wall_velocity_rate
+    return Tangent(choose(is_hit, x, tangent.x), choose(is_hit, v, tangent.v))
+
+
+def _event_state(coeffs, x, v, phasor, delay):
+    """(x, v) at an event so much later than the end of a step."""
+    acceleration = fast_motion.evaluate_acceleration(coeffs, x, v, phasor)
+    return x + delay * (v + 0.5 * delay * acceleration), fast_motion.impact_velocity(coeffs, x, v, phasor, delay)
+
+
+def _restitution_rate(coeffs, coeff_rates, side):
+    """How fast the restitution of the wall on a side moves."""
+    return select_by_side(side, coeffs.walls, [wall.restitution for wall in coeff_rates.walls])
+
+
+def _wall_state_rates(coeffs, coeff_rates, phasor, phasor_rates, side):
+    """How fast the wall on a side and its speed move."""
+
+    def rates_of_wall(wall, wall_rates):
+        if wall.amplitude is None:
+            return wall_rates.position, None
+        known_rates = (
+            wall_rates.position,
+            wall_rates.amplitude,
+            wall_rates.cosine,
+            wall_rates.sine,
+            coeff_rates.frequency,
+            phasor_rates[0],
+        )
+        if all(known_rate is None for known_rate in known_rates):
+            return None, None
+
+        def position_and_velocity(wall, frequency, cosine, sine):
+            return wall_jet(wall, frequency, cosine, sine, 1)
+
+        return tuple(
+            partial_jvp(
+                position_and_velocity,
+                (wall, coeffs.frequency, *phasor),
+                (wall_rates, coeff_rates.frequency, *phasor_rates),
+            )
+        )
+
+    return select_lists_by_side(
+        side,
+        coeffs.walls,
+        [rates_of_wall(*wall_and_rates) for wall_and_rates in zip(coeffs.walls, coeff_rates.walls, strict=True)],
+    )
+
+
+def add_period_change(coeffs, directions, tangents, lanes):
+    """The tangents at the end of a period that gets longer where the frequency moves."""
+    return tuple(
+        _add_period_change(coeffs, *direction_and_tangent, lanes)
+        for direction_and_tangent in zip(directions, tangents, strict=True)
+    )
+
+
+def _add_period_change(coeffs, direction, tangent, lanes):
+    if direction.period_rate is None:
+        return tangent
+    acceleration = fast_motion.evaluate_acceleration(coeffs, lanes.x, lanes.v, (lanes.cosine, lanes.sine))
+    return Tangent(tangent.x + direction.period_rate * lanes.v, tangent.v + direction.period_rate * acceleration)

@@ -1,0 +1,120 @@
+"""Many solutions of the equations of the impacts from one guess each: Newton's method, led away from those it has met.
+
+Where r are met, F is multiplied by prod (1 + 1 / |u - r|^2), which has no zero at any r: from the same guess Newton's
+method then comes to another solution, or to none (Farrell, Birkisson and Funke, SIAM J. Sci. Comput. 37, A2026, 2015).
+Its step is the old one times a number, as what multiplies F is one. The distance counts phases and speeds, from
+whichever impact or period they are counted.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from continuation import newton
+from continuation.array_type import Array
+from continuation.persistent_jit import persistent_jit
+
+from ..flight.coefficients import flow_coefficients
+from . import flight_clearance, impact_equations
+
+N_SOLUTIONS = 3  # solutions from one guess
+MAX_NEWTON_STEPS = 60  # of Newton's steps
+MIN_DENOMINATOR = 1e-3  # of what a step is divided by: less, and it is without a bound
+
+
+class DeflatedSolutions(NamedTuple):
+    """Solutions from one guess after the other: times and speeds of the impacts, in order, and whether they are an
+    orbit's: impacts have speeds, and flights keep to their walls."""
+
+    times: Float[Array, "*lanes rows"]
+    speeds: Float[Array, "*lanes rows"]
+    admissible: Bool[Array, "*lanes"]
+
+
+def solve_with_deflation(scenes, guesses, max_speed):
+    """The `DeflatedSolutions` of lanes, for each of `N_SOLUTIONS` in turn: (rounds, lanes). scenes: with a number for
+    each lane; guesses: `Cycle`s of the lanes; max_speed: a speed that is large, by lane."""
+    n_lanes, n_rows = guesses.times.shape
+    known_solutions, is_known = np.zeros((n_lanes, N_SOLUTIONS, 2, n_rows)), np.zeros((n_lanes, N_SOLUTIONS))
+    solutions = []
+    for solution_index in range(N_SOLUTIONS):
+        solution, converged = jax.device_get(_solve_lane(scenes, guesses, known_solutions, is_known, max_speed))
+        solutions.append(solution)
+        known_solutions[:, solution_index, 0], known_solutions[:, solution_index, 1], is_known[:, solution_index] = (
+            solution.times,
+            solution.speeds,
+            converged,
+        )
+    return DeflatedSolutions(*(np.stack(fields) for fields in zip(*solutions, strict=True)))
+
+
+@persistent_jit
+@jax.vmap
+def _solve_lane(scene, guess, known_solutions, is_known, max_speed):
+    """(the `DeflatedSolutions`, whether Newton's method came to it)."""
+    coeffs, n_rows = flow_coefficients(scene), len(guess.sides)
+    max_change = jnp.repeat(
+        jnp.array([impact_equations.MAX_TIME_CHANGE * coeffs.period, jnp.inf]), n_rows, total_repeat_length=2 * n_rows
+    )
+    deflation_gradient = jax.grad(partial(_log_deflation, coeffs, guess.sides, known_solutions, is_known, max_speed))
+
+    def equations_of(u):
+        return impact_equations.residual_and_jacobian(
+            coeffs, guess._replace(times=u[:n_rows], speeds=u[n_rows:])
+        ), deflation_gradient(u)
+
+    def solve_deflated(jacobian, residual):
+        (jacobian, gradient) = jacobian
+        change, pivot_ratio = impact_equations.solve_cyclic(jacobian, residual)
+        denominator = 1.0 + jnp.sum(gradient * change)
+        return change / jnp.where(
+            abs(denominator) < MIN_DENOMINATOR,
+            jnp.where(denominator < 0, -MIN_DENOMINATOR, MIN_DENOMINATOR),
+            denominator,
+        ), pivot_ratio
+
+    def residual_and_jacobian(u):
+        (residual, jacobian), gradient = equations_of(u)
+        return residual, (jacobian, gradient)
+
+    newton_result = newton.newton(
+        residual_and_jacobian,
+        jnp.concatenate([guess.times, guess.speeds]),
+        max_change,
+        MAX_NEWTON_STEPS,
+        solve_deflated,
+    )
+    sequence = impact_equations.sort_sequence(scene, guess, newton_result.unknowns)
+    flights, is_impact = impact_equations.compute_flights(coeffs, sequence), sequence.sides != 0
+    clearances, _ = flight_clearance.turning_clearances(coeffs, flights, flight_clearance.sample_count(coeffs, flights))
+    admissible = jnp.all(~is_impact | ((sequence.speeds > 0) & (flights.time > 0))) & jnp.all(
+        ~is_impact[:, None] | (clearances >= 0)
+    )
+    converged = newton_result.status == newton.OK
+    has_same_sides = jnp.all(sequence.sides == guess.sides)
+    return DeflatedSolutions(sequence.times, sequence.speeds, converged & has_same_sides & admissible), converged
+
+
+def _log_deflation(coeffs, sides, known_solutions, is_known, max_speed, u):
+    """The logarithm of what F is multiplied by."""
+    n_rows, is_impact = len(sides), sides != 0
+    n_impacts, row_index = jnp.sum(is_impact), jnp.arange(len(sides))
+    phase, speed = coeffs.frequency * u[:n_rows], u[n_rows:]
+    log_factors = []
+    for shift in range(n_rows):
+        shifted_index = (row_index + shift) % n_impacts
+        shifted_solutions = known_solutions[:, :, jnp.where(is_impact, shifted_index, row_index)]
+        impact_distance = (
+            2.0
+            - 2.0 * jnp.cos(phase - coeffs.frequency * shifted_solutions[:, 0])
+            + ((speed - shifted_solutions[:, 1]) / max_speed) ** 2
+        )
+        squared_distance = jnp.sum(jnp.where(is_impact, impact_distance, 0.0), axis=1)
+        log_factors.append(
+            jnp.where((is_known > 0) & (shift < n_impacts), jnp.log1p(1.0 / jnp.maximum(squared_distance, 1e-30)), 0.0)
+        )
+    return jnp.sum(jnp.stack(log_factors))

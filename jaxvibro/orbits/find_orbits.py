@@ -1,0 +1,202 @@
+"""The periodic orbits that many trajectories come near, stable and unstable: Newton's method from their returns.
+
+A trajectory that comes near an unstable orbit follows it for a while, so it comes back near itself. Each stretch of n
+periods, those with the nearest ends and some at random, is a guess of the impacts of an orbit.
+"""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from continuation import newton
+
+from ..maps.initial_conditions import draw_initial_states, initial_box
+from ..maps.iterate import MAX_RECORDED_PERIODS, iterate
+from ..scene import check
+from ..scene.codes import Status
+from ..scene.scene import Scene
+from ..scene.state import State
+from ..scene.symmetry import is_symmetric
+from .free_response import free_response
+from .orbit import Orbit, OrbitError
+from .orbit_comparison import impacts_as_points, is_same_orbit, mirror_points
+from .orbit_from_impacts import orbit_from_impacts, padded_sequence, solve_guesses
+from .shooting import orbit_from_state
+
+SETTLE_PERIODS = 300  # drive periods after which a second look at the trajectories is taken
+MAX_NEAREST, N_RANDOM = 2048, 1024  # stretches of each length that are tried
+CELL_SIZE = 1e-4  # of the largest x and v: stretches that begin nearer to each other are one
+LANES_PER_CALL = 256  # of one call of Newton's method
+MAX_IMPACTS = 32  # impacts of an orbit
+ORBIT_TOLERANCE = 1e-7  # of the largest speed: two orbits as near are one
+
+
+@check.host_only("use solve_orbits, which takes guesses")
+def find_orbits(scene: Scene, max_period: int = 4, starts: int = 200, seed: int = 0) -> tuple[Orbit, ...]:
+    """The periodic orbits of a scene up to a number of drive periods, stable and unstable: a tuple of `Orbit`.
+
+    scene: a single one. starts: trajectories that are searched, at phase 0, drawn from `seed` as
+    `initial_conditions.box` says. Found are the orbits that trajectories come near: on an attractor, on the way to it,
+    at the start; more starts find more. Each is there once, the least period first; of mirror images both, and they say
+    so.
+
+    Raises ArgumentError for a batch of scenes and for counts that cannot be.
+    """
+    check.require_single(scene)
+    max_periods = check.whole_number("max_period", max_period, 1)
+    if max_periods > MAX_RECORDED_PERIODS // 2:
+        raise check.ArgumentError("max_period", f"must be at most {MAX_RECORDED_PERIODS // 2}", max_period)
+    starts, seed = check.whole_number("starts", starts, 1), check.whole_number("seed", seed, 0)
+    first_run = iterate(scene, draw_initial_states(scene, starts, seed), MAX_RECORDED_PERIODS)
+    runs = [first_run, iterate(scene, first_run.state, SETTLE_PERIODS)]
+    max_speed = initial_box(scene)[2]
+    collection = _OrbitCollection(scene, max_speed)
+    collection.add(lambda: orbit_from_state(scene, free_response(scene), 1))
+    rng = np.random.default_rng(seed)
+    for periods in range(1, max_periods + 1):
+        for guess in _distinct_solutions(scene, _candidate_guesses(scene, runs, periods, rng)):
+            collection.add(lambda guess=guess: orbit_from_impacts(scene, *guess))
+        for state in _returning_states(runs[1], periods):
+            collection.add(lambda state=state, periods=periods: orbit_from_state(scene, state, periods))
+    return collection.with_mirror_images()
+
+
+class _OrbitCollection:
+    """Orbits met so far, each once."""
+
+    def __init__(self, scene, max_speed):
+        self.scene, self.max_speed, self.orbits, self.point_sets = scene, max_speed, [], []
+
+    def add(self, solve):
+        """Adds what `solve` returns, unless it is known or no orbit."""
+        try:
+            orbit = solve()
+        except OrbitError:
+            return
+        points = self.points_of(orbit)
+        if self.find_index(orbit.periods, points) is None:
+            self.orbits.append(orbit)
+            self.point_sets.append(points)
+
+    def points_of(self, orbit):
+        """The orbit's impacts as points."""
+        time = orbit.impacts.time + orbit.state.phase / float(self.scene.frequency)
+        return impacts_as_points(
+            float(self.scene.frequency), time, orbit.impacts.side, orbit.impacts.speed, self.max_speed
+        )
+
+    def find_index(self, periods, points):
+        """The place of the orbit with these impacts, None where it is not known."""
+        for index, (other, other_points) in enumerate(zip(self.orbits, self.point_sets, strict=True)):
+            if other.periods == periods and is_same_orbit(points, other_points, ORBIT_TOLERANCE):
+                return index
+        return None
+
+    def with_mirror_images(self):
+        """The orbits in order, each with the place of its mirror image."""
+        is_symmetric_scene = is_symmetric(self.scene)
+        if is_symmetric_scene:
+            for orbit, points in zip(list(self.orbits), list(self.point_sets), strict=True):
+                if self.find_index(orbit.periods, mirror_points(points)) is None:
+                    self.add(lambda orbit=orbit: _mirror_orbit(orbit))
+        order = sorted(range(len(self.orbits)), key=lambda k: _sort_key(self.orbits[k]))
+        new_indices = {old_index: new_index for new_index, old_index in enumerate(order)}
+        mirror_indices = [self.find_index(self.orbits[k].periods, mirror_points(self.point_sets[k])) for k in order]
+        return tuple(
+            replace(self.orbits[k], mirror_of=new_indices.get(mirror_index) if is_symmetric_scene else None)
+            for k, mirror_index in zip(order, mirror_indices, strict=True)
+        )
+
+
+def _sort_key(orbit):
+    return orbit.periods, len(orbit.label), orbit.label, orbit.itinerary, orbit.state.x
+
+
+def _mirror_orbit(orbit):
+    """The mirror image of an orbit: the other walls, half a period later."""
+    drive_period = 2.0 * np.pi / float(orbit.scene.frequency)
+    impacts, total_time = orbit.impacts, orbit.periods * drive_period
+    if orbit.unknowns == "state":
+        state = orbit.state
+        return orbit_from_state(
+            orbit.scene, State(-state.x, -state.v, state.phase + np.pi, -state.contact), orbit.periods
+        )
+    times = np.mod(impacts.time + 0.5 * drive_period, total_time)
+    order = np.argsort(times)
+    return orbit_from_impacts(
+        orbit.scene, times[order], impacts.speed[order], -impacts.side[order], orbit.state.phase, orbit.periods
+    )
+
+
+def _candidate_guesses(scene, runs, periods, rng):
+    """Guesses of orbits, {impacts: (list of (times, speeds, sides), periods)}: stretches of trajectories."""
+    drive_period = 2.0 * np.pi / float(scene.frequency)
+    guesses_by_count = {}
+    for run in runs:
+        points = run.points
+        distances = abs(points[periods:] - points[:-periods]).max(axis=-1)
+        flat_distances = np.where((run.status < Status.CAP)[None, :], distances, np.inf).ravel()
+        order = np.argsort(flat_distances, kind="stable")
+        cells = np.round(points[:-periods].reshape(-1, 2)[order] / (CELL_SIZE * abs(points).max())).astype(int)
+        nearest = order[np.sort(np.unique(cells, axis=0, return_index=True)[1])[:MAX_NEAREST]]  # one of each spot
+        selection = np.unique(np.concatenate([nearest, rng.integers(0, flat_distances.size, N_RANDOM)]))
+        for start, lane in zip(
+            *np.unravel_index(selection[np.isfinite(flat_distances[selection])], distances.shape), strict=True
+        ):
+            rows = slice(start + 1, start + 1 + periods)
+            is_impact = run.side[rows, lane] != 0
+            n_impacts = int(is_impact.sum())
+            if 0 < n_impacts <= MAX_IMPACTS:
+                times = run.time[rows, lane] + drive_period * np.arange(periods)[:, None]
+                guesses_by_count.setdefault(n_impacts, []).append(
+                    (times[is_impact], run.speed[rows, lane][is_impact], run.side[rows, lane][is_impact])
+                )
+    return {n_impacts: (guesses, periods) for n_impacts, guesses in guesses_by_count.items()}
+
+
+def _distinct_solutions(scene, guesses_by_count):
+    """The arguments of `orbit_from_impacts` for each distinct solution that Newton's method reaches from the
+    guesses."""
+    drive_period = 2.0 * np.pi / float(scene.frequency)
+    for n_impacts, (guesses, periods) in sorted(guesses_by_count.items()):
+        keys = set()
+        for start in range(0, len(guesses), LANES_PER_CALL):
+            batch = guesses[start : start + LANES_PER_CALL]
+            batch += [batch[-1]] * (LANES_PER_CALL - len(batch))
+            sequences = [padded_sequence(scene, *guess, 0.0, periods) for guess in batch]
+            solutions, newton_results = solve_guesses(scene, jax.tree.map(lambda *arrays: np.stack(arrays), *sequences))
+            is_valid = (newton_results.status == newton.OK) & (solutions.speeds[:, :n_impacts] > 0).all(axis=1)
+            for k in np.flatnonzero(is_valid):
+                times, speeds, sides = (array[k, :n_impacts] for array in solutions[:3])
+                key = _sequence_key(times, speeds, sides, periods, drive_period)
+                if key not in keys:
+                    keys.add(key)
+                    yield times, speeds, sides, 0.0, periods
+
+
+def _sequence_key(times, speeds, sides, periods, drive_period):
+    """Equal for equal cycles, whichever of their periods comes first, but for an accident of rounding."""
+    shifted_keys = []
+    for shift in range(periods):
+        shifted_times = np.mod(times - shift * drive_period, periods * drive_period)
+        order = np.argsort(shifted_times)
+        shifted_keys.append(
+            tuple(np.round(shifted_times[order], 6)) + tuple(np.round(speeds[order], 6)) + tuple(sides[order])
+        )
+    return min(shifted_keys)
+
+
+def _returning_states(run, periods):
+    """States that have come back after so many periods: orbits that rest on a wall are found from nothing else."""
+    points = run.points
+    tolerance = 1e-6 * abs(points[-1]).max(initial=1.0)
+    has_returned = abs(points[-1] - points[-1 - periods]).max(axis=-1) <= tolerance
+    keys = set()
+    for lane in np.flatnonzero(has_returned & (run.status < Status.CAP)):
+        key = tuple(np.round(points[-1, lane], 5))
+        if key not in keys:
+            keys.add(key)
+            yield State(
+                *(float(component[lane]) for component in (run.x[-1], run.v[-1])), 0.0, float(run.contact[-1, lane])
+            )

@@ -1,0 +1,96 @@
+"""A stay within a soft wall of a spring and a damper, as the equations of the impacts ask for it (`saltation`).
+
+The interface is that of `pushed_meeting`.
+"""
+
+from functools import reduce
+
+import jax.numpy as jnp
+
+from ..compiled.compiler_hints import choose
+from ..flight import flow, soft_contact
+from ..maps.contact_duration import contact_phase_matrix, velocity_ratio
+from ..scene.codes import Contact
+from .contact_phase import guess_contact_time, solve_contact_phase
+from .wall_at_contact import wall_derivatives
+
+
+def exit_map(coeffs, sides, is_soft, speed, contact_map, min_contact_time=None):
+    """((the `saltation.Meeting`'s state, phasor, by_time, by_speed, opening, stay), its free) where a wall gives."""
+    soft_side = choose(is_soft, sides, 0.0)
+    entry = contact_map.cosine, contact_map.sine, speed
+    contact_phase = solve_contact_phase(
+        coeffs, soft_side, *entry, guess_contact_time(coeffs, soft_side, *entry, min_contact_time)
+    )
+    wall_position, wall_velocity, _ = wall_derivatives(coeffs, sides, contact_phase.cosine, contact_phase.sine)
+    contact_coeffs, (p00, p01, p11) = (
+        soft_contact.coeffs_by_lane(coeffs, soft_side * Contact.ENTERED),
+        contact_phase.free_flow,
+    )
+    # at the end the damping jumps back, and with it the acceleration
+    acceleration_jump = 2.0 * (coeffs.damping - contact_coeffs.damping) * (wall_velocity + contact_phase.v)
+    flow_change = (
+        p00 * contact_map.approach_velocity + p01 * contact_phase.entry_acceleration,
+        p11 * contact_phase.entry_acceleration - contact_coeffs.stiffness * p01 * contact_map.approach_velocity,
+    )
+    exit_fields = (
+        (wall_position, wall_velocity + contact_phase.v),
+        (contact_phase.cosine, contact_phase.sine),
+        (-flow_change[0], acceleration_jump * contact_phase.time_by_time - flow_change[1]),
+        (sides * p01, sides * (p11 + acceleration_jump * contact_phase.time_by_velocity)),
+        contact_phase.v,
+        contact_phase.time,
+    )
+    return exit_fields, contact_phase.free_flow
+
+
+def contact_matrix(coeffs, sides, contact_map, acceleration_before, acceleration_after):
+    """(rows, determinant) of what stays do to (x, v); acceleration_before, acceleration_after: the accelerations of the
+    free mass."""
+    contact, contact_time = (
+        choose(contact_map.is_soft, sides * float(Contact.WITHIN), 0.0),
+        jnp.maximum(contact_map.contact_time, 0.0),
+    )
+    _, wall_velocity, _ = wall_derivatives(coeffs, sides, *contact_map.phasor)
+    return contact_phase_matrix(
+        coeffs,
+        contact,
+        contact_time,
+        contact_map.free_flow,
+        velocity_ratio(contact_map.wall_velocity, contact_map.approach_velocity),
+        velocity_ratio(wall_velocity, contact_map.exit_velocity),
+    )
+
+
+def state_in_contact(coeffs, contact_map, sides, row, elapsed_time, free_state):
+    """(x, v) a time after the meetings in rows row: within the wall during the stay, else the state given."""
+    contact = choose(contact_map.is_soft, sides * float(Contact.WITHIN), 0.0)[row]
+    contact_coeffs = soft_contact.coeffs_by_lane(coeffs, contact)
+    is_inside = (contact != 0) & (elapsed_time < contact_map.contact_time[row])
+    time_inside = choose(is_inside, elapsed_time, 0.0)
+    cosine, sine = contact_map.cosine[row], contact_map.sine[row]
+    y, v = soft_contact.apply_response(
+        contact_coeffs,
+        contact,
+        soft_contact.contact_response(contact_coeffs, contact, time_inside),
+        (0.0 * time_inside, contact_map.approach_velocity[row]),
+        cosine,
+        sine,
+    )
+    wall_position, wall_velocity, _ = wall_derivatives(
+        coeffs, sides[row], *flow.rotate_by_angle(cosine, sine, coeffs.frequency * time_inside)
+    )
+    return choose(is_inside, wall_position + y, free_state[0]), choose(is_inside, wall_velocity + v, free_state[1])
+
+
+def max_oscillation_rate(coeffs, contact_map, sides):
+    """How fast the mass swings within soft walls at most, a scalar."""
+    return reduce(
+        jnp.maximum,
+        [flow.MAX_SCALED_STEP / soft_flow.max_step for soft_flow in coeffs.soft_flows if soft_flow is not None],
+    )
+
+
+def max_contact_step(coeffs, contact_map, sides):
+    """How far stays can be followed in one piece, a scalar."""
+    return jnp.min(soft_contact.lane_coefficients(coeffs, sides * float(Contact.WITHIN)).max_step)

@@ -1,0 +1,325 @@
+"""From a guess of the impacts to an `Orbit` by Newton's method, or to the reason why there is none.
+
+Times and speeds are the unknowns, for walls hit in a given order. What solves their equations is an orbit only if no
+flight passes through a wall, and if certified flights from each impact meet the next wall next.
+"""
+
+from functools import partial
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from continuation import newton
+from continuation.array_type import Array
+from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+from continuation.problem import call_directly
+
+from ..compiled.kernels import call_as_kernel
+from ..flight.coefficients import flow_coefficients
+from ..maps import itinerary as words
+from ..maps.iterate import MAX_RECORDED_PERIODS, iterate
+from ..scene.codes import Status
+from ..scene.state import Impacts, State
+from . import flight_clearance, impact_equations
+from .impact_equations import ImpactSequence
+from .orbit import OrbitError, eigenvalue_pair, make_orbit
+from .orbit_comparison import impacts_as_points, repetition_count
+
+MIN_SECTION_GAP = 1e-3  # of a drive period: so near an impact the section is moved
+ADVICE_BRANCH_ENDED = "start nearer to another orbit: this one may be on a branch that has ended by grazing"
+N_GUESSES = 64  # of the impacts, where only the itinerary is known
+IMPACT_TOLERANCE = 1e-8  # of 1 + the largest speed: two impacts as near are one
+TIME_TOLERANCE = 1e-6  # of a drive period: so well must a certified flight end at the impact
+
+
+class SequenceSolution(NamedTuple):
+    """A cycle after Newton's method, and what is known of it. section_states: (x, v) at the section, of KEEP periods;
+    calls: clearance and time of each flight's closest call to each wall; trace and determinant: of the monodromy
+    matrix."""
+
+    sequence: ImpactSequence
+    newton_result: newton.NewtonSolution
+    flights: impact_equations.Flights
+    section_states: tuple[Float[Array, " periods"], Float[Array, " periods"]]
+    midflight_states: tuple[Float[Array, " rows"], Float[Array, " rows"]]
+    closest_approaches: tuple[Float[Array, "rows walls"], Float[Array, "rows walls"]]
+    trace: Float[Array, ""]
+    determinant: Float[Array, ""]
+
+
+def _solve_guess(scene, guess, call=call_directly):
+    newton_result = call(impact_equations.solve_sequence, scene, guess)
+    return call(
+        _measure_solution, scene, impact_equations.sort_sequence(scene, guess, newton_result.unknowns), newton_result
+    )
+
+
+@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=_solve_guess)
+def solve_guess(scene, guess):
+    """The `SequenceSolution` that Newton's method reaches from a cycle."""
+    return _solve_guess(scene, guess, call_as_kernel)
+
+
+def _measure_solution(scene, sequence, newton_result):
+    coeffs = flow_coefficients(scene)
+    flights = impact_equations.compute_flights(coeffs, sequence)
+    section_states = impact_equations.states_at(
+        coeffs, sequence, flights, coeffs.period * jnp.arange(MAX_RECORDED_PERIODS, dtype=sequence.times.dtype)
+    )
+    closest_approaches = flight_clearance.turning_clearances(
+        coeffs, flights, flight_clearance.sample_count(coeffs, flights)
+    )
+    midflight_states = flight_clearance.state_in_flight(coeffs, flights, 0.5 * flights.time)[:2]
+    return SequenceSolution(
+        sequence,
+        newton_result,
+        flights,
+        section_states,
+        midflight_states,
+        closest_approaches,
+        *impact_equations.monodromy_invariants(coeffs, flights, sequence.sides),
+    )
+
+
+def padded_sequence(scene, times, speeds, sides, phase, periods):
+    """A `ImpactSequence` with 2, 8, 32, ... rows, so that few shapes are compiled."""
+    rows = 2
+    while rows < len(times):
+        rows *= 4
+    n_padding = rows - len(times)
+    rows = (np.pad(np.asarray(column, scene.dtype), (0, n_padding)) for column in (times, speeds, sides))
+    return ImpactSequence(*rows, *(np.asarray(column, scene.dtype) for column in (phase, periods)))
+
+
+def orbit_from_impacts(scene, times, speeds, sides, phase, periods):
+    """The orbit with impacts near these times since the section's phase. Raises OrbitError."""
+    drive_period = 2.0 * np.pi / float(scene.frequency)
+    solution = jax.device_get(solve_guess(scene, padded_sequence(scene, times, speeds, sides, phase, periods)))
+    _require_converged(solution)
+    count = len(times)
+    times, speeds, sides = (column[:count] for column in solution.sequence[:3])
+    minimal = _minimal_period(times, speeds, sides, periods, drive_period)
+    if minimal < periods:
+        n_kept = count * minimal // periods
+        return orbit_from_impacts(scene, times[:n_kept], speeds[:n_kept], sides[:n_kept], phase, minimal)
+    section_delay = _section_delay(times, drive_period)
+    if section_delay:
+        shifted_times = np.mod(times - section_delay, periods * drive_period)
+        order = np.argsort(shifted_times)
+        phase = float(np.mod(phase + float(scene.frequency) * section_delay, 2.0 * np.pi))
+        return orbit_from_impacts(scene, shifted_times[order], speeds[order], sides[order], phase, periods)
+    _require_admissible(scene, solution, count)
+    _require_certified(scene, solution, count, drive_period)
+    return _orbit_of_solution(scene, solution, count, drive_period)
+
+
+def orbit_of_exact_impacts(scene, times, speeds, sides, periods, residual):
+    """The orbit that has exactly these impacts, times since phase 0, with this residual; its section where it may be.
+    Nothing is solved and nothing refused."""
+    drive_period = 2.0 * np.pi / float(scene.frequency)
+    section_delay = _section_delay(np.mod(times, periods * drive_period), drive_period)
+    shifted_times = np.mod(times - section_delay, periods * drive_period)
+    order = np.argsort(shifted_times)
+    phase = np.mod(float(scene.frequency) * section_delay, 2.0 * np.pi)
+    return _orbit_without_solving(scene, shifted_times[order], speeds[order], sides[order], phase, periods, residual)
+
+
+def read_from_phase_zero(orbit, itinerary):
+    """An orbit that was solved by its impacts, read from phase 0 of its first drive period on.
+
+    An impact that is not told from phase 0 is put to the period, before or after, in which this itinerary has it.
+    """
+    scene, impacts, n_periods = orbit.scene, orbit.impacts, orbit.periods
+    drive_period = 2.0 * np.pi / float(scene.frequency)
+    total_time, min_time = n_periods * drive_period, float(np.finfo(scene.dtype).eps) * drive_period
+    times, tolerance = (
+        np.mod(impacts.time + orbit.state.phase / float(scene.frequency), total_time),
+        TIME_TOLERANCE * drive_period,
+    )
+    time_choices = [
+        times,
+        np.where(times < tolerance, total_time, times),
+        np.where(times > total_time - tolerance, min_time, times),
+    ]
+    orders = [np.argsort(candidate_times, kind="stable") for candidate_times in time_choices]
+    matching_choices = (
+        choice
+        for choice, (candidate_times, order) in enumerate(zip(time_choices, orders, strict=True))
+        if words.words_of_impacts(candidate_times[order], impacts.side[order], n_periods, drive_period) == itinerary
+    )
+    choice = next(matching_choices, 0)
+    times, order = time_choices[choice], orders[choice]
+    return _orbit_without_solving(
+        scene, times[order], impacts.speed[order], impacts.side[order], 0.0, n_periods, orbit.residual
+    )
+
+
+def _orbit_without_solving(scene, times, speeds, sides, phase, periods, residual):
+    """The orbit with these impacts, times since the section's phase; nothing is solved."""
+    sequence = padded_sequence(scene, times, speeds, sides, phase, periods)
+    newton_fields = (np.asarray(value, scene.dtype) for value in ([], residual, 0.0, 1.0))
+    newton_result = newton.NewtonSolution(*newton_fields, np.asarray(newton.OK))
+    drive_period = 2.0 * np.pi / float(scene.frequency)
+    return _orbit_of_solution(
+        scene, jax.device_get(_measure_compiled(scene, sequence, newton_result)), len(times), drive_period
+    )
+
+
+_measure_compiled = persistent_jit(_measure_solution, compiler_options=FAST_COMPILE, numpy_first=True)
+
+
+def _orbit_of_solution(scene, solution, n_impacts, drive_period):
+    times, speeds, sides, phase, periods = solution.sequence[:5]
+    itinerary, section_points = (
+        words.words_of_impacts(times[:n_impacts], sides[:n_impacts], int(periods), drive_period),
+        np.stack(solution.section_states, 1),
+    )
+    shift = words.canonical_start(itinerary, section_points[: int(periods)])
+    times_after_start = np.mod(times[:n_impacts] - shift * drive_period, float(periods) * drive_period)
+    order = np.argsort(times_after_start)
+    rows = times_after_start[order], sides[order].astype(np.int8), speeds[order]
+    min_clearance = float(solution.closest_approaches[0][:n_impacts].min(initial=np.inf))
+    impacts = Impacts(*rows, n_impacts, float(rows[2].min()), min_clearance, Status.OK)
+    state = State(*section_points[shift].tolist(), float(phase), 0.0)
+    multiplier_pair = eigenvalue_pair(float(solution.trace), float(solution.determinant))
+    return make_orbit(
+        scene,
+        state,
+        impacts,
+        words.rotate(itinerary, shift),
+        multiplier_pair,
+        float(solution.newton_result.residual),
+        "impacts",
+    )
+
+
+def _require_converged(solution):
+    status, residual = int(solution.newton_result.status), float(solution.newton_result.residual)
+    if status != newton.OK:
+        raise OrbitError(newton.STATUS_TEXTS[status], residual, newton.ADVICE[status])
+
+
+def _minimal_period(times, speeds, sides, periods, drive_period):
+    """The least number of periods after which these impacts come again."""
+    points = impacts_as_points(2.0 * np.pi / drive_period, times, sides, speeds, 1.0 + speeds.max())
+    return periods // repetition_count(points, periods, IMPACT_TOLERANCE)
+
+
+def _section_delay(times, drive_period):
+    """How long after the section's phase the section is to be: 0 where no impact is near it, else the middle of the
+    widest gap, of equal ones that which comes first."""
+    phases = np.sort(np.mod(times, drive_period))
+    if min(phases[0], drive_period - phases[-1]) >= MIN_SECTION_GAP * drive_period:
+        return 0.0
+    gaps = np.diff(phases, append=phases[0] + drive_period)
+    gap_middles = np.mod(phases + 0.5 * gaps, drive_period)
+    return float(gap_middles[gaps >= gaps.max() - MIN_SECTION_GAP * drive_period].min())
+
+
+def _require_admissible(scene, solution, n_impacts):
+    """Refuse impacts without speed, and flights behind a wall: which, where, how deep."""
+    speeds, (clearances, approach_times) = (
+        solution.sequence.speeds[:n_impacts],
+        (array[:n_impacts] for array in solution.closest_approaches),
+    )
+    residual, slowest_index = float(solution.newton_result.residual), int(np.argmin(speeds))
+    if not speeds[slowest_index] > 0:
+        reason = f"impact {slowest_index + 1} of {n_impacts} would have the speed {speeds[slowest_index]:.3g}"
+        raise OrbitError(f"not admissible: {reason}", residual, ADVICE_BRANCH_ENDED)
+    flight, wall = np.unravel_index(int(np.argmin(clearances)), clearances.shape)
+    if clearances[flight, wall] < 0:
+        side = list(scene.walls)[wall]
+        reason = (
+            f"flight {flight + 1} of {n_impacts} passes through the {side} wall, {-clearances[flight, wall]:.3g} deep"
+        )
+        reason += f", {approach_times[flight, wall]:.6g} after its start"
+        raise OrbitError(f"not admissible: {reason}", residual, ADVICE_BRANCH_ENDED)
+
+
+def _require_certified(scene, solution, n_impacts, drive_period):
+    """Refuse what certified flights do not confirm: one from halfway along each flight to the end of the next, so that
+    none begins or ends on a wall."""
+    times, _, sides, phase = solution.sequence[:4]
+    flights, next_row = solution.flights, solution.flights.next_row[:n_impacts]
+    flight_times = flights.time[:n_impacts]
+    contact_times = (
+        np.zeros_like(flight_times)
+        if flights.contact_map.contact_time is None
+        else flights.contact_map.contact_time[:n_impacts]
+    )
+    start_phases = phase + np.asarray(scene.frequency) * (times[:n_impacts] + contact_times + 0.5 * flight_times)
+    starts = State(
+        solution.midflight_states[0][:n_impacts],
+        solution.midflight_states[1][:n_impacts],
+        start_phases,
+        np.zeros_like(start_phases),
+    )
+    expected_times = 0.5 * flight_times
+    expected_times = np.stack([expected_times, expected_times + (contact_times + flight_times)[next_row]], axis=1)
+    iterates = iterate(scene, starts, max(1, int(np.ceil(expected_times.max() / drive_period + TIME_TOLERANCE))))
+    impact_times = iterates.time + drive_period * np.arange(len(iterates.time))[:, None, None]
+    impact_times = np.where(iterates.side != 0, impact_times, np.inf).transpose(1, 0, 2).reshape(n_impacts, -1)
+    first_two = impact_times.argsort(axis=1)[:, :2]
+    impact_sides = np.take_along_axis(iterates.side.transpose(1, 0, 2).reshape(n_impacts, -1), first_two, 1)
+    is_time_wrong = abs(np.take_along_axis(impact_times, first_two, 1) - expected_times) > TIME_TOLERANCE * drive_period
+    failures = np.flatnonzero(
+        (is_time_wrong | (impact_sides != sides[np.stack([next_row, next_row[next_row]], axis=1)])).any(axis=1)
+    )
+    if failures.size:
+        reason = f"the flight after impact {failures[0] + 1} of {n_impacts} meets another wall, or none, or not then"
+        raise OrbitError(
+            f"not admissible: {reason}", float(solution.newton_result.residual), "start nearer to an orbit"
+        )
+
+
+def solve_guesses(scene, guesses):
+    """The cycle that Newton's method reaches from each of many: (cycles, `newton.Solved`), arrays with a row each."""
+    return jax.device_get(_solve_guesses_compiled(scene, guesses))
+
+
+@persistent_jit
+@partial(jax.vmap, in_axes=(None, 0))
+def _solve_guesses_compiled(scene, guess):
+    newton_result = impact_equations.solve_sequence(scene, guess)
+    return impact_equations.sort_sequence(scene, guess, newton_result.unknowns), newton_result
+
+
+def orbit_from_random_guesses(scene, itinerary, state, max_speed):
+    """An orbit with this itinerary, from guesses of its impacts at random: of those found the nearest to the state.
+
+    max_speed: a speed that is large for the scene. Raises OrbitError: the last reason met, where no guess leads to an
+    orbit."""
+    letters, periods = "".join(itinerary), len(itinerary)
+    if not letters:
+        raise OrbitError("the state does meet walls", np.nan, "start where the motion meets none")
+    drive_period = 2.0 * np.pi / float(scene.frequency)
+    rng = np.random.default_rng(0)
+    impact_periods = np.repeat(np.arange(periods), [len(word) for word in itinerary])
+    times = np.sort(impact_periods + rng.random((N_GUESSES, len(letters))), axis=1) * drive_period
+    speeds = max_speed * rng.random(times.shape)
+    sides = np.broadcast_to(words.wall_sides(itinerary), times.shape)
+    guesses = [
+        padded_sequence(scene, *arrays, state.phase, periods) for arrays in zip(times, speeds, sides, strict=True)
+    ]
+    sequences, newton_results = solve_guesses(scene, jax.tree.map(lambda *arrays: np.stack(arrays), *guesses))
+    last_error = OrbitError("no guess leads to a solution with this itinerary", np.nan, "give a state near the orbit")
+    keys, orbits = set(), []
+    for guess_index in np.flatnonzero(newton_results.status == newton.OK):
+        key = tuple(np.round(sequences.times[guess_index], 6))
+        if key not in keys:
+            keys.add(key)
+            try:
+                orbit = orbit_from_impacts(
+                    scene, *(arrays[guess_index][: len(letters)] for arrays in sequences[:3]), state.phase, periods
+                )
+            except OrbitError as error:
+                last_error = error
+                continue
+            if words.is_same_itinerary(orbit.itinerary * (periods // orbit.periods), itinerary):
+                orbits.append(orbit)
+    if not orbits:
+        raise last_error
+    return min(orbits, key=lambda orbit: abs(orbit.state.x - state.x) + abs(orbit.state.v - state.v))

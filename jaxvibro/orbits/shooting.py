@@ -1,0 +1,136 @@
+"""From a state on the section to an `Orbit` by Newton's method on the strobe: any orbit, also one that rests on a wall
+or meets none. Near grazing it is worse than the equations of the impacts (`by_impacts`)."""
+
+import jax
+import numpy as np
+
+from continuation import newton
+from continuation.linear_solver import solve
+from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+
+from ..compiled.compiler_hints import COMPILER_OPTIONS
+from ..compiled.kernels import call_as_kernel
+from ..maps import itinerary as words
+from ..maps.monodromy import strobe_with_monodromy
+from ..maps.one_period import REPLAY_SLOTS
+from ..maps.sticking_phases import NO_STICKING, find_sticking_phases, may_stick
+from ..scene.codes import Status
+from ..scene.state import Impacts, State, state_arrays
+from .orbit import OrbitError, eigenvalue_pair, make_orbit
+
+MAX_NEWTON_STEPS = 12  # of Newton's steps
+MAX_SLOTS = 512  # impacts of a period that are recorded where there are more than usual
+
+
+def orbit_from_state(scene, state, periods):
+    """The orbit near a state, numbers at its phase. Raises OrbitError."""
+    eps, step = float(np.finfo(scene.dtype).eps), np.inf
+    for _ in range(MAX_NEWTON_STEPS):
+        points, period_results, matrix = _shoot(scene, state, periods)
+        residual = points[-1] - points[0]
+        scale = 1.0 + abs(points).max()
+        if step <= eps**0.7 * scale or not residual.any():
+            break
+        state, step = _newton_step(state, period_results[-1][0], residual, matrix)
+    if residual.any() and (step > eps**0.7 * scale or abs(residual).max() > eps**0.4 * scale):
+        raise OrbitError(
+            newton.STATUS_TEXTS[newton.NOT_CONVERGED], float(abs(residual).max()), newton.ADVICE[newton.NOT_CONVERGED]
+        )
+    minimal = next(
+        (n for n in range(1, periods) if periods % n == 0 and _is_close(points[n], points[0], scale)), periods
+    )
+    if minimal < periods:
+        return orbit_from_state(scene, state, minimal)
+    itinerary = tuple(words.words_of_rows(period_impacts.side[None])[0] for _, period_impacts in period_results)
+    shift = words.canonical_start(itinerary, points[:-1])
+    state = period_results[shift - 1][0] if shift else state
+    impacts = _join_impacts(
+        words.rotate([period_impacts for _, period_impacts in period_results], shift),
+        2.0 * np.pi / float(scene.frequency),
+    )
+    multiplier_pair = eigenvalue_pair(float(np.trace(matrix)), float(np.linalg.det(matrix)))
+    state = jax.tree.map(float, state)
+    can_stick = may_stick(
+        scene,
+        [period_impacts.status for _, period_impacts in period_results],
+        [end.contact for end, _ in period_results],
+    )
+    sticking = find_sticking_phases(scene, state, periods) if can_stick else NO_STICKING
+    return make_orbit(
+        scene,
+        state,
+        impacts,
+        words.rotate(itinerary, shift),
+        multiplier_pair,
+        float(abs(residual).max()),
+        "state",
+        sticking,
+    )
+
+
+def _is_close(point, other, scale):
+    return abs(point - other).max() <= 1e-8 * scale
+
+
+def strobe_period(scene, state):
+    """(State, Impacts with their least clearance, M) a drive period later, of a state of numbers: NumPy's."""
+    state = state_arrays(scene, state)
+    end, impacts, (a, b, c, d) = _strobe_compiled(scene, state)
+    if impacts.count > REPLAY_SLOTS:
+        end, impacts, (a, b, c, d) = jax.device_get(_strobe_many_impacts(scene, state))
+    return end, impacts, np.array([[a, b], [c, d]])
+
+
+@persistent_jit(compiler_options=COMPILER_OPTIONS, numpy_first=True)
+def _strobe_compiled(scene, state):
+    return call_as_kernel(strobe_with_monodromy, scene, state, periods=1, slots=REPLAY_SLOTS, clearance=True)
+
+
+@persistent_jit(compiler_options=COMPILER_OPTIONS)
+def _strobe_many_impacts(scene, state):
+    return call_as_kernel(strobe_with_monodromy, scene, state, periods=1, slots=MAX_SLOTS, clearance=True)
+
+
+_solve_linear = persistent_jit(solve, compiler_options=FAST_COMPILE, numpy_first=True)
+
+
+def _shoot(scene, state, periods):
+    """(points on the section, shape (periods + 1, 2); (state, impacts) of each period; the monodromy matrix)."""
+    points, period_results, matrix = [(float(state.x), float(state.v))], [], np.eye(2)
+    for _ in range(periods):
+        state, impacts, period_matrix = strobe_period(scene, state)
+        matrix = period_matrix @ matrix
+        if impacts.status >= Status.CAP:
+            reason = f"the state cannot be followed ({Status(int(impacts.status)).word})"
+            raise OrbitError(reason, np.nan, "start between the walls, nearer to an orbit")
+        points.append((float(state.x), float(state.v)))
+        period_results.append((state, impacts))
+    return np.array(points), period_results, matrix
+
+
+def _newton_step(state, end, residual, matrix):
+    """(the next state, how far it is from the last): where the start is forgotten the end itself."""
+    if not matrix.any():
+        return end, float(abs(residual).max())
+    step, pivot_ratio, _ = _solve_linear(np.eye(2) - matrix, residual)
+    if not pivot_ratio > newton.SINGULAR_PIVOT_RATIO * np.finfo(step.dtype).eps:
+        status = newton.SINGULAR
+        raise OrbitError(newton.STATUS_TEXTS[status], float(abs(residual).max()), newton.ADVICE[status])
+    return State(float(state.x) + step[0], float(state.v) + step[1], state.phase, 0.0), float(abs(step).max())
+
+
+def _join_impacts(period_impacts, drive_period):
+    """The impacts of some periods as those of one, without empty slots."""
+    rows = [
+        (impacts.time + period * drive_period, impacts.side, impacts.speed)
+        for period, impacts in enumerate(period_impacts)
+    ]
+    is_impact = np.concatenate([side != 0 for _, side, _ in rows])
+    time, side, speed = (np.concatenate(row)[is_impact] for row in zip(*rows, strict=True))
+    least_speed, least_clearance = (
+        min(float(getattr(impacts, name)) for impacts in period_impacts) for name in ("least_speed", "least_clearance")
+    )
+    status = max(int(impacts.status) for impacts in period_impacts)
+    return Impacts(
+        time, side, speed, sum(int(impacts.count) for impacts in period_impacts), least_speed, least_clearance, status
+    )

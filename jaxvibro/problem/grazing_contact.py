@@ -1,0 +1,220 @@
+"""Touches: where an impact of an orbit has no speed, or a flight comes to a wall without one."""
+
+from functools import partial, singledispatch
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from continuation import augmented_systems
+from continuation.persistent_jit import FAST_COMPILE, persistent_jit
+
+from ..compiled.kernels import call_as_kernel
+from ..flight.coefficients import flow_coefficients
+from ..orbits import flight_clearance, impact_equations
+from ..orbits.flight_clearance import GRAZING_TOLERANCE
+from .diagnostics import diagnose, free_flight
+from .equations import continuation_problem, parameter_at, scene_at, sequence_at
+
+END_TOLERANCE = 1e-5  # of a flight: a touch as near to its ends is that of the impact there
+NEWTON_STEPS = 6  # of Newton's steps to a turning point
+
+
+class GrazingContact(NamedTuple):
+    """A touch of a wall. row: of the impact at it, or of that before it; side; delay: its time since that impact's;
+    is_impact: whether the branch has it as an impact."""
+
+    row: int
+    side: int
+    delay: float
+    is_impact: bool
+
+
+def arclength_weights(problem, length_scale):
+    """The weights of z: times as they are and speeds over the scene's length, their mean square over the impacts;
+    parameters over the length where they are one."""
+    n_rows = len(problem.sequence.sides)
+    impact_weight = 1.0 / max(1.0, np.sqrt(np.sum(problem.sequence.sides != 0)))
+    impact_weights = np.asarray(problem.sequence.sides != 0, float) * impact_weight
+    orbit_weights = (
+        np.concatenate([impact_weights, impact_weights / length_scale]) if n_rows else np.ones(2) / length_scale
+    )
+    n_parameters = max(int(parameter_number) for parameter_number in jax.tree.leaves(problem.parameter_marks))
+    return np.append(
+        orbit_weights,
+        [1.0 / _parameter_scale(problem.parameter_marks, k, length_scale) for k in range(1, n_parameters + 1)],
+    )
+
+
+def _parameter_scale(parameter_marks, parameter_number, length_scale):
+    """The scene's length where a parameter is a length, else 1."""
+    walls = parameter_marks.walls.values()
+    length_marks = [
+        parameter_marks.amplitude,
+        *(term.amplitude for term in parameter_marks.drive),
+        *(wall.position for wall in walls),
+    ]
+    length_marks += [wall.motion.amplitude for wall in walls if wall.motion is not None]
+    return length_scale if any(mark == parameter_number for mark in length_marks) else 1.0
+
+
+def _relative_motion_kernel(unknowns, problem, row, wall):
+    """(distance, speed, acceleration) towards a wall of the flight after a row; y = (z, the time since its start)."""
+    z, time_in_flight = unknowns[:-1], unknowns[-1]
+    if len(problem.sequence.sides):
+        coeffs = flow_coefficients(scene_at(problem, z))
+        flights = impact_equations.compute_flights(coeffs, sequence_at(problem, z))
+    else:
+        coeffs, flights = free_flight(problem, z)
+    wall_motions = flight_clearance.relative_motion(coeffs, flights, jnp.full_like(flights.time, time_in_flight))
+    return jnp.stack([jnp.stack([wall_motion[k] for wall_motion in wall_motions])[wall, row] for k in range(3)])
+
+
+@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=_relative_motion_kernel)
+def _relative_motion(unknowns, problem, row, wall):
+    return call_as_kernel(_relative_motion_kernel, unknowns, problem, row, wall)
+
+
+def distance_and_speed(problem, row, wall, unknowns):
+    """Distance and speed towards a wall."""
+    return np.asarray(_relative_motion(unknowns, problem, np.int32(row), np.int32(wall)))[:2]
+
+
+def locate_grazing(problem, z, row, wall, time_in_flight):
+    """The point near where the flight after a row touches a wall: `locate.Located` of z."""
+    evaluate_contact = partial(distance_and_speed, problem, row, wall)
+
+    def system(unknowns):
+        residual, jacobian = (
+            np.asarray(array)
+            for array in augmented_systems.evaluate(continuation_problem(problem), unknowns[:-1], problem)
+        )
+        extended_jacobian = np.vstack(
+            [np.pad(jacobian, ((0, 0), (0, 1))), augmented_systems.central_differences(evaluate_contact, unknowns)]
+        )
+        return np.concatenate([residual, evaluate_contact(unknowns)]), extended_jacobian
+
+    solution = augmented_systems.solve_newton(system, np.append(z, time_in_flight))
+    return solution if solution.z is None else solution._replace(z=solution.z[:-1])
+
+
+def locate_zero(problem, z, function, indices=None):
+    """The point near z where a function of z is zero too: `locate.Located`. indices: those in z of the unknowns that
+    the function depends on, None: all."""
+
+    def system(z):
+        residual, jacobian = (
+            np.asarray(array) for array in augmented_systems.evaluate(continuation_problem(problem), z, problem)
+        )
+        return np.append(residual, function(z)), np.vstack(
+            [jacobian, augmented_systems.central_differences(function, z, indices)]
+        )
+
+    return augmented_systems.solve_newton(system, z)
+
+
+def refine_turning_point(problem, z, row, wall, time_in_flight):
+    """(time, distance, acceleration towards the wall) at the turning point of the flight after a row that is near."""
+    for _ in range(NEWTON_STEPS):
+        distance, speed, acceleration = np.asarray(
+            _relative_motion(np.append(z, time_in_flight), problem, np.int32(row), np.int32(wall))
+        )
+        time_in_flight -= speed / acceleration
+    return time_in_flight, distance, acceleration
+
+
+def find_grazing_contacts(problem, z, length_scale):
+    """The `GrazingContact`es at a point."""
+    sides, diagnostics = problem.sequence.sides, diagnose(problem, z[None])
+    n_rows = len(sides)
+    nonempty_rows = np.flatnonzero(sides != 0)
+    zero_speed_rows = [int(k) for k in problem.impact_rows if abs(z[n_rows + k]) < GRAZING_TOLERANCE * length_scale]
+    grazing_contacts = [GrazingContact(k, int(sides[k]), 0.0, True) for k in zero_speed_rows]
+    side_of_wall = wall_sides(problem.scene)
+    flight_durations, contact_durations = flight_durations_at(problem, z), contact_durations_at(problem, z)
+    for row, wall in zip(*np.nonzero(abs(diagnostics.clearance[0]) < GRAZING_TOLERANCE * length_scale), strict=True):
+        time_in_flight, side = float(diagnostics.turning_time[0, row, wall]), side_of_wall[wall]
+        next_row = (
+            int(nonempty_rows[(np.flatnonzero(nonempty_rows == row)[0] + 1) % len(nonempty_rows)]) if n_rows else None
+        )
+        is_at_start = (
+            row in zero_speed_rows and sides[row] == side and time_in_flight < END_TOLERANCE * flight_durations[row]
+        )
+        is_at_end = (
+            next_row in zero_speed_rows
+            and sides[next_row] == side
+            and time_in_flight > (1.0 - END_TOLERANCE) * flight_durations[row]
+        )
+        if not (is_at_start or is_at_end):
+            grazing_contacts.append(
+                GrazingContact(int(row), side, float(contact_durations[row]) + time_in_flight, False)
+            )
+    return grazing_contacts
+
+
+def zero_slow_speeds(problem, z, length_scale):
+    """z with the speeds that are zero but for rounding put to zero."""
+    n_rows = len(problem.sequence.sides)
+    cleaned_z = np.array(z)
+    speeds = cleaned_z[n_rows : 2 * n_rows]
+    speeds[abs(speeds) < GRAZING_TOLERANCE * length_scale] = 0.0
+    return cleaned_z
+
+
+def approach_acceleration(problem, z, row):
+    """That towards the wall of an impact, relative to it, as it is left."""
+    wall = wall_sides(problem.scene).index(int(problem.sequence.sides[row]))
+    return float(_relative_motion(np.append(z, 0.0), problem, np.int32(row), np.int32(wall))[2])
+
+
+def is_pressed_on_wall(problem, z, grazing_contacts):
+    """Whether at one of the touches that are impacts the wall is in the way of the mass, which then rests on it."""
+    return any(approach_acceleration(problem, z, contact.row) > 0 for contact in grazing_contacts if contact.is_impact)
+
+
+def orbit_duration_at(problem, z):
+    """How long the orbit is."""
+    return float(problem.sequence.periods) * 2.0 * np.pi / parameter_at(problem, z, "frequency")
+
+
+def flight_durations_at(problem, z):
+    """How long each flight is, (rows,); of an orbit without impacts its periods, (1,)."""
+    if not len(problem.sequence.sides):
+        return np.array([orbit_duration_at(problem, z)])
+    return np.asarray(_durations(problem, z)[0])
+
+
+def contact_durations_at(problem, z):
+    """How long the mass is within the wall at each impact, before the flight after it begins, (rows,); (1,) of none."""
+    n_rows = len(problem.sequence.sides)
+    return np.asarray(_durations(problem, z)[1]) if n_rows and problem.scene.soft_sides else np.zeros(max(1, n_rows))
+
+
+@persistent_jit(compiler_options=FAST_COMPILE, numpy_first=True)
+def _durations(problem, z):
+    flights = impact_equations.compute_flights(flow_coefficients(scene_at(problem, z)), sequence_at(problem, z))
+    return (
+        flights.time,
+        0.0 * flights.time if flights.contact_map.contact_time is None else flights.contact_map.contact_time,
+    )
+
+
+def wall_sides(scene):
+    """The sides of the walls that there are."""
+    return [side for side, wall in ((-1, scene.left), (1, scene.right)) if wall is not None]
+
+
+def admissible(problem, zs, diagnostics):
+    """Which points keep to their walls and hit them with positive speed, and rest where they are to: (points,)."""
+    zs = np.atleast_2d(zs)
+    has_positive_speeds = (zs[:, len(problem.sequence.sides) + problem.impact_rows] > 0).all(axis=1)
+    margins = np.concatenate([*sticking_margins(problem, diagnostics), diagnostics.hop_margin], axis=1)
+    has_clearance = (diagnostics.clearance >= -problem.slack).all(axis=(1, 2)) & (margins > -problem.slack).all(axis=1)
+    return has_positive_speeds & has_clearance & np.isfinite(zs).all(axis=1)
+
+
+@singledispatch
+def sticking_margins(problem, diagnostics):
+    """(how long rests are, how hard walls hold in them), what is not to come to zero along what is followed."""
+    return diagnostics.sticking_time, diagnostics.min_contact_force
